@@ -1,0 +1,1 @@
+"""Classify what an event camera sees, event by event, with the Temporal Normalization Transform."""

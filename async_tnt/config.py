@@ -1,0 +1,126 @@
+"""TNTConfig: everything that decides what a volume holds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+LANDMARKS = ("center", "running", "line", "window")
+POLARITIES = ("signed", "unsigned", "split")
+TRANSFORMS = ("tnt", "none")
+MAX_SIDE = 1 << 15
+MAX_WINDOW_US = 24 * 3600 * 1_000_000
+MAX_CELLS = 1 << 31
+
+
+@dataclass(frozen=True)
+class TNTConfig:
+    """How events become a volume. Checks itself when built; sizes are (width, height).
+
+    Parameters
+    ----------
+    sensor : the camera's pixels.
+    grid : the volume's pixels; a sensor of another size is mapped onto it corner to corner.
+    bins : B, time bins of the volume.
+    window_us : length of a window in microseconds.
+    t_max : TNT time at the end of a window. An object shrinks so many times until then; a smaller value loses
+        fewer events over the border early in the window.
+    landmark : the point that events are normalized about: `center` of the grid, `running` centroid of the
+        window's events so far, `line`: intercept of their running regression line, `window`: centroid of all
+        the window's events at the moment of reading (buffered and replayed there).
+    polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add), `split` (ON bins, then OFF bins).
+    transform : `tnt`, or `none` for the plain event volume.
+    remove_flow : subtract the flow that the running line has found (landmark `line` only).
+
+    Raises
+    ------
+    ValueError, TypeError : a value breaks its rule.
+
+    Examples
+    --------
+    >>> TNTConfig(bins=9).shape
+    (9, 34, 34)
+    >>> TNTConfig(grid=(34, 1))
+    Traceback (most recent call last):
+    ...
+    ValueError: `grid` must have sides of 2 to 32768 pixels, got (34, 1)
+    """
+
+    sensor: tuple[int, int] = (34, 34)
+    grid: tuple[int, int] = (34, 34)
+    bins: int = 9
+    window_us: int = 105_000
+    t_max: float = 8.0
+    landmark: str = "running"
+    polarity: str = "signed"
+    transform: str = "tnt"
+    remove_flow: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("sensor", "grid"):
+            side = getattr(self, name)
+            if not (isinstance(side, (tuple, list)) and len(side) == 2 and all(_is_int(s) for s in side)):
+                raise TypeError(f"`{name}` must be two whole numbers (width, height), got {side!r}")
+            object.__setattr__(self, name, (int(side[0]), int(side[1])))
+            if not all(2 <= s <= MAX_SIDE for s in side):
+                raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {tuple(side)}")
+        for name, low, high in (("bins", 1, 1024), ("window_us", 1, MAX_WINDOW_US)):
+            value = getattr(self, name)
+            if not _is_int(value):
+                raise TypeError(f"`{name}` must be a whole number, got {value!r}")
+            if not low <= value <= high:
+                raise ValueError(f"`{name}` must be in [{low}, {high}], got {value}")
+            object.__setattr__(self, name, int(value))
+        try:
+            object.__setattr__(self, "t_max", float(self.t_max))
+        except (TypeError, ValueError):
+            raise TypeError(f"`t_max` must be a number, got {self.t_max!r}") from None
+        if not (math.isfinite(self.t_max) and 1e-6 <= self.t_max <= 1e6):
+            raise ValueError(f"`t_max` must be in [1e-6, 1e6], got {self.t_max}")
+        for name, allowed in (("landmark", LANDMARKS), ("polarity", POLARITIES), ("transform", TRANSFORMS)):
+            value = getattr(self, name)
+            if value not in allowed:
+                raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {value!r}")
+        if not isinstance(self.remove_flow, bool):
+            raise TypeError(f"`remove_flow` must be True or False, got {self.remove_flow!r}")
+        if self.remove_flow and (self.landmark != "line" or self.transform != "tnt"):
+            raise ValueError(
+                '`remove_flow` needs landmark="line" and transform="tnt", '
+                f"got landmark={self.landmark!r}, transform={self.transform!r}"
+            )
+        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1)
+        if cells >= MAX_CELLS:
+            raise ValueError(f"`grid` and `bins` must give fewer than 2**31 cells, got {cells}")
+
+    @property
+    def channels(self) -> int:
+        """C: B, or 2 B with `split` polarity."""
+        return self.bins * (2 if self.polarity == "split" else 1)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(C, H, W), the shape of `TNTVolume.array`."""
+        return self.channels, self.grid[1], self.grid[0]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:
+        """The inverse of `to_dict`; an unknown name is an error."""
+        known = {field.name for field in fields(cls)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            raise ValueError(f"unknown configuration {', '.join(unknown)}; known: {', '.join(sorted(known))}")
+        return cls(**{name: tuple(v) if isinstance(v, list) else v for name, v in values.items()})
+
+    def replace(self, **changes: Any) -> TNTConfig:
+        """A copy with some values changed."""
+        return replace(self, **changes)
+
+
+def _is_int(value: Any) -> bool:
+    return hasattr(value, "__index__") and not isinstance(value, bool)

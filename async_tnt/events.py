@@ -1,0 +1,281 @@
+"""The door: whatever the field calls events becomes four checked, contiguous columns.
+
+Behind it nothing is checked again. Numba compiles anew for every read-only, strided or unaligned array and
+never checks bounds, so packets are turned into one form here, once, and refused here if they are wrong.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .kernels.columns import FINE, KIND, MAX_TIME_US, check_columns, find_late, load_records
+
+EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
+"""How this package writes events: t in microseconds, x and y in pixels from the top left, p 1 = ON, 0 = OFF."""
+
+NAMES = {
+    "t": ("t", "ts", "timestamp"),
+    "x": ("x",),
+    "y": ("y",),
+    "p": ("p", "on", "polarity", "pol"),
+}
+LATE_POLICIES = ("accept", "drop", "raise")
+FORMS = (
+    "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
+    "(t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
+)
+
+
+class Columns(NamedTuple):
+    """Checked events: contiguous, of equal length. May be views of scratch memory: use before the next call."""
+
+    t: np.ndarray
+    """int64, microseconds, in [0, 2**62)."""
+    x: np.ndarray
+    """uint16, in [0, sensor width)."""
+    y: np.ndarray
+    """uint16, in [0, sensor height)."""
+    p: np.ndarray
+    """uint8, 0 or 1."""
+
+
+NO_EVENTS = Columns(np.empty(0, np.int64), np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8))
+
+
+class EventDoor:
+    """Turns packets of one sensor into `Columns`, reusing its memory from packet to packet.
+
+    Parameters
+    ----------
+    sensor : (width, height) in pixels.
+    late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or `raise`.
+    """
+
+    def __init__(self, sensor: tuple[int, int], late: str = "accept") -> None:
+        if late not in LATE_POLICIES:
+            raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {late!r}")
+        self.sensor = sensor
+        self.late = late
+        self.reset()
+        self._scratch = NO_EVENTS
+        self._dtype: np.dtype | None = None
+        self._layout: np.ndarray | None = None
+
+    def reset(self) -> None:
+        """Forget the newest time and the count of dropped events."""
+        self.newest_us = -1
+        self.n_dropped = 0
+
+    def __call__(self, events: Any) -> Columns:
+        """Check a packet.
+
+        Returns
+        -------
+        Columns, valid until the next call.
+
+        Raises
+        ------
+        ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event.
+            Nothing is taken over from such a packet.
+        """
+        columns = self._load(events) if isinstance(events, np.ndarray) else None
+        if columns is None:
+            columns = self._convert(events)
+        if self.late != "accept" and columns.t.size:
+            columns = self._apply_policy(columns)
+        return columns
+
+    def _load(self, events: np.ndarray) -> Columns | None:
+        """The fast way in, for packed records of whole numbers; None where only `_convert` can tell."""
+        if events.dtype is not self._dtype:
+            self._dtype = events.dtype
+            self._layout = _record_layout(events.dtype)
+        if self._layout is None or events.ndim != 1 or not events.flags.c_contiguous:
+            return None
+        n = events.size
+        if n > self._scratch.t.size:
+            self._scratch = _empty_columns(max(1024, 2 * n))
+        t, x, y, p = self._scratch
+        width, height = self.sensor
+        if n == 0:
+            return NO_EVENTS
+        raw = np.frombuffer(events, np.uint8)
+        raw.flags.writeable = False  # whatever the caller's array is: one compiled version
+        if load_records(raw, self._layout, n, width, height, t, x, y, p) != FINE:
+            return None
+        return Columns(t[:n], x[:n], y[:n], p[:n])
+
+    def _convert(self, events: Any) -> Columns:
+        columns = named_columns(events)
+        if columns is None:
+            return NO_EVENTS
+        t, x, y, p = columns
+        if (
+            t.dtype == np.int64 and x.dtype == y.dtype == np.uint16 and p.dtype == np.uint8
+            and all(c.flags.c_contiguous and c.flags.aligned and c.flags.writeable for c in columns)
+            and t.ndim == x.ndim == y.ndim == p.ndim == 1 and t.size == x.size == y.size == p.size
+            and check_columns(t, x, y, p, *self.sensor) == FINE
+        ):  # fmt: skip
+            return Columns(t, x, y, p)
+        return checked_columns(t, x, y, p, self.sensor)
+
+    def _apply_policy(self, columns: Columns) -> Columns:
+        late = np.empty(columns.t.size, np.bool_)
+        n_late, newest_us = find_late(columns.t, self.newest_us, late)
+        if n_late and self.late == "raise":
+            i = int(np.argmax(late))
+            newest = max(self.newest_us, int(columns.t[:i].max(initial=-1)))
+            raise ValueError(
+                f"`t` must not run backwards (late=\"raise\"), got {columns.t[i]} after {newest} at event {i}; "
+                'late="accept" takes such events, late="drop" drops and counts them'
+            )
+        self.newest_us = newest_us
+        self.n_dropped += n_late
+        return Columns(*(c[~late] for c in columns)) if n_late else columns
+
+
+def named_columns(events: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """The four columns of any accepted form, unchecked; None for no events.
+
+    Raises
+    ------
+    TypeError, ValueError : not a form of events; the message says what came and what is accepted.
+    """
+    if events is None:
+        return None
+    if isinstance(events, (np.ndarray, np.void)):
+        names = events.dtype.names
+        if names is None:
+            if isinstance(events, np.ndarray) and events.size == 0:
+                return None
+            raise TypeError(f"events must be {FORMS}; got a plain array of shape {np.shape(events)}")
+        picked = [_pick(field, names, "a structured array with fields " + ", ".join(names)) for field in NAMES]
+        t, x, y, p = (np.atleast_1d(events[name]) for name in picked)
+        return t, x, y, p
+    if isinstance(events, (tuple, list)):
+        if len(events) == 0:
+            return None
+        if len(events) != 4:
+            raise ValueError(f"a tuple of events must hold four columns (t, x, y, p), got {len(events)}")
+        t, x, y, p = (_as_column(field, column) for field, column in zip(NAMES, events, strict=True))
+        return t, x, y, p
+    if hasattr(events, "polarity_events"):
+        return named_columns(events.polarity_events)
+    if hasattr(events, "x") and hasattr(events, "y"):
+        have = [name for names in NAMES.values() for name in names if hasattr(events, name)]
+        what = f"a {type(events).__name__} with attributes {', '.join(have)}"
+        t, x, y, p = (_as_column(field, getattr(events, _pick(field, have, what))) for field in NAMES)
+        return t, x, y, p
+    if callable(getattr(events, "numpy", None)):
+        return named_columns(events.numpy())
+    raise TypeError(f"events must be {FORMS}; got {type(events).__name__}")
+
+
+def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> Columns:
+    """Four columns of any integer type as `Columns`, or an error that names the first event at fault."""
+    columns = {"t": np.asarray(t), "x": np.asarray(x), "y": np.asarray(y), "p": np.asarray(p)}
+    for field, column in columns.items():
+        if column.ndim != 1:
+            raise ValueError(f"`{field}` must have one dimension, got shape {column.shape}")
+        _check_type(field, column)
+    sizes = {field: column.size for field, column in columns.items()}
+    if len(set(sizes.values())) != 1:
+        raise ValueError(f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes.values()))}")
+    if columns["t"].size == 0:
+        return NO_EVENTS
+    _check_range("t", columns["t"], MAX_TIME_US, "2**62) microseconds")
+    _check_range("x", columns["x"], sensor[0], f"{sensor[0]})")
+    _check_range("y", columns["y"], sensor[1], f"{sensor[1]})")
+    polarity = columns["p"]
+    off = polarity == 0
+    allowed = off | (polarity == 1)
+    minus = polarity == -1 if polarity.dtype.kind == "i" else np.zeros(polarity.shape, bool)
+    if not off.any():
+        allowed |= minus
+    if not allowed.all():
+        i = int(np.argmin(allowed))
+        mixed = " beside 0 in the same packet" if minus[i] else ""
+        raise ValueError(f"`p` must be 0 or 1, or -1 or +1, got {polarity[i]}{mixed} at event {i}")
+    return Columns(
+        np.ascontiguousarray(columns["t"], np.int64),
+        np.ascontiguousarray(columns["x"], np.uint16),
+        np.ascontiguousarray(columns["y"], np.uint16),
+        np.ascontiguousarray(polarity == 1, np.uint8),
+    )
+
+
+def as_events(events: Any, sensor: tuple[int, int]) -> np.ndarray:
+    """Any accepted form of events as a new structured array of `EVENT_DTYPE`, checked."""
+    named = named_columns(events)
+    columns = NO_EVENTS if named is None else checked_columns(*named, sensor)
+    packed = np.empty(columns.t.size, EVENT_DTYPE)
+    for field, column in zip(NAMES, columns, strict=True):
+        packed[field] = column
+    return packed
+
+
+def _as_column(field: str, values: Any) -> np.ndarray:
+    if isinstance(values, np.ndarray):
+        return values
+    try:
+        column = np.asarray(values)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"`{field}` must be a column of whole numbers: {error}") from None
+    if column.size == 0:
+        column = column.astype(np.int64)
+    return np.atleast_1d(column)
+
+
+def _pick(field: str, have: Any, what: str) -> str:
+    for name in NAMES[field]:
+        if name in have:
+            return name
+    raise ValueError(f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}")
+
+
+def _check_type(field: str, column: np.ndarray) -> None:
+    kind = column.dtype.kind
+    if kind in ("iub" if field == "p" else "iu"):
+        return
+    if kind == "f" and column.size and not np.isfinite(column).all():
+        i = int(np.argmin(np.isfinite(column)))
+        raise ValueError(f"`{field}` must be a whole number, got {column[i]} at event {i}")
+    got = f"{column.dtype}" + (f" ({column[0]!r} at event 0)" if column.size else "")
+    if field == "t" and kind in "fmM":
+        raise TypeError(
+            f"`t` must be integer microseconds, got {got}; its unit is unknown: "
+            "convert seconds with (t * 1e6).astype('int64')"
+        )
+    raise TypeError(f"`{field}` must be whole numbers, got {got}")
+
+
+def _check_range(field: str, column: np.ndarray, end: int, rule: str) -> None:
+    bad = column >= end
+    if column.dtype.kind == "i":
+        bad |= column < 0
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise ValueError(f"`{field}` must be in [0, {rule}, got {column[i]} at event {i}")
+
+
+def _record_layout(dtype: np.dtype) -> np.ndarray | None:
+    """Offsets and kinds for `load_records`; None for records it cannot read."""
+    if dtype.names is None or dtype.fields is None:
+        return None
+    layout = []
+    for field, names in NAMES.items():
+        name = next((n for n in names if n in dtype.names), None)
+        if name is None:
+            return None
+        number, offset = dtype.fields[name][:2]
+        kind = KIND.get(number.str[1:])
+        if kind is None or number.str[0] == ">" or (field != "p" and number.kind == "b"):
+            return None
+        layout += [offset, kind]
+    return np.array([*layout, dtype.itemsize], np.int64)
+
+
+def _empty_columns(n: int) -> Columns:
+    return Columns(np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8))

@@ -1,0 +1,1 @@
+"""Compiled kernels: arrays in, arrays out. They import nothing of the package outside this folder."""

@@ -1,0 +1,221 @@
+"""Absorb events into a volume, one by one or in packets, with bit-identical results.
+
+A packet is worked through in blocks, each in four passes over arrays that stay in the first-level cache:
+
+    check  ->  displacement from the landmark  ->  place in the volume  ->  splat
+
+The second and third run in vector registers. One event takes the same steps in scalars. Both call the same
+formulas of `landmark` and `splat`, and floating point is strict (no fastmath, no contraction), so how a
+stream is cut cannot matter.
+"""
+
+import numpy as np
+from numba import njit
+
+from . import state as S
+from .landmark import displace_fixed, displace_line, displace_raw, displace_running
+from .splat import add_event, grid_of, place_event
+
+ABSORBED, AT_LIMIT, OFF_SENSOR = 0, 1, 2  # what absorb_one answers
+
+
+@njit(cache=True, error_model="numpy")
+def absorb(buffer, t, x, y, p, first, last):
+    """Add the events `first <= i < last` to the open window, up to the first at or after LIMIT_US.
+
+    Parameters
+    ----------
+    buffer : float64, the volume's `state`. Updated in place.
+    t, x, y, p : int64, uint16, uint16, uint8, contiguous; x, y on the sensor, p in {0, 1}. Not checked here.
+
+    Returns
+    -------
+    int : the first event not absorbed.
+    """
+    floats = buffer[: S.N_FLOATS]
+    ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
+    cells = buffer[S.CELLS :]
+    while first < last:
+        m = min(S.BLOCK, last - first)
+        block_t = t[first : first + m]
+        if _all_in_window(ints, block_t, m):
+            _displace(floats, ints, block_t, x[first : first + m], y[first : first + m], m)
+            _place(floats, ints, block_t, p[first : first + m], m)
+            _splat(floats, ints, cells, m)
+            first += m
+        else:  # late events, or the limit: one by one
+            end = first + m
+            while first < end:
+                if t[first] >= ints[S.LIMIT_US]:
+                    return first
+                _absorb_event(floats, ints, cells, t[first], np.int64(x[first]), np.int64(y[first]), p[first])
+                first += 1
+    return first
+
+
+@njit(cache=True, error_model="numpy")
+def absorb_one(buffer, t, x, y, p):
+    """Check and add one event: ABSORBED, or AT_LIMIT or OFF_SENSOR with nothing changed."""
+    ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
+    if (x < 0) | (x >= ints[S.SENSOR_W]) | (y < 0) | (y >= ints[S.SENSOR_H]) | (t < 0) | (p < -1) | (p > 1):
+        return OFF_SENSOR
+    if t >= ints[S.LIMIT_US]:
+        return AT_LIMIT
+    _absorb_event(buffer[: S.N_FLOATS], ints, buffer[S.CELLS :], t, x, y, p)
+    return ABSORBED
+
+
+@njit(cache=True, error_model="numpy")
+def _absorb_event(floats, ints, cells, t, x, y, p):
+    """Add one event before LIMIT_US."""
+    ints[S.RECEIVED] += 1
+    dt = t - ints[S.START_US]
+    if dt < 0:
+        ints[S.LATE] += 1
+        return
+    ints[S.N] += 1
+    ints[S.SUM_X] += x
+    ints[S.SUM_Y] += y
+    ints[S.NEWEST_US] = max(ints[S.NEWEST_US], t)
+    mode = ints[S.MODE]
+    if mode == S.MODE_RUNNING:
+        num_x, num_y, den = displace_running(x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y])
+    elif mode == S.MODE_FIXED:
+        num_x, num_y, den = displace_fixed(x, y, dt, floats[S.FIXED_X], floats[S.FIXED_Y])
+    elif mode == S.MODE_RAW:
+        num_x, num_y, den = displace_raw(x, y)
+    else:
+        ints[S.SUM_T] += dt
+        remove_flow = mode == S.MODE_LINE_FLOW_REMOVED
+        num_x, num_y, den = displace_line(
+            floats, x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y], ints[S.SUM_T], remove_flow
+        )
+    on = 1.0 if p > 0 else 0.0
+    corner, y_frac, x_frac, early, later, bin_floor, row_floor, keep = place_event(
+        grid_of(floats, ints), np.float64(dt), on, num_x, num_y, den
+    )
+    ints[S.KEPT] += keep
+    ints[S.TAU_ZERO] += den == 0.0
+    _mark(ints, bin_floor, bin_floor, row_floor, row_floor)
+    add_event(cells, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, early, later)
+
+
+@njit(cache=True, error_model="numpy")
+def _all_in_window(ints, t, m):
+    """Whether a block lies in the open window and before the limit; if so, takes note of it."""
+    oldest_us = t[0]
+    newest_us = t[0]
+    for i in range(m):
+        oldest_us = min(oldest_us, t[i])
+        newest_us = max(newest_us, t[i])
+    if (oldest_us < ints[S.START_US]) | (newest_us >= ints[S.LIMIT_US]):
+        return False
+    ints[S.RECEIVED] += m
+    ints[S.N] += m
+    ints[S.NEWEST_US] = max(ints[S.NEWEST_US], newest_us)
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _displace(floats, ints, t, x, y, m):
+    """The displacement of each event from its landmark (see `landmark`) into NUM_X, NUM_Y, DEN."""
+    sums_x = ints[S.PREFIX_X : S.PREFIX_X + S.BLOCK]
+    sums_y = ints[S.PREFIX_Y : S.PREFIX_Y + S.BLOCK]
+    num_x = floats[S.NUM_X : S.NUM_X + S.BLOCK]
+    num_y = floats[S.NUM_Y : S.NUM_Y + S.BLOCK]
+    den = floats[S.DEN : S.DEN + S.BLOCK]
+    mode = ints[S.MODE]
+    start_us = ints[S.START_US]
+    n = ints[S.N] - m  # events before this block
+    sum_x = ints[S.SUM_X]
+    sum_y = ints[S.SUM_Y]
+    sum_t = ints[S.SUM_T]
+    if mode == S.MODE_LINE or mode == S.MODE_LINE_FLOW_REMOVED:
+        remove_flow = mode == S.MODE_LINE_FLOW_REMOVED
+        for i in range(m):
+            dt = t[i] - start_us
+            sum_x += x[i]
+            sum_y += y[i]
+            sum_t += dt
+            num_x[i], num_y[i], den[i] = displace_line(
+                floats, x[i], y[i], dt, n + i + 1, sum_x, sum_y, sum_t, remove_flow
+            )
+        ints[S.SUM_T] = sum_t
+    else:
+        for i in range(m):
+            sum_x += x[i]
+            sum_y += y[i]
+            sums_x[i] = sum_x
+            sums_y[i] = sum_y
+    if mode == S.MODE_RUNNING:
+        for i in range(m):
+            num_x[i], num_y[i], den[i] = displace_running(
+                x[i], y[i], t[i] - start_us, n + i + 1, sums_x[i], sums_y[i]
+            )
+    elif mode == S.MODE_FIXED:
+        fixed_x = floats[S.FIXED_X]
+        fixed_y = floats[S.FIXED_Y]
+        for i in range(m):
+            num_x[i], num_y[i], den[i] = displace_fixed(x[i], y[i], t[i] - start_us, fixed_x, fixed_y)
+    elif mode == S.MODE_RAW:
+        for i in range(m):
+            num_x[i], num_y[i], den[i] = displace_raw(x[i], y[i])
+    ints[S.SUM_X] = sum_x
+    ints[S.SUM_Y] = sum_y
+
+
+@njit(cache=True, error_model="numpy")
+def _place(floats, ints, t, p, m):
+    """Each event's place and weight (see `splat`) into CORNER, Y_FRAC, X_FRAC, EARLY, LATER."""
+    num_x = floats[S.NUM_X : S.NUM_X + S.BLOCK]
+    num_y = floats[S.NUM_Y : S.NUM_Y + S.BLOCK]
+    den = floats[S.DEN : S.DEN + S.BLOCK]
+    y_fracs = floats[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
+    x_fracs = floats[S.X_FRAC : S.X_FRAC + S.BLOCK]
+    earlies = floats[S.EARLY : S.EARLY + S.BLOCK]
+    laters = floats[S.LATER : S.LATER + S.BLOCK]
+    corners = ints[S.CORNER : S.CORNER + S.BLOCK]
+    start_us = ints[S.START_US]
+    grid = grid_of(floats, ints)
+    n_kept = 0
+    n_tau_zero = 0
+    bin_lo = np.int32(S.FAR)
+    bin_hi = np.int32(-1)
+    row_lo = np.int32(S.FAR)
+    row_hi = np.int32(-1)
+    for i in range(m):
+        dt = np.float64(t[i] - start_us)
+        corners[i], y_fracs[i], x_fracs[i], earlies[i], laters[i], bin_floor, row_floor, keep = place_event(
+            grid, dt, np.float64(p[i]), num_x[i], num_y[i], den[i]
+        )
+        n_kept += keep
+        n_tau_zero += den[i] == 0.0
+        bin_lo = min(bin_lo, bin_floor)
+        bin_hi = max(bin_hi, bin_floor)
+        row_lo = min(row_lo, row_floor)
+        row_hi = max(row_hi, row_floor)
+    ints[S.KEPT] += n_kept
+    ints[S.TAU_ZERO] += n_tau_zero
+    _mark(ints, bin_lo, bin_hi, row_lo, row_hi)
+
+
+@njit(cache=True, error_model="numpy")
+def _splat(floats, ints, cells, m):
+    """Add the placed events to the cells, in the order of their arrival."""
+    corners = ints[S.CORNER : S.CORNER + S.BLOCK]
+    y_fracs = floats[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
+    x_fracs = floats[S.X_FRAC : S.X_FRAC + S.BLOCK]
+    early = floats[S.EARLY : S.EARLY + S.BLOCK]
+    later = floats[S.LATER : S.LATER + S.BLOCK]
+    row = np.uint64(ints[S.ROW])
+    for i in range(m):
+        add_event(cells, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], early[i], later[i])
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _mark(ints, bin_lo, bin_hi, row_lo, row_hi):
+    """Note which intervals and rows changed, for the next read."""
+    ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(bin_lo))
+    ints[S.BIN_HI] = max(ints[S.BIN_HI], np.int64(bin_hi))
+    ints[S.ROW_LO] = min(ints[S.ROW_LO], np.int64(row_lo))
+    ints[S.ROW_HI] = max(ints[S.ROW_HI], np.int64(row_hi))

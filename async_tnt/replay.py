@@ -1,0 +1,102 @@
+"""Store a window's events and replay them when the landmark is known: at the moment of reading."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .events import Columns
+from .kernels import state as S
+from .kernels.read import empty_volume, store_events
+from .kernels.update import absorb
+
+if TYPE_CHECKING:
+    from .volume import TNTVolume
+
+FIRST_CAPACITY = 4096
+UNCOUNTED = (S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE)
+
+
+class ReplayBufferFull(UserWarning):
+    """A window held more events than the replay buffer; the rest is missing from its volume."""
+
+
+class ReplayBuffer:
+    """The events of one window, at most `capacity` of them; memory grows with need up to that."""
+
+    def __init__(self, capacity: int) -> None:
+        if capacity < 1:
+            raise ValueError(f"`replay_events` must be at least 1, got {capacity}")
+        self.capacity = capacity
+        self._columns = _empty(min(FIRST_CAPACITY, capacity))
+        self.reset()
+
+    def reset(self) -> None:
+        self.n = 0
+        self.n_unstored = 0
+        self._closed_kept = 0  # counts of closed windows; those of the open one change with every replay
+        self._closed_tau_zero = 0
+        self._fresh = True
+        self._warned = False
+
+    def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
+        """Take events up to the window's end; returns the first one not taken."""
+        self._grow(self.n + last - first)
+        before = self._counted(buffer) - self.n
+        first, self.n = store_events(buffer, *columns, first, last, *self._columns, self.n)
+        self._fresh = False
+        missing = self._counted(buffer) - self.n - before
+        if missing:
+            self.n_unstored += missing
+            if not self._warned:
+                self._warned = True
+                warnings.warn(
+                    f"the replay buffer of {self.capacity} events is full; what exceeds it is missing from "
+                    "the window's volume and counted as dropped_unstored (raise replay_events, or shorten "
+                    "window_us)",
+                    ReplayBufferFull,
+                    stacklevel=4,
+                )
+        return first
+
+    def run(self, volume: TNTVolume) -> None:
+        """Bring the volume's cells and counts up to date: all stored events about the window's centroid."""
+        if self._fresh:
+            return
+        floats, ints, buffer = volume._floats, volume._ints, volume._buffer
+        kept = {slot: int(ints[slot]) for slot in UNCOUNTED}
+        empty_volume(buffer, kept[S.START_US], kept[S.LIMIT_US], volume.config.bins, volume.config.grid[1])
+        ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
+        if kept[S.N]:
+            floats[S.FIXED_X] = kept[S.SUM_X] / kept[S.N]
+            floats[S.FIXED_Y] = kept[S.SUM_Y] / kept[S.N]
+        absorb(buffer, *self._columns, 0, self.n)
+        for slot, value in kept.items():
+            ints[slot] = value
+        self._fresh = True
+
+    def close(self, volume: TNTVolume) -> None:
+        """The window is over: keep its final counts."""
+        self.run(volume)
+        self._closed_kept = int(volume._ints[S.KEPT])
+        self._closed_tau_zero = int(volume._ints[S.TAU_ZERO])
+        self.n = 0
+        self._warned = False
+
+    @staticmethod
+    def _counted(buffer: np.ndarray) -> int:
+        return int(buffer[S.N_FLOATS : S.CELLS].view(np.int64)[S.N])
+
+    def _grow(self, n: int) -> None:
+        n = min(n, self.capacity)
+        if n > self._columns.t.size:
+            larger = _empty(min(self.capacity, max(n, 2 * self._columns.t.size)))
+            for old, new in zip(self._columns, larger, strict=True):
+                new[: self.n] = old[: self.n]
+            self._columns = larger
+
+
+def _empty(n: int) -> Columns:
+    return Columns(np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8))

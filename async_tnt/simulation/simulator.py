@@ -1,0 +1,275 @@
+"""Pixels of an event camera: from frames of log luminance to events.
+
+Between two frames the log luminance L of a pixel runs in a straight line. With the reference level R:
+
+    ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
+    OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
+
+as often as L gets there. After an event at t the pixel is held in reset for `refractory_us`: it sees nothing,
+and then R := L(t + refractory_us). Times are rounded to whole microseconds, and events are sorted by
+(t, y, x); those of one pixel at one time stay in the order they happened.
+
+References
+----------
+Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous Temporal Contrast Vision
+Sensor: the pixel. Rebecq, Gehrig, Scaramuzza 2018, ESIM: an Open Event Camera Simulator: crossings placed by
+linear interpolation between frames. ESIM drops events in the refractory time and keeps R; here R follows the
+light, as in the pixel's circuit, whose capacitor is shorted during that time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from async_tnt.events import EVENT_DTYPE
+
+MIN_THRESHOLD = 1e-3
+"""Smallest threshold: one thousandth of log luminance is a 0.1 % change, far below any pixel's."""
+
+
+@dataclass(frozen=True)
+class PixelModel:
+    """What the sensor's pixels are like. The defaults are fitted to N-MNIST (see `statistics`).
+
+    Attributes
+    ----------
+    threshold_on, threshold_off : mean contrast thresholds C_on and C_off, in natural log of luminance.
+    mismatch : standard deviation, over pixels, of the log of the thresholds; ON and OFF are independent.
+    refractory_us : time a pixel is held in reset after each event, in microseconds.
+    noise_hz : background events per pixel and second, uniform in time, whatever the light does.
+    noise_on_share : share of the background events that are ON.
+    """
+
+    threshold_on: float = 0.197
+    threshold_off: float = 0.185
+    mismatch: float = 0.12
+    refractory_us: float = 600.0
+    noise_hz: float = 0.3
+    noise_on_share: float = 0.99
+
+    def __post_init__(self) -> None:
+        for name in ("threshold_on", "threshold_off"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= MIN_THRESHOLD):
+                raise ValueError(f"`{name}` must be finite and at least {MIN_THRESHOLD}, got {value}")
+        for name in ("mismatch", "refractory_us", "noise_hz"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"`{name}` must be finite and at least 0, got {value}")
+        if not 0 <= self.noise_on_share <= 1:
+            raise ValueError(f"`noise_on_share` must be in [0, 1], got {self.noise_on_share}")
+
+
+def simulate(
+    log_frames: np.ndarray,
+    frame_times_us: np.ndarray,
+    rng: np.random.Generator,
+    pixels: PixelModel | None = None,
+) -> np.ndarray:
+    """Events of a sensor whose pixels differ, begin in random states and add background noise.
+
+    Each pixel's reference level begins where the last event before the recording may have left it: uniformly
+    in [-C_on, C_off] about the first frame. Noise events do not reset the pixel and know no refractory time.
+
+    Parameters
+    ----------
+    log_frames : shape (K, H, W), natural log of luminance.
+    frame_times_us : shape (K,), increasing.
+    rng : source of all randomness. The same state gives the same events.
+    pixels : the pixels; `PixelModel()` by default.
+
+    Returns
+    -------
+    Structured array of `EVENT_DTYPE`, sorted by (t, y, x).
+
+    Raises
+    ------
+    ValueError : as `simulate_events`.
+    """
+    pixels = PixelModel() if pixels is None else pixels
+    frames, times = _checked_frames(log_frames, frame_times_us)
+    shape = frames.shape[1:]
+    threshold_on = np.maximum(
+        pixels.threshold_on * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD
+    )
+    threshold_off = np.maximum(
+        pixels.threshold_off * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD
+    )
+    reference = frames[0] - threshold_on + rng.random(shape) * (threshold_on + threshold_off)
+    signal = simulate_events(
+        frames, times, threshold_on, threshold_off, reference=reference, refractory_us=pixels.refractory_us
+    )
+    return _sorted(np.concatenate([signal, _noise(shape, times, rng, pixels)]))
+
+
+def simulate_events(
+    log_frames: np.ndarray,
+    frame_times_us: np.ndarray,
+    threshold_on: ArrayLike,
+    threshold_off: ArrayLike,
+    *,
+    reference: ArrayLike | None = None,
+    refractory_us: float = 0.0,
+) -> np.ndarray:
+    """Events of noiseless pixels with known thresholds: the definition in the module's docstring, no more.
+
+    Parameters
+    ----------
+    log_frames : shape (K, H, W), K >= 1, natural log of luminance; finite.
+    frame_times_us : shape (K,), strictly increasing, in microseconds, at least 0.
+    threshold_on, threshold_off : C_on and C_off; scalar or shape (H, W); at least `MIN_THRESHOLD`.
+    reference : level R at the first frame, scalar or shape (H, W); the first frame itself by default.
+        A level further than a threshold from the first frame gives events at once.
+    refractory_us : time a pixel is held in reset after each event.
+
+    Returns
+    -------
+    Structured array of `EVENT_DTYPE`, sorted by (t, y, x).
+
+    Raises
+    ------
+    ValueError : wrong shapes, or values out of the ranges above.
+    """
+    frames, times = _checked_frames(log_frames, frame_times_us)
+    shape = frames.shape[1:]
+    on = _per_pixel("threshold_on", threshold_on, shape)
+    off = _per_pixel("threshold_off", threshold_off, shape)
+    for name, threshold in (("threshold_on", on), ("threshold_off", off)):
+        if threshold.size and threshold.min() < MIN_THRESHOLD:
+            raise ValueError(f"`{name}` must be at least {MIN_THRESHOLD}, got {threshold.min()}")
+    level = _per_pixel("reference", frames[0] if reference is None else reference, shape)
+    if not (math.isfinite(refractory_us) and refractory_us >= 0):
+        raise ValueError(f"`refractory_us` must be finite and at least 0, got {refractory_us}")
+    t, x, y, p = pixel_events(frames, times, on, off, level, float(refractory_us))
+    events = np.empty(len(t), EVENT_DTYPE)
+    events["t"], events["x"], events["y"], events["p"] = t, x, y, p
+    return _sorted(events)
+
+
+@njit(cache=True)
+def pixel_events(
+    log_frames: np.ndarray,
+    frame_times_us: np.ndarray,
+    threshold_on: np.ndarray,
+    threshold_off: np.ndarray,
+    reference: np.ndarray,
+    refractory_us: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Threshold crossings of every pixel, pixel after pixel, each pixel's in order of time.
+
+    Parameters
+    ----------
+    log_frames : float64, shape (K, H, W), finite.
+    frame_times_us : float64, shape (K,), strictly increasing.
+    threshold_on, threshold_off : float64, shape (H, W), at least `MIN_THRESHOLD`. Not checked here.
+    reference : float64, shape (H, W), level R at the first frame.
+    refractory_us : at least 0.
+
+    Returns
+    -------
+    t : int64, microseconds, rounded. x, y : uint16. p : uint8, 1 = ON.
+    """
+    n_frames, n_rows, n_columns = log_frames.shape
+    capacity = 4096
+    t_out = np.empty(capacity, np.int64)
+    x_out = np.empty(capacity, np.uint16)
+    y_out = np.empty(capacity, np.uint16)
+    p_out = np.empty(capacity, np.uint8)
+    n = 0
+    for y in range(n_rows):
+        for x in range(n_columns):
+            c_on, c_off = threshold_on[y, x], threshold_off[y, x]
+            level = reference[y, x]
+            in_reset = False
+            reset_end = 0.0
+            for k in range(n_frames - 1):
+                t0, t1 = frame_times_us[k], frame_times_us[k + 1]
+                l0, l1 = log_frames[k, y, x], log_frames[k + 1, y, x]
+                t_now, l_now = t0, l0
+                while True:
+                    if in_reset:
+                        if reset_end >= t1:
+                            break
+                        t_now = reset_end
+                        l_now = l0 + (l1 - l0) * ((t_now - t0) / (t1 - t0))
+                        level = l_now
+                        in_reset = False
+                    if l_now >= level + c_on:  # only at the start, from a far-off reference
+                        p, level = 1, level + c_on
+                    elif l_now <= level - c_off:
+                        p, level = 0, level - c_off
+                    elif l1 >= level + c_on:
+                        p, level = 1, level + c_on
+                        t_now, l_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0)), level
+                    elif l1 <= level - c_off:
+                        p, level = 0, level - c_off
+                        t_now, l_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0)), level
+                    else:
+                        break
+                    if n == capacity:
+                        capacity *= 2
+                        t_out = np.concatenate((t_out, np.empty(n, np.int64)))
+                        x_out = np.concatenate((x_out, np.empty(n, np.uint16)))
+                        y_out = np.concatenate((y_out, np.empty(n, np.uint16)))
+                        p_out = np.concatenate((p_out, np.empty(n, np.uint8)))
+                    t_out[n] = int(np.floor(t_now + 0.5))
+                    x_out[n] = x
+                    y_out[n] = y
+                    p_out[n] = p
+                    n += 1
+                    if refractory_us > 0.0:
+                        in_reset = True
+                        reset_end = t_now + refractory_us
+    return t_out[:n].copy(), x_out[:n].copy(), y_out[:n].copy(), p_out[:n].copy()
+
+
+def _noise(
+    shape: tuple[int, ...], times: np.ndarray, rng: np.random.Generator, pixels: PixelModel
+) -> np.ndarray:
+    """Background events: a Poisson process of the same rate at every pixel."""
+    height, width = shape
+    span_us = times[-1] - times[0]
+    events = np.empty(rng.poisson(pixels.noise_hz * height * width * span_us * 1e-6), EVENT_DTYPE)
+    events["t"] = np.floor(times[0] + span_us * rng.random(len(events)))
+    events["x"] = rng.integers(width, size=len(events))
+    events["y"] = rng.integers(height, size=len(events))
+    events["p"] = rng.random(len(events)) < pixels.noise_on_share
+    return events
+
+
+def _sorted(events: np.ndarray) -> np.ndarray:
+    return events[np.lexsort((events["x"], events["y"], events["t"]))]  # stable; the last key counts most
+
+
+def _checked_frames(log_frames: np.ndarray, frame_times_us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    frames = np.ascontiguousarray(log_frames, np.float64)
+    times = np.ascontiguousarray(frame_times_us, np.float64)
+    if frames.ndim != 3 or frames.shape[0] == 0:
+        raise ValueError(f"`log_frames` must have shape (K, H, W) with K >= 1, got {frames.shape}")
+    if max(frames.shape[1:]) > 1 << 16:
+        raise ValueError(f"`log_frames` must be at most 65536 pixels wide and high, got {frames.shape}")
+    if times.shape != frames.shape[:1]:
+        raise ValueError(
+            f"`frame_times_us` must have shape ({frames.shape[0]},), one per frame, got {times.shape}"
+        )
+    if not np.isfinite(frames).all():
+        raise ValueError("`log_frames` must be finite; luminance 0 has no logarithm")
+    if not np.isfinite(times).all() or (np.diff(times) <= 0).any() or times[0] < 0 or times[-1] > 2**53:
+        raise ValueError(
+            "`frame_times_us` must be strictly increasing, in [0, 2^53]: what float64 holds exactly"
+        )
+    return frames, times
+
+
+def _per_pixel(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.asarray(value, np.float64)
+    if array.shape not in ((), shape):
+        raise ValueError(f"`{name}` must be a number or of shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"`{name}` must be finite")
+    return np.ascontiguousarray(np.broadcast_to(array, shape))

@@ -1,0 +1,259 @@
+"""TNTVolume: the incremental representation, O(1) work per event."""
+
+from __future__ import annotations
+
+import operator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .config import TNTConfig
+from .events import Columns, EventDoor, checked_columns
+from .kernels import state as S
+from .kernels.read import copy_cells, empty_volume
+from .kernels.update import ABSORBED, OFF_SENSOR, absorb, absorb_one
+from .replay import ReplayBuffer
+
+UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What became of the events since the volume was made or reset.
+
+    Every event received is kept or in exactly one of the dropped ones:
+    received = kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_unstored.
+    """
+
+    received: int = 0
+    kept: int = 0
+    dropped_outside: int = 0
+    """The transform put it outside the grid."""
+    dropped_tau_zero: int = 0
+    """At the very start of its window, where TNT time is zero."""
+    dropped_late: int = 0
+    """Before the start of the open window, or late under late="drop"."""
+    dropped_unstored: int = 0
+    """The replay buffer of landmark "window" was full."""
+
+    def __add__(self, other: Counts) -> Counts:
+        return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))
+
+
+class TNTVolume:
+    """The event volume of one open window, up to date after every event.
+
+    Windows are laid end to end, from the start given to `open` or else from the first event. An event at or
+    after the window's end closes it: the volume then holds the window of that event. (To see every closed
+    window, use `Processor`.)
+
+    Parameters
+    ----------
+    config : TNTConfig.
+    late : `accept`, `drop` or `raise`: what to do with an event older than the newest seen. Events before the
+        open window's start are always dropped and counted.
+    replay_events : with landmark `window` only: how many events of a window are stored for the replay. The
+        rest is counted as `dropped_unstored`, with one warning.
+
+    Examples
+    --------
+    >>> volume = TNTVolume(TNTConfig(landmark="center", t_max=8.0))
+    >>> volume.open(0)
+    >>> volume.update_one(t=13_125, x=16, y=17, p=1)  # TNT time 1: one pixel is one pixel
+    0
+    >>> volume.array[1, 17, 16], volume.landmark
+    (np.float32(1.0), (16.5, 16.5))
+    """
+
+    def __init__(self, config: TNTConfig, *, late: str = "accept", replay_events: int = 1 << 20) -> None:
+        self.config = config
+        self._door = EventDoor(config.sensor, late)
+        self._buffer = np.zeros(S.CELLS + 2 * config.channels * (config.grid[0] + 1) * (config.grid[1] + 1))
+        self._floats = self._buffer[: S.N_FLOATS]
+        self._ints = self._buffer[S.N_FLOATS : S.CELLS].view(np.int64)
+        _set_parameters(self._floats, self._ints, config)
+        self._array = np.zeros(config.shape, np.float32)
+        self._view = self._array.view()
+        self._view.flags.writeable = False
+        self._checks_order = late != "accept"
+        self._replay = None
+        if config.transform == "tnt" and config.landmark == "window":
+            self._replay = ReplayBuffer(replay_events)
+        self.reset()
+
+    # -- events in ---------------------------------------------------------------------------------------
+
+    def open(self, start_us: int) -> None:
+        """Open the window `[start_us, start_us + window_us)`, empty. Windows that follow are laid end to end."""
+        start_us = operator.index(start_us)
+        if not 0 <= start_us < 1 << 62:
+            raise ValueError(f"`start_us` must be in [0, 2**62), got {start_us}")
+        if self._replay is not None:
+            self._replay.close(self)
+        self.open_until(start_us, start_us + self.config.window_us)
+
+    def open_until(self, start_us: int, limit_us: int) -> None:
+        empty_volume(self._buffer, start_us, limit_us, self.config.bins, self.config.grid[1])
+
+    def update(self, events: Any) -> int:
+        """Add a packet of events, in any form that `async_tnt.events` lists.
+
+        Returns
+        -------
+        int : how many windows the packet closed (those without any event are not counted).
+
+        Raises
+        ------
+        ValueError, TypeError : the packet breaks a rule. Then none of it was added.
+        """
+        columns = self._door(events)
+        n = columns.t.size
+        first = self.take(columns, 0, n)
+        closed = 0
+        while first < n:
+            closed += self._open_next(int(columns.t[first]))
+            first = self.take(columns, first, n)
+        return closed
+
+    def update_one(self, t: int, x: int, y: int, p: int) -> int:
+        """Add one event: microseconds, pixels, polarity 0/1 or -1/+1. Returns and raises as `update`."""
+        try:
+            if type(t | x | y | p) is not int or self._checks_order or self._replay is not None:
+                return self.update(checked_columns([t], [x], [y], [p], self.config.sensor))
+            answer = absorb_one(self._buffer, t, x, y, p * 1)
+        except (TypeError, OverflowError):  # no whole numbers: the door knows what to say
+            return self.update(checked_columns([t], [x], [y], [p], self.config.sensor))
+        if answer == ABSORBED:
+            return 0
+        if answer == OFF_SENSOR:
+            checked_columns([t], [x], [y], [p], self.config.sensor)
+        closed = self._open_next(t)
+        absorb_one(self._buffer, t, x, y, p * 1)
+        return closed
+
+    def take(self, columns: Columns, first: int, last: int) -> int:
+        """Add checked events `first <= i < last` up to the window's end; returns the first one not added."""
+        if self._replay is not None:
+            return self._replay.store(self._buffer, columns, first, last)
+        return absorb(self._buffer, *columns, first, last)
+
+    def _open_next(self, t_us: int) -> int:
+        """Open the window on the grid that holds `t_us`, which lies at or after the open window's end."""
+        if self._ints[S.LIMIT_US] == UNOPENED:
+            self.open(t_us)
+            return 0
+        closed = int(self._ints[S.N] > 0)
+        window_us = self.config.window_us
+        self.open(t_us - (t_us - self.start_us) % window_us)
+        return closed
+
+    def reset(self) -> None:
+        """Back to the state after construction: no window open, all counts zero."""
+        self._door.reset()
+        for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO):
+            self._ints[slot] = 0
+        if self._replay is not None:
+            self._replay.reset()
+        self.open_until(0, UNOPENED)
+
+    # -- what came of them -------------------------------------------------------------------------------
+
+    @property
+    def array(self) -> np.ndarray:
+        """The open window's volume: float32, shape (C, H, W), indexed [bin, y, x].
+
+        A read-only view of one and the same memory: brought up to date by each access to this property, and
+        by nothing else. Copy it to keep it.
+        """
+        if self._replay is not None:
+            self._replay.run(self)
+        if self._ints[S.BIN_HI] >= self._ints[S.BIN_LO]:
+            copy_cells(self._buffer, self._array, self.config.bins)
+        return self._view
+
+    @property
+    def landmark(self) -> tuple[float, float]:
+        """The landmark (x, y) in grid pixels after the newest event; the grid's centre where none is defined
+        (no events yet, or transform "none")."""
+        n = int(self._ints[S.N])
+        center = (self.config.grid[0] - 1) / 2, (self.config.grid[1] - 1) / 2
+        if n == 0 or self.config.landmark == "center" or self.config.transform == "none":
+            return center
+        x = int(self._ints[S.SUM_X]) / n
+        y = int(self._ints[S.SUM_Y]) / n
+        if self.config.landmark == "line":
+            mean_f = int(self._ints[S.SUM_T]) / n / self.config.window_us
+            slope_x, slope_y = self._slopes()
+            x -= slope_x * mean_f
+            y -= slope_y * mean_f
+        return self._to_grid(x, y)
+
+    @property
+    def flow(self) -> tuple[float, float]:
+        """Landmark `line` only: the fitted flow (x, y) in grid pixels per window."""
+        if self.config.landmark != "line":
+            raise ValueError(f'`flow` needs landmark="line", got {self.config.landmark!r}')
+        return self._to_grid(*self._slopes())
+
+    def _slopes(self) -> tuple[float, float]:
+        c_ff = float(self._floats[S.C_FF]) + 1.0
+        return float(self._floats[S.C_XF]) / c_ff, float(self._floats[S.C_YF]) / c_ff
+
+    def _to_grid(self, x: float, y: float) -> tuple[float, float]:
+        (sensor_w, sensor_h), (width, height) = self.config.sensor, self.config.grid
+        return x * (width - 1) / (sensor_w - 1), y * (height - 1) / (sensor_h - 1)
+
+    @property
+    def counts(self) -> Counts:
+        """What became of the events, see `Counts`."""
+        unstored = 0
+        if self._replay is not None:
+            self._replay.run(self)
+            unstored = self._replay.n_unstored
+        received, kept, late, tau_zero = (
+            int(self._ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO)
+        )
+        dropped = self._door.n_dropped
+        outside = received - kept - late - tau_zero - unstored
+        return Counts(received + dropped, kept, outside, tau_zero, late + dropped, unstored)
+
+    @property
+    def n_events(self) -> int:
+        """Events in the open window so far."""
+        return int(self._ints[S.N])
+
+    @property
+    def start_us(self) -> int:
+        """Start of the open window."""
+        return int(self._ints[S.START_US])
+
+    @property
+    def newest_us(self) -> int:
+        """Time of the newest event in the open window; -1 if it has none."""
+        return int(self._ints[S.NEWEST_US])
+
+
+def _set_parameters(floats: np.ndarray, ints: np.ndarray, config: TNTConfig) -> None:
+    (sensor_w, sensor_h), (width, height) = config.sensor, config.grid
+    gain_x, gain_y = (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
+    raw = config.transform == "none"
+    floats[S.WINDOW_US] = config.window_us
+    floats[S.BIN_SCALE] = (config.bins - 1) / config.window_us
+    floats[S.SCALE_X] = gain_x * (1.0 if raw else config.window_us / config.t_max)
+    floats[S.SCALE_Y] = gain_y * (1.0 if raw else config.window_us / config.t_max)
+    floats[S.CENTER_X] = 0.0 if raw else (width - 1) / 2
+    floats[S.CENTER_Y] = 0.0 if raw else (height - 1) / 2
+    floats[S.MAX_U] = width - 1
+    floats[S.MAX_V] = height - 1
+    floats[S.SIGN_ON] = 1.0
+    floats[S.SIGN_OFF] = -1.0 if config.polarity == "signed" else 1.0
+    floats[S.FIXED_X] = (sensor_w - 1) / 2  # the grid's centre
+    floats[S.FIXED_Y] = (sensor_h - 1) / 2
+    modes = {"center": S.MODE_FIXED, "window": S.MODE_FIXED, "running": S.MODE_RUNNING, "line": S.MODE_LINE}
+    mode = S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes[config.landmark]
+    ints[S.MODE] = S.MODE_RAW if raw else mode
+    ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
+    ints[S.ROW] = 2 * (width + 1)
+    ints[S.PLANE] = ints[S.ROW] * (height + 1)
+    ints[S.OFF_SHIFT] = ints[S.PLANE] * config.bins if config.polarity == "split" else 0

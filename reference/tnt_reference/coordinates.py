@@ -1,0 +1,39 @@
+"""Where an event lies: in the grid, in time, in the window. One function per equation.
+
+Everything is float64, and on the CPU every function performs exactly the operations of its equation, in that
+order. The streaming kernels do the same ones, so that "is this event inside the border?" has one answer.
+"""
+
+from __future__ import annotations
+
+import torch
+
+
+def to_grid(points: torch.Tensor, sensor: tuple[int, int], grid: tuple[int, int]) -> torch.Tensor:
+    """Sensor pixels to grid pixels, corner to corner:  x_g = (x (W - 1)) / (Ws - 1).
+
+    points : (..., 2), (x, y). The map has no offset, so it takes displacements and flows as well.
+    """
+    grid_span = torch.tensor(grid, dtype=torch.float64, device=points.device) - 1  # (2,)
+    sensor_span = torch.tensor(sensor, dtype=torch.float64, device=points.device) - 1  # (2,)
+    return (points.double() * grid_span) / sensor_span
+
+
+def image_centre(grid: tuple[int, int], device: torch.device | None = None) -> torch.Tensor:
+    """c = ((W - 1)/2, (H - 1)/2), shape (2,)."""
+    return (torch.tensor(grid, dtype=torch.float64, device=device) - 1) / 2
+
+
+def bin_position(dt: torch.Tensor, window_us: int, bins: int) -> torch.Tensor:
+    """b_i = ((B - 1) dt_i) / window_us: 0 at the window's start, B - 1 at its end."""
+    return ((bins - 1) * dt) / window_us
+
+
+def tnt_time(dt: torch.Tensor, window_us: int, t_max: float) -> torch.Tensor:
+    """tau_i = (t_max dt_i) / window_us: 0 at the window's start, t_max at its end."""
+    return (t_max * dt) / window_us
+
+
+def window_fraction(dt: torch.Tensor, window_us: int) -> torch.Tensor:
+    """f_i = dt_i / window_us: 0 at the window's start, 1 at its end."""
+    return dt / window_us

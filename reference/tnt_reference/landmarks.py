@@ -1,0 +1,140 @@
+"""The landmark: the point that the transform normalises each event about.
+
+`running` and `line` use, for event i, events 1..i of the window only (in arrival order, i included), which
+is what a stream knows at that moment. Each prefix is computed from its definition, by sums over the prefix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from .coordinates import image_centre, to_grid, window_fraction
+from .window import Column, check_size, window_events
+
+LANDMARKS = ("center", "running", "line", "window")
+
+_CHUNK_CELLS = 1 << 16  # prefixes x events held at once by `line`: 512 KiB an array, which caches hold
+
+
+def landmark(
+    name: str, t: Column, x: Column, y: Column, *, start_us: int, window_us: int,
+    sensor: tuple[int, int], grid: tuple[int, int],
+) -> torch.Tensor:  # fmt: skip
+    """The landmark on which each event is centred, in grid pixels.
+
+        center   l_i = c
+        running  l_i = mean of x_1..x_i
+        line     l_i = mean_x - m_i mean_f over events 1..i, m_i = C_xf / (C_ff + 1)   (see `fitted_flow`)
+        window   l_i = mean of all the window's x
+
+    Parameters
+    ----------
+    name : one of "center", "running", "line", "window".
+    t, x, y : columns of N events, in arrival order: microseconds, sensor pixels.
+    start_us, window_us : the window, `start_us <= t <= start_us + window_us`.
+    sensor, grid : (width, height).
+
+    Returns
+    -------
+    float64 tensor (N, 2), (x, y) in grid pixels. Rows of events outside the window hold the image centre;
+    those events take no part in any other row, and nothing reads theirs.
+
+    Raises
+    ------
+    ValueError, TypeError for an unknown name or for columns that are no events of this sensor.
+
+    References
+    ----------
+    Wang 2019, arXiv:1911.12801, the landmark of the Temporal Normalization Transform. `center` is the
+    thesis' row "TNT"; the other three are ours.
+
+    Example
+    -------
+    >>> at = dict(start_us=0, window_us=10, sensor=(9, 9), grid=(9, 9))
+    >>> landmark("running", t=[1, 2, 3], x=[0, 2, 7], y=[4, 4, 4], **at).tolist()
+    [[0.0, 4.0], [1.0, 4.0], [3.0, 4.0]]
+    """
+    if name == "regressor":
+        raise ValueError("landmark 'regressor' needs a network: use Pipeline, or pass the (x, y) it found")
+    if name not in LANDMARKS:
+        raise ValueError(f"`landmark` must be one of {', '.join(LANDMARKS)}, or (x, y), or a tensor (N, 2); "
+                         f"got {name!r}")  # fmt: skip
+    events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
+    pixels = events.pixels[events.inside]  # (M, 2), the events that take part
+    f = window_fraction(events.dt[events.inside], window_us)  # (M,)
+
+    rows = image_centre(check_size("grid", grid), f.device).repeat(len(events.dt), 1)  # (N, 2)
+    if name == "running":
+        rows[events.inside] = to_grid(prefix_means(pixels), sensor, grid)
+    elif name == "line":
+        intercepts, _ = prefix_lines(pixels, f)
+        rows[events.inside] = to_grid(intercepts, sensor, grid)
+    elif name == "window" and len(pixels):
+        rows[events.inside] = to_grid(pixels.sum(0).double() / len(pixels), sensor, grid)
+    return rows
+
+
+def fitted_flow(
+    t: Column, x: Column, y: Column, *, start_us: int, window_us: int,
+    sensor: tuple[int, int], grid: tuple[int, int],
+) -> torch.Tensor:  # fmt: skip
+    """The slope m_i that goes with landmark `line`: the flow fitted to events 1..i.
+
+        m_i = C_xf / (C_ff + 1),   C_xf = sum_j (x_j - mean_x)(f_j - mean_f),   C_ff = sum_j (f_j - mean_f)^2
+
+    with all sums over j = 1..i. The 1, in units of squared windows, is a ridge: with few events the slope
+    goes to 0 and the intercept to the running centroid, where the plain fit would be ill-posed.
+
+    Returns
+    -------
+    float64 tensor (N, 2): (x, y) in grid pixels per window. 0 for events outside the window.
+    """
+    check_size("grid", grid)
+    events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
+    f = window_fraction(events.dt[events.inside], window_us)
+    _, slopes = prefix_lines(events.pixels[events.inside], f)
+    rows = torch.zeros(len(events.dt), 2, dtype=torch.float64, device=f.device)
+    rows[events.inside] = to_grid(slopes, sensor, grid)
+    return rows
+
+
+def prefix_means(pixels: torch.Tensor) -> torch.Tensor:
+    """Row i: the mean of rows 0..i. (M, 2) -> (M, 2). Integer pixels are summed exactly."""
+    n = torch.arange(1, len(pixels) + 1, dtype=torch.float64, device=pixels.device)  # (M,)
+    return pixels.cumsum(0).double() / n[:, None]
+
+
+def prefix_lines(pixels: torch.Tensor, f: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Row i: intercept and slope of the ridge line through rows 0..i. (M, 2), (M,) -> (M, 2), (M, 2)."""
+    means = prefix_means(pixels)  # (M, 2)
+    intercepts, slopes = [means[:0]], [means[:0]]  # so that no events give (0, 2)
+    n_rows = max(1, _CHUNK_CELLS // max(1, len(f)))
+    for first in range(0, len(f), n_rows):  # R prefixes at a time: all of them at once would be M x M
+        last = min(first + n_rows, len(f))
+        mean_xy = means[first:last]  # (R, 2)
+        f_j, xy_j = f[:last], pixels[:last].double()  # (K,), (K, 2)
+        member = torch.ones(last - first, last, dtype=torch.float64, device=f.device).tril(first)  # (R, K)
+        mean_f = (member * f_j).sum(1) / member.sum(1)  # (R,)
+        df = member * (f_j - mean_f[:, None])  # (R, K), 0 for events after the prefix
+        c_ff = (df * df).sum(1)  # (R,)
+        c_xf = torch.stack(
+            [(df * (xy_j[:, k] - mean_xy[:, k, None])).sum(1) for k in (0, 1)], dim=1
+        )  # (R, 2), centred before it is multiplied: no cancellation
+        m = c_xf / (c_ff + 1)[:, None]  # (R, 2)
+        slopes.append(m)
+        intercepts.append(mean_xy - m * mean_f[:, None])
+    return torch.cat(intercepts), torch.cat(slopes)
+
+
+def given_landmark(point: Sequence[float] | torch.Tensor, n_events: int) -> torch.Tensor:
+    """A caller's own landmark, (x, y) or (N, 2) in grid pixels, as (N, 2) float64."""
+    rows = point if isinstance(point, torch.Tensor) else torch.tensor(point, dtype=torch.float64)
+    if tuple(rows.shape) not in ((2,), (n_events, 2)):
+        raise ValueError(
+            f"`landmark` must have shape (2,) or ({n_events}, 2), one row an event, got {tuple(rows.shape)}"
+        )
+    if not rows.isfinite().all():
+        raise ValueError("`landmark` must be finite, got NaN or infinity")
+    return rows.double().expand(n_events, 2)

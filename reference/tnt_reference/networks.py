@@ -1,0 +1,210 @@
+"""The two networks and the whole pipeline, events to logits, differentiable from end to end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from .landmarks import LANDMARKS
+from .transform import tnt_coordinates
+from .volume import check_bins, event_volume, tnt_volume
+from .window import Column, check_polarity, check_size, whole_number
+
+
+class Classifier(nn.Module):
+    """Event volume to logits: two convolutions and two fully connected layers.
+
+        conv1 3x3 same, ReLU, 2x2 average pool, conv2 3x3 same, ReLU, 2x2 average pool, fc1, ReLU, fc2
+
+    Parameters
+    ----------
+    channels : of the volume: B, or 2B for split polarity.
+    grid : (width, height) of the volume, at least 4 x 4. Pooling drops an odd side's last row or column
+        (34 -> 17 -> 8).
+    n_classes : logits.
+    widths : outputs of conv1, conv2 and fc1.
+
+    References
+    ----------
+    Wang 2019, arXiv:1911.12801, the classifier: the order of layers. The thesis gives no widths; these
+    are ours.
+    """
+
+    def __init__(
+        self, channels: int = 9, grid: tuple[int, int] = (34, 34), n_classes: int = 10,
+        widths: tuple[int, int, int] = (16, 32, 64),
+    ) -> None:  # fmt: skip
+        super().__init__()
+        width, height = grid_for_two_pools(grid)
+        self.channels, self.grid = channels, (width, height)
+        self.conv1 = nn.Conv2d(channels, widths[0], 3, padding="same")
+        self.conv2 = nn.Conv2d(widths[0], widths[1], 3, padding="same")
+        self.fc1 = nn.Linear(widths[1] * (height // 4) * (width // 4), widths[2])
+        self.fc2 = nn.Linear(widths[2], n_classes)
+
+    def forward(self, volume: torch.Tensor) -> torch.Tensor:
+        """(N, C, H, W) -> (N, n_classes), or (C, H, W) -> (n_classes,)."""
+        check_volume_shape(volume, self.channels, self.grid)
+        a = F.avg_pool2d(F.relu(self.conv1(volume)), 2)  # (..., 16, H//2, W//2)
+        a = F.avg_pool2d(F.relu(self.conv2(a)), 2)  # (..., 32, H//4, W//4)
+        a = a.flatten(-3)  # (..., 32 (H//4) (W//4)), channel by channel, row by row
+        logits: torch.Tensor = self.fc2(F.relu(self.fc1(a)))
+        return logits
+
+
+class LandmarkRegressor(nn.Module):
+    """Raw event volume to landmark: the centroid of a heatmap that three 3x3 and one 1x1 convolution draw.
+
+        h = exp(heatmap(ReLU(conv3(ReLU(conv2(ReLU(conv1(V))))))))        non-negative, (H, W)
+        l = sum_{y,x} h[y, x] (x, y) / sum_{y,x} h[y, x]                  in pixels of the whole image
+
+    The thesis does not say how its heatmap is kept non-negative, nor how the network starts; both are our
+    choice. `exp` makes the centroid the expectation under a softmax over all pixels: it can be as sharp as
+    the training wants it. The 1x1 convolution starts at zero, so that h = 1 everywhere and the first
+    landmark is exactly the image centre, whatever the events. At the first step, therefore, only the 1x1
+    convolution has a gradient; from the second on, all layers have one. It carries no bias: a constant
+    added to the exponent leaves the centroid as it is.
+
+    Parameters
+    ----------
+    channels : of the volume: B, or 2B for split polarity.
+    grid : (width, height) of the volume.
+    n_filters : outputs of each 3x3 convolution. Ours; the thesis gives none.
+
+    References
+    ----------
+    Wang 2019, arXiv:1911.12801, the landmark regression network, row "TNT+regress".
+    """
+
+    def __init__(self, channels: int = 9, grid: tuple[int, int] = (34, 34), n_filters: int = 20) -> None:
+        super().__init__()
+        self.channels, self.grid = channels, check_size("grid", grid)
+        self.conv1 = nn.Conv2d(channels, n_filters, 3, padding="same")
+        self.conv2 = nn.Conv2d(n_filters, n_filters, 3, padding="same")
+        self.conv3 = nn.Conv2d(n_filters, n_filters, 3, padding="same")
+        self.heatmap = nn.Conv2d(n_filters, 1, 1, bias=False)
+        nn.init.zeros_(self.heatmap.weight)
+
+    def forward(self, volume: torch.Tensor) -> torch.Tensor:
+        """(N, C, H, W) -> (N, 2), or (C, H, W) -> (2,): float64 (x, y) in grid pixels."""
+        check_volume_shape(volume, self.channels, self.grid)
+        a = F.relu(self.conv1(volume))  # (..., n_filters, H, W), as are the next two
+        a = F.relu(self.conv2(a))
+        a = F.relu(self.conv3(a))
+        exponent = self.heatmap(a)[..., 0, :, :].double()  # (..., H, W)
+        # The centroid does not feel a common factor: take the largest cell as 1, so that exp cannot overflow.
+        h = torch.exp(exponent - exponent.detach().amax(dim=(-2, -1), keepdim=True))  # (..., H, W)
+        x, y = (torch.arange(side, dtype=torch.float64, device=h.device) for side in self.grid)  # (W,), (H,)
+        l_x = (h.sum(dim=-2) * x).sum(-1) / h.sum(dim=(-2, -1))  # (...)
+        l_y = (h.sum(dim=-1) * y).sum(-1) / h.sum(dim=(-2, -1))  # (...)
+        return torch.stack([l_x, l_y], dim=-1)
+
+
+class Pipeline(nn.Module):
+    """The events of one window to logits: landmark, transform, volume, classifier.
+
+    Parameters
+    ----------
+    classifier : a module from (N, C, H, W) to (N, n_classes); `Classifier` or your own.
+    sensor, grid : (width, height); the grid is the sensor's where it is not given.
+    window_us, bins, t_max, polarity, remove_flow : as in `tnt_volume`.
+    landmark : "center", "running", "line", "window"; or "regressor".
+    transform : "tnt", or "none" for the raw event volume (the baseline; the landmark then has no effect).
+    regressor : the network behind landmark "regressor" (`LandmarkRegressor` or a module from (C, H, W) to
+        (2,)): it sees the raw event volume of the same window, and learns through the transform.
+
+    Raises
+    ------
+    ValueError, TypeError : settings that do not fit together, when built; bad events, when called.
+    """
+
+    def __init__(
+        self, classifier: nn.Module, *, sensor: tuple[int, int], window_us: int,
+        grid: tuple[int, int] | None = None, bins: int = 9, t_max: float = 8.0, polarity: str = "signed",
+        landmark: str = "running", transform: str = "tnt", remove_flow: bool = False,
+        regressor: nn.Module | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__()
+        if transform not in ("tnt", "none"):
+            raise ValueError(f"`transform` must be 'tnt' or 'none', got {transform!r}")
+        if landmark not in (*LANDMARKS, "regressor"):
+            raise ValueError(f"`landmark` must be one of {', '.join(LANDMARKS)}, regressor; got {landmark!r}")
+        if (landmark == "regressor") != (regressor is not None):
+            raise ValueError(f"landmark 'regressor' and a `regressor` network go together: got landmark "
+                             f"{landmark!r} and regressor {type(regressor).__name__}")  # fmt: skip
+        self.classifier, self.regressor = classifier, regressor
+        self.sensor = check_size("sensor", sensor)
+        self.grid = check_size("grid", grid if grid is not None else sensor)
+        self.window_us, self.bins, self.t_max = whole_number("window_us", window_us), check_bins(bins), t_max
+        self.polarity, self.landmark = polarity, landmark
+        self.transform, self.remove_flow = transform, remove_flow
+        check_polarity(polarity)
+        # No events: every remaining setting is checked where it is used.
+        tnt_coordinates(
+            [], [], [], start_us=0, window_us=window_us, sensor=self.sensor, grid=self.grid, t_max=t_max,
+            landmark=(0.0, 0.0) if landmark == "regressor" else landmark, remove_flow=remove_flow,
+        )  # fmt: skip
+        channels = 2 * bins if polarity == "split" else bins
+        for name, network in (("classifier", classifier), ("regressor", regressor)):
+            expected = (getattr(network, "channels", channels), getattr(network, "grid", self.grid))
+            if expected != (channels, self.grid):
+                raise ValueError(f"the {name} is built for (channels, grid) {expected}, "
+                                 f"these settings give {(channels, self.grid)}")  # fmt: skip
+
+    def volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
+        """(C, H, W): what the classifier sees of one window, in the type of the networks' weights."""
+        if self.transform == "none":
+            return self.raw_volume(t, x, y, p, start_us)
+        landmark: str | torch.Tensor = self.landmark
+        if self.regressor is not None:
+            landmark = self.regressor(self.raw_volume(t, x, y, p, start_us))  # (2,)
+        return tnt_volume(
+            t, x, y, p, start_us=start_us, window_us=self.window_us, sensor=self.sensor, grid=self.grid,
+            bins=self.bins, t_max=self.t_max, polarity=self.polarity, landmark=landmark,
+            remove_flow=self.remove_flow, dtype=self.dtype,
+        )  # fmt: skip
+
+    def raw_volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
+        """(C, H, W): the untransformed event volume of one window."""
+        return event_volume(
+            t, x, y, p, start_us=start_us, window_us=self.window_us, sensor=self.sensor, grid=self.grid,
+            bins=self.bins, polarity=self.polarity, dtype=self.dtype,
+        )  # fmt: skip
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of the networks' weights."""
+        return next((w.dtype for w in self.parameters()), torch.get_default_dtype())
+
+    def forward(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
+        """Logits (n_classes,) of the window that starts at `start_us`."""
+        return self.batch([(t, x, y, p, start_us)])[0]
+
+    def batch(self, windows: Iterable[Sequence[Column]]) -> torch.Tensor:
+        """Logits (N, n_classes) of N windows, each `(t, x, y, p, start_us)`."""
+        volumes = [self.volume(*window) for window in windows]  # N of (C, H, W)
+        if not volumes:
+            raise ValueError("`windows` must hold at least one (t, x, y, p, start_us), got none")
+        logits: torch.Tensor = self.classifier(torch.stack(volumes))
+        return logits
+
+
+def grid_for_two_pools(grid: tuple[int, int]) -> tuple[int, int]:
+    width, height = check_size("grid", grid)
+    if min(width, height) < 4:
+        raise ValueError(
+            f"`grid` must have sides of at least 4 pixels, to be halved twice, got {(width, height)}"
+        )
+    return width, height
+
+
+def check_volume_shape(volume: torch.Tensor, channels: int, grid: tuple[int, int]) -> None:
+    expected = (channels, grid[1], grid[0])
+    if volume.ndim not in (3, 4) or tuple(volume.shape[-3:]) != expected:
+        raise ValueError(
+            f"`volume` must have shape (C, H, W) or (N, C, H, W) with (C, H, W) = {expected}, "
+            f"got {tuple(volume.shape)}"
+        )

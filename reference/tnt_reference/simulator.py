@@ -1,0 +1,92 @@
+"""The pixel of an event camera, written out: log luminance in, events out. Pure Python, pixel by pixel.
+
+Between two frames the log luminance L of a pixel runs in a straight line. With the reference level R:
+
+    ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
+    OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
+
+After an event at t the pixel sees nothing until t + refractory; then R := L(t + refractory).
+
+References
+----------
+Lichtsteiner, Posch, Delbruck 2008, A 128 x 128 120 dB 15 us Latency Asynchronous Temporal Contrast Vision
+Sensor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+
+def simulate_events(
+    log_frames: np.ndarray,
+    frame_times_us: Sequence[float],
+    threshold_on: np.ndarray,
+    threshold_off: np.ndarray,
+    reference: np.ndarray,
+    refractory_us: float,
+) -> list[tuple[int, int, int, int]]:
+    """Events (t, x, y, p) of every pixel, sorted by (t, y, x); p = 1 for ON; t in microseconds, rounded.
+
+    Parameters
+    ----------
+    log_frames : shape (K, H, W), natural log of luminance.
+    frame_times_us : K increasing times.
+    threshold_on, threshold_off : shape (H, W), positive.
+    reference : shape (H, W), level R at the first frame.
+    refractory_us : 0 for none.
+    """
+    _, height, width = np.shape(log_frames)
+    times = [float(t) for t in frame_times_us]
+    events = []
+    for y in range(height):
+        for x in range(width):
+            light = [float(frame[y][x]) for frame in log_frames]
+            c_on, c_off = float(threshold_on[y][x]), float(threshold_off[y][x])
+            for t, p in pixel(light, times, c_on, c_off, float(reference[y][x]), refractory_us):
+                events.append((math.floor(t + 0.5), x, y, p))
+    # Python's sort is stable: events of one pixel in one microsecond stay in the order they happened.
+    return sorted(events, key=lambda event: (event[0], event[2], event[1]))
+
+
+def pixel(
+    light: list[float], times: list[float], c_on: float, c_off: float, level: float, refractory_us: float
+) -> list[tuple[float, int]]:
+    """Events (t, p) of one pixel with log luminance `light` at `times`, in order of time."""
+    events = []
+    blind_until = times[0]
+    waking = False
+    for (t0, t1), (l0, l1) in zip(pairwise(times), pairwise(light), strict=True):
+        now, light_now = t0, l0
+        while blind_until < t1:
+            if waking:
+                now, waking = blind_until, False
+                level = light_now = l0 + (l1 - l0) * ((now - t0) / (t1 - t0))
+            crossing = _next_crossing(now, light_now, t0, t1, l0, l1, level + c_on, level - c_off)
+            if crossing is None:
+                break
+            now, light_now, p = crossing
+            level = level + c_on if p == 1 else level - c_off
+            events.append((now, p))
+            if refractory_us > 0:
+                blind_until, waking = now + refractory_us, True
+    return events
+
+
+def _next_crossing(
+    now: float, light_now: float, t0: float, t1: float, l0: float, l1: float, upper: float, lower: float
+) -> tuple[float, float, int] | None:
+    """Time, log luminance and polarity where the light first reaches `upper` or `lower` up to t1, or None."""
+    if light_now >= upper:  # here and below: already there, which only a far-off start can be
+        return now, light_now, 1
+    if light_now <= lower:
+        return now, light_now, 0
+    if l1 >= upper:
+        return t0 + (t1 - t0) * ((upper - l0) / (l1 - l0)), upper, 1
+    if l1 <= lower:
+        return t0 + (t1 - t0) * ((lower - l0) / (l1 - l0)), lower, 0
+    return None

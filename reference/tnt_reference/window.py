@@ -1,0 +1,124 @@
+"""The events of one window: columns of any kind in, checked torch columns out."""
+
+from __future__ import annotations
+
+import math
+import operator
+from typing import Any, NamedTuple
+
+import torch
+
+Column = Any  # a torch tensor, or anything torch.as_tensor takes: numpy array, list, ...
+
+POLARITIES = ("signed", "unsigned", "split")
+
+
+class WindowEvents(NamedTuple):
+    """All N events given, in their order, and which of them belong to the window."""
+
+    dt: torch.Tensor  # (N,)   float64 microseconds since the window's start, from an exact difference
+    pixels: torch.Tensor  # (N, 2) sensor pixels (x, y): int64, or float64 if they came as floats
+    inside: torch.Tensor  # (N,)   bool: start_us <= t <= start_us + window_us
+
+
+def window_events(
+    t: Column, x: Column, y: Column, *, start_us: int, window_us: int, sensor: tuple[int, int]
+) -> WindowEvents:
+    """Check the columns and subtract the window's start.
+
+    Integer times are subtracted as int64 *before* any float appears: float32 loses microseconds after
+    16.8 s. The window is closed at its right end, so that `start_us = t_1`, `window_us = t_N - t_1`, the
+    thesis' own form, keeps its last event. Float64 columns are taken as they are (derivatives pass).
+    """
+    start = whole_number("start_us", start_us)
+    length = whole_number("window_us", window_us)
+    if length <= 0:
+        raise ValueError(
+            f"`window_us` must be positive, got {length}; for events at a single instant, pass at least 1"
+        )
+    times, xs, ys = as_column("t", t), as_column("x", x), as_column("y", y)
+    check_same_length(t=times, x=xs, y=ys)
+    if times.is_floating_point() and times.dtype != torch.float64 and len(times):
+        raise TypeError(
+            f"`t` must hold integers or float64, got {times.dtype}, which loses microseconds: "
+            "pass the integer microseconds"
+        )
+    check_range("t", times, low=-math.inf, high=math.inf)
+    width, height = check_size("sensor", sensor)
+    check_range("x", xs, low=0, high=width - 1)
+    check_range("y", ys, low=0, high=height - 1)
+
+    times = times.double() if times.is_floating_point() else times.long()
+    dt = times - start  # (N,), exact for integers
+    inside = (dt >= 0) & (dt <= length)  # (N,)
+    exact = not (xs.is_floating_point() or ys.is_floating_point())
+    pixels = torch.stack([xs, ys], dim=1) if exact else torch.stack([xs.double(), ys.double()], dim=1)
+    return WindowEvents(dt.double(), pixels, inside)
+
+
+def signs(p: Column, n_events: int) -> torch.Tensor:
+    """Polarity as float64 -1 or +1, shape (N,), from bool, 0/1 or -1/+1 of any type."""
+    polarity = as_column("p", p)
+    if len(polarity) != n_events:
+        raise ValueError(f"`p` must be as long as `t`: got {len(polarity)} and {n_events}")
+    values = polarity.double()  # before any arithmetic: uint8 times -1 would wrap
+    wrong = (values != 0) & (values.abs() != 1)
+    if wrong.any():
+        i = int(wrong.nonzero()[0])
+        raise ValueError(f"`p` must be bool, 0/1 or -1/+1, got {polarity[i].item()} at event {i}")
+    return torch.where(values > 0, 1.0, -1.0).double()
+
+
+def as_column(name: str, values: Column) -> torch.Tensor:
+    """One column as a 1-D tensor: int64, or the floating-point type that it has."""
+    if isinstance(values, torch.Tensor):
+        column = values
+    elif hasattr(values, "__array__"):
+        # A contiguous copy: torch warns about read-only arrays and refuses fields of structured arrays.
+        column = torch.as_tensor(values.copy())
+    else:
+        column = torch.as_tensor(values)
+        if column.is_floating_point():  # Python floats are doubles; torch would make float32 of them
+            column = torch.as_tensor(values, dtype=torch.float64)
+    if column.ndim != 1:
+        raise ValueError(f"`{name}` must be one-dimensional, got shape {tuple(column.shape)}")
+    if column.is_complex():
+        raise TypeError(f"`{name}` must hold real numbers, got {column.dtype}")
+    return column if column.is_floating_point() else column.long()
+
+
+def check_same_length(**columns: torch.Tensor) -> None:
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"event columns must have one length, got {lengths}")
+
+
+def check_range(name: str, column: torch.Tensor, low: float, high: float) -> None:
+    right = (column >= low) & (column <= high) & column.isfinite()
+    if not right.all():
+        i = int((~right).nonzero()[0])
+        rule = "finite" if high == math.inf else f"in [{low}, {high}], inside the sensor"
+        raise ValueError(f"`{name}` must be {rule}, got {column[i].item()} at event {i}")
+
+
+def check_size(name: str, size: tuple[int, int], smallest: int = 2) -> tuple[int, int]:
+    """(width, height) as two ints."""
+    try:
+        width, height = (operator.index(side) for side in size)
+    except (TypeError, ValueError):
+        raise TypeError(f"`{name}` must be (width, height), two whole numbers, got {size!r}") from None
+    if min(width, height) < smallest:
+        raise ValueError(f"`{name}` must have sides of at least {smallest} pixels, got {(width, height)}")
+    return width, height
+
+
+def check_polarity(polarity: str) -> None:
+    if polarity not in POLARITIES:
+        raise ValueError(f"`polarity` must be one of {', '.join(POLARITIES)}, got {polarity!r}")
+
+
+def whole_number(name: str, value: int) -> int:
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise TypeError(f"`{name}` must be a whole number, got {value!r}") from None
