@@ -1,1 +1,39 @@
-"""Classify what an event camera sees, event by event, with the Temporal Normalization Transform."""
+"""Classify what an event camera sees, event by event, with the Temporal Normalization Transform (TNT).
+
+    import async_tnt
+
+    for decision in async_tnt.stream(source, "digits", every_us=5_000):
+        print(decision.label, decision.probability)
+
+Start with `Processor` (events in, decisions out), `TNTVolume` (the representation alone) and `TNTConfig`
+(what it holds). The batch reference is the package `tnt_reference`.
+"""
+
+from .classifier import CompiledClassifier
+from .config import TNTConfig
+from .events import EVENT_DTYPE
+from .model import Model, bundled_models, load_model
+from .processor import Decision, Processor
+from .replay import ReplayBufferFull
+from .streams import astream, stream
+from .volume import Counts, TNTVolume
+from .warmup import warmup
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "EVENT_DTYPE",
+    "CompiledClassifier",
+    "Counts",
+    "Decision",
+    "Model",
+    "Processor",
+    "ReplayBufferFull",
+    "TNTConfig",
+    "TNTVolume",
+    "astream",
+    "bundled_models",
+    "load_model",
+    "stream",
+    "warmup",
+]

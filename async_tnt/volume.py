@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from .config import TNTConfig
-from .events import Columns, EventDoor, checked_columns
+from .events import Columns, EventDoor
 from .kernels import state as S
 from .kernels.read import copy_cells, empty_volume
-from .kernels.update import ABSORBED, OFF_SENSOR, absorb, absorb_one
+from .kernels.update import ABSORBED, absorb, absorb_one
 from .replay import ReplayBuffer
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
@@ -91,9 +91,13 @@ class TNTVolume:
             raise ValueError(f"`start_us` must be in [0, 2**62), got {start_us}")
         if self._replay is not None:
             self._replay.close(self)
-        self.open_until(start_us, start_us + self.config.window_us)
+        self._empty(start_us, start_us + self.config.window_us)
 
-    def open_until(self, start_us: int, limit_us: int) -> None:
+    def set_limit(self, limit_us: int) -> None:
+        """Make `take` stop before events at or after `limit_us`, which may not lie past the window's end."""
+        self._ints[S.LIMIT_US] = limit_us
+
+    def _empty(self, start_us: int, limit_us: int) -> None:
         empty_volume(self._buffer, start_us, limit_us, self.config.bins, self.config.grid[1])
 
     def update(self, events: Any) -> int:
@@ -118,22 +122,23 @@ class TNTVolume:
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
         """Add one event: microseconds, pixels, polarity 0/1 or -1/+1. Returns and raises as `update`."""
-        try:
-            if type(t | x | y | p) is not int or self._checks_order or self._replay is not None:
-                return self.update(checked_columns([t], [x], [y], [p], self.config.sensor))
-            answer = absorb_one(self._buffer, t, x, y, p * 1)
-        except (TypeError, OverflowError):  # no whole numbers: the door knows what to say
-            return self.update(checked_columns([t], [x], [y], [p], self.config.sensor))
-        if answer == ABSORBED:
+        if not self._checks_order and self.add(t, x, y, p):
             return 0
-        if answer == OFF_SENSOR:
-            checked_columns([t], [x], [y], [p], self.config.sensor)
-        closed = self._open_next(t)
-        absorb_one(self._buffer, t, x, y, p * 1)
-        return closed
+        return self.update(([t], [x], [y], [p]))
+
+    def add(self, t: int, x: int, y: int, p: int) -> bool:
+        """The fast way in for one event of Python's own integers; False if it was not added, because only
+        `update` can tell what to do with it: wrong, of another type, or past the window's end."""
+        try:
+            # `|` refuses floats; a NumPy scalar would make Numba compile for its type
+            if type(t | x | y | p) is not int or self._replay is not None:
+                return False
+            return absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED
+        except (TypeError, OverflowError):
+            return False
 
     def take(self, columns: Columns, first: int, last: int) -> int:
-        """Add checked events `first <= i < last` up to the window's end; returns the first one not added."""
+        """Add checked events `first <= i < last` up to the limit (the window's end); returns the first not added."""
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
         return absorb(self._buffer, *columns, first, last)
@@ -155,7 +160,7 @@ class TNTVolume:
             self._ints[slot] = 0
         if self._replay is not None:
             self._replay.reset()
-        self.open_until(0, UNOPENED)
+        self._empty(0, UNOPENED)
 
     # -- what came of them -------------------------------------------------------------------------------
 
@@ -222,6 +227,11 @@ class TNTVolume:
     def n_events(self) -> int:
         """Events in the open window so far."""
         return int(self._ints[S.N])
+
+    @property
+    def n_late(self) -> int:
+        """Events dropped because they came before the start of their open window."""
+        return int(self._ints[S.LATE])
 
     @property
     def start_us(self) -> int:

@@ -5,8 +5,10 @@ anew for each. So they read raw bytes: one compiled version serves every layout.
 """
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
+
+from .jit import compiled, inlined
 
 # how a number is stored (rows of a layout: offset, kind for t, x, y, p)
 I8, U8, I16, U16, I32, U32, I64 = range(7)
@@ -33,7 +35,7 @@ def load(typingctx, raw, offset, number):
     return value_type(raw, offset, number), codegen
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _load_kind(raw, offset, kind):
     if kind == U16:
         return np.int64(load(raw, offset, np.uint16))
@@ -50,7 +52,7 @@ def _load_kind(raw, offset, kind):
     return np.int64(load(raw, offset, np.int32))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     """Copy n records into columns and check them.
 
@@ -93,7 +95,7 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     return BAD if bad > 0 or (zeros > 0 and minuses > 0) else FINE
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def check_columns(t, x, y, p, sensor_w, sensor_h):
     """FINE, or BAD if any number breaks its rule. Columns as `load_records` makes them."""
     bad = 0
@@ -106,7 +108,7 @@ def check_columns(t, x, y, p, sensor_w, sensor_h):
     return BAD if bad > 0 else FINE
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def find_late(t, newest_us, late):
     """Mark events older than the newest before them. Returns how many, and the newest time then.
 

@@ -19,24 +19,24 @@ of an event at x, y and dt >= 0 microseconds after the window's start; the denom
 """
 
 import numpy as np
-from numba import njit
 
 from . import state as S
+from .jit import inlined
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def displace_raw(x, y):
     """No transform: the pixel itself."""
     return np.float64(x), np.float64(y), 1.0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def displace_fixed(x, y, dt, fixed_x, fixed_y):
     """From a landmark given from outside."""
     return np.float64(x) - fixed_x, np.float64(y) - fixed_y, np.float64(dt)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def displace_running(x, y, dt, n, sum_x, sum_y):
     """From the centroid of the events so far."""
     count = np.float64(n)
@@ -47,7 +47,7 @@ def displace_running(x, y, dt, n, sum_x, sum_y):
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def displace_line(floats, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
     """From the running ridge line of x (and y) against window fraction f = dt / window_us; takes the event
     into the line's centred sums first.

@@ -2,12 +2,12 @@
 window's events for a replay."""
 
 import numpy as np
-from numba import njit
 
 from . import state as S
+from .jit import compiled
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def empty_volume(buffer, start_us, limit_us, n_intervals, height):
     """Open a window: no events, all cells zero. Counters go on."""
     ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
@@ -29,7 +29,7 @@ def empty_volume(buffer, start_us, limit_us, n_intervals, height):
     ints[S.ROW_HI] = height - 1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def copy_cells(buffer, array, n_intervals):
     """array[b, y, x] = cells[b, y, x, 0] + cells[b - 1, y, x, 1], where cells changed since the last read.
 
@@ -64,7 +64,7 @@ def copy_cells(buffer, array, n_intervals):
     ints[S.ROW_HI] = -1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_stored):
     """What `absorb` does for a landmark known only at the read: count and sum, and store the events.
 

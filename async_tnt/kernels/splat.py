@@ -8,9 +8,9 @@ Zhu, Yuan, Chaney, Daniilidis 2019 (arXiv 1812.08156), the discretized event vol
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
 
 from . import state as S
+from .jit import inlined
 
 Grid = namedtuple(
     "Grid", "scale_x scale_y center_x center_y max_u max_v bin_scale sign_off sign_rise row plane off_shift"
@@ -20,13 +20,13 @@ Grid.__doc__ = """A volume's parameters in registers: read once a block, as no s
 BORDER_TOLERANCE = 1e-9  # pixels; rounding must not decide over an event that mathematics puts on the border
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def on_grid(value, upper):
     """0 <= value <= upper, up to rounding; False for nan and inf."""
     return (value >= -BORDER_TOLERANCE) & (value <= upper + BORDER_TOLERANCE)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def grid_of(floats, ints):
     """The `Grid` of a volume's state."""
     return Grid(
@@ -45,7 +45,7 @@ def grid_of(floats, ints):
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def place_event(grid, dt, on, num_x, num_y, den):
     """Where an event goes and what it weighs there.
 
@@ -84,7 +84,7 @@ def place_event(grid, dt, on, num_x, num_y, den):
     return corner, v - v_floor, u - u_floor, sign - later, later, np.int32(b_floor), np.int32(v_floor), keep
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def add_event(cells, corner, row, y_frac, x_frac, early, later):
     """Add one placed event to the two times four numbers around its place.
 

@@ -10,16 +10,16 @@ stream is cut cannot matter.
 """
 
 import numpy as np
-from numba import njit
 
 from . import state as S
+from .jit import compiled, inlined
 from .landmark import displace_fixed, displace_line, displace_raw, displace_running
 from .splat import add_event, grid_of, place_event
 
 ABSORBED, AT_LIMIT, OFF_SENSOR = 0, 1, 2  # what absorb_one answers
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def absorb(buffer, t, x, y, p, first, last):
     """Add the events `first <= i < last` to the open window, up to the first at or after LIMIT_US.
 
@@ -53,7 +53,7 @@ def absorb(buffer, t, x, y, p, first, last):
     return first
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def absorb_one(buffer, t, x, y, p):
     """Check and add one event: ABSORBED, or AT_LIMIT or OFF_SENSOR with nothing changed."""
     ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
@@ -65,7 +65,7 @@ def absorb_one(buffer, t, x, y, p):
     return ABSORBED
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _absorb_event(floats, ints, cells, t, x, y, p):
     """Add one event before LIMIT_US."""
     ints[S.RECEIVED] += 1
@@ -100,7 +100,7 @@ def _absorb_event(floats, ints, cells, t, x, y, p):
     add_event(cells, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, early, later)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _all_in_window(ints, t, m):
     """Whether a block lies in the open window and before the limit; if so, takes note of it."""
     oldest_us = t[0]
@@ -116,7 +116,7 @@ def _all_in_window(ints, t, m):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _displace(floats, ints, t, x, y, m):
     """The displacement of each event from its landmark (see `landmark`) into NUM_X, NUM_Y, DEN."""
     sums_x = ints[S.PREFIX_X : S.PREFIX_X + S.BLOCK]
@@ -164,7 +164,7 @@ def _displace(floats, ints, t, x, y, m):
     ints[S.SUM_Y] = sum_y
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _place(floats, ints, t, p, m):
     """Each event's place and weight (see `splat`) into CORNER, Y_FRAC, X_FRAC, EARLY, LATER."""
     num_x = floats[S.NUM_X : S.NUM_X + S.BLOCK]
@@ -199,7 +199,7 @@ def _place(floats, ints, t, p, m):
     _mark(ints, bin_lo, bin_hi, row_lo, row_hi)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _splat(floats, ints, cells, m):
     """Add the placed events to the cells, in the order of their arrival."""
     corners = ints[S.CORNER : S.CORNER + S.BLOCK]
@@ -212,7 +212,7 @@ def _splat(floats, ints, cells, m):
         add_event(cells, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], early[i], later[i])
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@inlined
 def _mark(ints, bin_lo, bin_hi, row_lo, row_hi):
     """Note which intervals and rows changed, for the next read."""
     ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(bin_lo))

@@ -12,9 +12,9 @@ later one is that much later than written. N-Caltech101 uses the same layout on 
 References
 ----------
 Orchard, Jayawant, Cohen, Thakor 2015, Converting Static Image Datasets to Spiking Neuromorphic Datasets
-Using Saccades, Frontiers in Neuroscience 9:437. The overflow rule is the one of the Python readers in use for the
-data set: the timer in the camera's own event words has 13 bits, and the marking row carries on from there.
-The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
+Using Saccades, Frontiers in Neuroscience 9:437. The overflow rule is the one of the Python readers in use
+for the data set: the timer in the camera's own event words has 13 bits, and the marking row carries on from
+there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ class Saccade:
 
         s(u) = 10 u^3 - 15 u^4 + 6 u^5,    ds/du = 30 u^2 (1 - u)^2,
 
-    the minimum-jerk profile (Flash and Hogan 1985): at rest at both ends, fastest halfway at 15/8 of the mean.
+    the minimum-jerk profile (Flash and Hogan 1985): at rest at both ends, halfway at 15/8 of its mean speed.
     """
 
     start_us: float
@@ -179,8 +179,8 @@ def nmnist_saccades(rng: np.random.Generator | None = None) -> Saccades:
     a sum of bell-shaped movements, fitted to the flow measured in 200 of N-MNIST's first 1,000 training
     recordings: per 4 ms, the signed event counts of all of them regressed on the gradient of the log image
     that each one shows, at the displacement that explains most of the counts (about two thirds of their
-    variance in mid-saccade). Velocity and position are thereby measured apart from each other; the integral of
-    the one agrees with the other within 0.12 px (standard deviation).
+    variance in mid-saccade). Velocity and position are thereby measured apart from each other; the integral
+    of the one agrees with the other within 0.12 px (standard deviation).
 
     Parameters
     ----------
@@ -189,8 +189,8 @@ def nmnist_saccades(rng: np.random.Generator | None = None) -> Saccades:
 
     References
     ----------
-    Orchard et al. 2015, Converting Static Image Datasets to Spiking Neuromorphic Datasets Using Saccades: three
-    movements of about 100 ms each along an isosceles triangle.
+    Orchard et al. 2015, Converting Static Image Datasets to Spiking Neuromorphic Datasets Using Saccades:
+    three movements of about 100 ms each along an isosceles triangle.
     """
     delays_ms = np.zeros(3) if rng is None else rng.normal(0.0, _NMNIST_DELAY_SD_MS)
 

@@ -42,7 +42,7 @@ def test_a_threshold_met_exactly_at_a_frame_fires_once():
 
 
 def test_refractory_time_hides_crossings_and_the_level_follows_the_light():
-    # L(t) = t / 1000. First event at 1,000 us; blind to 2,500; level 2.5; next at 3,500; blind to 5,000; 6,000
+    # L(t) = t / 1000. Event at 1,000 us; blind to 2,500; level 2.5; next at 3,500; blind to 5,000; 6,000
     assert one_pixel([0, 7], [0, 7_000], refractory_us=1_500) == [(1_000, 1), (3_500, 1), (6_000, 1)]
 
 
@@ -156,8 +156,8 @@ def test_pixels_begin_in_random_states():
     frames = np.stack([np.zeros((20, 30)), np.full((20, 30), 0.4)])
     model = PixelModel(threshold_on=1.0, threshold_off=1.0, mismatch=0.0, noise_hz=0.0)
     events = simulate(frames, np.array([0, 10_000]), np.random.default_rng(0), model)
-    # The light rises by 0.4; levels began uniformly over C_on + C_off = 2: a fifth of the 600 pixels fire, 120,
-    # give or take four times 9.8.
+    # The light rises by 0.4; levels began uniformly over C_on + C_off = 2: a fifth of the 600 pixels fire,
+    # 120, give or take four times 9.8.
     assert abs(len(events) - 120) < 40 and (events["p"] == 1).all()
 
 

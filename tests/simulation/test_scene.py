@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from async_tnt.simulation import ConstantVelocity, Scene, render, simulate_digit
+from async_tnt.simulation.scene import translate
 
 SHARP = Scene(contrast=4.0, gamma=1.0, blur_px=0.0)
 
@@ -42,6 +43,23 @@ def test_image_half_off_the_sensor_is_cut_without_wrapping():
     frame = shown(render(np.ones((3, 3)), np.array([-1.5]), np.array([8.0]), scene=SHARP, sensor=(10, 10)))[0]
     np.testing.assert_allclose(frame[8:], [[1, 0.5] + [0] * 8] * 2)
     np.testing.assert_allclose(frame[:8], 0.0)
+
+
+def test_translate_equals_the_sum_over_the_image_that_defines_it():
+    rng = np.random.default_rng(0)
+    image = rng.random((4, 5))  # no ground around it: every border pixel counts
+    dx, dy = rng.uniform(-6.0, 8.0, 60), rng.uniform(-6.0, 8.0, 60)
+    dx[:5], dy[:5] = [0.0, 1.0, -1.0, 3.0, 4.0], [0.0, -1.0, 2.0, 3.0, -3.0]
+    frames = np.full((60, 7, 8), np.nan)
+    translate(frames, image, dx, dy)
+
+    def kernel(distance):
+        return np.maximum(0.0, 1.0 - np.abs(distance))
+
+    for frame, x0, y0 in zip(frames, dx, dy, strict=True):
+        along_x = kernel(np.arange(8)[:, None] - x0 - np.arange(5))  # (8, 5)
+        along_y = kernel(np.arange(7)[:, None] - y0 - np.arange(4))  # (7, 4)
+        np.testing.assert_allclose(frame, along_y @ image @ along_x.T, atol=1e-12)
 
 
 def test_log_luminance_spans_the_contrast_either_way():

@@ -1,0 +1,329 @@
+"""Processor: from packets of events to decisions, window by window."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .classifier import CompiledClassifier
+from .config import TNTConfig
+from .events import Columns, EventDoor
+from .kernels.network import softmax
+from .model import Model
+from .volume import Counts, TNTVolume
+
+Classifier = Callable[[np.ndarray], Any]
+NEVER = 1 << 62
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What the classifier says of one window at one moment."""
+
+    label: str
+    """Name of the likeliest class."""
+    index: int
+    """Its number."""
+    probabilities: np.ndarray
+    """float64, shape (n_classes,): softmax of the logits."""
+    logits: np.ndarray
+    """float32, shape (n_classes,)."""
+    window_start_us: int
+    time_us: int
+    """Newest event in the window; the window's start if it has none."""
+    events: int
+    """Events in the window so far."""
+    complete: bool
+    """Whether the window is closed: no event can come any more."""
+    trigger: str
+    """Why it fired: `window` (closed), `every_us`, `every_events`, `fire` (on demand), `end` (of the stream)."""
+
+    @property
+    def probability(self) -> float:
+        """Probability of the likeliest class."""
+        return float(self.probabilities[self.index])
+
+
+class Processor:
+    """Takes events as they come and classifies windows of them.
+
+    Windows are laid end to end from `start_us`, or else from the first event. A window that closes is
+    classified; one without events is skipped. What is decided does not depend on how the stream is cut into
+    packets.
+
+    Parameters
+    ----------
+    model : a Model, or a TNTConfig together with `classifier`.
+    classifier : any callable from a volume (float32, shape (C, H, W), read-only, valid during the call) to
+        logits; by default the model's own network, compiled.
+    classes : class names; by default the model's, or else "0", "1", ...
+    start_us : start of the first window, in microseconds.
+    hop_us : distance between the starts of windows, by default `window_us`. A smaller one gives overlapping
+        windows; triggers and `fire` then speak of the oldest open window, the most complete one.
+    every_us : decide also whenever so much time has passed since the window's start, if events came meanwhile.
+        The decision falls when the first event at or after that moment shows that it has come.
+    every_events : decide also after every so many events of the window.
+    late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen. Events before
+        every open window are always dropped and counted.
+    replay_events : see `TNTVolume`.
+
+    Examples
+    --------
+    >>> processor = Processor(TNTConfig(window_us=1000), classifier=lambda volume: [volume.sum(), 0.0])
+    >>> processor.push(([0, 10, 999], [16, 17, 16], [16, 16, 17], [1, 1, 1]))
+    []
+    >>> [decision.events for decision in processor.push(([1000], [5], [5], [0]))]
+    [3]
+    """
+
+    def __init__(
+        self,
+        model: Model | TNTConfig,
+        *,
+        classifier: Classifier | None = None,
+        classes: Sequence[str] | None = None,
+        start_us: int | None = None,
+        hop_us: int | None = None,
+        every_us: int | None = None,
+        every_events: int | None = None,
+        late: str = "accept",
+        replay_events: int = 1 << 20,
+    ) -> None:
+        if isinstance(model, Model):
+            self.config = model.config
+            classes = model.classes if classes is None else classes
+            classifier = CompiledClassifier(model) if classifier is None else classifier
+        elif isinstance(model, TNTConfig):
+            self.config = model
+        else:
+            raise TypeError(f"`model` must be a Model or a TNTConfig, got {type(model).__name__}; load_model(name) loads one")
+        if classifier is None:
+            raise TypeError("`classifier` is missing: a TNTConfig alone cannot decide; pass a Model or a callable")
+        if not callable(classifier):
+            raise TypeError(f"`classifier` must be callable, got {type(classifier).__name__}")
+        window_us = self.config.window_us
+        self._hop_us = window_us if hop_us is None else _positive("hop_us", hop_us)
+        if self._hop_us > window_us:
+            raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {hop_us}")
+        self._every_us = None if every_us is None else _positive("every_us", every_us)
+        self._every_events = None if every_events is None else _positive("every_events", every_events)
+        if start_us is not None and not 0 <= start_us < 1 << 61:
+            raise ValueError(f"`start_us` must be in [0, 2**61), got {start_us}")
+        self.classifier = classifier
+        self.classes = None if classes is None else tuple(classes)
+        self._start_us = start_us
+        self._door = EventDoor(self.config.sensor, late)
+        n_volumes = -(-window_us // self._hop_us)
+        self._volumes = [TNTVolume(self.config, replay_events=replay_events) for _ in range(n_volumes)]
+        # One event by itself may go straight to the volume where nothing else has to be looked after.
+        self._direct = n_volumes == 1 and every_events is None and late == "accept"
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the stream: no window open, all counts zero. Classifier and settings stay."""
+        self._door.reset()
+        for volume in self._volumes:
+            volume.reset()
+        self._open: deque[TNTVolume] = deque()  # oldest first
+        self._free = list(self._volumes)
+        self._next_start_us = self._start_us  # of the next window to be opened; None: at the first event
+        self._trigger_us = NEVER  # next time trigger of the oldest window
+        self._n_decided = 0  # events of the oldest window at its last triggered decision
+        self._n_received = 0
+        self._n_late = 0
+        if self._start_us is not None:
+            self._open_windows(self._start_us)
+
+    # -- events in ---------------------------------------------------------------------------------------
+
+    def push(self, events: Any) -> list[Decision]:
+        """Take a packet of events, in any form that `async_tnt.events` lists.
+
+        Returns
+        -------
+        The decisions that fell: one for every window that the packet closed and every trigger it tripped.
+
+        Raises
+        ------
+        ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event. The
+            processor is as it was before.
+        """
+        return self._push(self._door(events))
+
+    def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
+        """Take one event: microseconds, pixels, polarity 0/1 or -1/+1. Otherwise as `push`."""
+        if self._direct and self._open and self._open[0].add(t, x, y, p):
+            return []
+        return self._push(self._door(([t], [x], [y], [p])))
+
+    def _push(self, columns: Columns) -> list[Decision]:
+        decisions: list[Decision] = []
+        n = columns.t.size
+        if n and not self._open:
+            self._open_windows(int(columns.t[0]))
+        first = 0
+        while first < n:
+            last = n
+            if self._every_events is not None:
+                last = min(n, first + self._every_events - self._open[0].n_events % self._every_events)
+            taken = self._take(columns, first, last)
+            if self._every_events is not None and taken > first:
+                self._fire_if_new("every_events", decisions, self._open[0].n_events % self._every_events == 0)
+            if taken < last:
+                self._advance(int(columns.t[taken]), decisions)
+            first = taken
+        return decisions
+
+    def _take(self, columns: Columns, first: int, last: int) -> int:
+        """Add events to all open windows up to the next moment when something has to happen."""
+        oldest = self._open[0]
+        late = oldest.n_late
+        taken = oldest.take(columns, first, last)
+        self._n_late += oldest.n_late - late
+        self._n_received += taken - first
+        for volume in list(self._open)[1:]:
+            volume.take(columns, first, taken)
+        return taken
+
+    def _advance(self, t_us: int, decisions: list[Decision]) -> None:
+        """Let time pass to `t_us`: trip triggers, close windows and open new ones on the way."""
+        window_us = self.config.window_us
+        while self._open:
+            end_us = self._open[0].start_us + window_us
+            if self._trigger_us <= t_us and self._trigger_us < end_us:
+                self._fire_if_new("every_us", decisions)
+                self._set_trigger(min(t_us, end_us))
+            elif end_us <= t_us:
+                volume = self._open.popleft()
+                if volume.n_events:
+                    decisions.append(self._decide(volume, "window", complete=True))
+                self._free.append(volume)
+                self._n_decided = 0
+                self._set_trigger(end_us)
+            else:
+                break
+        self._open_windows(t_us)
+
+    def _open_windows(self, t_us: int) -> None:
+        """Open every window on the grid that holds `t_us` and is not open yet; skip the empty ones between."""
+        if self._next_start_us is None:
+            self._next_start_us = t_us
+        window_us, hop_us = self.config.window_us, self._hop_us
+        start_us = self._next_start_us
+        if start_us + window_us <= t_us:
+            start_us += ((t_us - window_us - start_us) // hop_us + 1) * hop_us
+        while start_us <= t_us or not self._open:
+            volume = self._free.pop()
+            volume.open(start_us)
+            self._open.append(volume)
+            if len(self._open) == 1:
+                self._n_decided = 0
+                self._set_trigger(max(t_us, start_us))
+            start_us += hop_us
+        self._next_start_us = start_us
+        self._set_limits()
+
+    def _set_trigger(self, now_us: int) -> None:
+        """The oldest window's next time trigger after `now_us`."""
+        self._trigger_us = NEVER
+        if self._every_us is not None and self._open:
+            start_us = self._open[0].start_us
+            self._trigger_us = start_us + ((now_us - start_us) // self._every_us + 1) * self._every_us
+
+    def _set_limits(self) -> None:
+        oldest_end_us = self._open[0].start_us + self.config.window_us
+        limit_us = min(oldest_end_us, self._next_start_us, self._trigger_us)
+        for volume in self._open:
+            volume.set_limit(limit_us)
+
+    # -- decisions out -----------------------------------------------------------------------------------
+
+    def fire(self) -> Decision:
+        """Classify the open window as it stands. Changes nothing: no trigger, no window, no count.
+
+        Before the first event the window is empty (`events` is 0).
+        """
+        return self._decide(self._oldest, "fire")
+
+    def finish(self) -> list[Decision]:
+        """The stream is over: classify the windows that are still open and hold events, and close them.
+
+        Their `complete` is False and their trigger `end`. A later event opens the window on the grid it is in.
+        """
+        decisions = []
+        while self._open:
+            volume = self._open.popleft()
+            if volume.n_events:
+                decisions.append(self._decide(volume, "end"))
+            self._free.append(volume)
+        return decisions
+
+    def _fire_if_new(self, trigger: str, decisions: list[Decision], due: bool = True) -> None:
+        oldest = self._open[0]
+        if due and oldest.n_events > self._n_decided:
+            decisions.append(self._decide(oldest, trigger))
+            self._n_decided = oldest.n_events
+
+    def _decide(self, volume: TNTVolume, trigger: str, complete: bool = False) -> Decision:
+        logits = np.array(self.classifier(volume.array), np.float32).reshape(-1)
+        if self.classes is None:
+            self.classes = tuple(str(k) for k in range(logits.size))
+        if logits.size != len(self.classes):
+            raise ValueError(f"`classifier` must return {len(self.classes)} logits, one for each class, got {logits.size}")
+        probabilities = np.empty(logits.size)
+        softmax(logits, probabilities)
+        index = int(logits.argmax())
+        start_us, n_events = volume.start_us, volume.n_events
+        return Decision(
+            label=self.classes[index],
+            index=index,
+            probabilities=probabilities,
+            logits=logits,
+            window_start_us=start_us,
+            time_us=volume.newest_us if n_events else start_us,
+            events=n_events,
+            complete=complete,
+            trigger=trigger,
+        )
+
+    # -- looking in --------------------------------------------------------------------------------------
+
+    @property
+    def _oldest(self) -> TNTVolume:
+        return self._open[0] if self._open else self._volumes[0]
+
+    def volume(self) -> np.ndarray:
+        """The (oldest) open window's volume as it stands: float32, shape (C, H, W), read-only; copy to keep."""
+        return self._oldest.array
+
+    @property
+    def landmark(self) -> tuple[float, float]:
+        """The (oldest) open window's landmark (x, y), in grid pixels."""
+        return self._oldest.landmark
+
+    @property
+    def counts(self) -> Counts:
+        """What became of the events, see `Counts`. Where windows overlap, `received` and `dropped_late` count
+        an event once, the others once in every window it belongs to."""
+        total = sum((volume.counts for volume in self._volumes), Counts())
+        if len(self._volumes) == 1:
+            received, late = total.received, total.dropped_late
+        else:
+            received, late = self._n_received, self._n_late
+        dropped = self._door.n_dropped
+        return Counts(
+            received + dropped, total.kept, total.dropped_outside, total.dropped_tau_zero, late + dropped,
+            total.dropped_unstored,
+        )  # fmt: skip
+
+
+def _positive(name: str, value: int) -> int:
+    if not hasattr(value, "__index__") or isinstance(value, bool):
+        raise TypeError(f"`{name}` must be a whole number, got {value!r}")
+    if value < 1:
+        raise ValueError(f"`{name}` must be at least 1, got {value}")
+    return int(value)

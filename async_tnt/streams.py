@@ -1,0 +1,59 @@
+"""stream and astream: a source of events in, decisions out."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from .config import TNTConfig
+from .model import Model, load_model
+from .processor import Decision, Processor
+
+
+def stream(source: Iterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any) -> Iterator[Decision]:
+    """Classify a source of events, lazily.
+
+    Parameters
+    ----------
+    source : an iterable of packets, or of single events, in any form that `async_tnt.events` lists.
+    model : a Model, its name or path, a TNTConfig (with `classifier=`), or a Processor that is to go on.
+    settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`, `late`, ...
+
+    Yields
+    ------
+    Decision : for each window that closes and each trigger; when the source ends, for what is still open.
+
+    Examples
+    --------
+    >>> from async_tnt.recordings import open_recording, sample_recordings
+    >>> [decision.label for decision in stream(open_recording(sample_recordings()[3]), "digits")]
+    ['3', '3', '3']
+    """
+    processor = as_processor(model, **settings)
+    for events in source:
+        yield from processor.push(events)
+    yield from processor.finish()
+
+
+async def astream(
+    source: AsyncIterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any
+) -> AsyncIterator[Decision]:
+    """`stream` for an asynchronous source. The classifier runs in the event loop: microseconds at a time."""
+    processor = as_processor(model, **settings)
+    async for events in source:
+        for decision in processor.push(events):
+            yield decision
+    for decision in processor.finish():
+        yield decision
+
+
+def as_processor(model: Model | TNTConfig | str | Path | Processor, **settings: Any) -> Processor:
+    """A Processor from what `stream` takes."""
+    if isinstance(model, Processor):
+        if settings:
+            raise TypeError(f"a Processor has its settings already, got also {', '.join(settings)}")
+        return model
+    if isinstance(model, (str, Path)):
+        model = load_model(model)
+    return Processor(model, **settings)

@@ -1,0 +1,117 @@
+"""Augmentation of events: each window of each epoch a little different. All of it is our choice.
+
+A window is moved in time and on the sensor, thinned, and sometimes cut short:
+
+    start      a live stream's windows start at its first event, some milliseconds into N-MNIST's saccade;
+               TNT magnifies what happens near the start, so the network must not rely on it
+    place      (x', y') = A (x - c) + c + shift      A = rotation * shear * scale
+    thinning   each event stays with a probability that is drawn per window
+    partial    the window ends early, so that decisions before its end are practised
+
+Places after a rotation are no whole pixels. Rounding them would comb the volume, so augmented events lie on a
+sensor `FINE` times finer, whose corners are those of the real one; the grid, which is mapped from corner to
+corner, does not notice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from async_tnt.config import TNTConfig
+
+FINE = 32
+
+
+@dataclass(frozen=True)
+class Draws:
+    """What happens to each of N windows.
+
+    Parameters
+    ----------
+    start_us : int64, (N,). Added to the window's start.
+    until_us : int64, (N,). Events at or after this time since the window's start are left out.
+    matrix : float64, (N, 2, 3). (x', y') = matrix @ (x, y, 1), rounded, in pixels of `sensor`.
+    keep : float64, (N,). Probability that an event stays.
+    seed : uint64, (N,). Of the choice which events stay.
+    sensor : (width, height) of the augmented events' sensor; what leaves it is lost.
+    """
+
+    start_us: np.ndarray
+    until_us: np.ndarray
+    matrix: np.ndarray
+    keep: np.ndarray
+    seed: np.ndarray
+    sensor: tuple[int, int]
+
+
+def unchanged(n: int, config: TNTConfig, until_us: int | None = None) -> Draws:
+    """No augmentation: `n` windows as they are, or their first `until_us` microseconds."""
+    matrix = np.zeros((n, 2, 3))
+    matrix[:, 0, 0] = matrix[:, 1, 1] = 1.0
+    return Draws(
+        np.zeros(n, np.int64),
+        np.full(n, config.window_us if until_us is None else until_us, np.int64),
+        matrix,
+        np.ones(n),
+        np.zeros(n, np.uint64),
+        config.sensor,
+    )
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """How far windows are moved and what is taken from them; every draw is uniform.
+
+    Parameters
+    ----------
+    start_ms : the window's start moves by up to so many milliseconds, either way.
+    shift_px : by up to so many sensor pixels, in x and in y.
+    rotation_deg : up to so many degrees, either way.
+    scale : up to this share larger or smaller.
+    shear : x moves by up to this share of y.
+    drop : up to this share of the events is dropped.
+    partial : share of windows that end early, after `partial_from_ms` at the soonest.
+    """
+
+    start_ms: float = 5.0
+    shift_px: float = 1.5
+    rotation_deg: float = 10.0
+    scale: float = 0.1
+    shear: float = 0.1
+    drop: float = 0.3
+    partial: float = 0.2
+    partial_from_ms: float = 15.0
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            limit = 1.0 if name in ("scale", "drop", "partial") else np.inf
+            if not 0 <= value <= limit:
+                raise ValueError(f"`{name}` must be in [0, {limit}], got {value}")
+
+    def draw(self, n: int, config: TNTConfig, rng: np.random.Generator) -> Draws:
+        """Draw for `n` windows."""
+
+        def spread(by: float) -> np.ndarray:
+            return rng.uniform(-by, by, n)
+
+        start_us = np.rint(spread(1e3 * self.start_ms)).astype(np.int64)
+        angle = np.deg2rad(spread(self.rotation_deg))
+        scale, shear = 1.0 + spread(self.scale), spread(self.shear)
+        shift = np.stack([spread(self.shift_px), spread(self.shift_px)], axis=1)  # (n, 2)
+        keep = 1.0 - rng.uniform(0.0, self.drop, n)
+        shortest = min(1e3 * self.partial_from_ms, config.window_us)
+        until_us = np.rint(rng.uniform(shortest, config.window_us, n)).astype(np.int64)
+        until_us[rng.random(n) >= self.partial] = config.window_us
+        seed = rng.integers(0, 1 << 63, n, dtype=np.uint64)
+
+        cos, sin = scale * np.cos(angle), scale * np.sin(angle)
+        matrix = np.empty((n, 2, 3))
+        matrix[:, 0, 0], matrix[:, 0, 1] = cos, cos * shear - sin
+        matrix[:, 1, 0], matrix[:, 1, 1] = sin, sin * shear + cos
+        center = (np.array(config.sensor) - 1) / 2
+        matrix[:, :, 2] = center + shift - matrix[:, :, :2] @ center
+        sensor = ((config.sensor[0] - 1) * FINE + 1, (config.sensor[1] - 1) * FINE + 1)
+        return Draws(start_us, until_us, FINE * matrix, keep, seed, sensor)

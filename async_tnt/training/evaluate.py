@@ -1,0 +1,116 @@
+"""How well a network classifies windows: by window, by recording, and against time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from async_tnt.config import TNTConfig
+
+from .augment import unchanged
+from .batches import BatchVolumes
+from .windows import Windows
+
+BATCH = 256
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What `evaluate` found.
+
+    Parameters
+    ----------
+    per_window : share of windows classified right.
+    per_recording : share of recordings right by the mean of their windows' probabilities.
+    against_time : milliseconds since the window's start -> share of windows right by the events until then.
+    confusion : (n_classes, n_classes), windows by true class (row) and decided class (column).
+    n_windows, n_recordings : how many.
+    """
+
+    per_window: float
+    per_recording: float
+    against_time: dict[float, float]
+    confusion: np.ndarray
+    n_windows: int
+    n_recordings: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return {
+            "per_window": round(self.per_window, 5),
+            "per_recording": round(self.per_recording, 5),
+            "against_time_ms": {f"{ms:g}": round(a, 5) for ms, a in self.against_time.items()},
+            "confusion": self.confusion.tolist(),
+            "windows": self.n_windows,
+            "recordings": self.n_recordings,
+        }
+
+
+def class_probabilities(
+    network: nn.Module, config: TNTConfig, windows: Windows, *, scale: np.ndarray | None = None,
+    until_us: int | None = None,
+) -> np.ndarray:  # fmt: skip
+    """Probability of each class for each window: float64, shape (N, n_classes).
+
+    Parameters
+    ----------
+    network : (N, C, H, W) -> logits.
+    scale : what each channel is multiplied with first, shape (C,); nothing by default.
+    until_us : only the events of each window's first `until_us` microseconds; all by default.
+    """
+    device = next(network.parameters()).device
+    factor = None if scale is None else torch.from_numpy(scale).to(device)[:, None, None]
+    volumes = BatchVolumes(config)
+    parts = []
+    was_training = network.training
+    network.eval()
+    with torch.no_grad():
+        for first in range(0, len(windows), BATCH):
+            some = windows[first : first + BATCH]
+            batch = torch.from_numpy(volumes(some, unchanged(len(some), config, until_us))).to(device)
+            logits = network(batch if factor is None else batch * factor)
+            parts.append(torch.softmax(logits.double(), dim=1).cpu().numpy())
+    network.train(was_training)
+    if not parts:
+        raise ValueError("`windows` must hold at least one window, got none")
+    return np.concatenate(parts)
+
+
+def accuracy_by_recording(probabilities: np.ndarray, windows: Windows) -> tuple[float, int]:
+    """Share of recordings right by the mean of their windows' probabilities, and how many recordings."""
+    recordings, place = np.unique(windows.recording, return_inverse=True)
+    total = np.zeros((len(recordings), probabilities.shape[1]))
+    np.add.at(total, place, probabilities)
+    right = total.argmax(1) == windows.recordings.labels[recordings]
+    return float(right.mean()), len(recordings)
+
+
+def evaluate(
+    network: nn.Module, config: TNTConfig, windows: Windows, *, scale: np.ndarray | None = None,
+    times_ms: tuple[float, ...] = (),
+) -> Evaluation:  # fmt: skip
+    """Classify all windows, complete and after each of `times_ms`.
+
+    Parameters
+    ----------
+    network, scale : as in `class_probabilities`.
+    times_ms : milliseconds since the window's start. A window without any event by then is decided all the
+        same, from the empty volume.
+    """
+    labels = windows.labels
+    complete = class_probabilities(network, config, windows, scale=scale)
+    decided = complete.argmax(1)
+    confusion = np.zeros((complete.shape[1], complete.shape[1]), np.int64)
+    np.add.at(confusion, (labels, decided), 1)
+    per_recording, n_recordings = accuracy_by_recording(complete, windows)
+    against_time = {}
+    for ms in times_ms:
+        early = class_probabilities(network, config, windows, scale=scale, until_us=round(1e3 * ms))
+        against_time[float(ms)] = float((early.argmax(1) == labels).mean())
+    return Evaluation(
+        float((decided == labels).mean()), per_recording, against_time, confusion, len(windows), n_recordings
+    )

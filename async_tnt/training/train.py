@@ -1,0 +1,248 @@
+"""The training loop: the same settings, data and machine give the same weights, interrupted or not."""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from async_tnt.config import TNTConfig
+from async_tnt.model import Model
+
+from .augment import Augmentation, Draws
+from .batches import BatchVolumes
+from .evaluate import accuracy_by_recording, class_probabilities
+from .networks import channel_scale, export, new_network
+from .windows import CLASSES, Progress, Windows, no_progress
+
+CHECKPOINT = "checkpoint.pt"
+HISTORY = "history.json"
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """How to train. Where the thesis is silent (everywhere but the loss), the choices are ours.
+
+    Parameters
+    ----------
+    epochs : passes over the training windows.
+    batch : windows per step.
+    learning_rate : the highest; it rises over the first 5 % of the steps and falls along a cosine to 0.
+    weight_decay : of AdamW, on weights, not on biases.
+    label_smoothing : share of the target spread over all classes.
+    seed : of weights, order and augmentation.
+    augmentation : None trains on the windows as they are.
+    """
+
+    epochs: int = 10
+    batch: int = 64
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    label_smoothing: float = 0.05
+    seed: int = 0
+    augmentation: Augmentation | None = field(default_factory=Augmentation)
+
+    def __post_init__(self) -> None:
+        for name, low in (("epochs", 1), ("batch", 1), ("seed", 0)):
+            if getattr(self, name) < low:
+                raise ValueError(f"`{name}` must be at least {low}, got {getattr(self, name)}")
+        if not 0 < self.learning_rate < math.inf:
+            raise ValueError(f"`learning_rate` must be positive, got {self.learning_rate}")
+        if not 0 <= self.weight_decay < math.inf:
+            raise ValueError(f"`weight_decay` must be at least 0, got {self.weight_decay}")
+        if not 0 <= self.label_smoothing < 1:
+            raise ValueError(f"`label_smoothing` must be in [0, 1), got {self.label_smoothing}")
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """The models after the last and after the best epoch, and one dict per epoch (loss, accuracies)."""
+
+    last: Model
+    best: Model
+    best_epoch: int
+    history: list[dict[str, float]]
+
+
+def train(
+    config: TNTConfig,
+    training: Windows,
+    validation: Windows,
+    settings: TrainSettings,
+    run_folder: Path,
+    *,
+    progress: Progress = no_progress,
+    device: str | None = None,
+) -> TrainResult:
+    """Train the thesis' classifier.
+
+    After each epoch a checkpoint goes into the run folder; a run that finds one there goes on from it and
+    ends with the same weights as if it had never stopped, for all randomness is drawn from (seed, epoch).
+
+    Parameters
+    ----------
+    config : how events become volumes.
+    training : windows to learn from.
+    validation : windows that choose the best epoch (the later of equals); may be empty: then it is the last.
+    run_folder : for checkpoint and history; made if missing.
+    progress : shows each epoch's steps.
+    device : of torch; a GPU where torch sees one, else the CPU.
+
+    Raises
+    ------
+    ValueError : no training windows, or the run folder holds a run with other settings or data.
+    """
+    if len(training) == 0:
+        raise ValueError("`training` must hold at least one window, got none")
+    device = device or ("cuda" if torch.cuda.is_available() else "cpu")
+    run_folder.mkdir(parents=True, exist_ok=True)
+    scale = channel_scale(config, training)
+    network = new_network(config, len(CLASSES), settings.seed).to(device)
+    network = network.to(memory_format=torch.channels_last)
+    optimizer = _optimizer(network, settings)
+    identity = _identity(config, settings, training, validation)
+    state = _load_checkpoint(run_folder / CHECKPOINT, identity)
+    history: list[dict[str, float]] = []
+    best: dict[str, torch.Tensor] = {}
+    best_epoch = 0
+    if state is not None:
+        network.load_state_dict(state["network"])
+        optimizer.load_state_dict(state["optimizer"])
+        history, best, best_epoch = state["history"], state["best"], state["best_epoch"]
+
+    steps = math.ceil(len(training) / settings.batch)
+    volumes = BatchVolumes(config)
+    factor = torch.from_numpy(scale).to(device)[:, None, None]
+    for epoch in range(len(history), settings.epochs):
+        network.train()
+        total_loss, right = 0.0, 0
+        title = f"epoch {epoch + 1}/{settings.epochs}"
+        batches = progress(_batches(config, training, settings, epoch), title, steps)
+        for step, (windows, draws) in enumerate(batches):
+            _set_rate(optimizer, settings, epoch * steps + step, settings.epochs * steps)
+            batch = torch.from_numpy(volumes(windows, draws)).to(device) * factor
+            target = torch.from_numpy(windows.labels).to(device)
+            logits = network(batch.contiguous(memory_format=torch.channels_last))
+            loss = F.cross_entropy(logits, target, label_smoothing=settings.label_smoothing)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            optimizer.step()
+            total_loss += loss.item() * len(windows)
+            right += int((logits.argmax(1) == target).sum())
+        row = {"epoch": epoch + 1, "loss": total_loss / len(training), "training": right / len(training)}
+        row.update(_validate(network, config, validation, scale))
+        history.append(row)
+        if row.get("per_window", 0.0) >= max((r.get("per_window", 0.0) for r in history), default=0.0):
+            best_epoch = epoch + 1
+            best = {name: w.detach().clone() for name, w in network.state_dict().items()}
+        checkpoint = {
+            "identity": identity, "network": network.state_dict(), "optimizer": optimizer.state_dict(),
+            "history": history, "best": best, "best_epoch": best_epoch,
+        }  # fmt: skip
+        _replace(run_folder / CHECKPOINT, lambda part, c=checkpoint: torch.save(c, part))
+        text = json.dumps({"settings": json.loads(identity), "history": history}, indent=1)
+        _replace(run_folder / HISTORY, lambda part, text=text: part.write_text(text, encoding="utf-8"))
+
+    last = export(network, scale, config, CLASSES, {})
+    network.load_state_dict(best)
+    return TrainResult(last, export(network, scale, config, CLASSES, {}), best_epoch, history)
+
+
+def _batches(
+    config: TNTConfig, windows: Windows, settings: TrainSettings, epoch: int
+) -> Iterator[tuple[Windows, Draws | None]]:
+    rng = np.random.default_rng((settings.seed, epoch))
+    order = rng.permutation(len(windows))
+    for first in range(0, len(order), settings.batch):
+        some = windows[order[first : first + settings.batch]]
+        augmentation = settings.augmentation
+        yield some, None if augmentation is None else augmentation.draw(len(some), config, rng)
+
+
+def _validate(network: nn.Module, config: TNTConfig, windows: Windows, scale: np.ndarray) -> dict[str, float]:
+    if len(windows) == 0:
+        return {}
+    probabilities = class_probabilities(network, config, windows, scale=scale)
+    per_window = float((probabilities.argmax(1) == windows.labels).mean())
+    log_likelihood = np.log(probabilities[np.arange(len(windows)), windows.labels] + 1e-12)
+    return {
+        "per_window": per_window,
+        "per_recording": accuracy_by_recording(probabilities, windows)[0],
+        "validation_loss": -float(log_likelihood.mean()),
+    }
+
+
+def _optimizer(network: nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
+    weights = [w for w in network.parameters() if w.ndim > 1]
+    biases = [w for w in network.parameters() if w.ndim == 1]
+    groups = [{"params": weights}, {"params": biases, "weight_decay": 0.0}]
+    return torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
+
+
+def _set_rate(optimizer: torch.optim.Optimizer, settings: TrainSettings, step: int, n_steps: int) -> None:
+    warm = max(1, n_steps // 20)
+    if step < warm:
+        share = (step + 1) / warm
+    else:
+        share = 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, n_steps - warm)))
+    for group in optimizer.param_groups:
+        group["lr"] = settings.learning_rate * share
+
+
+def _identity(config: TNTConfig, settings: TrainSettings, training: Windows, validation: Windows) -> str:
+    """All that decides the weights, as JSON: a checkpoint goes on only where it is the same."""
+    data = zlib.crc32(training.recordings.offsets.tobytes())
+    for windows in (training, validation):
+        for column in (windows.recording, windows.start_us, windows.labels):
+            data = zlib.crc32(column.tobytes(), data)
+    for name in "txyp":
+        data = zlib.crc32(np.ascontiguousarray(getattr(training.recordings, name)[::997]).tobytes(), data)
+    return json.dumps(
+        {
+            "config": config.to_dict(),
+            "settings": asdict(settings),
+            "training_windows": len(training),
+            "validation_windows": len(validation),
+            "data": data,
+        }
+    )
+
+
+def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
+    if not path.exists():
+        return None
+    try:
+        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+        found = json.loads(state["identity"])
+    except Exception as error:  # a damaged archive surfaces as any of a dozen types
+        raise ValueError(f"{path} is not a readable checkpoint ({error}); remove it to start anew") from error
+    wanted = json.loads(identity)
+    differ = sorted(
+        name
+        for part in ("config", "settings")
+        for name in {**found[part], **wanted[part]}
+        if found[part].get(name) != wanted[part].get(name)
+    )
+    differ += [name for name in ("training_windows", "validation_windows", "data") if found[name] != wanted[name]]
+    if differ:
+        raise ValueError(
+            f"{path.parent} holds a run with other {', '.join(differ)}; "
+            "give another run folder, or remove this one to start anew"
+        )
+    return state
+
+
+def _replace(path: Path, write: Any) -> None:
+    """Write beside, then replace at once: a kill leaves the old file or the new one."""
+    part = path.with_name(path.name + ".part")
+    write(part)
+    part.replace(path)

@@ -1,0 +1,72 @@
+"""Compile every kernel before a stream opens."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+
+import numpy as np
+
+from .classifier import CompiledClassifier
+from .config import TNTConfig
+from .events import EVENT_DTYPE
+from .model import Model
+from .processor import Processor
+
+
+def warmup(model: Model | TNTConfig | None = None) -> float:
+    """Compile everything that a stream may call, or load it from Numba's cache.
+
+    The first time on a machine this takes some seconds, later a fraction of one. After it, no event waits for
+    the compiler. On a terminal it says so when it takes longer than a second.
+
+    Parameters
+    ----------
+    model : also run this model's network (or make a volume of this configuration) once.
+
+    Returns
+    -------
+    float : seconds it took.
+    """
+    started = time.perf_counter()
+    notice = threading.Timer(1.0, _say)
+    notice.daemon = True
+    notice.start()
+    try:
+        events = np.zeros(2, EVENT_DTYPE)
+        events["t"] = [0, 3]
+        for landmark in ("running", "window"):
+            config = TNTConfig(sensor=(8, 8), grid=(8, 8), window_us=10, landmark=landmark)
+            weights = _made_weights(config)
+            for late in ("accept", "drop"):
+                processor = Processor(config, classifier=CompiledClassifier(Model(config, weights, ("a",))), late=late)
+                processor.push(events)
+                processor.push(tuple(events[name].copy() for name in ("t", "x", "y", "p")))
+                processor.push_one(4, 1, 1, 1)
+                processor.fire()
+        if isinstance(model, Model):
+            Processor(model).fire()
+        elif isinstance(model, TNTConfig):
+            Processor(model, classifier=lambda volume: [0.0]).fire()
+    finally:
+        notice.cancel()
+    return time.perf_counter() - started
+
+
+def _say() -> None:
+    if sys.stderr.isatty():
+        print("async_tnt: compiling kernels, once on this machine (about 15 s) ...", file=sys.stderr, flush=True)
+
+
+def _made_weights(config: TNTConfig) -> dict[str, np.ndarray]:
+    channels, height, width = config.shape
+    shapes = {
+        "conv1": (1, channels, 3, 3),
+        "conv2": (1, 1, 3, 3),
+        "fc1": (1, (height // 4) * (width // 4)),
+        "fc2": (1, 1),
+    }
+    weights = {f"{layer}.weight": np.zeros(shape, np.float32) for layer, shape in shapes.items()}
+    biases = {f"{layer}.bias": np.zeros(shape[0], np.float32) for layer, shape in shapes.items()}
+    return weights | biases
