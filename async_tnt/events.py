@@ -29,7 +29,10 @@ FORMS = (
 
 
 class Columns(NamedTuple):
-    """Checked events: contiguous, of equal length. May be views of scratch memory: use before the next call."""
+    """Checked events in contiguous columns, of which the first `n` places count.
+
+    They may be scratch memory of the door: valid until its next call.
+    """
 
     t: np.ndarray
     """int64, microseconds, in [0, 2**62)."""
@@ -39,9 +42,17 @@ class Columns(NamedTuple):
     """uint16, in [0, sensor height)."""
     p: np.ndarray
     """uint8, 0 or 1."""
+    n: int
+    """How many events."""
 
 
-NO_EVENTS = Columns(np.empty(0, np.int64), np.empty(0, np.uint16), np.empty(0, np.uint16), np.empty(0, np.uint8))
+def empty_columns(n: int) -> Columns:
+    """Room for n events, none in it yet."""
+    return Columns(np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8), 0)
+
+
+NO_EVENTS = empty_columns(0)
+_DTYPES = tuple(column.dtype for column in NO_EVENTS[:4])
 
 
 class EventDoor:
@@ -80,60 +91,69 @@ class EventDoor:
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event.
             Nothing is taken over from such a packet.
         """
-        columns = self._load(events) if isinstance(events, np.ndarray) else None
+        if isinstance(events, np.ndarray):
+            columns = self._load(events)
+        else:
+            columns = self._pass(events) if type(events) is tuple else None
         if columns is None:
-            columns = self._convert(events)
-        if self.late != "accept" and columns.t.size:
+            named = named_columns(events)
+            columns = NO_EVENTS if named is None else checked_columns(*named, self.sensor)
+        if self.late != "accept" and columns.n:
             columns = self._apply_policy(columns)
         return columns
 
     def _load(self, events: np.ndarray) -> Columns | None:
-        """The fast way in, for packed records of whole numbers; None where only `_convert` can tell."""
+        """The fast way in for packed records of whole numbers; None where only a closer look can tell."""
         if events.dtype is not self._dtype:
             self._dtype = events.dtype
             self._layout = _record_layout(events.dtype)
         if self._layout is None or events.ndim != 1 or not events.flags.c_contiguous:
             return None
-        n = events.size
-        if n > self._scratch.t.size:
-            self._scratch = _empty_columns(max(1024, 2 * n))
-        t, x, y, p = self._scratch
-        width, height = self.sensor
+        n = len(events)
         if n == 0:
             return NO_EVENTS
+        if n > len(self._scratch.t):
+            self._scratch = empty_columns(max(1024, 2 * n))
+        t, x, y, p, _ = self._scratch
+        width, height = self.sensor
         raw = np.frombuffer(events, np.uint8)
         raw.flags.writeable = False  # whatever the caller's array is: one compiled version
         if load_records(raw, self._layout, n, width, height, t, x, y, p) != FINE:
             return None
-        return Columns(t[:n], x[:n], y[:n], p[:n])
+        return Columns(t, x, y, p, n)
 
-    def _convert(self, events: Any) -> Columns:
-        columns = named_columns(events)
-        if columns is None:
-            return NO_EVENTS
-        t, x, y, p = columns
-        if (
-            t.dtype == np.int64 and x.dtype == y.dtype == np.uint16 and p.dtype == np.uint8
-            and all(c.flags.c_contiguous and c.flags.aligned and c.flags.writeable for c in columns)
-            and t.ndim == x.ndim == y.ndim == p.ndim == 1 and t.size == x.size == y.size == p.size
-            and check_columns(t, x, y, p, *self.sensor) == FINE
-        ):  # fmt: skip
-            return Columns(t, x, y, p)
-        return checked_columns(t, x, y, p, self.sensor)
+    def _pass(self, events: tuple[Any, ...]) -> Columns | None:
+        """The fast way in for columns that have the right form already: used as they are, uncopied."""
+        if len(events) != 4:
+            return None
+        for column, dtype in zip(events, _DTYPES, strict=True):
+            if type(column) is not np.ndarray or column.dtype is not dtype or not column.flags.carray:
+                return None
+        t, x, y, p = events
+        shape = t.shape
+        if len(shape) != 1 or x.shape != shape or y.shape != shape or p.shape != shape:
+            return None
+        if check_columns(t, x, y, p, *self.sensor) != FINE:
+            return None
+        return Columns(t, x, y, p, shape[0])
 
     def _apply_policy(self, columns: Columns) -> Columns:
-        late = np.empty(columns.t.size, np.bool_)
-        n_late, newest_us = find_late(columns.t, self.newest_us, late)
+        t = columns.t[: columns.n]
+        late = np.empty(t.size, np.bool_)
+        n_late, newest_us = find_late(t, self.newest_us, late)
         if n_late and self.late == "raise":
             i = int(np.argmax(late))
-            newest = max(self.newest_us, int(columns.t[:i].max(initial=-1)))
+            newest = max(self.newest_us, int(t[:i].max(initial=-1)))
             raise ValueError(
-                f"`t` must not run backwards (late=\"raise\"), got {columns.t[i]} after {newest} at event {i}; "
+                f"`t` must not run backwards (late=\"raise\"), got {t[i]} after {newest} at event {i}; "
                 'late="accept" takes such events, late="drop" drops and counts them'
             )
         self.newest_us = newest_us
         self.n_dropped += n_late
-        return Columns(*(c[~late] for c in columns)) if n_late else columns
+        if not n_late:
+            return columns
+        kept = [column[: columns.n][~late] for column in columns[:4]]
+        return Columns(*kept, t.size - n_late)
 
 
 def named_columns(events: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
@@ -203,6 +223,7 @@ def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> 
         np.ascontiguousarray(columns["x"], np.uint16),
         np.ascontiguousarray(columns["y"], np.uint16),
         np.ascontiguousarray(polarity == 1, np.uint8),
+        columns["t"].size,
     )
 
 
@@ -210,8 +231,8 @@ def as_events(events: Any, sensor: tuple[int, int]) -> np.ndarray:
     """Any accepted form of events as a new structured array of `EVENT_DTYPE`, checked."""
     named = named_columns(events)
     columns = NO_EVENTS if named is None else checked_columns(*named, sensor)
-    packed = np.empty(columns.t.size, EVENT_DTYPE)
-    for field, column in zip(NAMES, columns, strict=True):
+    packed = np.empty(columns.n, EVENT_DTYPE)
+    for field, column in zip(NAMES, columns[:4], strict=True):
         packed[field] = column
     return packed
 
@@ -275,7 +296,3 @@ def _record_layout(dtype: np.dtype) -> np.ndarray | None:
             return None
         layout += [offset, kind]
     return np.array([*layout, dtype.itemsize], np.int64)
-
-
-def _empty_columns(n: int) -> Columns:
-    return Columns(np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8))

@@ -14,7 +14,7 @@ from .config import TNTConfig
 from .events import Columns, EventDoor
 from .kernels.network import softmax
 from .model import Model
-from .volume import Counts, TNTVolume
+from .volume import UNOPENED, Counts, TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
 NEVER = 1 << 62
@@ -119,8 +119,9 @@ class Processor:
         self._door = EventDoor(self.config.sensor, late)
         n_volumes = -(-window_us // self._hop_us)
         self._volumes = [TNTVolume(self.config, replay_events=replay_events) for _ in range(n_volumes)]
-        # One event by itself may go straight to the volume where nothing else has to be looked after.
-        self._direct = n_volumes == 1 and every_events is None and late == "accept"
+        # One event by itself goes straight to the volume where nothing else has to be looked after.
+        direct = n_volumes == 1 and every_events is None and late == "accept"
+        self._add = self._volumes[0].add if direct else _add_nothing
         self.reset()
 
     def reset(self) -> None:
@@ -156,13 +157,13 @@ class Processor:
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
         """Take one event: microseconds, pixels, polarity 0/1 or -1/+1. Otherwise as `push`."""
-        if self._direct and self._open and self._open[0].add(t, x, y, p):
+        if self._add(t, x, y, p):
             return []
         return self._push(self._door(([t], [x], [y], [p])))
 
     def _push(self, columns: Columns) -> list[Decision]:
         decisions: list[Decision] = []
-        n = columns.t.size
+        n = columns.n
         if n and not self._open:
             self._open_windows(int(columns.t[0]))
         first = 0
@@ -259,6 +260,7 @@ class Processor:
             volume = self._open.popleft()
             if volume.n_events:
                 decisions.append(self._decide(volume, "end"))
+            volume.set_limit(UNOPENED)
             self._free.append(volume)
         return decisions
 
@@ -319,6 +321,10 @@ class Processor:
             received + dropped, total.kept, total.dropped_outside, total.dropped_tau_zero, late + dropped,
             total.dropped_unstored,
         )  # fmt: skip
+
+
+def _add_nothing(t: int, x: int, y: int, p: int) -> bool:
+    return False
 
 
 def _positive(name: str, value: int) -> int:

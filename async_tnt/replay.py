@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .events import Columns
+from .events import Columns, empty_columns
 from .kernels import state as S
 from .kernels.read import empty_volume, store_events
 from .kernels.update import absorb
@@ -30,7 +30,7 @@ class ReplayBuffer:
         if capacity < 1:
             raise ValueError(f"`replay_events` must be at least 1, got {capacity}")
         self.capacity = capacity
-        self._columns = _empty(min(FIRST_CAPACITY, capacity))
+        self._columns = empty_columns(min(FIRST_CAPACITY, capacity))
         self.reset()
 
     def reset(self) -> None:
@@ -45,7 +45,7 @@ class ReplayBuffer:
         """Take events up to the window's end; returns the first one not taken."""
         self._grow(self.n + last - first)
         before = self._counted(buffer) - self.n
-        first, self.n = store_events(buffer, *columns, first, last, *self._columns, self.n)
+        first, self.n = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self.n)
         self._fresh = False
         missing = self._counted(buffer) - self.n - before
         if missing:
@@ -72,7 +72,7 @@ class ReplayBuffer:
         if kept[S.N]:
             floats[S.FIXED_X] = kept[S.SUM_X] / kept[S.N]
             floats[S.FIXED_Y] = kept[S.SUM_Y] / kept[S.N]
-        absorb(buffer, *self._columns, 0, self.n)
+        absorb(buffer, *self._columns[:4], 0, self.n)
         for slot, value in kept.items():
             ints[slot] = value
         self._fresh = True
@@ -92,11 +92,7 @@ class ReplayBuffer:
     def _grow(self, n: int) -> None:
         n = min(n, self.capacity)
         if n > self._columns.t.size:
-            larger = _empty(min(self.capacity, max(n, 2 * self._columns.t.size)))
-            for old, new in zip(self._columns, larger, strict=True):
+            larger = empty_columns(min(self.capacity, max(n, 2 * self._columns.t.size)))
+            for old, new in zip(self._columns[:4], larger[:4], strict=True):
                 new[: self.n] = old[: self.n]
             self._columns = larger
-
-
-def _empty(n: int) -> Columns:
-    return Columns(np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8))

@@ -76,10 +76,10 @@ class TNTVolume:
         self._array = np.zeros(config.shape, np.float32)
         self._view = self._array.view()
         self._view.flags.writeable = False
-        self._checks_order = late != "accept"
         self._replay = None
         if config.transform == "tnt" and config.landmark == "window":
             self._replay = ReplayBuffer(replay_events)
+        self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
         self.reset()
 
     # -- events in ---------------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ class TNTVolume:
         ValueError, TypeError : the packet breaks a rule. Then none of it was added.
         """
         columns = self._door(events)
-        n = columns.t.size
+        n = columns.n
         first = self.take(columns, 0, n)
         closed = 0
         while first < n:
@@ -122,18 +122,23 @@ class TNTVolume:
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
         """Add one event: microseconds, pixels, polarity 0/1 or -1/+1. Returns and raises as `update`."""
-        if not self._checks_order and self.add(t, x, y, p):
-            return 0
+        try:
+            # `|` refuses floats; a NumPy scalar would make Numba compile for its type
+            if type(t | x | y | p) is int and self._is_plain and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED:
+                return 0
+        except (TypeError, OverflowError):
+            pass  # `update` says what is wrong
         return self.update(([t], [x], [y], [p]))
 
     def add(self, t: int, x: int, y: int, p: int) -> bool:
-        """The fast way in for one event of Python's own integers; False if it was not added, because only
-        `update` can tell what to do with it: wrong, of another type, or past the window's end."""
+        """`update_one` for a caller that lays the windows itself: False if the event was not added, because it
+        is wrong, of another type than Python's integers, or not before the limit."""
         try:
-            # `|` refuses floats; a NumPy scalar would make Numba compile for its type
-            if type(t | x | y | p) is not int or self._replay is not None:
-                return False
-            return absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED
+            return (
+                type(t | x | y | p) is int
+                and self._is_plain
+                and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED
+            )
         except (TypeError, OverflowError):
             return False
 
@@ -141,7 +146,7 @@ class TNTVolume:
         """Add checked events `first <= i < last` up to the limit (the window's end); returns the first not added."""
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
-        return absorb(self._buffer, *columns, first, last)
+        return absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)
 
     def _open_next(self, t_us: int) -> int:
         """Open the window on the grid that holds `t_us`, which lies at or after the open window's end."""

@@ -67,37 +67,49 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     int : FINE, or BAD if any number breaks its rule (who calls finds out which).
     """
     size = layout[8]
-    bad = 0
     offset, kind = layout[0], layout[1]
-    for i in range(n):
-        value = _load_kind(raw, i * size + offset, kind)
-        bad += (value < 0) | (value >= MAX_TIME_US)
-        t[i] = value
-    offset, kind = layout[2], layout[3]
-    for i in range(n):
-        value = _load_kind(raw, i * size + offset, kind)
-        bad += (value < 0) | (value >= sensor_w)
-        x[i] = value
-    offset, kind = layout[4], layout[5]
-    for i in range(n):
-        value = _load_kind(raw, i * size + offset, kind)
-        bad += (value < 0) | (value >= sensor_h)
-        y[i] = value
+    if kind == I64:  # the common kinds have loops of their own, without tests inside
+        for i in range(n):
+            t[i] = load(raw, i * size + offset, np.int64)
+    else:
+        for i in range(n):
+            t[i] = _load_kind(raw, i * size + offset, kind)
+    bad = _load_pixels(raw, layout[2], layout[3], size, n, sensor_w, x)
+    bad += _load_pixels(raw, layout[4], layout[5], size, n, sensor_h, y)
     offset, kind = layout[6], layout[7]
     zeros = 0
     minuses = 0
     for i in range(n):
-        value = _load_kind(raw, i * size + offset, kind)
+        value = _load_kind(raw, i * size + offset, kind) if kind != U8 else np.int64(raw[np.uint64(i * size + offset)])
         bad += (value < -1) | (value > 1)
         zeros += value == 0
         minuses += value < 0
         p[i] = value > 0
+    for i in range(n):
+        bad += (t[i] < 0) | (t[i] >= MAX_TIME_US)
     return BAD if bad > 0 or (zeros > 0 and minuses > 0) else FINE
 
 
 @compiled
+def _load_pixels(raw, offset, kind, size, n, end, column):
+    """One coordinate; returns how many lie outside [0, end)."""
+    bad = 0
+    if kind == U16 or kind == I16:  # end is at most 2**15: a negative int16 is too large as uint16
+        for i in range(n):
+            column[i] = load(raw, i * size + offset, np.uint16)
+        for i in range(n):
+            bad += column[i] >= end
+    else:
+        for i in range(n):
+            value = _load_kind(raw, i * size + offset, kind)
+            bad += (value < 0) | (value >= end)
+            column[i] = value
+    return bad
+
+
+@compiled
 def check_columns(t, x, y, p, sensor_w, sensor_h):
-    """FINE, or BAD if any number breaks its rule. Columns as `load_records` makes them."""
+    """FINE, or BAD if any number breaks its rule. Columns of equal length, as `load_records` makes them."""
     bad = 0
     for i in range(t.size):
         bad += (t[i] < 0) | (t[i] >= MAX_TIME_US)

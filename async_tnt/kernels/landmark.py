@@ -48,7 +48,7 @@ def displace_running(x, y, dt, n, sum_x, sum_y):
 
 
 @inlined
-def displace_line(floats, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
+def displace_line(buffer, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
     """From the running ridge line of x (and y) against window fraction f = dt / window_us; takes the event
     into the line's centred sums first.
 
@@ -61,7 +61,7 @@ def displace_line(floats, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
     Plain sums of x f would be simpler and lose nine digits to cancellation in a late burst. With
     `remove_flow` the event is displaced from the line itself: x - l_x - m_x f = (d_x - m_x d_f) / n.
     """
-    window_us = floats[S.WINDOW_US]
+    window_us = buffer[S.WINDOW_US]
     count = np.float64(n)
     sum_f = np.float64(sum_t) / window_us
     d_x = count * np.float64(x) - np.float64(sum_x)
@@ -69,11 +69,11 @@ def displace_line(floats, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
     d_f = (count * np.float64(dt) - np.float64(sum_t)) / window_us
     if n > 1:
         weight = d_f / (count * (count - 1.0))
-        floats[S.C_XF] += d_x * weight
-        floats[S.C_YF] += d_y * weight
-        floats[S.C_FF] += d_f * weight
-    slope_x = floats[S.C_XF] / (floats[S.C_FF] + 1.0)
-    slope_y = floats[S.C_YF] / (floats[S.C_FF] + 1.0)
+        buffer[S.C_XF] += d_x * weight
+        buffer[S.C_YF] += d_y * weight
+        buffer[S.C_FF] += d_f * weight
+    slope_x = buffer[S.C_XF] / (buffer[S.C_FF] + 1.0)
+    slope_y = buffer[S.C_YF] / (buffer[S.C_FF] + 1.0)
     if remove_flow:
         return (d_x - slope_x * d_f) / count, (d_y - slope_y * d_f) / count, np.float64(dt)
     return (d_x + slope_x * sum_f) / count, (d_y + slope_y * sum_f) / count, np.float64(dt)

@@ -11,9 +11,10 @@ import numpy as np
 
 from . import state as S
 from .jit import inlined
+from .pair import add_pair
 
 Grid = namedtuple(
-    "Grid", "scale_x scale_y center_x center_y max_u max_v bin_scale sign_off sign_rise row plane off_shift"
+    "Grid", "scale_x scale_y center_x center_y max_u max_v bin_scale sign_off sign_on row plane off_shift"
 )
 Grid.__doc__ = """A volume's parameters in registers: read once a block, as no store can change them behind us."""
 
@@ -27,18 +28,18 @@ def on_grid(value, upper):
 
 
 @inlined
-def grid_of(floats, ints):
+def grid_of(buffer, ints):
     """The `Grid` of a volume's state."""
     return Grid(
-        floats[S.SCALE_X],
-        floats[S.SCALE_Y],
-        floats[S.CENTER_X],
-        floats[S.CENTER_Y],
-        floats[S.MAX_U],
-        floats[S.MAX_V],
-        floats[S.BIN_SCALE],
-        floats[S.SIGN_OFF],
-        floats[S.SIGN_ON] - floats[S.SIGN_OFF],
+        buffer[S.SCALE_X],
+        buffer[S.SCALE_Y],
+        buffer[S.CENTER_X],
+        buffer[S.CENTER_Y],
+        buffer[S.MAX_U],
+        buffer[S.MAX_V],
+        buffer[S.BIN_SCALE],
+        buffer[S.SIGN_OFF],
+        buffer[S.SIGN_ON],
         np.float64(ints[S.ROW]),
         np.float64(ints[S.PLANE]),
         np.float64(ints[S.OFF_SHIFT]),
@@ -53,15 +54,15 @@ def place_event(grid, dt, on, num_x, num_y, den):
     ----------
     grid : Grid.
     dt : float. Microseconds since the window's start, at least 0.
-    on : float. 1 for an ON event, 0 for an OFF event.
+    on : bool. Polarity.
     num_x, num_y, den : float. Displacement from the landmark, see `landmark`.
 
     Returns
     -------
-    corner : int. Flat index of the cell at (floor b, floor v, floor u).
+    corner : int. Index of the cell at (floor b, floor v, floor u) in the volume's buffer.
     y_frac, x_frac : float in [0, 1). Distance from the corner.
     early, later : float. What goes to bin floor b and to the next; they sum to the event's sign.
-    b_floor, v_floor : int32. First bin and row.
+    v_floor : float. First row.
     keep : bool. Whether the event is on the grid. If not, it weighs nothing at a legal place, so that
         adding it needs no branch.
     """
@@ -76,38 +77,33 @@ def place_event(grid, dt, on, num_x, num_y, den):
     u_floor = np.trunc(u)  # the floor of what is not negative (-1e-9 counts as 0)
     v_floor = np.trunc(v)
     b_floor = np.trunc(b)
-    sign = grid.sign_off + on * grid.sign_rise
+    sign = grid.sign_on if on else grid.sign_off
     sign = sign if keep else 0.0
+    shift = 0.0 if on else grid.off_shift
     later = sign * (b - b_floor)
     # one conversion: all are whole numbers below 2**31, exact in float64
-    corner = np.int32(b_floor * grid.plane + v_floor * grid.row + u_floor * 2.0 + (1.0 - on) * grid.off_shift)
-    return corner, v - v_floor, u - u_floor, sign - later, later, np.int32(b_floor), np.int32(v_floor), keep
+    corner = S.CELLS + np.int32(b_floor * grid.plane + v_floor * grid.row + u_floor * 2.0 + shift)
+    return corner, v - v_floor, u - u_floor, sign - later, later, v_floor, keep
 
 
 @inlined
-def add_event(cells, corner, row, y_frac, x_frac, early, later):
+def add_event(buffer, corner, row, y_frac, x_frac, early, later):
     """Add one placed event to the two times four numbers around its place.
 
     Parameters
     ----------
-    cells : float64, flat, laid out as in `state`. Updated in place.
+    buffer : float64, the volume's `state`. Updated in place.
     corner : uint64. Unsigned, for then Numba leaves out its test for a negative index; not checked here.
     row : uint64. Distance to the next row.
     y_frac, x_frac, early, later : as `place_event` returns them.
     """
-    one = np.uint64(1)
     two = np.uint64(2)
-    three = np.uint64(3)
     w11 = y_frac * x_frac
     w10 = y_frac - w11  # y_frac (1 - x_frac)
     w01 = x_frac - w11  # (1 - y_frac) x_frac
     w00 = 1.0 - x_frac - w10  # (1 - y_frac) (1 - x_frac)
-    cells[corner] += early * w00
-    cells[corner + one] += later * w00
-    cells[corner + two] += early * w01
-    cells[corner + three] += later * w01
+    add_pair(buffer, corner, early, later, w00)
+    add_pair(buffer, corner + two, early, later, w01)
     corner += row
-    cells[corner] += early * w10
-    cells[corner + one] += later * w10
-    cells[corner + two] += early * w11
-    cells[corner + three] += later * w11
+    add_pair(buffer, corner, early, later, w10)
+    add_pair(buffer, corner + two, early, later, w11)

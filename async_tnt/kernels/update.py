@@ -32,23 +32,21 @@ def absorb(buffer, t, x, y, p, first, last):
     -------
     int : the first event not absorbed.
     """
-    floats = buffer[: S.N_FLOATS]
     ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
-    cells = buffer[S.CELLS :]
     while first < last:
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]
-        if _all_in_window(ints, block_t, m):
-            _displace(floats, ints, block_t, x[first : first + m], y[first : first + m], m)
-            _place(floats, ints, block_t, p[first : first + m], m)
-            _splat(floats, ints, cells, m)
+        if _all_in_window(buffer, ints, block_t, m):
+            _displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
+            _place(buffer, ints, block_t, p[first : first + m], m)
+            _splat(buffer, ints, m)
             first += m
         else:  # late events, or the limit: one by one
             end = first + m
             while first < end:
                 if t[first] >= ints[S.LIMIT_US]:
                     return first
-                _absorb_event(floats, ints, cells, t[first], np.int64(x[first]), np.int64(y[first]), p[first])
+                _absorb_event(buffer, ints, t[first], np.int64(x[first]), np.int64(y[first]), p[first])
                 first += 1
     return first
 
@@ -61,12 +59,12 @@ def absorb_one(buffer, t, x, y, p):
         return OFF_SENSOR
     if t >= ints[S.LIMIT_US]:
         return AT_LIMIT
-    _absorb_event(buffer[: S.N_FLOATS], ints, buffer[S.CELLS :], t, x, y, p)
+    _absorb_event(buffer, ints, t, x, y, p)
     return ABSORBED
 
 
 @compiled
-def _absorb_event(floats, ints, cells, t, x, y, p):
+def _absorb_event(buffer, ints, t, x, y, p):
     """Add one event before LIMIT_US."""
     ints[S.RECEIVED] += 1
     dt = t - ints[S.START_US]
@@ -81,49 +79,55 @@ def _absorb_event(floats, ints, cells, t, x, y, p):
     if mode == S.MODE_RUNNING:
         num_x, num_y, den = displace_running(x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y])
     elif mode == S.MODE_FIXED:
-        num_x, num_y, den = displace_fixed(x, y, dt, floats[S.FIXED_X], floats[S.FIXED_Y])
+        num_x, num_y, den = displace_fixed(x, y, dt, buffer[S.FIXED_X], buffer[S.FIXED_Y])
     elif mode == S.MODE_RAW:
         num_x, num_y, den = displace_raw(x, y)
     else:
         ints[S.SUM_T] += dt
         remove_flow = mode == S.MODE_LINE_FLOW_REMOVED
         num_x, num_y, den = displace_line(
-            floats, x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y], ints[S.SUM_T], remove_flow
+            buffer, x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y], ints[S.SUM_T], remove_flow
         )
-    on = 1.0 if p > 0 else 0.0
-    corner, y_frac, x_frac, early, later, bin_floor, row_floor, keep = place_event(
-        grid_of(floats, ints), np.float64(dt), on, num_x, num_y, den
+    grid = grid_of(buffer, ints)
+    corner, y_frac, x_frac, early, later, row_floor, keep = place_event(
+        grid, np.float64(dt), p > 0, num_x, num_y, den
     )
     ints[S.KEPT] += keep
     ints[S.TAU_ZERO] += den == 0.0
-    _mark(ints, bin_floor, bin_floor, row_floor, row_floor)
-    add_event(cells, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, early, later)
+    _mark_bins(ints, grid, dt, dt)
+    _mark_rows(ints, row_floor, row_floor)
+    add_event(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, early, later)
 
 
 @compiled
-def _all_in_window(ints, t, m):
+def _all_in_window(buffer, ints, t, m):
     """Whether a block lies in the open window and before the limit; if so, takes note of it."""
     oldest_us = t[0]
     newest_us = t[0]
     for i in range(m):
         oldest_us = min(oldest_us, t[i])
         newest_us = max(newest_us, t[i])
-    if (oldest_us < ints[S.START_US]) | (newest_us >= ints[S.LIMIT_US]):
+    start_us = ints[S.START_US]
+    if (oldest_us < start_us) | (newest_us >= ints[S.LIMIT_US]):
         return False
     ints[S.RECEIVED] += m
     ints[S.N] += m
     ints[S.NEWEST_US] = max(ints[S.NEWEST_US], newest_us)
+    _mark_bins(ints, grid_of(buffer, ints), oldest_us - start_us, newest_us - start_us)
+    if (oldest_us == start_us) & (ints[S.MODE] != S.MODE_RAW):
+        for i in range(m):
+            ints[S.TAU_ZERO] += t[i] == start_us
     return True
 
 
 @compiled
-def _displace(floats, ints, t, x, y, m):
+def _displace(buffer, ints, t, x, y, m):
     """The displacement of each event from its landmark (see `landmark`) into NUM_X, NUM_Y, DEN."""
     sums_x = ints[S.PREFIX_X : S.PREFIX_X + S.BLOCK]
     sums_y = ints[S.PREFIX_Y : S.PREFIX_Y + S.BLOCK]
-    num_x = floats[S.NUM_X : S.NUM_X + S.BLOCK]
-    num_y = floats[S.NUM_Y : S.NUM_Y + S.BLOCK]
-    den = floats[S.DEN : S.DEN + S.BLOCK]
+    num_x = buffer[S.NUM_X : S.NUM_X + S.BLOCK]
+    num_y = buffer[S.NUM_Y : S.NUM_Y + S.BLOCK]
+    den = buffer[S.DEN : S.DEN + S.BLOCK]
     mode = ints[S.MODE]
     start_us = ints[S.START_US]
     n = ints[S.N] - m  # events before this block
@@ -138,7 +142,7 @@ def _displace(floats, ints, t, x, y, m):
             sum_y += y[i]
             sum_t += dt
             num_x[i], num_y[i], den[i] = displace_line(
-                floats, x[i], y[i], dt, n + i + 1, sum_x, sum_y, sum_t, remove_flow
+                buffer, x[i], y[i], dt, n + i + 1, sum_x, sum_y, sum_t, remove_flow
             )
         ints[S.SUM_T] = sum_t
     else:
@@ -153,8 +157,8 @@ def _displace(floats, ints, t, x, y, m):
                 x[i], y[i], t[i] - start_us, n + i + 1, sums_x[i], sums_y[i]
             )
     elif mode == S.MODE_FIXED:
-        fixed_x = floats[S.FIXED_X]
-        fixed_y = floats[S.FIXED_Y]
+        fixed_x = buffer[S.FIXED_X]
+        fixed_y = buffer[S.FIXED_Y]
         for i in range(m):
             num_x[i], num_y[i], den[i] = displace_fixed(x[i], y[i], t[i] - start_us, fixed_x, fixed_y)
     elif mode == S.MODE_RAW:
@@ -165,57 +169,55 @@ def _displace(floats, ints, t, x, y, m):
 
 
 @compiled
-def _place(floats, ints, t, p, m):
+def _place(buffer, ints, t, p, m):
     """Each event's place and weight (see `splat`) into CORNER, Y_FRAC, X_FRAC, EARLY, LATER."""
-    num_x = floats[S.NUM_X : S.NUM_X + S.BLOCK]
-    num_y = floats[S.NUM_Y : S.NUM_Y + S.BLOCK]
-    den = floats[S.DEN : S.DEN + S.BLOCK]
-    y_fracs = floats[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
-    x_fracs = floats[S.X_FRAC : S.X_FRAC + S.BLOCK]
-    earlies = floats[S.EARLY : S.EARLY + S.BLOCK]
-    laters = floats[S.LATER : S.LATER + S.BLOCK]
+    num_x = buffer[S.NUM_X : S.NUM_X + S.BLOCK]
+    num_y = buffer[S.NUM_Y : S.NUM_Y + S.BLOCK]
+    den = buffer[S.DEN : S.DEN + S.BLOCK]
+    y_fracs = buffer[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
+    x_fracs = buffer[S.X_FRAC : S.X_FRAC + S.BLOCK]
+    earlies = buffer[S.EARLY : S.EARLY + S.BLOCK]
+    laters = buffer[S.LATER : S.LATER + S.BLOCK]
     corners = ints[S.CORNER : S.CORNER + S.BLOCK]
     start_us = ints[S.START_US]
-    grid = grid_of(floats, ints)
+    grid = grid_of(buffer, ints)
     n_kept = 0
-    n_tau_zero = 0
-    bin_lo = np.int32(S.FAR)
-    bin_hi = np.int32(-1)
     row_lo = np.int32(S.FAR)
     row_hi = np.int32(-1)
     for i in range(m):
         dt = np.float64(t[i] - start_us)
-        corners[i], y_fracs[i], x_fracs[i], earlies[i], laters[i], bin_floor, row_floor, keep = place_event(
-            grid, dt, np.float64(p[i]), num_x[i], num_y[i], den[i]
+        corners[i], y_fracs[i], x_fracs[i], earlies[i], laters[i], row_floor, keep = place_event(
+            grid, dt, p[i] > 0, num_x[i], num_y[i], den[i]
         )
         n_kept += keep
-        n_tau_zero += den[i] == 0.0
-        bin_lo = min(bin_lo, bin_floor)
-        bin_hi = max(bin_hi, bin_floor)
-        row_lo = min(row_lo, row_floor)
-        row_hi = max(row_hi, row_floor)
+        row_lo = min(row_lo, np.int32(row_floor))
+        row_hi = max(row_hi, np.int32(row_floor))
     ints[S.KEPT] += n_kept
-    ints[S.TAU_ZERO] += n_tau_zero
-    _mark(ints, bin_lo, bin_hi, row_lo, row_hi)
+    _mark_rows(ints, row_lo, row_hi)
 
 
 @compiled
-def _splat(floats, ints, cells, m):
+def _splat(buffer, ints, m):
     """Add the placed events to the cells, in the order of their arrival."""
     corners = ints[S.CORNER : S.CORNER + S.BLOCK]
-    y_fracs = floats[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
-    x_fracs = floats[S.X_FRAC : S.X_FRAC + S.BLOCK]
-    early = floats[S.EARLY : S.EARLY + S.BLOCK]
-    later = floats[S.LATER : S.LATER + S.BLOCK]
+    y_fracs = buffer[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
+    x_fracs = buffer[S.X_FRAC : S.X_FRAC + S.BLOCK]
+    early = buffer[S.EARLY : S.EARLY + S.BLOCK]
+    later = buffer[S.LATER : S.LATER + S.BLOCK]
     row = np.uint64(ints[S.ROW])
     for i in range(m):
-        add_event(cells, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], early[i], later[i])
+        add_event(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], early[i], later[i])
 
 
 @inlined
-def _mark(ints, bin_lo, bin_hi, row_lo, row_hi):
-    """Note which intervals and rows changed, for the next read."""
-    ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(bin_lo))
-    ints[S.BIN_HI] = max(ints[S.BIN_HI], np.int64(bin_hi))
+def _mark_bins(ints, grid, oldest_dt, newest_dt):
+    """Note which intervals events between two times may change, for the next read."""
+    ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(np.float64(oldest_dt) * grid.bin_scale))
+    ints[S.BIN_HI] = max(ints[S.BIN_HI], np.int64(np.float64(newest_dt) * grid.bin_scale))
+
+
+@inlined
+def _mark_rows(ints, row_lo, row_hi):
+    """Note which rows change."""
     ints[S.ROW_LO] = min(ints[S.ROW_LO], np.int64(row_lo))
     ints[S.ROW_HI] = max(ints[S.ROW_HI], np.int64(row_hi))

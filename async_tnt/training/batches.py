@@ -9,7 +9,6 @@ import numpy as np
 from numba import njit
 
 from async_tnt.config import TNTConfig
-from async_tnt.events import Columns
 from async_tnt.kernels import state as S
 from async_tnt.kernels.read import copy_cells, empty_volume
 from async_tnt.kernels.update import absorb
@@ -51,8 +50,9 @@ class BatchVolumes:
         recordings = windows.recordings
         first, last = recordings.offsets[windows.recording], recordings.offsets[windows.recording + 1]
         longest = int((last - first).max(initial=0))
-        if longest > self._scratch.t.size:
+        if longest > self._scratch[0].size:
             self._scratch = _empty_columns(2 * longest)
+        scratch = self._scratch
         if n > len(self._out):
             self._out = np.empty((n, *self.config.shape), np.float32)
         out = self._out[:n]
@@ -60,7 +60,7 @@ class BatchVolumes:
         limit_us = start_us + np.minimum(draws.until_us, self.config.window_us)
         about_mean = self.config.transform == "tnt" and self.config.landmark == "window"
         _window_volumes(
-            volume._buffer, *self._scratch,
+            volume._buffer, scratch[0], scratch[1], scratch[2], scratch[3],
             recordings.t, recordings.x, recordings.y, recordings.p, first, last, start_us, limit_us,
             draws.matrix, draws.keep, draws.seed, about_mean, self.config.bins, out,
         )  # fmt: skip
@@ -73,11 +73,12 @@ class BatchVolumes:
         return self._volumes[sensor]
 
 
-def _empty_columns(n: int) -> Columns:
-    return Columns(np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8))
+def _empty_columns(n: int) -> tuple[np.ndarray, ...]:
+    """t, x, y, p in the types that the kernels take."""
+    return np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")  # not cached: Numba would serve it stale after a change in the kernels it calls
 def _window_volumes(
     buffer, scratch_t, scratch_x, scratch_y, scratch_p,
     t, x, y, p, first, last, start_us, limit_us, matrix, keep, seed, about_mean, n_bins, out,
@@ -100,8 +101,8 @@ def _window_volumes(
     ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
     for i in range(out.shape[0]):
         n = _take_events(
-            scratch_t, scratch_x, scratch_y, scratch_p, t, x, y, p, first[i], last[i], start_us[i], limit_us[i],
-            matrix[i], keep[i], seed[i], ints[S.SENSOR_W], ints[S.SENSOR_H],
+            scratch_t, scratch_x, scratch_y, scratch_p, t, x, y, p,
+            first[i], last[i], start_us[i], limit_us[i], matrix[i], keep[i], seed[i], ints[S.SENSOR_W], ints[S.SENSOR_H],
         )  # fmt: skip
         empty_volume(buffer, start_us[i], limit_us[i], n_bins, out.shape[2])
         if about_mean and n > 0:
@@ -140,9 +141,9 @@ def _take_events(
 
 @njit(cache=True, error_model="numpy")
 def _uniform(seed, i):
-    """A number in [0, 1) that belongs to (seed, i): the i-th of the generator SplitMix64 (Steele et al. 2014).
+    """A number in [0, 1) that belongs to (seed, i): the i-th of the generator SplitMix64.
 
-    Any order of the events, and any number of them, gives each the same number.
+    Steele, Lea, Flood 2014, Fast Splittable Pseudorandom Number Generators, with their constants. Any order of the events, and any number of them, gives each the same number.
     """
     z = seed + np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

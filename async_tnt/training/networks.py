@@ -42,7 +42,11 @@ def channel_scale(config: TNTConfig, windows: Windows, n: int = 512) -> np.ndarr
 
 
 def export(
-    network: Classifier, scale: np.ndarray, config: TNTConfig, classes: tuple[str, ...], record: Mapping[str, Any]
+    network: Classifier,
+    scale: np.ndarray,
+    config: TNTConfig,
+    classes: tuple[str, ...],
+    record: Mapping[str, Any],
 ) -> Model:
     """The finished model: the first convolution absorbs the input's scale, so that it takes raw volumes.
 
@@ -55,7 +59,7 @@ def export(
 
 def network_of(model: Model) -> Classifier:
     """A model's network in torch. It takes raw volumes."""
-    widths = tuple(len(model.weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
-    network = Classifier(model.config.channels, model.config.grid, len(model.classes), widths)
+    f1, f2, f3 = (len(model.weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
+    network = Classifier(model.config.channels, model.config.grid, len(model.classes), (f1, f2, f3))
     network.load_state_dict({name: torch.from_numpy(w.copy()) for name, w in model.weights.items()})
     return network.eval()

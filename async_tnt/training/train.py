@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -81,6 +81,7 @@ def train(
     run_folder: Path,
     *,
     progress: Progress = no_progress,
+    report: Callable[[dict[str, float]], None] = lambda row: None,
     device: str | None = None,
 ) -> TrainResult:
     """Train the thesis' classifier.
@@ -95,6 +96,7 @@ def train(
     validation : windows that choose the best epoch (the later of equals); may be empty: then it is the last.
     run_folder : for checkpoint and history; made if missing.
     progress : shows each epoch's steps.
+    report : called with the history's new row after each epoch, when its checkpoint is written.
     device : of torch; a GPU where torch sees one, else the CPU.
 
     Raises
@@ -107,7 +109,7 @@ def train(
     run_folder.mkdir(parents=True, exist_ok=True)
     scale = channel_scale(config, training)
     network = new_network(config, len(CLASSES), settings.seed).to(device)
-    network = network.to(memory_format=torch.channels_last)
+    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a third faster
     optimizer = _optimizer(network, settings)
     identity = _identity(config, settings, training, validation)
     state = _load_checkpoint(run_folder / CHECKPOINT, identity)
@@ -151,6 +153,7 @@ def train(
         _replace(run_folder / CHECKPOINT, lambda part, c=checkpoint: torch.save(c, part))
         text = json.dumps({"settings": json.loads(identity), "history": history}, indent=1)
         _replace(run_folder / HISTORY, lambda part, text=text: part.write_text(text, encoding="utf-8"))
+        report(row)
 
     last = export(network, scale, config, CLASSES, {})
     network.load_state_dict(best)
@@ -184,7 +187,7 @@ def _validate(network: nn.Module, config: TNTConfig, windows: Windows, scale: np
 def _optimizer(network: nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
     weights = [w for w in network.parameters() if w.ndim > 1]
     biases = [w for w in network.parameters() if w.ndim == 1]
-    groups = [{"params": weights}, {"params": biases, "weight_decay": 0.0}]
+    groups: list[dict[str, Any]] = [{"params": weights}, {"params": biases, "weight_decay": 0.0}]
     return torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
 
 
@@ -224,7 +227,8 @@ def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
         found = json.loads(state["identity"])
     except Exception as error:  # a damaged archive surfaces as any of a dozen types
-        raise ValueError(f"{path} is not a readable checkpoint ({error}); remove it to start anew") from error
+        kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
+        raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start anew") from error
     wanted = json.loads(identity)
     differ = sorted(
         name
@@ -232,7 +236,9 @@ def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
         for name in {**found[part], **wanted[part]}
         if found[part].get(name) != wanted[part].get(name)
     )
-    differ += [name for name in ("training_windows", "validation_windows", "data") if found[name] != wanted[name]]
+    differ += [
+        name for name in ("training_windows", "validation_windows", "data") if found[name] != wanted[name]
+    ]
     if differ:
         raise ValueError(
             f"{path.parent} holds a run with other {', '.join(differ)}; "

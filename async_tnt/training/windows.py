@@ -20,6 +20,7 @@ import numpy as np
 from async_tnt.recordings import read_nmnist
 
 CLASSES = tuple("0123456789")
+COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
 DURATION_US = 315_000
 """Three saccades of 105 ms; the few later events of an N-MNIST recording are left out."""
 
@@ -57,7 +58,10 @@ class Recordings:
 
     def __add__(self, other: Recordings) -> Recordings:
         return Recordings(
-            *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in "txyp"),
+            np.concatenate([self.t, other.t]),
+            np.concatenate([self.x, other.x]),
+            np.concatenate([self.y, other.y]),
+            np.concatenate([self.p, other.p]),
             np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]]),
             np.concatenate([self.labels, other.labels]),
             self.names + other.names,
@@ -65,7 +69,10 @@ class Recordings:
 
     @classmethod
     def from_events(
-        cls, events: Iterable[np.ndarray], labels: Sequence[int], names: Sequence[str] | None = None
+        cls,
+        events: Iterable[np.ndarray],
+        labels: Sequence[int] | np.ndarray,
+        names: Sequence[str] | None = None,
     ) -> Recordings:
         """From structured arrays with fields t, x, y, p.
 
@@ -73,30 +80,27 @@ class Recordings:
         ------
         ValueError : times decrease or do not fit 31 bits (36 minutes), or the lengths differ.
         """
-        columns: dict[str, list[np.ndarray]] = {name: [] for name in "txyp"}
         names = tuple(str(i) for i in range(len(labels))) if names is None else tuple(names)
-        sizes = []
+        if len(labels) != len(names):
+            raise ValueError(f"`labels` must have one per recording, got {len(labels)} for {len(names)}")
+        parts: dict[str, list[np.ndarray]] = {name: [np.empty(0, COLUMNS[name])] for name in COLUMNS}
+        sizes = [0]
         for name, recording in zip(names, events, strict=True):
             t = recording["t"]
             if len(t) and not (t[0] >= 0 and t[-1] < 1 << 31 and (np.diff(t) >= 0).all()):
-                raise ValueError(f"{name}: times must be in order and in [0, 2**31) us, got {t[0]} to {t[-1]}")
-            for field, dtype in (("t", np.int32), ("x", np.uint16), ("y", np.uint16), ("p", np.uint8)):
-                columns[field].append(recording[field].astype(dtype))
+                raise ValueError(
+                    f"{name}: times must be in order and in [0, 2**31) us, got {t[0]} to {t[-1]}"
+                )
+            for field, dtype in COLUMNS.items():
+                parts[field].append(recording[field].astype(dtype))
             sizes.append(len(t))
-        if len(labels) != len(sizes):
-            raise ValueError(f"`labels` must have one per recording, got {len(labels)} for {len(sizes)}")
-        empty = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
-        return cls(
-            *(np.concatenate([np.empty(0, empty[f]), *columns[f]]) for f in "txyp"),
-            np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]).astype(np.int64),
-            np.asarray(labels, np.int64),
-            names,
-        )
+        t, x, y, p = (np.concatenate(parts[field]) for field in COLUMNS)
+        return cls(t, x, y, p, np.cumsum(sizes, dtype=np.int64), np.asarray(labels, np.int64), names)
 
 
 @dataclass(frozen=True)
 class Windows:
-    """N windows on recordings: window i is recording `recording[i]` from `start_us[i]` on. Both int64, (N,)."""
+    """N windows on recordings: window i is recording `recording[i]` from `start_us[i]` on, both int64, (N,)."""
 
     recordings: Recordings
     recording: np.ndarray

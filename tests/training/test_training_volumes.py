@@ -41,7 +41,8 @@ def random_recordings(n=3, n_events=700, seed=0, sensor=SENSOR):
 def test_a_batch_equals_the_streamed_volumes(changes, first_event):
     config = TNTConfig(**changes)
     events = random_recordings(sensor=config.sensor)
-    windows = lay_windows(Recordings.from_events(events, [0, 1, 2]), config.window_us, first_event=first_event)
+    recordings = Recordings.from_events(events, [0, 1, 2])
+    windows = lay_windows(recordings, config.window_us, first_event=first_event)
     batch = BatchVolumes(config)(windows)
     assert batch.shape == (9, *config.shape)
     for k in range(len(windows)):
