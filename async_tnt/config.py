@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
+import operator
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from numbers import Real
 from typing import Any
 
 LANDMARKS = ("center", "running", "line", "window")
@@ -73,15 +74,14 @@ class TNTConfig:
             if not low <= value <= high:
                 raise ValueError(f"`{name}` must be in [{low}, {high}], got {value}")
             object.__setattr__(self, name, int(value))
-        try:
-            object.__setattr__(self, "t_max", float(self.t_max))
-        except (TypeError, ValueError):
-            raise TypeError(f"`t_max` must be a number, got {self.t_max!r}") from None
-        if not (math.isfinite(self.t_max) and 1e-6 <= self.t_max <= 1e6):
+        if not isinstance(self.t_max, Real) or isinstance(self.t_max, bool):
+            raise TypeError(f"`t_max` must be a number, got {self.t_max!r}")
+        if not 1e-6 <= self.t_max <= 1e6:
             raise ValueError(f"`t_max` must be in [1e-6, 1e6], got {self.t_max}")
+        object.__setattr__(self, "t_max", float(self.t_max))
         for name, allowed in (("landmark", LANDMARKS), ("polarity", POLARITIES), ("transform", TRANSFORMS)):
             value = getattr(self, name)
-            if value not in allowed:
+            if not isinstance(value, str) or value not in allowed:
                 raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {value!r}")
         if not isinstance(self.remove_flow, bool):
             raise TypeError(f"`remove_flow` must be True or False, got {self.remove_flow!r}")
@@ -111,8 +111,10 @@ class TNTConfig:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:
         """The inverse of `to_dict`; an unknown name is an error."""
+        if not isinstance(values, Mapping):
+            raise TypeError(f"a configuration must be a mapping of names to values, got {values!r}")
         known = {field.name for field in fields(cls)}
-        unknown = sorted(set(values) - known)
+        unknown = sorted(str(name) for name in set(values) - known)
         if unknown:
             raise ValueError(f"unknown configuration {', '.join(unknown)}; known: {', '.join(sorted(known))}")
         return cls(**{name: tuple(v) if isinstance(v, list) else v for name, v in values.items()})
@@ -123,4 +125,8 @@ class TNTConfig:
 
 
 def _is_int(value: Any) -> bool:
-    return hasattr(value, "__index__") and not isinstance(value, bool)
+    try:
+        operator.index(value)
+    except TypeError:
+        return False
+    return not isinstance(value, bool)

@@ -13,7 +13,7 @@ import numpy as np
 from .kernels.columns import FINE, KIND, MAX_TIME_US, check_columns, find_late, load_records
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
-"""How this package writes events: t in microseconds, x and y in pixels from the top left, p 1 = ON, 0 = OFF."""
+"""How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0 = OFF."""
 
 NAMES = {
     "t": ("t", "ts", "timestamp"),
@@ -22,10 +22,14 @@ NAMES = {
     "p": ("p", "on", "polarity", "pol"),
 }
 LATE_POLICIES = ("accept", "drop", "raise")
+MAX_DEPTH = 4  # an object's .numpy() may be events in another form, but not itself for ever
 FORMS = (
     "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
     "(t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
 )
+
+
+Four = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 class Columns(NamedTuple):
@@ -48,11 +52,12 @@ class Columns(NamedTuple):
 
 def empty_columns(n: int) -> Columns:
     """Room for n events, none in it yet."""
-    return Columns(np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8), 0)
+    t, x, y, p = (np.empty(n, dtype) for dtype in _DTYPES)
+    return Columns(t, x, y, p, 0)
 
 
+_DTYPES = tuple(map(np.dtype, (np.int64, np.uint16, np.uint16, np.uint8)))
 NO_EVENTS = empty_columns(0)
-_DTYPES = tuple(column.dtype for column in NO_EVENTS[:4])
 
 
 class EventDoor:
@@ -60,7 +65,7 @@ class EventDoor:
 
     Parameters
     ----------
-    sensor : (width, height) in pixels.
+    sensor : (width, height) in pixels, 2**15 at most.
     late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or `raise`.
     """
 
@@ -72,6 +77,7 @@ class EventDoor:
         self.reset()
         self._scratch = NO_EVENTS
         self._dtype: np.dtype | None = None
+        self._names: tuple[str, ...] | None = None
         self._layout: np.ndarray | None = None
 
     def reset(self) -> None:
@@ -104,9 +110,10 @@ class EventDoor:
 
     def _load(self, events: np.ndarray) -> Columns | None:
         """The fast way in for packed records of whole numbers; None where only a closer look can tell."""
-        if events.dtype is not self._dtype:
-            self._dtype = events.dtype
-            self._layout = _record_layout(events.dtype)
+        dtype = events.dtype
+        if dtype is not self._dtype or dtype.names is not self._names:  # fields can be renamed in place
+            self._dtype, self._names = dtype, dtype.names
+            self._layout = _record_layout(dtype)
         if self._layout is None or events.ndim != 1 or not events.flags.c_contiguous:
             return None
         n = len(events)
@@ -145,7 +152,7 @@ class EventDoor:
             i = int(np.argmax(late))
             newest = max(self.newest_us, int(t[:i].max(initial=-1)))
             raise ValueError(
-                f"`t` must not run backwards (late=\"raise\"), got {t[i]} after {newest} at event {i}; "
+                f'`t` must not run backwards (late="raise"), got {t[i]} after {newest} at event {i}; '
                 'late="accept" takes such events, late="drop" drops and counts them'
             )
         self.newest_us = newest_us
@@ -156,7 +163,7 @@ class EventDoor:
         return Columns(*kept, t.size - n_late)
 
 
-def named_columns(events: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+def named_columns(events: Any, depth: int = 0) -> Four | None:
     """The four columns of any accepted form, unchecked; None for no events.
 
     Raises
@@ -171,25 +178,31 @@ def named_columns(events: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
             if isinstance(events, np.ndarray) and events.size == 0:
                 return None
             raise TypeError(f"events must be {FORMS}; got a plain array of shape {np.shape(events)}")
-        picked = [_pick(field, names, "a structured array with fields " + ", ".join(names)) for field in NAMES]
-        t, x, y, p = (np.atleast_1d(events[name]) for name in picked)
+        what = f"a structured array with fields {', '.join(names)}"
+        t, x, y, p = (np.atleast_1d(events[_pick(field, names, what)]) for field in NAMES)
         return t, x, y, p
+    by_name = hasattr(events, "x") and hasattr(events, "y")
     if isinstance(events, (tuple, list)):
         if len(events) == 0:
             return None
         if len(events) != 4:
             raise ValueError(f"a tuple of events must hold four columns (t, x, y, p), got {len(events)}")
-        t, x, y, p = (_as_column(field, column) for field, column in zip(NAMES, events, strict=True))
-        return t, x, y, p
-    if hasattr(events, "polarity_events"):
-        return named_columns(events.polarity_events)
-    if hasattr(events, "x") and hasattr(events, "y"):
+        if not by_name:  # a named tuple says itself which is which
+            t, x, y, p = (_as_column(field, column) for field, column in zip(NAMES, events, strict=True))
+            return t, x, y, p
+    if depth < MAX_DEPTH and hasattr(events, "polarity_events"):
+        return named_columns(events.polarity_events, depth + 1)
+    if by_name:
         have = [name for names in NAMES.values() for name in names if hasattr(events, name)]
         what = f"a {type(events).__name__} with attributes {', '.join(have)}"
         t, x, y, p = (_as_column(field, getattr(events, _pick(field, have, what))) for field in NAMES)
         return t, x, y, p
-    if callable(getattr(events, "numpy", None)):
-        return named_columns(events.numpy())
+    if depth < MAX_DEPTH and callable(getattr(events, "numpy", None)):
+        try:
+            array = events.numpy()
+        except RuntimeError as error:  # torch: a tensor that requires grad
+            raise TypeError(f"{type(events).__name__}.numpy() failed: {error}") from error
+        return named_columns(array, depth + 1)
     raise TypeError(f"events must be {FORMS}; got {type(events).__name__}")
 
 
@@ -218,13 +231,11 @@ def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> 
         i = int(np.argmin(allowed))
         mixed = " beside 0 in the same packet" if minus[i] else ""
         raise ValueError(f"`p` must be 0 or 1, or -1 or +1, got {polarity[i]}{mixed} at event {i}")
-    return Columns(
-        np.ascontiguousarray(columns["t"], np.int64),
-        np.ascontiguousarray(columns["x"], np.uint16),
-        np.ascontiguousarray(columns["y"], np.uint16),
-        np.ascontiguousarray(polarity == 1, np.uint8),
-        columns["t"].size,
-    )
+    columns["p"] = polarity == 1
+    # C-contiguous, aligned and writeable (what is not is copied): one compiled version
+    typed = zip(columns.values(), _DTYPES, strict=True)
+    t, x, y, p = (np.require(column, dtype, "CAW") for column, dtype in typed)
+    return Columns(t, x, y, p, t.size)
 
 
 def as_events(events: Any, sensor: tuple[int, int]) -> np.ndarray:
@@ -238,15 +249,11 @@ def as_events(events: Any, sensor: tuple[int, int]) -> np.ndarray:
 
 
 def _as_column(field: str, values: Any) -> np.ndarray:
-    if isinstance(values, np.ndarray):
-        return values
     try:
-        column = np.asarray(values)
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"`{field}` must be a column of whole numbers: {error}") from None
-    if column.size == 0:
-        column = column.astype(np.int64)
-    return np.atleast_1d(column)
+        column = np.atleast_1d(np.asarray(values))
+    except Exception as error:  # whatever a foreign object's __array__ raises
+        raise ValueError(f"`{field}` must be a column of whole numbers: {error}") from error
+    return column if column.size else column.astype(np.int64)  # [] is float64 to NumPy
 
 
 def _pick(field: str, have: Any, what: str) -> str:
@@ -263,13 +270,21 @@ def _check_type(field: str, column: np.ndarray) -> None:
     if kind == "f" and column.size and not np.isfinite(column).all():
         i = int(np.argmin(np.isfinite(column)))
         raise ValueError(f"`{field}` must be a whole number, got {column[i]} at event {i}")
-    got = f"{column.dtype}" + (f" ({column[0]!r} at event 0)" if column.size else "")
+    if kind == "O":
+        for i, value in enumerate(column):
+            if type(value) is int and not -(1 << 63) <= value < 1 << 64:  # NumPy's reason for `object`
+                raise ValueError(f"`{field}` must fit in 64 bits, got {value} at event {i}")
+    got = f"{column.dtype}" + (f" ({_brief(column[0])} at event 0)" if column.size else "")
     if field == "t" and kind in "fmM":
         raise TypeError(
             f"`t` must be integer microseconds, got {got}; its unit is unknown: "
             "convert seconds with (t * 1e6).astype('int64')"
         )
     raise TypeError(f"`{field}` must be whole numbers, got {got}")
+
+
+def _brief(value: Any) -> str:
+    return str(value)[:40] if isinstance(value, (str, np.generic)) else type(value).__name__
 
 
 def _check_range(field: str, column: np.ndarray, end: int, rule: str) -> None:
@@ -293,6 +308,8 @@ def _record_layout(dtype: np.dtype) -> np.ndarray | None:
         number, offset = dtype.fields[name][:2]
         kind = KIND.get(number.str[1:])
         if kind is None or number.str[0] == ">" or (field != "p" and number.kind == "b"):
+            return None
+        if field == "p" and number.str[1:] == "u8":  # it would be read as int64: 2**64 - 1 is not -1
             return None
         layout += [offset, kind]
     return np.array([*layout, dtype.itemsize], np.int64)

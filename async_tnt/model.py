@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from .config import TNTConfig
 
@@ -19,7 +19,7 @@ FORMAT = "async_tnt 1"
 LAYERS = ("conv1", "conv2", "fc1", "fc2")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
 class Model:
     """What a trained classifier needs: how events become a volume, and what becomes of the volume.
 
@@ -33,7 +33,8 @@ class Model:
 
     Raises
     ------
-    ValueError : weights are missing, or their shapes do not fit each other, the configuration or `classes`.
+    ValueError, TypeError : weights are missing or not finite numbers, or their shapes do not fit each other,
+        the configuration or `classes`.
     """
 
     config: TNTConfig
@@ -42,13 +43,25 @@ class Model:
     record: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.classes, (tuple, list)):
+            raise TypeError(f"`classes` must be a tuple or list of names, got {self.classes!r}")
+        if not isinstance(self.record, Mapping):
+            raise TypeError(f"`record` must be a mapping, got {self.record!r}")
         object.__setattr__(self, "classes", tuple(str(name) for name in self.classes))
-        weights = {name: np.ascontiguousarray(w, np.float32) for name, w in self.weights.items()}
+        weights = {name: _float32(name, w) for name, w in self.weights.items()}
         object.__setattr__(self, "weights", weights)
         _check_weights(weights, self.config, self.classes)
 
     def save(self, path: str | Path) -> Path:
-        """Write the model to a .safetensors file; returns its path. An existing file is replaced at once."""
+        """Write the model to a .safetensors file; returns its path.
+
+        An existing file is replaced at once, when the new one is complete; it stays where that fails.
+
+        Raises
+        ------
+        OSError : the file cannot be written.
+        TypeError : the record holds what JSON cannot.
+        """
         path = Path(path)
         metadata = {
             "format": FORMAT,
@@ -56,16 +69,22 @@ class Model:
             "classes": json.dumps(self.classes),
             "record": json.dumps(self.record),
         }
+        content = save(dict(self.weights), metadata=metadata)
         part = path.with_name(path.name + ".part")
-        save_file(dict(self.weights), part, metadata=metadata)
-        part.replace(path)
+        try:
+            part.write_bytes(content)
+            part.replace(path)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
         return path
 
 
 def bundled_models() -> tuple[str, ...]:
     """Names that `load_model` knows without a path."""
     folder = resources.files("async_tnt") / "assets"
-    return tuple(sorted(f.name.removesuffix(".safetensors") for f in folder.iterdir() if f.name.endswith(".safetensors")))
+    names = (file.name for file in folder.iterdir())
+    return tuple(sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors")))
 
 
 def load_model(name_or_path: str | Path) -> Model:
@@ -82,24 +101,43 @@ def load_model(name_or_path: str | Path) -> Model:
         path = Path(name_or_path)
         if not path.is_file():
             names = ", ".join(bundled_models())
-            raise FileNotFoundError(f"no model file {path}, and no bundled model of that name (bundled: {names})")
+            raise FileNotFoundError(
+                f"no model file {path}, and no bundled model of that name (bundled: {names})"
+            )
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
-            weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            # before the tensors: other people's may be huge, or of types that NumPy lacks (bfloat16)
+            if metadata.get("format") != FORMAT:
+                raise ValueError(
+                    f"{path} is not a model of this package: metadata `format` must be {FORMAT!r}, "
+                    f"got {metadata.get('format')!r}"
+                )
+            weights = {}
+            for name in file.keys():  # noqa: SIM118 (not a dict)
+                dtype = file.get_slice(name).get_dtype()
+                if dtype != "F32":
+                    raise ValueError(f"{path} holds a damaged model: `{name}` must be F32, got {dtype}")
+                weights[name] = file.get_tensor(name)
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path} is not a readable .safetensors file: {error}") from None
-    if metadata.get("format") != FORMAT:
-        raise ValueError(
-            f"{path} is not a model of this package: metadata `format` must be {FORMAT!r}, "
-            f"got {metadata.get('format')!r}"
-        )
+    missing = [name for name in ("config", "classes") if name not in metadata]
+    if missing:
+        raise ValueError(f"{path} holds a damaged model: no {' and no '.join(missing)} in its metadata")
     try:
         config = TNTConfig.from_dict(json.loads(metadata["config"]))
-        classes: Sequence[str] = json.loads(metadata["classes"])
-        return Model(config, weights, tuple(classes), json.loads(metadata.get("record", "{}")))
-    except (KeyError, TypeError, ValueError) as error:
+        classes, record = json.loads(metadata["classes"]), json.loads(metadata.get("record", "{}"))
+        return Model(config, weights, classes, record)
+    except (TypeError, ValueError, RecursionError) as error:  # the last: JSON nested too deep
         raise ValueError(f"{path} holds a damaged model: {error}") from None
+
+
+def _float32(name: str, values: Any) -> np.ndarray:
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
+    with np.errstate(over="ignore"):  # becomes inf, which `_check_weights` refuses
+        return np.ascontiguousarray(array, np.float32)
 
 
 def _check_weights(weights: Mapping[str, np.ndarray], config: TNTConfig, classes: tuple[str, ...]) -> None:
@@ -109,8 +147,12 @@ def _check_weights(weights: Mapping[str, np.ndarray], config: TNTConfig, classes
     channels, height, width = config.shape
     if height < 4 or width < 4:
         raise ValueError(f"`grid` must be at least (4, 4) for two 2x2 poolings, got {config.grid}")
+    if not classes:
+        raise ValueError("`classes` must hold at least one name")
     f1, f2 = weights["conv1.weight"].shape[0], weights["conv2.weight"].shape[0]
     f3 = weights["fc1.weight"].shape[0]
+    if 0 in (f1, f2, f3):
+        raise ValueError(f"every layer must have at least one filter or unit, got widths ({f1}, {f2}, {f3})")
     expected = {
         "conv1.weight": (f1, channels, 3, 3),
         "conv2.weight": (f2, f1, 3, 3),

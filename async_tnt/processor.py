@@ -253,7 +253,8 @@ class Processor:
     def finish(self) -> list[Decision]:
         """The stream is over: classify the windows that are still open and hold events, and close them.
 
-        Their `complete` is False and their trigger `end`. A later event opens the window on the grid it is in.
+        Their `complete` is False and their trigger `end`. Should events follow all the same, they belong to
+        later windows: those before the next window's start are late.
         """
         decisions = []
         while self._open:
@@ -271,7 +272,7 @@ class Processor:
             self._n_decided = oldest.n_events
 
     def _decide(self, volume: TNTVolume, trigger: str, complete: bool = False) -> Decision:
-        logits = np.array(self.classifier(volume.array), np.float32).reshape(-1)
+        logits = np.asarray(self.classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
         if self.classes is None:
             self.classes = tuple(str(k) for k in range(logits.size))
         if logits.size != len(self.classes):

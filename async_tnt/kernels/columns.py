@@ -80,7 +80,8 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     zeros = 0
     minuses = 0
     for i in range(n):
-        value = _load_kind(raw, i * size + offset, kind) if kind != U8 else np.int64(raw[np.uint64(i * size + offset)])
+        at = i * size + offset
+        value = _load_kind(raw, at, kind) if kind != U8 else np.int64(raw[np.uint64(at)])
         bad += (value < -1) | (value > 1)
         zeros += value == 0
         minuses += value < 0
@@ -94,7 +95,7 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 def _load_pixels(raw, offset, kind, size, n, end, column):
     """One coordinate; returns how many lie outside [0, end)."""
     bad = 0
-    if kind == U16 or kind == I16:  # end is at most 2**15: a negative int16 is too large as uint16
+    if kind in (U16, I16):  # end is at most 2**15: a negative int16 is too large as uint16
         for i in range(n):
             column[i] = load(raw, i * size + offset, np.uint16)
         for i in range(n):

@@ -100,7 +100,7 @@ class Recordings:
 
 @dataclass(frozen=True)
 class Windows:
-    """N windows on recordings: window i is recording `recording[i]` from `start_us[i]` on, both int64, (N,)."""
+    """N windows on recordings: window i is recording `recording[i]` from `start_us[i]` on, int64, (N,)."""
 
     recordings: Recordings
     recording: np.ndarray

@@ -121,7 +121,7 @@ def test_without_torch_the_message_says_what_to_install(monkeypatch, capsys):
 def test_tnt_data_is_the_default_folder(nmnist, tmp_path, monkeypatch, capsys):
     (tmp_path / "nmnist").symlink_to(nmnist)
     monkeypatch.setenv("TNT_DATA", str(tmp_path))
-    words = ["--epochs", 1, "--batch", 8, "--run", tmp_path / "run", "--out", tmp_path / "m.safetensors"]
+    words = ["--epochs", 1, "--validation", 0.4, "--run", tmp_path / "run", "--out", tmp_path / "m.st"]
     assert run(*words) == 0
     assert "held out:" in capsys.readouterr().out
     assert run(*words, "--simulated", 3) == 2

@@ -1,0 +1,167 @@
+"""The command `async-tnt bench`."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from async_tnt import warmup
+from async_tnt.config import LANDMARKS
+from async_tnt.recordings import open_recording, sample_recordings
+
+from .latency import WorkDiffers, bench_latency, bench_model, bench_stream, made_recording
+from .timing import Progress, machine
+from .volumes import GRIDS, PACKETS, bench_volume
+
+DESCRIPTION = """\
+Measure, on this machine: how long TNTVolume takes for an event, how long a Processor with its network takes,
+and how long after the last event the decision is there. Where torch is installed, the same decisions are also
+made the batch way (the window's whole volume anew, then torch's network), in the same run, in turns with ours;
+first it is checked that both give the same volumes and the same classes.
+
+One thread. Events are made by a seeded generator; latency is measured on a bundled recording.
+"""
+EPILOG = """\
+examples:
+  async-tnt bench                     a minute or less; a quiet machine gives narrow quartiles
+  async-tnt bench --quick --json      a few seconds, for scripts
+  async-tnt bench --landmark line     the other landmarks cost as much or more
+"""
+NO_TORCH = "torch is not installed: only our own times (pip install 'async_tnt[reference]' for the batch way)"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `async-tnt bench` to its parser."""
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--landmark", choices=LANDMARKS, default="running",
+                        help="of the volumes timed by themselves (default: running)")
+    parser.add_argument("--model", metavar="NAME_OR_FILE",
+                        help='network for the decisions (default: the bundled "digits", else random weights)')
+    parser.add_argument("--seed", type=int, default=0, help="of the made events (default: 0)")
+    parser.add_argument("--quick", action="store_true", help="fewer events and rounds: seconds, wider quartiles")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt bench`. Returns 0; 1 if stream and batch do not agree; 2 for a model that cannot be read."""
+    try:
+        model, model_name = bench_model(args.model, args.landmark, args.seed)
+    except (OSError, ValueError) as error:
+        print(f"async-tnt bench: {error}", file=sys.stderr)
+        return 2
+    with_torch = _has("torch") and _has("tnt_reference")
+    progress = Progress(len(GRIDS) + 3)
+    progress.step("compiling")
+    warmup(model)
+    try:
+        with _one_thread(with_torch):
+            report = _measure(args, model, model_name, with_torch, progress)
+    except WorkDiffers as error:
+        print(f"async-tnt bench: {error}", file=sys.stderr)
+        return 1
+    print(json.dumps(report) if args.json else "\n".join(table(report)))
+    return 0
+
+
+def _measure(
+    args: argparse.Namespace, model: Any, model_name: str, with_torch: bool, progress: Progress
+) -> dict[str, Any]:
+    rng = np.random.default_rng(args.seed)
+    rounds = 3 if args.quick else 11
+    volumes = []
+    for grid in GRIDS:
+        progress.step(f"volume, {grid[0]} x {grid[1]}")
+        n_events = 13_000 if args.quick else 104_000  # whole packets of every size
+        volumes.append(bench_volume(grid, args.landmark, rng, n_events=n_events, rounds=rounds))
+    recording = open_recording(sample_recordings()[3])
+    events = recording.read() if recording.sensor == model.config.sensor else made_recording(rng, model.config, 5000)
+    progress.step("recording through a Processor")
+    stream = bench_stream(model, events, rounds=rounds, with_torch=with_torch)
+    progress.step("latency of decisions")
+    decisions = bench_latency(model, events, moments=120 if args.quick else 1000, with_torch=with_torch)
+    return {
+        "machine": machine("torch"),
+        "settings": {"quick": args.quick, "seed": args.seed, "rounds": rounds, "threads": 1, "batch": with_torch},
+        "model": {"name": model_name, "config": model.config.to_dict(), "classes": len(model.classes)},
+        "volume": volumes,
+        "processor": {"stream": stream, "latency": decisions},
+    }
+
+
+def table(report: dict[str, Any]) -> Iterator[str]:
+    """The report as lines to be read."""
+    about, settings = report["machine"], report["settings"]
+    packages = ("python", "async_tnt", "numpy", "numba", "torch")
+    versions = ", ".join(f"{name} {about[name]}" for name in packages if about[name])
+    yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}; one thread"
+    yield f"medians of {settings['rounds']} rounds in turns, quartiles in brackets"
+    volumes = report["volume"]
+    yield ""
+    yield (f"TNTVolume, landmark {volumes[0]['landmark']}, {volumes[0]['bins']} bins, "
+           f"{volumes[0]['events']:,} events a window: ns per event")  # fmt: skip
+    yield f"{'':24}" + "".join(f"{'{} x {}'.format(*v['grid']):>24}" for v in volumes)
+    ways = {"single": "update_one, each event"}
+    ways |= {f"packet_{n}_{form}": f"packets of {n}, {form}" for n in PACKETS for form in ("structured", "columns")}
+    for way, title in ways.items():
+        yield f"{title:28}" + _row([v["ns_per_event"][way] for v in volumes])
+    yield f"{'us to open a window':28}" + _row([v["open_us"] for v in volumes])
+    yield f"{'us to read after 1300':28}" + _row([v["read_us"] for v in volumes])
+    stream, decisions, config = report["processor"]["stream"], report["processor"]["latency"], report["model"]["config"]
+    yield ""
+    yield (f"Processor, model {report['model']['name']} at {config['grid'][0]} x {config['grid'][1]}, landmark "
+           f"{config['landmark']}; a recording of {stream['events']:,} events, {stream['windows']} windows decided")  # fmt: skip
+    names = {"single": "push_one, each event", "batch": "batch way, torch, a window at once"}
+    for way, figure in stream["ns_per_event"].items():
+        title = names.get(way) or f"packets of {way.split('_')[1]}"
+        yield f"{title + ', ns per event':48}" + _row([figure])
+    yield ""
+    yield f"from the last event to the decision, {decisions['moments']} moments: us, 99th percentile behind"
+    names = {
+        "stream": "stream: push_one + fire", "push_one": "  push_one", "fire": "  fire",
+        "batch": "batch: window's volume + network, torch", "batch_volume": "  volume", "batch_network": "  network",
+    }  # fmt: skip
+    for way, figure in decisions["us"].items():
+        yield f"{names[way]:48}" + _row([figure]) + f"   p99 {figure['p99']:.1f}"
+    if settings["batch"]:
+        ratio, worst = decisions["batch_over_stream"], decisions["largest_difference"]
+        yield f"{'batch / stream':48}" + _row([ratio])
+        yield f"same volumes (largest difference {worst['volume']:.0e} of the largest cell) and same classes: checked"
+    else:
+        yield NO_TORCH
+
+
+def _row(figures: list[dict[str, float]]) -> str:
+    cells = (f"{_short(f['median'])} [{_short(f['q1'])}, {_short(f['q3'])}]" for f in figures)
+    return "".join(f"{cell:>24}" for cell in cells)
+
+
+def _short(value: float) -> str:
+    return f"{value:.1f}" if value < 100 else f"{value:,.0f}"
+
+
+def _has(package: str) -> bool:
+    return importlib.util.find_spec(package) is not None
+
+
+@contextmanager
+def _one_thread(with_torch: bool) -> Iterator[None]:
+    """torch on one thread, as we are; it is set back afterwards."""
+    if not with_torch:
+        yield
+        return
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,135 @@
+"""The batch way, as fast as we can write it in torch: a window's volume from all its events, then the network.
+
+The reference in `tnt_reference` is written to be read; this one is written to be timed against: float32, no
+masks, one `scatter_add_` for all eight neighbours. It must give the same volume (`latency` asserts that).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from tnt_reference import Classifier
+
+from async_tnt import Model, TNTConfig
+
+BORDER_TOLERANCE = 1e-5  # pixels, the rounding of float32 at these sizes; see `tnt_reference`
+
+Columns = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def as_tensors(events: np.ndarray, start_us: int) -> Columns:
+    """Time since `start_us`, x, y (float32) and sign (float32, -1 or +1) of structured events, shape (N,)."""
+    dt = torch.from_numpy((events["t"] - start_us).astype(np.float32))
+    x, y, p = (torch.from_numpy(events[name].astype(np.float32)) for name in "xyp")
+    return dt, x, y, 2 * p - 1
+
+
+class TorchBatch:
+    """A model's volume and logits from a whole window's events.
+
+    Parameters
+    ----------
+    config : TNTConfig; every landmark, transform and polarity.
+    weights : of the network, by the names of `Model`; None for volumes alone.
+    classes : how many the network tells apart.
+    """
+
+    def __init__(self, config: TNTConfig, weights: Mapping[str, np.ndarray] | None = None, classes: int = 0) -> None:
+        self.config = config
+        width, height = config.grid
+        plane = width * height
+        self._corners = torch.tensor(
+            [b * plane + y * width + x for b in (0, 1) for y in (0, 1) for x in (0, 1)]
+        )[:, None]  # (8, 1)
+        self._on_grid = [(width - 1) / (config.sensor[0] - 1), (height - 1) / (config.sensor[1] - 1)]
+        self._centre = [(width - 1) / 2, (height - 1) / 2]
+        self.network = None
+        if weights is not None:
+            widths = tuple(len(weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
+            self.network = Classifier(config.channels, config.grid, classes, widths)  # type: ignore[arg-type]
+            self.network.load_state_dict({k: torch.from_numpy(w.copy()) for k, w in weights.items()})
+            self.network.eval()
+
+    @classmethod
+    def of(cls, model: Model) -> TorchBatch:
+        """The batch way of a model."""
+        return cls(model.config, model.weights, len(model.classes))
+
+    def logits(self, volume: torch.Tensor) -> torch.Tensor:
+        """(C, H, W) -> (n_classes,)."""
+        assert self.network is not None
+        result: torch.Tensor = self.network(volume[None])[0]
+        return result
+
+    def volume(self, dt: torch.Tensor, x: torch.Tensor, y: torch.Tensor, sign: torch.Tensor) -> torch.Tensor:
+        """float32 (C, H, W) of one window's events, as `as_tensors` makes them."""
+        config = self.config
+        u, v = x * self._on_grid[0], y * self._on_grid[1]
+        keep = None
+        if config.transform == "tnt":
+            (u, v), keep = self._transform(dt, u, v)
+        if config.polarity != "signed":
+            on, sign = sign > 0, torch.ones_like(sign)
+        if keep is not None:
+            dt, u, v, sign = dt[keep], u[keep], v[keep], sign[keep]
+        b = dt * ((config.bins - 1) / config.window_us)
+        if config.polarity != "split":
+            return self._splat(b, v, u, sign)
+        on = on if keep is None else on[keep]
+        return torch.cat([self._splat(b[side], v[side], u[side], sign[side]) for side in (on, ~on)])
+
+    def _transform(self, dt: torch.Tensor, u: torch.Tensor, v: torch.Tensor) -> Any:
+        config = self.config
+        tau = dt * (config.t_max / config.window_us)
+        moved = []
+        keep = tau > 0
+        for side, (z, centre) in enumerate(zip((u, v), self._centre, strict=True)):
+            last = config.grid[side] - 1
+            offset = self._offset(dt, z, centre) / tau + centre
+            clamped = offset.clamp(0, last)
+            keep &= (offset - clamped).abs_() <= BORDER_TOLERANCE  # False for the nan of 0 / 0
+            moved.append(clamped)
+        return moved, keep.nonzero()[:, 0]  # indices, found once: four times faster than four masks
+
+    def _offset(self, dt: torch.Tensor, z: torch.Tensor, centre: float) -> torch.Tensor:
+        """One coordinate, relative to the landmark (and flow)."""
+        landmark = self.config.landmark
+        if landmark == "center":
+            return z - centre
+        if landmark == "window":
+            return z - z.mean()
+        n = torch.arange(1, len(z) + 1, dtype=torch.float64 if landmark == "line" else torch.float32)
+        if landmark == "running":
+            return z - z.cumsum(0, dtype=torch.float64).div_(n).float()
+        # running line by prefix sums: float64, for they cancel
+        z, f = z.double(), dt.double() / self.config.window_us
+        mean_z, mean_f = z.cumsum(0) / n, f.cumsum(0) / n
+        c_zf = (z * f).cumsum(0) - n * mean_z * mean_f
+        c_ff = (f * f).cumsum(0) - n * mean_f * mean_f
+        slope = c_zf / (c_ff + 1)
+        offset = z - (mean_z - slope * mean_f)
+        if self.config.remove_flow:
+            offset -= slope * f
+        return offset.float()
+
+    def _splat(self, b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, sign: torch.Tensor) -> torch.Tensor:
+        """V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i), all eight cells of all events in one operation."""
+        bins, (width, height) = self.config.bins, self.config.grid
+        if bins == 1:
+            raise ValueError("the batch way needs at least 2 bins, got 1")
+        # The lower corner stays one short of the last cell, so that the upper one is in the volume: an event
+        # at u = W - 1 gives all of its weight to the upper. Saves the masks and a padded copy.
+        b0, v0, u0 = b.floor().clamp_(max=bins - 2), v.floor().clamp_(max=height - 2), u.floor().clamp_(max=width - 2)
+        corner = b0.long() * (height * width) + v0.long() * width + u0.long()  # (M,)
+        fb, fv, fu = b - b0, v - v0, u - u0
+        late = sign * fb
+        shares = torch.stack([sign - late, late])  # (2, M)
+        rows = torch.stack([1 - fv, fv])  # (2, M)
+        columns = torch.stack([1 - fu, fu])  # (2, M)
+        weights = shares[:, None, None] * rows[None, :, None] * columns[None, None]  # (2, 2, 2, M)
+        volume = torch.zeros(bins * height * width)
+        volume.scatter_add_(0, (corner + self._corners).reshape(-1), weights.reshape(-1))
+        return volume.view(bins, height, width)

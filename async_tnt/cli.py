@@ -1,0 +1,67 @@
+"""The program `async-tnt`."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from . import __version__
+from .commands.files import complain
+
+COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)
+    "run": ("async_tnt.commands.run", "stream recordings through a model and print its decisions"),
+    "check": ("async_tnt.commands.check", "prove on recordings that the stream equals the batch reference"),
+    "bench": ("async_tnt.bench", "measure time per event and time to decision, beside the batch way"),
+    "train": ("async_tnt.training.command", "train a model on recordings (extra: train)"),
+}
+
+
+def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    """The parser; only the command that `argv` names is imported."""
+    parser = argparse.ArgumentParser(
+        prog="async-tnt",
+        description="Classify what an event camera sees, event by event.",
+        epilog="async-tnt COMMAND --help explains a command. Exit codes: 0 success, 1 the answer is no, "
+        "2 bad usage or bad input.",
+    )
+    parser.add_argument("--version", action="version", version=f"async-tnt {__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    wanted = next((word for word in argv if word in COMMANDS), None)
+    for name, (module_name, help_line) in COMMANDS.items():
+        if name != wanted:
+            subparsers.add_parser(name, help=help_line)
+            continue
+        module = importlib.import_module(module_name)
+        subparser = subparsers.add_parser(
+            name,
+            help=help_line,
+            description=module.DESCRIPTION,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(subparser)
+        subparser.set_defaults(main=module.main)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program. Returns its exit code: 0 success, 1 the answer is no, 2 bad usage or bad input."""
+    argv = sys.argv[1:] if argv is None else list(argv)
+    args = build_parser(argv).parse_args(argv)
+    try:
+        return args.main(args)
+    except (OSError, ValueError, ImportError) as error:
+        if isinstance(error, BrokenPipeError):  # `| head`: whoever read us has seen enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        complain(error)
+        return 2
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

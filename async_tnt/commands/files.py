@@ -1,0 +1,72 @@
+"""What the commands share: the FILE arguments, and how mistakes are told."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..model import Model, bundled_models, load_model
+from ..recordings import READERS, Recording, open_recording, sample_recordings
+
+
+def add_files(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "files",
+        nargs="*",
+        metavar="FILE",
+        type=Path,
+        help=f"recordings ({', '.join(sorted(READERS))}); the ten bundled samples by default",
+    )
+    parser.add_argument(
+        "--model",
+        default="digits",
+        metavar="NAME|FILE",
+        help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file (default: %(default)s)",
+    )
+
+
+def add_start(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--start-us",
+        type=int,
+        metavar="US",
+        help="start of the first window, in microseconds (default: the first event)",
+    )
+
+
+def paths_of(args: argparse.Namespace) -> list[Path]:
+    return args.files or list(sample_recordings().values())
+
+
+def open_all(paths: list[Path], model: Model) -> Iterator[Recording]:
+    """Open recordings one after the other, complaining about those that do not fit the model."""
+    for path in paths:
+        recording = open_recording(path)
+        if recording.sensor is not None and recording.sensor != model.config.sensor:
+            raise ValueError(
+                f"{path}: a sensor of {recording.sensor[0]}x{recording.sensor[1]} pixels, but the model is "
+                f"for {model.config.sensor[0]}x{model.config.sensor[1]}"
+            )
+        yield recording
+
+
+def model_of(args: argparse.Namespace) -> Model:
+    return load_model(args.model)
+
+
+def complain(error: BaseException | str) -> None:
+    """One line on stderr."""
+    print(f"async-tnt: {error}", file=sys.stderr, flush=True)
+
+
+def positive_int(text: str) -> int:
+    """An argparse type: a whole number of at least 1."""
+    try:
+        value = int(text.replace("_", ""))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a whole number, got {text!r}") from None
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be at least 1, got {value}")
+    return value

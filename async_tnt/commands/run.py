@@ -1,0 +1,124 @@
+"""async-tnt run: stream recordings event by event through a model."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from typing import TextIO
+
+import numpy as np
+
+from ..model import Model
+from ..processor import Decision, Processor
+from ..recordings import Recording
+from ..warmup import warmup
+from .files import add_files, add_start, complain, model_of, open_all, paths_of, positive_int
+
+DESCRIPTION = """Stream recordings event by event through a model and print each decision: when it fell, for which
+window, the label and its probability, and the microseconds from the last event to the decision. A line
+for each recording follows: the class of the highest mean probability over its closed windows.
+
+  async-tnt run                              the ten bundled samples
+  async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
+  async-tnt run --json | jq .label           one JSON object a line for each decision
+"""
+HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} {'events':>7} {'us':>7}  why"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_files(parser)
+    add_start(parser)
+    parser.add_argument("--every-us", type=positive_int, metavar="US", help="decide also every US microseconds")
+    parser.add_argument("--every-events", type=positive_int, metavar="N", help="decide also every N events")
+    parser.add_argument(
+        "--hop-us", type=positive_int, metavar="US",
+        help="distance between the starts of windows; smaller than a window: they overlap",
+    )  # fmt: skip
+    parser.add_argument(
+        "--late", choices=("accept", "drop", "raise"), default="accept",
+        help="what to do with an event older than the newest one (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
+
+
+def main(args: argparse.Namespace) -> int:
+    model = model_of(args)
+    processor = Processor(
+        model, start_us=args.start_us, hop_us=args.hop_us, every_us=args.every_us, every_events=args.every_events,
+        late=args.late,
+    )  # fmt: skip
+    warmup(model)
+    failed = False
+    if not args.json:
+        print(HEADER)
+    for path in paths_of(args):
+        try:
+            (recording,) = open_all([path], model)
+            _run(recording, processor, model, args.json, sys.stdout)
+        except (OSError, ValueError) as error:
+            complain(error)
+            failed = True
+    return 2 if failed else 0
+
+
+def _run(recording: Recording, processor: Processor, model: Model, as_json: bool, out: TextIO) -> None:
+    processor.reset()
+    closed = []
+    for decision, latency_us in timed_decisions(recording, processor):
+        print((json_line if as_json else text_line)(recording, decision, latency_us), file=out, flush=True)
+        if decision.trigger in ("window", "end"):
+            closed.append(decision.probabilities)
+    if closed and not as_json:
+        mean = np.mean(closed, axis=0)
+        best = int(mean.argmax())
+        windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
+        print(f"{recording.path.name}: {model.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
+    elif not closed:
+        complain(f"{recording.path}: no event in any window")
+
+
+def timed_decisions(recording: Recording, processor: Processor) -> Iterator[tuple[Decision, float]]:
+    """Each decision, and the microseconds from handing over the event that brought it about."""
+    clock = time.perf_counter_ns
+    for packet in recording:
+        for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
+            handed_over = clock()
+            decisions = processor.push_one(t, x, y, p)
+            if decisions:
+                latency_us = (clock() - handed_over) / 1e3
+                for decision in decisions:
+                    yield decision, latency_us
+    handed_over = clock()
+    decisions = processor.finish()
+    latency_us = (clock() - handed_over) / 1e3
+    for decision in decisions:
+        yield decision, latency_us
+
+
+def text_line(recording: Recording, decision: Decision, latency_us: float) -> str:
+    start_ms = decision.window_start_us / 1e3
+    window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
+    return (
+        f"{recording.path.name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
+        f"{decision.probability:>5.3f} {decision.events:>7} {latency_us:>7.1f}  {decision.trigger}"
+    )
+
+
+def json_line(recording: Recording, decision: Decision, latency_us: float) -> str:
+    return json.dumps(
+        {
+            "recording": str(recording.path),
+            "time_us": decision.time_us,
+            "window_start_us": decision.window_start_us,
+            "label": decision.label,
+            "probability": round(decision.probability, 6),
+            "probabilities": [round(float(p), 6) for p in decision.probabilities],
+            "events": decision.events,
+            "complete": decision.complete,
+            "trigger": decision.trigger,
+            "latency_us": round(latency_us, 3),
+        }
+    )

@@ -1,0 +1,113 @@
+"""Does a long stream need more and more memory? Resident memory after the first million events and at the end.
+
+    python benchmarks/memory.py [--events 100000000] [--limit-mb 4] [--json]
+
+Windows roll, decisions fall (at windows' ends, every 20 ms and on demand), packets come as structured arrays,
+as columns and as single events. Exit code 1 if memory grew by more than the limit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+
+import numpy as np
+
+from async_tnt import EVENT_DTYPE, Processor, TNTConfig, warmup
+from async_tnt.bench.latency import bench_model
+
+FIRST = 1_000_000
+PACKET = 1300
+PACKETS_A_WINDOW = 13
+SINGLES = 50  # events of one packet in each window that come one by one
+
+
+def resident_mb() -> float:
+    """Resident memory of this process in MB (2^20 bytes); where the system does not say it, its peak."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+    except OSError:
+        import resource
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def made_window(config: TNTConfig, rng: np.random.Generator) -> np.ndarray:
+    """One window of events, in order of time; the first one at its start."""
+    events = np.empty(PACKET * PACKETS_A_WINDOW, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(0, config.window_us, len(events)))
+    events["t"][0] = 0
+    events["x"] = rng.integers(0, config.sensor[0], len(events))
+    events["y"] = rng.integers(0, config.sensor[1], len(events))
+    events["p"] = rng.integers(0, 2, len(events))
+    return events
+
+
+def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
+    """Push one window's events, `start_us` later than written; returns how many decisions fell."""
+    n_decisions = 0
+    for k in range(PACKETS_A_WINDOW):
+        packet = window[k * PACKET : (k + 1) * PACKET].copy()  # new memory each time, as a driver hands it over
+        packet["t"] += start_us
+        if k % 3 == 1:
+            n_decisions += len(processor.push(tuple(packet[name].copy() for name in ("t", "x", "y", "p"))))
+        else:
+            if k == 0:
+                for t, x, y, p in packet[:SINGLES].tolist():
+                    n_decisions += len(processor.push_one(t, x, y, p))
+                packet = packet[SINGLES:]
+            n_decisions += len(processor.push(packet))
+    processor.fire()
+    return n_decisions + 1
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Stream, print, judge."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--events", type=int, default=100_000_000, metavar="N", help="(default: 100 million)")
+    parser.add_argument("--limit-mb", type=float, default=4.0, metavar="MB", help="growth allowed (default: 4)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    args = parser.parse_args(argv)
+    if args.events <= FIRST:
+        parser.error(f"--events must be more than the first {FIRST:,}, got {args.events:,}")
+
+    model, name = bench_model(None, "running", seed=0)
+    warmup(model)
+    processor = Processor(model, every_us=20_000)
+    window = made_window(model.config, np.random.default_rng(0))
+    first_mb, n_events, n_decisions, start_us = None, 0, 0, 0
+    started = shown = time.perf_counter()
+    while n_events < args.events:
+        n_decisions += push_window(processor, window, start_us)
+        start_us += model.config.window_us
+        n_events += len(window)
+        if first_mb is None and n_events >= FIRST:
+            first_mb = resident_mb()
+        if time.perf_counter() - shown > 2:
+            shown = time.perf_counter()
+            print(f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB", file=sys.stderr, flush=True)
+    last_mb = resident_mb()
+    if processor.counts.received != n_events:
+        raise RuntimeError(f"{n_events:,} events were pushed, {processor.counts.received:,} counted")
+    assert first_mb is not None  # FIRST was passed
+    grown_mb = last_mb - first_mb
+    result = {
+        "model": name, "events": n_events, "decisions": n_decisions, "seconds": round(time.perf_counter() - started, 1),
+        "first_million_mb": round(first_mb, 2), "end_mb": round(last_mb, 2), "grown_mb": round(grown_mb, 2),
+        "limit_mb": args.limit_mb,
+    }  # fmt: skip
+    if args.json:
+        print(json.dumps(result))
+    else:
+        print(f"{n_events:,} events, {n_decisions:,} decisions in {result['seconds']} s; resident memory "
+              f"{first_mb:.1f} MB after the first million, {last_mb:.1f} MB at the end: {grown_mb:+.2f} MB")  # fmt: skip
+    return int(grown_mb > args.limit_mb)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

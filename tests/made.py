@@ -1,0 +1,65 @@
+"""Made streams and models for the tests."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import strategies as st
+
+from async_tnt import EVENT_DTYPE, Model, TNTConfig
+
+
+def events_of(t, x, y, p) -> np.ndarray:
+    """Columns as a structured array."""
+    events = np.empty(len(t), EVENT_DTYPE)
+    events["t"], events["x"], events["y"], events["p"] = t, x, y, p
+    return events
+
+
+def random_events(n: int, *, seed: int = 0, duration_us: int = 105_000, sensor=(34, 34), start_us: int = 0):
+    """A sorted stream, uniform over time and sensor."""
+    rng = np.random.default_rng(seed)
+    return events_of(
+        np.sort(rng.integers(start_us, start_us + duration_us, n)),
+        rng.integers(0, sensor[0], n),
+        rng.integers(0, sensor[1], n),
+        rng.integers(0, 2, n),
+    )
+
+
+def random_model(config: TNTConfig = TNTConfig(), *, classes: int = 10, widths=(16, 32, 64), seed: int = 0) -> Model:  # noqa: B008
+    """A model with random weights of a sensible size."""
+    rng = np.random.default_rng(seed)
+    channels, height, width = config.shape
+    shapes = {
+        "conv1": (widths[0], channels, 3, 3),
+        "conv2": (widths[1], widths[0], 3, 3),
+        "fc1": (widths[2], widths[1] * (height // 4) * (width // 4)),
+        "fc2": (classes, widths[2]),
+    }
+    weights = {}
+    for layer, shape in shapes.items():
+        bound = 1 / np.sqrt(np.prod(shape[1:]))
+        weights[f"{layer}.weight"] = rng.uniform(-bound, bound, shape)
+        weights[f"{layer}.bias"] = rng.uniform(-bound, bound, shape[0])
+    return Model(config, weights, tuple(f"class {k}" for k in range(classes)), {"made": True})
+
+
+@st.composite
+def nasty_streams(draw, sensor, window_us: int, start_us: int, max_events: int = 60):
+    """Streams that look for trouble: ties, bursts, borders, corners, the window's first and last microsecond,
+    times that run backwards, all at one pixel."""
+    n = draw(st.integers(0, max_events))
+    inside = st.integers(0, window_us - 1)
+    special = st.sampled_from([k for k in (0, 1, window_us // 8, window_us // 4, window_us // 2, window_us - 1) if k < window_us])
+    times = draw(st.lists(st.one_of(inside, special), min_size=n, max_size=n))
+    if draw(st.booleans()):
+        times = sorted(times)
+    if n and draw(st.booleans()):  # a burst: half of the stream at one moment
+        times[n // 2 :] = [times[n // 2]] * (n - n // 2)
+    side = [st.one_of(st.sampled_from([0, s - 1, (s - 1) // 2, s // 2]), st.integers(0, s - 1)) for s in sensor]
+    x = draw(st.lists(side[0], min_size=n, max_size=n))
+    y = draw(st.lists(side[1], min_size=n, max_size=n))
+    if n and draw(st.integers(0, 4)) == 0:
+        x, y = [x[0]] * n, [y[0]] * n
+    p = draw(st.lists(st.integers(0, 1), min_size=n, max_size=n))
+    return events_of([start_us + t for t in times], x, y, p)

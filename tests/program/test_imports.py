@@ -1,0 +1,54 @@
+"""What importing costs, and what it must not bring along."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import async_tnt
+
+CODE = """
+import sys, time
+started = time.perf_counter()
+import async_tnt
+took = time.perf_counter() - started
+print(took, "torch" in sys.modules, "matplotlib" in sys.modules, "tqdm" in sys.modules)
+"""
+
+
+def test_import_brings_no_torch_and_is_quick():
+    times = []
+    for _ in range(3):
+        out = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True).stdout.split()
+        assert out[1:] == ["False", "False", "False"]
+        times.append(float(out[0]))
+    assert min(times) < 0.5
+
+
+def test_kernels_import_nothing_of_the_package():
+    kernels = Path(async_tnt.__file__).parent / "kernels"
+    for path in kernels.glob("*.py"):
+        source = path.read_text()
+        assert "from .." not in source and "import async_tnt" not in source and "from async_tnt" not in source
+
+
+def test_reference_imports_nothing_of_the_package():
+    import tnt_reference
+
+    for path in Path(tnt_reference.__file__).parent.glob("*.py"):
+        assert "import async_tnt" not in path.read_text() and "from async_tnt" not in path.read_text()
+
+
+def test_works_where_nothing_can_be_cached(tmp_path):
+    """Numba refuses cache=True where neither the package nor the user's cache folder can be written."""
+    code = "import async_tnt; v = async_tnt.TNTVolume(async_tnt.TNTConfig()); v.update_one(5, 1, 1, 1); print(v.n_events)"
+    blocked = tmp_path / "file"
+    blocked.write_text("a file, so that no folder can be made here")
+    env = os.environ | {"NUMBA_CACHE_DIR": str(blocked / "cache")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, timeout=120)
+    assert done.stdout == "1\n", done.stderr
+
+
+def test_warmup_says_how_long_it_took():
+    assert 0 < async_tnt.warmup() < 60
+    assert 0 < async_tnt.warmup(async_tnt.TNTConfig(grid=(20, 20))) < 60

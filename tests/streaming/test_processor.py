@@ -1,0 +1,273 @@
+"""Processor: which decisions fall when, and that cutting the stream differently changes none of them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made import events_of, nasty_streams, random_events, random_model
+
+from async_tnt import Counts, Processor, TNTConfig
+
+CONFIG = TNTConfig(window_us=1000, landmark="running", t_max=2.0)
+
+
+def total_and_size(volume):
+    """A classifier that shows what it saw."""
+    return [float(volume.sum()), float(np.abs(volume).sum())]
+
+
+def key(decision):
+    return (
+        decision.trigger, decision.window_start_us, decision.time_us, decision.events, decision.complete,
+        decision.label, decision.logits.tobytes(), decision.probabilities.tobytes(),
+    )  # fmt: skip
+
+
+def at(times):
+    """Events at these times, anywhere."""
+    n = len(times)
+    return times, [3 + k % 5 for k in range(n)], [4 + k % 3 for k in range(n)], [k % 2 for k in range(n)]
+
+
+def summary(decisions):
+    return [(d.trigger, d.window_start_us, d.time_us, d.events) for d in decisions]
+
+
+def run(events, size=0, config=CONFIG, **settings):
+    processor = Processor(config, classifier=total_and_size, **settings)
+    size = size or max(1, len(events))
+    decisions = []
+    for first in range(0, len(events), size):
+        decisions += processor.push(events[first : first + size])
+    return decisions + processor.finish(), processor
+
+
+# -- windows -----------------------------------------------------------------------------------------------
+
+
+def test_window_is_decided_when_the_first_event_at_or_after_its_end_comes():
+    processor = Processor(CONFIG, classifier=total_and_size)
+    assert processor.push(at([100, 1099])) == []
+    (decision,) = processor.push(at([1100]))
+    assert summary([decision]) == [("window", 100, 1099, 2)] and decision.complete
+    assert summary([processor.fire()]) == [("fire", 1100, 1100, 1)]
+
+
+def test_windows_start_where_asked():
+    decisions, processor = run(events_of(*at([5, 999, 1000, 2500])), start_us=0)
+    assert summary(decisions) == [("window", 0, 999, 2), ("window", 1000, 1000, 1), ("end", 2000, 2500, 1)]
+    assert [d.complete for d in decisions] == [True, True, False]
+
+
+def test_empty_windows_are_skipped_however_many():
+    decisions, _ = run(events_of(*at([0, 10**14 + 1])))
+    assert summary(decisions) == [("window", 0, 0, 1), ("end", 10**14, 10**14 + 1, 1)]
+
+
+def test_events_before_the_first_window_are_dropped_and_counted():
+    decisions, processor = run(events_of(*at([5, 7000, 7001])), start_us=7000)
+    assert summary(decisions) == [("end", 7000, 7001, 2)]
+    assert processor.counts.dropped_late == 1 and processor.counts.received == 3
+
+
+def test_overlapping_windows_each_hold_their_own_events():
+    decisions, _ = run(events_of(*at([0, 400, 700, 1000, 1500, 2400])), hop_us=500, config=CONFIG)
+    assert summary(decisions) == [
+        ("window", 0, 700, 3), ("window", 500, 1000, 2), ("window", 1000, 1500, 2), ("end", 1500, 2400, 2),
+        ("end", 2000, 2400, 1),
+    ]  # fmt: skip
+
+
+def test_overlapping_windows_equal_windows_by_themselves():
+    events = random_events(500, seed=4, duration_us=5000)
+    decisions, _ = run(events, hop_us=300)
+    for decision in decisions:
+        start = decision.window_start_us
+        alone, _ = run(events[(events["t"] >= start) & (events["t"] < start + 1000)], start_us=start)
+        assert alone[0].logits.tobytes() == decision.logits.tobytes()
+        assert alone[0].events == decision.events
+
+
+# -- triggers ----------------------------------------------------------------------------------------------
+
+
+def test_every_us_counts_from_the_windows_start():
+    decisions, _ = run(events_of(*at([100, 150, 350, 360, 900, 1250])), every_us=200)
+    assert summary(decisions) == [
+        ("every_us", 100, 150, 2),  # at 300
+        ("every_us", 100, 360, 4),  # at 500; at 700 nothing new
+        ("window", 100, 900, 5),  # at 900 the fifth event is new, but shows up at 1100 with the window's end
+        ("end", 1100, 1250, 1),
+    ]
+
+
+def test_every_us_decides_without_the_event_that_shows_the_time():
+    decisions, _ = run(events_of(*at([0, 199, 200])), every_us=200)
+    assert summary(decisions) == [("every_us", 0, 199, 2), ("end", 0, 200, 3)]
+
+
+def test_every_events_counts_within_the_window():
+    decisions, _ = run(events_of(*at([0, 1, 2, 3, 4, 1000, 1001])), every_events=2)
+    assert summary(decisions) == [
+        ("every_events", 0, 1, 2), ("every_events", 0, 3, 4), ("window", 0, 4, 5), ("every_events", 1000, 1001, 2),
+        ("end", 1000, 1001, 2),
+    ]  # fmt: skip
+
+
+def test_every_event():
+    events = random_events(300, seed=2, duration_us=2500)
+    decisions, _ = run(events, every_events=1)
+    assert [d.events for d in decisions if d.trigger == "every_events"] == [
+        n for w in range(3) for n in range(1, 1 + sum((events["t"] - events["t"][0]) // 1000 == w))
+    ]
+
+
+# -- laws --------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    events=nasty_streams((34, 34), 4000, 50, max_events=80),
+    landmark=st.sampled_from(["center", "running", "line", "window"]),
+    hop_us=st.sampled_from([None, 1000, 999, 500, 250, 70]),
+    every_us=st.sampled_from([None, 1, 77, 500, 1000, 3000]),
+    every_events=st.sampled_from([None, 1, 3, 50]),
+    start_us=st.sampled_from([None, 0, 300]),
+    late=st.sampled_from(["accept", "drop"]),
+)
+def test_decisions_do_not_depend_on_packets(events, landmark, hop_us, every_us, every_events, start_us, late):
+    settings = {"hop_us": hop_us, "every_us": every_us, "every_events": every_events, "start_us": start_us, "late": late}
+    config = CONFIG.replace(landmark=landmark)
+    expected, processor = run(events, config=config, **settings)
+    for size in (1, 2, 7):
+        decisions, other = run(events, size, config=config, **settings)
+        assert [key(d) for d in decisions] == [key(d) for d in expected]
+        assert other.counts == processor.counts
+    one = Processor(config, classifier=total_and_size, **settings)
+    decisions = [d for event in events.tolist() for d in one.push_one(*event)] + one.finish()
+    assert [key(d) for d in decisions] == [key(d) for d in expected]
+    assert one.counts == processor.counts
+
+
+def test_fire_changes_nothing():
+    events = random_events(2000, seed=6, duration_us=5000)
+    for settings in ({}, {"every_us": 70}, {"every_events": 30}, {"hop_us": 400}):
+        for landmark in ("running", "window"):
+            config = CONFIG.replace(landmark=landmark)
+            expected, quiet = run(events, 50, config=config, **settings)
+            fired = Processor(config, classifier=total_and_size, **settings)
+            decisions = []
+            for first in range(0, len(events), 50):
+                decisions += fired.push(events[first : first + 50])
+                assert key(fired.fire()) == key(fired.fire())
+            decisions += fired.finish()
+            assert [key(d) for d in decisions] == [key(d) for d in expected]
+            assert fired.counts == quiet.counts
+
+
+def test_a_bad_packet_changes_nothing():
+    processor = Processor(CONFIG, classifier=total_and_size, every_events=3)
+    processor.push(at([100, 200]))
+    before = key(processor.fire()), processor.counts, processor.landmark, processor.volume().tobytes()
+    for bad in (([300, 5000], [1, 34], [1, 1], [1, 1]), ([300, -1], [1, 1], [1, 1], [1, 1]), [1, 2, 3], "abc", 7):
+        with pytest.raises((ValueError, TypeError)):
+            processor.push(bad)
+        with pytest.raises((ValueError, TypeError)):
+            processor.push_one(300, 1, 99, 1)
+    assert (key(processor.fire()), processor.counts, processor.landmark, processor.volume().tobytes()) == before
+
+
+def test_counts_with_overlapping_windows_count_received_once():
+    events = random_events(1000, seed=9, duration_us=10_000)
+    _, plain = run(events)
+    _, hop = run(events, hop_us=500, start_us=int(events["t"][0]))
+    assert plain.counts.received == hop.counts.received == 1000
+    c = plain.counts
+    assert c.received == c.kept + c.dropped_outside + c.dropped_tau_zero + c.dropped_late
+    assert hop.counts.kept > 1.5 * c.kept
+
+
+def test_reset_forgets_the_stream():
+    processor = Processor(CONFIG, classifier=total_and_size, hop_us=300, every_us=100, late="drop")
+    first = processor.push(random_events(500, duration_us=5000)) + processor.finish()
+    processor.reset()
+    assert processor.counts == Counts()
+    again = processor.push(random_events(500, duration_us=5000)) + processor.finish()
+    assert [key(d) for d in first] == [key(d) for d in again] and first
+
+
+def test_a_stream_may_go_on_after_finish():
+    processor = Processor(CONFIG, classifier=total_and_size)
+    processor.push(at([0, 10]))
+    assert summary(processor.finish()) == [("end", 0, 10, 2)]
+    assert processor.finish() == []
+    assert processor.push_one(500, 3, 3, 1) == [] and processor.counts.dropped_late == 1
+    assert processor.push_one(1500, 3, 3, 1) == []
+    assert summary(processor.finish()) == [("end", 1000, 1500, 1)]
+
+
+# -- classifiers and arguments -----------------------------------------------------------------------------
+
+
+def test_decision_carries_logits_probabilities_and_label():
+    processor = Processor(CONFIG, classifier=lambda volume: [0.0, np.log(3.0)], classes=["cat", "dog"])
+    processor.push(at([5]))
+    decision = processor.fire()
+    assert (decision.label, decision.index, decision.complete) == ("dog", 1, False)
+    assert decision.probabilities == pytest.approx([0.25, 0.75])
+    assert decision.probability == pytest.approx(0.75)
+    assert decision.logits.dtype == np.float32
+
+
+def test_fire_before_the_first_event_is_an_empty_window():
+    decision = Processor(CONFIG, classifier=total_and_size).fire()
+    assert (decision.events, decision.trigger) == (0, "fire")
+    assert Processor(CONFIG, classifier=total_and_size, start_us=70).fire().window_start_us == 70
+
+
+def test_a_model_brings_its_network_and_classes():
+    model = random_model(CONFIG, classes=3)
+    processor = Processor(model)
+    processor.push(random_events(100, duration_us=900))
+    assert processor.fire().label in model.classes
+    mine = Processor(model, classifier=lambda volume: [1.0, 0.0], classes=["a", "b"])
+    assert mine.fire().label == "a"
+
+
+def test_a_torch_module_may_be_the_classifier():
+    import torch
+
+    module = torch.nn.Sequential(torch.nn.Flatten(0), torch.nn.Linear(9 * 34 * 34, 4))
+    processor = Processor(CONFIG, classifier=lambda volume: module(torch.tensor(volume)).detach())
+    processor.push(at([5]))
+    assert processor.fire().logits.shape == (4,)
+
+
+def test_wrong_number_of_logits():
+    processor = Processor(CONFIG, classifier=lambda volume: [0.0], classes=["a", "b"])
+    with pytest.raises(ValueError, match="`classifier` must return 2 logits, one for each class, got 1"):
+        processor.fire()
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"hop_us": 1001}, "`hop_us` must be at most window_us = 1000, got 1001"),
+        ({"hop_us": 0}, "`hop_us` must be at least 1, got 0"),
+        ({"every_us": -5}, "`every_us` must be at least 1, got -5"),
+        ({"every_events": 0}, "`every_events` must be at least 1, got 0"),
+        ({"every_us": 0.5}, "`every_us` must be a whole number, got 0.5"),
+        ({"start_us": -1}, r"`start_us` must be in \[0, 2\*\*61\), got -1"),
+        ({"late": "later"}, "`late` must be one of accept, drop, raise, got 'later'"),
+        ({"classifier": 7}, "`classifier` must be callable, got int"),
+        ({"classifier": None}, "`classifier` is missing: a TNTConfig alone cannot decide"),
+    ],
+)
+def test_bad_settings(settings, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        Processor(CONFIG, **({"classifier": total_and_size} | settings))
+
+
+def test_bad_model():
+    with pytest.raises(TypeError, match="`model` must be a Model or a TNTConfig, got str; load_model"):
+        Processor("digits")

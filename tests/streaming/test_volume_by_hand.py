@@ -1,0 +1,129 @@
+"""TNTVolume against numbers worked out by hand: equality cannot see an error made on both sides."""
+
+import numpy as np
+import pytest
+
+from async_tnt import TNTConfig, TNTVolume
+
+RAW = TNTConfig(transform="none", window_us=800, bins=9)
+TNT = TNTConfig(landmark="center", window_us=800, bins=9, t_max=8.0)  # dt = 100 us: one bin, TNT time 1
+
+
+def volume_of(config, *events, start_us=0):
+    volume = TNTVolume(config)
+    volume.open(start_us)
+    for event in events:
+        volume.update_one(*event)
+    return volume
+
+
+def nonzero(array):
+    return {tuple(map(int, place)): float(array[tuple(place)]) for place in np.argwhere(array)}
+
+
+def test_first_event_of_a_raw_window_is_in_bin_0():
+    assert nonzero(volume_of(RAW, (0, 5, 7, 1)).array) == {(0, 7, 5): 1.0}
+
+
+def test_event_between_two_bins_is_shared_by_its_distance():
+    assert nonzero(volume_of(RAW, (225, 5, 7, 0)).array) == {(2, 7, 5): -0.75, (3, 7, 5): -0.25}
+
+
+def test_last_microsecond_goes_almost_whole_to_the_last_bin():
+    array = volume_of(RAW, (799, 33, 33, 1)).array
+    assert array[8, 33, 33] == np.float32(0.99) and array[7, 33, 33] == pytest.approx(0.01, abs=1e-7)
+
+
+def test_corner_pixels():
+    array = volume_of(RAW, (0, 0, 0, 1), (0, 33, 0, 1), (0, 0, 33, 1), (0, 33, 33, 1)).array
+    assert nonzero(array) == {(0, 0, 0): 1.0, (0, 0, 33): 1.0, (0, 33, 0): 1.0, (0, 33, 33): 1.0}
+
+
+def test_transform_divides_the_distance_from_the_landmark_by_tnt_time():
+    # tau = 2 at dt = 200: u = (20 - 16.5) / 2 + 16.5 = 18.25, v = (12 - 16.5) / 2 + 16.5 = 14.25
+    array = volume_of(TNT, (200, 20, 12, 1)).array
+    assert nonzero(array) == {
+        (2, 14, 18): 0.5625, (2, 14, 19): 0.1875, (2, 15, 18): 0.1875, (2, 15, 19): 0.0625,
+    }  # fmt: skip
+
+
+def test_transform_stretches_before_tnt_time_1():
+    # tau = 1/2 at dt = 50: u = (18 - 16.5) * 2 + 16.5 = 19.5; bin 0.5
+    array = volume_of(TNT, (50, 18, 18, 1)).array
+    assert nonzero(array) == {(b, v, u): 0.125 for b in (0, 1) for v in (19, 20) for u in (19, 20)}
+
+
+def test_event_exactly_on_the_transformed_border_is_kept():
+    # tau = 1: u = x; x = 33 lies on the border u = W - 1
+    volume = volume_of(TNT, (100, 33, 0, 1))
+    assert nonzero(volume.array) == {(1, 0, 33): 1.0}
+    assert volume.counts.kept == 1
+
+
+def test_event_a_little_past_the_border_is_dropped_and_counted():
+    volume = volume_of(TNT, (99, 33, 16, 1))
+    assert not volume.array.any()
+    assert volume.counts.dropped_outside == 1
+
+
+def test_tnt_time_zero_is_dropped_and_counted():
+    volume = volume_of(TNT, (0, 16, 16, 1))
+    assert not volume.array.any()
+    assert volume.counts.dropped_tau_zero == 1 and volume.counts.kept == 0
+
+
+def test_running_landmark_centres_each_event_on_the_centroid_so_far():
+    # Event 1 on itself: the centre. Event 2 (tau 2): centroid 12, u = (14 - 12) / 2 + 16.5 = 17.5.
+    volume = volume_of(TNT.replace(landmark="running", polarity="unsigned"), (100, 10, 16, 1), (200, 14, 16, 1))
+    assert volume.landmark == (12.0, 16.0)
+    array = volume.array
+    assert array[1].sum() == 1.0 and array[1, 16, 16] == 0.25
+    assert nonzero(array[2]) == {(16, 17): 0.25, (16, 18): 0.25, (17, 17): 0.25, (17, 18): 0.25}
+
+
+def test_line_landmark_is_the_ridge_line_at_the_windows_start():
+    # f = 1/8, 3/8; x = 10, 14: C_xf = 2 * (1/8) * 2 = 1/2, C_ff = 2 / 64; m = (1/2) / (1 + 1/32) = 16/33
+    volume = volume_of(TNT.replace(landmark="line"), (100, 10, 16, 1), (300, 14, 16, 1))
+    assert volume.flow == pytest.approx((16 / 33, 0.0), abs=1e-12)
+    assert volume.landmark == pytest.approx((12 - 16 / 33 / 4, 16.0), abs=1e-12)
+
+
+def test_remove_flow_displaces_an_event_from_the_line_itself():
+    # x - l - m f = 14 - 12 - (16/33)(3/8 - 1/4) = 2 - 2/33 at tau = 3: u = 16.5 + 64/99
+    config = TNT.replace(landmark="line", remove_flow=True, polarity="unsigned")
+    array = volume_of(config, (100, 10, 16, 1), (300, 14, 16, 1)).array
+    assert (array[3] * np.arange(34)).sum() == pytest.approx(16.5 + 64 / 99, abs=1e-5)
+
+
+def test_window_landmark_centres_all_events_on_the_centroid_at_the_read():
+    # centroid 12: event 1 at tau 1: u = 14.5; event 2 at tau 2: u = 17.5
+    volume = volume_of(TNT.replace(landmark="window", polarity="unsigned"), (100, 10, 16, 1), (200, 14, 16, 1))
+    array = volume.array
+    assert nonzero(array[1]) == {(v, u): 0.25 for v in (16, 17) for u in (14, 15)}
+    assert nonzero(array[2]) == {(v, u): 0.25 for v in (16, 17) for u in (17, 18)}
+
+
+def test_split_polarity_puts_off_bins_behind_on_bins():
+    array = volume_of(RAW.replace(polarity="split"), (100, 3, 4, 1), (100, 3, 4, 0)).array
+    assert nonzero(array) == {(1, 4, 3): 1.0, (10, 4, 3): 1.0}
+
+
+def test_polarity_minus_one_is_off():
+    assert nonzero(volume_of(RAW, (0, 3, 4, -1)).array) == {(0, 4, 3): -1.0}
+
+
+def test_a_larger_sensor_maps_corner_to_corner():
+    config = TNTConfig(sensor=(67, 67), grid=(34, 34), transform="none", window_us=800)
+    array = volume_of(config, (0, 66, 66, 1), (0, 0, 0, 1), (0, 33, 0, 1)).array
+    assert nonzero(array) == {(0, 33, 33): 1.0, (0, 0, 0): 1.0, (0, 0, 16): 0.5, (0, 0, 17): 0.5}
+
+
+def test_one_bin_is_a_count_image():
+    array = volume_of(RAW.replace(bins=1), (0, 3, 4, 1), (799, 3, 4, 1)).array
+    assert nonzero(array) == {(0, 4, 3): 2.0}
+
+
+@pytest.mark.parametrize("start_us", [0, 1_700_000_000_000_000, (1 << 62) - 801])
+def test_epoch_sized_times_lose_nothing(start_us):
+    array = volume_of(RAW, (start_us + 225, 5, 7, 1), start_us=start_us).array
+    assert nonzero(array) == {(2, 7, 5): 0.75, (3, 7, 5): 0.25}
