@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from .kernels.network import forward
@@ -51,7 +53,7 @@ class CompiledClassifier:
         return logits
 
 
-def _pack_filters(weights, layer: str) -> tuple[np.ndarray, np.ndarray]:
+def _pack_filters(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.ndarray, np.ndarray]:
     """(F, C, 3, 3) -> (F', C, 9), filled up with zero filters to a multiple of four."""
     filters, bias = weights[f"{layer}.weight"], weights[f"{layer}.bias"]
     n = -(-len(filters) // 4) * 4
@@ -62,7 +64,7 @@ def _pack_filters(weights, layer: str) -> tuple[np.ndarray, np.ndarray]:
     return packed, packed_bias
 
 
-def _transpose(weights, layer: str) -> tuple[np.ndarray, np.ndarray]:
+def _transpose(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(weights[f"{layer}.weight"].T), np.ascontiguousarray(weights[f"{layer}.bias"])
 
 

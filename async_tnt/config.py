@@ -117,7 +117,8 @@ class TNTConfig:
         unknown = sorted(str(name) for name in set(values) - known)
         if unknown:
             raise ValueError(f"unknown configuration {', '.join(unknown)}; known: {', '.join(sorted(known))}")
-        return cls(**{name: tuple(v) if isinstance(v, list) else v for name, v in values.items()})
+        arguments: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+        return cls(**arguments)
 
     def replace(self, **changes: Any) -> TNTConfig:
         """A copy with some values changed."""

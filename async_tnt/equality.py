@@ -110,7 +110,7 @@ def _check_config(
             volume.update(inside[before:n])
             before = n
             reference = reference_volume(inside[:n], config, start)
-            largest = max(float(np.abs(reference).max()), np.finfo(np.float32).tiny)
+            largest = max(float(np.abs(reference).max()), 1e-30)
             volumes.add(float(np.abs(volume.array - reference).max()) / largest)
             if config.transform == "tnt":
                 difference = np.subtract(volume.landmark, reference_landmark(inside[:n], config, start))
@@ -182,8 +182,8 @@ def reference_network(model: Model) -> Callable[[np.ndarray], np.ndarray]:
     import tnt_reference
     import torch
 
-    widths = tuple(len(model.weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
-    network = tnt_reference.Classifier(model.config.channels, model.config.grid, len(model.classes), widths)
+    f1, f2, f3 = (len(model.weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
+    network = tnt_reference.Classifier(model.config.channels, model.config.grid, len(model.classes), (f1, f2, f3))
     network.load_state_dict({name: torch.tensor(w) for name, w in model.weights.items()})
 
     def forward(volume: np.ndarray) -> np.ndarray:

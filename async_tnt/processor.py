@@ -13,6 +13,7 @@ from .classifier import CompiledClassifier
 from .config import TNTConfig
 from .events import Columns, EventDoor
 from .kernels.network import softmax
+from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
 from .model import Model
 from .volume import UNOPENED, Counts, TNTVolume
 
@@ -121,7 +122,7 @@ class Processor:
         self._volumes = [TNTVolume(self.config, replay_events=replay_events) for _ in range(n_volumes)]
         # One event by itself goes straight to the volume where nothing else has to be looked after.
         direct = n_volumes == 1 and every_events is None and late == "accept"
-        self._add = self._volumes[0].add if direct else _add_nothing
+        self._add = self._volumes[0].add if direct else _ask_the_door
         self.reset()
 
     def reset(self) -> None:
@@ -131,7 +132,7 @@ class Processor:
             volume.reset()
         self._open: deque[TNTVolume] = deque()  # oldest first
         self._free = list(self._volumes)
-        self._next_start_us = self._start_us  # of the next window to be opened; None: at the first event
+        self._next_start_us: int | None = self._start_us  # of the next window to be opened; None: at the first event
         self._trigger_us = NEVER  # next time trigger of the oldest window
         self._n_decided = 0  # events of the oldest window at its last triggered decision
         self._n_received = 0
@@ -157,8 +158,17 @@ class Processor:
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
         """Take one event: microseconds, pixels, polarity 0/1 or -1/+1. Otherwise as `push`."""
-        if self._add(t, x, y, p):
+        answer = self._add(t, x, y, p)
+        if answer == ABSORBED:
             return []
+        if answer == AT_LIMIT:
+            decisions: list[Decision] = []
+            if self._open:
+                self._advance(t, decisions)
+            else:
+                self._open_windows(t)
+            self._add(t, x, y, p)
+            return decisions
         return self._push(self._door(([t], [x], [y], [p])))
 
     def _push(self, columns: Columns) -> list[Decision]:
@@ -226,7 +236,10 @@ class Processor:
                 self._set_trigger(max(t_us, start_us))
             start_us += hop_us
         self._next_start_us = start_us
-        self._set_limits()
+        oldest_end_us = self._open[0].start_us + window_us
+        limit_us = min(oldest_end_us, start_us, self._trigger_us)
+        for volume in self._open:
+            volume.set_limit(limit_us)
 
     def _set_trigger(self, now_us: int) -> None:
         """The oldest window's next time trigger after `now_us`."""
@@ -234,12 +247,6 @@ class Processor:
         if self._every_us is not None and self._open:
             start_us = self._open[0].start_us
             self._trigger_us = start_us + ((now_us - start_us) // self._every_us + 1) * self._every_us
-
-    def _set_limits(self) -> None:
-        oldest_end_us = self._open[0].start_us + self.config.window_us
-        limit_us = min(oldest_end_us, self._next_start_us, self._trigger_us)
-        for volume in self._open:
-            volume.set_limit(limit_us)
 
     # -- decisions out -----------------------------------------------------------------------------------
 
@@ -324,8 +331,8 @@ class Processor:
         )  # fmt: skip
 
 
-def _add_nothing(t: int, x: int, y: int, p: int) -> bool:
-    return False
+def _ask_the_door(t: int, x: int, y: int, p: int) -> int:
+    return REFUSED
 
 
 def _positive(name: str, value: int) -> int:

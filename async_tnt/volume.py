@@ -12,7 +12,7 @@ from .config import TNTConfig
 from .events import Columns, EventDoor
 from .kernels import state as S
 from .kernels.read import copy_cells, empty_volume
-from .kernels.update import ABSORBED, absorb, absorb_one
+from .kernels.update import ABSORBED, REFUSED, absorb, absorb_one
 from .replay import ReplayBuffer
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
@@ -130,17 +130,15 @@ class TNTVolume:
             pass  # `update` says what is wrong
         return self.update(([t], [x], [y], [p]))
 
-    def add(self, t: int, x: int, y: int, p: int) -> bool:
-        """`update_one` for a caller that lays the windows itself: False if the event was not added, because it
-        is wrong, of another type than Python's integers, or not before the limit."""
+    def add(self, t: int, x: int, y: int, p: int) -> int:
+        """`update_one` for who lays the windows himself: ABSORBED; AT_LIMIT if the event is right but at or past
+        the limit; REFUSED if only the door can tell, as it is wrong or not of Python's own integers."""
         try:
-            return (
-                type(t | x | y | p) is int
-                and self._is_plain
-                and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED
-            )
+            if type(t | x | y | p) is int and self._is_plain:
+                return absorb_one(self._buffer, t, x, y, p * 1)
         except (TypeError, OverflowError):
-            return False
+            pass
+        return REFUSED
 
     def take(self, columns: Columns, first: int, last: int) -> int:
         """Add checked events `first <= i < last` up to the limit (the window's end); returns the first not added."""

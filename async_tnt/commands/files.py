@@ -58,6 +58,8 @@ def model_of(args: argparse.Namespace) -> Model:
 
 def complain(error: BaseException | str) -> None:
     """One line on stderr."""
+    if isinstance(error, OSError) and error.filename is not None:
+        error = f"{error.filename}: {error.strerror}"
     print(f"async-tnt: {error}", file=sys.stderr, flush=True)
 
 

@@ -58,6 +58,8 @@ def main(args: argparse.Namespace) -> int:
         try:
             (recording,) = open_all([path], model)
             _run(recording, processor, model, args.json, sys.stdout)
+        except BrokenPipeError:
+            raise
         except (OSError, ValueError) as error:
             complain(error)
             failed = True

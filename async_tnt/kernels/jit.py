@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from numba import njit
 
-# error_model="numpy": 1 / 0 is inf, as in the equations. Python's model would raise, and the test for it keeps
-# loops out of vector registers. No fastmath anywhere: how a stream is cut must not change a bit.
-STRICT = {"error_model": "numpy"}
+# error_model="numpy": 1 / 0 is inf, as in the equations. Python's model would raise, and the test for it
+# keeps loops out of vector registers. No fastmath anywhere: how a stream is cut must not change a bit.
+_strict = partial(njit, error_model="numpy")
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -19,11 +20,11 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     folder is writable (NUMBA_CACHE_DIR names another); then every process compiles anew.
     """
     try:
-        return njit(cache=True, **STRICT)(function)
+        return _strict(cache=True)(function)
     except RuntimeError:
-        return njit(**STRICT)(function)
+        return _strict()(function)
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """A formula that several kernels share: compiled into each of them, never called by itself."""
-    return njit(inline="always", **STRICT)(function)
+    return _strict(inline="always")(function)

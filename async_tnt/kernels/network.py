@@ -26,7 +26,9 @@ def frame(volume, framed):
 
 @compiled
 def convolve(framed, weights, bias, width, out):
-    """3x3 convolution with zero padding: out[f, y, x] = bias[f] + sum_c,i,j w[f, c, i, j] in[c, y+i-1, x+j-1].
+    """3x3 convolution with zero padding.
+
+        out[f, y, x] = bias[f] + sum_c,i,j w[f, c, i, j] in[c, y + i - 1, x + j - 1]
 
     Parameters
     ----------
@@ -70,7 +72,10 @@ def _add_channel(framed, weights, row, f, c, out):
 
 @inlined
 def _taps(w, f, c):
-    return w[f, c, 0], w[f, c, 1], w[f, c, 2], w[f, c, 3], w[f, c, 4], w[f, c, 5], w[f, c, 6], w[f, c, 7], w[f, c, 8]
+    above = w[f, c, 0], w[f, c, 1], w[f, c, 2]
+    here = w[f, c, 3], w[f, c, 4], w[f, c, 5]
+    below = w[f, c, 6], w[f, c, 7], w[f, c, 8]
+    return above + here + below
 
 
 @inlined

@@ -4,13 +4,23 @@ Numba does not merge neighbouring scalar operations into vector ones, so `splat.
 the loads, additions and stores, with the same rounding in each lane.
 """
 
+import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import config, types
 from numba.extending import intrinsic
+
+from .jit import inlined
+
+
+@inlined
+def _add_pair_checked(cells, index, first, second, weight):
+    """`add_pair` in plain words, for NUMBA_BOUNDSCHECK=1: there Numba can test the indices."""
+    cells[index] += first * weight
+    cells[index + np.uint64(1)] += second * weight
 
 
 @intrinsic
-def add_pair(typingctx, cells, index, first, second, weight):
+def _add_pair_vectorized(typingctx, cells, index, first, second, weight):
     """cells[index] += first * weight; cells[index + 1] += second * weight. The index is not checked.
 
     cells : float64, flat, contiguous. index : uint64. first, second, weight : float64.
@@ -34,3 +44,6 @@ def add_pair(typingctx, cells, index, first, second, weight):
         return context.get_dummy_value()
 
     return types.void(cells, index, first, second, weight), codegen
+
+
+add_pair = _add_pair_checked if getattr(config, "BOUNDSCHECK", None) else _add_pair_vectorized

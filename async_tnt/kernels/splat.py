@@ -2,7 +2,7 @@
 
     V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i)        k(a) = max(0, 1 - |a|)
 
-Zhu, Yuan, Chaney, Daniilidis 2019 (arXiv 1812.08156), the discretized event volume; many call it a voxel grid.
+Zhu, Yuan, Chaney, Daniilidis 2019 (arXiv 1812.08156): the discretized event volume, or voxel grid.
 """
 
 from collections import namedtuple
@@ -16,7 +16,7 @@ from .pair import add_pair
 Grid = namedtuple(
     "Grid", "scale_x scale_y center_x center_y max_u max_v bin_scale sign_off sign_on row plane off_shift"
 )
-Grid.__doc__ = """A volume's parameters in registers: read once a block, as no store can change them behind us."""
+Grid.__doc__ = """A volume's parameters as values: read once a block, since no store can change them behind us."""
 
 BORDER_TOLERANCE = 1e-9  # pixels; rounding must not decide over an event that mathematics puts on the border
 

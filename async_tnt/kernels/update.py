@@ -12,11 +12,12 @@ stream is cut cannot matter.
 import numpy as np
 
 from . import state as S
+from .columns import MAX_TIME_US
 from .jit import compiled, inlined
 from .landmark import displace_fixed, displace_line, displace_raw, displace_running
 from .splat import add_event, grid_of, place_event
 
-ABSORBED, AT_LIMIT, OFF_SENSOR = 0, 1, 2  # what absorb_one answers
+ABSORBED, AT_LIMIT, REFUSED = 0, 1, 2  # what absorb_one answers
 
 
 @compiled
@@ -53,10 +54,12 @@ def absorb(buffer, t, x, y, p, first, last):
 
 @compiled
 def absorb_one(buffer, t, x, y, p):
-    """Check and add one event: ABSORBED, or AT_LIMIT or OFF_SENSOR with nothing changed."""
+    """Check and add one event: ABSORBED, or AT_LIMIT or REFUSED (it breaks a rule) with nothing changed."""
     ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
-    if (x < 0) | (x >= ints[S.SENSOR_W]) | (y < 0) | (y >= ints[S.SENSOR_H]) | (t < 0) | (p < -1) | (p > 1):
-        return OFF_SENSOR
+    if (t < 0) | (t >= MAX_TIME_US) | (p < -1) | (p > 1):
+        return REFUSED
+    if (x < 0) | (x >= ints[S.SENSOR_W]) | (y < 0) | (y >= ints[S.SENSOR_H]):
+        return REFUSED
     if t >= ints[S.LIMIT_US]:
         return AT_LIMIT
     _absorb_event(buffer, ints, t, x, y, p)

@@ -12,7 +12,6 @@ from . import landmarks
 from .coordinates import image_centre, tnt_time, to_grid, window_fraction
 from .window import Column, check_size, window_events
 
-
 BORDER_TOLERANCE = 1e-9  # pixels
 
 

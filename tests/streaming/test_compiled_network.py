@@ -34,7 +34,7 @@ def test_logits_equal_the_reference_network(grid, bins, polarity, widths, classe
         logits = network(volume.array)
         assert np.abs(logits - expected).max() <= 1e-4 * max(1.0, np.abs(expected).max())
         assert logits.argmax() == expected.argmax()
-    assert volume.array.any() and np.ptp(logits) > 0 or classes == 1
+    assert (volume.array.any() and np.ptp(logits) > 0) or classes == 1
 
 
 def test_one_filter_by_hand():

@@ -1,0 +1,159 @@
+"""`async-tnt bench`: what it reports, and that it refuses to compare different work."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from async_tnt import TNTConfig
+from async_tnt.bench import add_arguments, latency, main
+from async_tnt.bench.timing import Progress, interleave, spread
+
+WAYS = {"single"} | {f"packet_{n}_{form}" for n in (10, 100, 1300) for form in ("structured", "columns")}
+needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
+
+
+def parse(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return parser.parse_args(words)
+
+
+@pytest.fixture(scope="module")
+def small_run():
+    """Everything as `--quick`, with fewer events still."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr("async_tnt.bench.command.GRIDS", ((34, 34), (64, 48)))
+    yield patch
+    patch.undo()
+
+
+def test_quick_json_is_one_object_with_every_figure(small_run, capsys):
+    assert main(parse("--quick", "--json")) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["machine"]["cpu"] and report["machine"]["numpy"] == np.__version__
+    assert [v["grid"] for v in report["volume"]] == [[34, 34], [64, 48]]
+    for volume in report["volume"]:
+        assert set(volume["ns_per_event"]) == WAYS
+        for figure in [*volume["ns_per_event"].values(), volume["open_us"], volume["read_us"]]:
+            assert 0 < figure["min"] <= figure["q1"] <= figure["median"] <= figure["q3"] <= figure["max"]
+        one, packet = (volume["ns_per_event"][way]["median"] for way in ("single", "packet_1300_columns"))
+        assert packet < one / 2  # a packet spares 1299 calls from Python
+    decisions = report["processor"]["latency"]
+    for figure in decisions["us"].values():
+        assert 0 < figure["median"] <= figure["p99"]
+    assert decisions["us"]["stream"]["median"] > decisions["us"]["push_one"]["median"]
+    assert report["processor"]["stream"]["windows"] == 3
+
+
+@needs_torch
+def test_batch_way_is_timed_and_makes_the_same_volumes(small_run, capsys):
+    assert main(parse("--quick", "--json")) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["settings"]["batch"] is True
+    assert "batch" in report["processor"]["stream"]["ns_per_event"]
+    decisions = report["processor"]["latency"]
+    assert {"batch", "batch_volume", "batch_network"} < set(decisions["us"])
+    assert 0 < decisions["largest_difference"]["volume"] < 1e-4  # float32 against float64: not quite zero
+    assert decisions["batch_over_stream"]["median"] > 0
+
+
+@needs_torch
+def test_different_work_is_not_timed_but_refused(small_run, monkeypatch, capsys):
+    from async_tnt.bench.torch_batch import TorchBatch
+
+    right = TorchBatch.volume
+    monkeypatch.setattr(TorchBatch, "volume", lambda self, *columns: 1.001 * right(self, *columns))
+    assert main(parse("--quick")) == 1
+    captured = capsys.readouterr()
+    assert "stream and batch must agree within 0.0001, got volumes 1.0e-03" in captured.err
+    assert captured.out == ""
+
+
+def test_without_torch_it_says_so_and_times_ours(small_run, monkeypatch, capsys):
+    monkeypatch.setattr("async_tnt.bench.command._has", lambda package: False)
+    assert main(parse("--quick")) == 0
+    text = capsys.readouterr().out
+    assert "torch is not installed: only our own times" in text
+    assert "packets of 1300, columns" in text and "batch way" not in text.replace("for the batch way", "")
+
+
+def test_the_bench_package_does_not_import_torch():
+    import subprocess
+
+    code = "import sys, async_tnt.bench, async_tnt.bench.latency; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_model_that_cannot_be_read_is_bad_usage(capsys):
+    assert main(parse("--model", "no_such_model")) == 2
+    assert "no model file no_such_model" in capsys.readouterr().err
+
+
+def test_random_weights_stand_in_where_no_model_is_bundled(monkeypatch):
+    monkeypatch.setattr(latency, "bundled_models", lambda: ())
+    model, name = latency.bench_model(None, "line", seed=3)
+    again, _ = latency.bench_model(None, "line", seed=3)
+    assert name == "random weights" and model.config.landmark == "line"
+    assert all(np.array_equal(model.weights[key], again.weights[key]) for key in model.weights)
+
+
+def test_cases_take_turns_and_the_warm_up_is_not_counted():
+    calls: list[str] = []
+
+    def case(name: str, value: float):
+        return lambda: calls.append(name) or value
+
+    measured = interleave({"a": case("a", 1.0), "b": case("b", 2.0)}, rounds=3)
+    assert calls == ["a", "b", "a", "b", "b", "a", "a", "b"]
+    assert measured["a"].tolist() == [1.0] * 3 and measured["b"].tolist() == [2.0] * 3
+
+
+def test_spread_by_hand():
+    assert spread(np.array([1.0, 2.0, 3.0, 4.0, 9.0])) == {
+        "median": 3.0, "q1": 2.0, "q3": 4.0, "min": 1.0, "max": 9.0, "n": 5,
+    }  # fmt: skip
+
+
+def test_progress_keeps_quiet_at_first(capsys):
+    Progress(2).step("soon")
+    assert capsys.readouterr().err == ""
+    Progress(2, after_s=0.0).step("at once")
+    assert capsys.readouterr().err == "[1/2] at once ...\n"
+
+
+TWINS = [{"landmark": name, "polarity": p, "t_max": t} for name in ("center", "running", "line", "window")
+         for p in ("signed", "unsigned", "split") for t in (2.0, 8.0)]  # fmt: skip
+TWINS += [{"landmark": "line", "remove_flow": True, "t_max": 2.0}, {"transform": "none"}]
+
+
+@needs_torch
+@pytest.mark.parametrize("settings", TWINS, ids=lambda s: "-".join(map(str, s.values())))
+@pytest.mark.parametrize("grid", [(34, 34), (20, 41)])
+def test_the_batch_way_is_the_reference(settings, grid):
+    """Held against the reference, not against ours: a figure beside a wrong twin would mean nothing."""
+    import torch
+    from tnt_reference import event_volume, tnt_volume
+
+    from async_tnt.bench.torch_batch import TorchBatch, as_tensors
+
+    config = TNTConfig(grid=grid, window_us=20_000, **settings)
+    events = latency.made_recording(np.random.default_rng(5), config, 3000)
+    events = events[events["t"] < 20_000]
+    assert len(events) > 900
+    at = {"start_us": 0, "window_us": 20_000, "sensor": (34, 34), "grid": grid, "bins": 9, "polarity": config.polarity}
+    columns = [events[name].astype(np.int64) for name in "txyp"]
+    if config.transform == "tnt":
+        at |= {"t_max": config.t_max, "landmark": config.landmark, "remove_flow": config.remove_flow}
+        expected = tnt_volume(*columns, **at)
+    else:
+        expected = event_volume(*columns, **at)
+    with torch.inference_mode():
+        found = TorchBatch(config).volume(*as_tensors(events, 0))
+    assert expected.abs().max() > 1
+    torch.testing.assert_close(found, expected, rtol=0, atol=2e-5 * float(expected.abs().max()))
