@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .kernels.network import forward
+from .kernels.strip import FILTERS, PLACES, TAPS
 from .model import Model
 
 
@@ -30,9 +31,9 @@ class CompiledClassifier:
         half_h, half_w = height // 2, width // 2
         self._maps = (
             _framed(channels, height, width),
-            np.zeros((len(conv1[0]), height * (width + 2)), np.float32),
+            np.zeros((conv1[1].size, _strips(height, width)), np.float32),
             _framed(f1, half_h, half_w),
-            np.zeros((len(conv2[0]), half_h * (half_w + 2)), np.float32),
+            np.zeros((conv2[1].size, _strips(half_h, half_w)), np.float32),
             np.zeros((f2, (half_h // 2) * (half_w // 2)), np.float32),
             np.zeros(len(w["fc1.bias"]), np.float32),
             np.zeros(len(w["fc1.weight"].T) + len(w["fc1.bias"]), np.int64),
@@ -54,14 +55,15 @@ class CompiledClassifier:
 
 
 def _pack_filters(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.ndarray, np.ndarray]:
-    """(F, C, 3, 3) -> (F', C, 9), filled up with zero filters to a multiple of four."""
+    """(F, C, 3, 3) -> (blocks, C, 9, 8), filled up with zero filters to a multiple of eight."""
     filters, bias = weights[f"{layer}.weight"], weights[f"{layer}.bias"]
-    n = -(-len(filters) // 4) * 4
-    packed = np.zeros((n, filters.shape[1], 9), np.float32)
-    packed[: len(filters)] = filters.reshape(*filters.shape[:2], 9)
-    packed_bias = np.zeros(n, np.float32)
-    packed_bias[: len(bias)] = bias
-    return packed, packed_bias
+    n_blocks = -(-len(filters) // FILTERS)
+    packed = np.zeros((n_blocks * FILTERS, filters.shape[1], TAPS), np.float32)
+    packed[: len(filters)] = filters.reshape(*filters.shape[:2], TAPS)
+    packed = packed.reshape(n_blocks, FILTERS, -1, TAPS).transpose(0, 2, 3, 1)
+    packed_bias = np.zeros((n_blocks, FILTERS), np.float32)
+    packed_bias.flat[: len(bias)] = bias
+    return np.ascontiguousarray(packed), packed_bias
 
 
 def _transpose(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.ndarray, np.ndarray]:
@@ -69,4 +71,10 @@ def _transpose(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.ndarra
 
 
 def _framed(channels: int, height: int, width: int) -> np.ndarray:
-    return np.zeros((channels, (height + 2) * (width + 2) + 2), np.float32)
+    """Maps with a frame of zeros, and what the last strip reads beyond them."""
+    return np.zeros((channels, _strips(height, width) + 2 * (width + 2) + 2), np.float32)
+
+
+def _strips(height: int, width: int) -> int:
+    """Places of a map's rows with their frame, filled up to whole strips."""
+    return -(-height * (width + 2) // PLACES) * PLACES

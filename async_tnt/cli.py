@@ -38,7 +38,7 @@ def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         subparser = subparsers.add_parser(
             name,
             help=help_line,
-            description=module.DESCRIPTION,
+            description=getattr(module, "DESCRIPTION", None),
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.add_arguments(subparser)

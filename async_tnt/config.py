@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -64,9 +65,10 @@ class TNTConfig:
             side = getattr(self, name)
             if not (isinstance(side, (tuple, list)) and len(side) == 2 and all(_is_int(s) for s in side)):
                 raise TypeError(f"`{name}` must be two whole numbers (width, height), got {side!r}")
-            object.__setattr__(self, name, (int(side[0]), int(side[1])))
+            side = int(side[0]), int(side[1])
+            object.__setattr__(self, name, side)
             if not all(2 <= s <= MAX_SIDE for s in side):
-                raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {tuple(side)}")
+                raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {side}")
         for name, low, high in (("bins", 1, 1024), ("window_us", 1, MAX_WINDOW_US)):
             value = getattr(self, name)
             if not _is_int(value):
@@ -76,9 +78,13 @@ class TNTConfig:
             object.__setattr__(self, name, int(value))
         if not isinstance(self.t_max, Real) or isinstance(self.t_max, bool):
             raise TypeError(f"`t_max` must be a number, got {self.t_max!r}")
-        if not 1e-6 <= self.t_max <= 1e6:
-            raise ValueError(f"`t_max` must be in [1e-6, 1e6], got {self.t_max}")
-        object.__setattr__(self, "t_max", float(self.t_max))
+        try:
+            t_max = float(self.t_max)
+        except OverflowError:
+            t_max = math.inf
+        if not 1e-6 <= t_max <= 1e6:
+            raise ValueError(f"`t_max` must be in [1e-6, 1e6], got {t_max}")
+        object.__setattr__(self, "t_max", t_max)
         for name, allowed in (("landmark", LANDMARKS), ("polarity", POLARITIES), ("transform", TRANSFORMS)):
             value = getattr(self, name)
             if not isinstance(value, str) or value not in allowed:

@@ -253,7 +253,11 @@ def _as_column(field: str, values: Any) -> np.ndarray:
         column = np.atleast_1d(np.asarray(values))
     except Exception as error:  # whatever a foreign object's __array__ raises
         raise ValueError(f"`{field}` must be a column of whole numbers: {error}") from error
-    return column if column.size else column.astype(np.int64)  # [] is float64 to NumPy
+    if column.size == 0:
+        return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
+    if column.dtype.kind == "f" and isinstance(values, (list, tuple)) and all(type(v) is int for v in values):
+        return np.array(values, object)  # some beyond int64: NumPy made floats of them, `_check_type` names them
+    return column
 
 
 def _pick(field: str, have: Any, what: str) -> str:
@@ -272,8 +276,8 @@ def _check_type(field: str, column: np.ndarray) -> None:
         raise ValueError(f"`{field}` must be a whole number, got {column[i]} at event {i}")
     if kind == "O":
         for i, value in enumerate(column):
-            if type(value) is int and not -(1 << 63) <= value < 1 << 64:  # NumPy's reason for `object`
-                raise ValueError(f"`{field}` must fit in 64 bits, got {value} at event {i}")
+            if type(value) is int and not -(1 << 63) <= value < 1 << 63:
+                raise ValueError(f"`{field}` must fit in int64, got {value} at event {i}")
     got = f"{column.dtype}" + (f" ({_brief(column[0])} at event 0)" if column.size else "")
     if field == "t" and kind in "fmM":
         raise TypeError(

@@ -101,9 +101,7 @@ def load_model(name_or_path: str | Path) -> Model:
         path = Path(name_or_path)
         if not path.is_file():
             names = ", ".join(bundled_models())
-            raise FileNotFoundError(
-                f"no model file {path}, and no bundled model of that name (bundled: {names})"
-            )
+            raise FileNotFoundError(f"no model file {path}, and no bundled model of that name (bundled: {names})")
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}

@@ -9,7 +9,8 @@ import numpy as np
 
 from .events import Columns, empty_columns
 from .kernels import state as S
-from .kernels.read import empty_volume, store_events
+from .kernels.read import empty_volume
+from .kernels.store import store_events
 from .kernels.update import absorb
 
 if TYPE_CHECKING:
@@ -65,13 +66,13 @@ class ReplayBuffer:
         """Bring the volume's cells and counts up to date: all stored events about the window's centroid."""
         if self._fresh:
             return
-        floats, ints, buffer = volume._floats, volume._ints, volume._buffer
+        ints, buffer = volume._ints, volume._buffer
         kept = {slot: int(ints[slot]) for slot in UNCOUNTED}
-        empty_volume(buffer, kept[S.START_US], kept[S.LIMIT_US], volume.config.bins, volume.config.grid[1])
+        empty_volume(buffer, volume._array, kept[S.START_US], kept[S.LIMIT_US])
         ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
         if kept[S.N]:
-            floats[S.FIXED_X] = kept[S.SUM_X] / kept[S.N]
-            floats[S.FIXED_Y] = kept[S.SUM_Y] / kept[S.N]
+            buffer[S.FIXED_X] = kept[S.SUM_X] / kept[S.N]
+            buffer[S.FIXED_Y] = kept[S.SUM_Y] / kept[S.N]
         absorb(buffer, *self._columns[:4], 0, self.n)
         for slot, value in kept.items():
             ints[slot] = value
@@ -87,7 +88,7 @@ class ReplayBuffer:
 
     @staticmethod
     def _counted(buffer: np.ndarray) -> int:
-        return int(buffer[S.N_FLOATS : S.CELLS].view(np.int64)[S.N])
+        return int(buffer.view(np.int64)[S.N])
 
     def _grow(self, n: int) -> None:
         n = min(n, self.capacity)

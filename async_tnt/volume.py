@@ -69,10 +69,8 @@ class TNTVolume:
     def __init__(self, config: TNTConfig, *, late: str = "accept", replay_events: int = 1 << 20) -> None:
         self.config = config
         self._door = EventDoor(config.sensor, late)
-        self._buffer = np.zeros(S.CELLS + 2 * config.channels * (config.grid[0] + 1) * (config.grid[1] + 1))
-        self._floats = self._buffer[: S.N_FLOATS]
-        self._ints = self._buffer[S.N_FLOATS : S.CELLS].view(np.int64)
-        _set_parameters(self._floats, self._ints, config)
+        self._buffer = new_state(config)
+        self._ints = self._buffer.view(np.int64)
         self._array = np.zeros(config.shape, np.float32)
         self._view = self._array.view()
         self._view.flags.writeable = False
@@ -98,7 +96,7 @@ class TNTVolume:
         self._ints[S.LIMIT_US] = limit_us
 
     def _empty(self, start_us: int, limit_us: int) -> None:
-        empty_volume(self._buffer, start_us, limit_us, self.config.bins, self.config.grid[1])
+        empty_volume(self._buffer, self._array, start_us, limit_us)
 
     def update(self, events: Any) -> int:
         """Add a packet of events, in any form that `async_tnt.events` lists.
@@ -176,7 +174,7 @@ class TNTVolume:
         """
         if self._replay is not None:
             self._replay.run(self)
-        if self._ints[S.BIN_HI] >= self._ints[S.BIN_LO]:
+        if self._ints[S.N_LOG] > self._ints[S.N_READ] or self._ints[S.LOST]:
             copy_cells(self._buffer, self._array, self.config.bins)
         return self._view
 
@@ -205,8 +203,8 @@ class TNTVolume:
         return self._to_grid(*self._slopes())
 
     def _slopes(self) -> tuple[float, float]:
-        c_ff = float(self._floats[S.C_FF]) + 1.0
-        return float(self._floats[S.C_XF]) / c_ff, float(self._floats[S.C_YF]) / c_ff
+        c_ff = float(self._buffer[S.C_FF]) + 1.0
+        return float(self._buffer[S.C_XF]) / c_ff, float(self._buffer[S.C_YF]) / c_ff
 
     def _to_grid(self, x: float, y: float) -> tuple[float, float]:
         (sensor_w, sensor_h), (width, height) = self.config.sensor, self.config.grid
@@ -247,26 +245,35 @@ class TNTVolume:
         return int(self._ints[S.NEWEST_US])
 
 
-def _set_parameters(floats: np.ndarray, ints: np.ndarray, config: TNTConfig) -> None:
+def new_state(config: TNTConfig) -> np.ndarray:
+    """The buffer of a volume, its parameters set, no window open (see `kernels.state`)."""
     (sensor_w, sensor_h), (width, height) = config.sensor, config.grid
+    plane = 2 * (width + 1) * (height + 1)
+    n_cells = config.channels * plane
+    log_size = max(64, n_cells // S.NUMBERS_PER_LOGGED)
+    buffer = np.zeros(S.CELLS + n_cells + log_size)
+    ints = buffer.view(np.int64)
     gain_x, gain_y = (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
     raw = config.transform == "none"
-    floats[S.WINDOW_US] = config.window_us
-    floats[S.BIN_SCALE] = (config.bins - 1) / config.window_us
-    floats[S.SCALE_X] = gain_x * (1.0 if raw else config.window_us / config.t_max)
-    floats[S.SCALE_Y] = gain_y * (1.0 if raw else config.window_us / config.t_max)
-    floats[S.CENTER_X] = 0.0 if raw else (width - 1) / 2
-    floats[S.CENTER_Y] = 0.0 if raw else (height - 1) / 2
-    floats[S.MAX_U] = width - 1
-    floats[S.MAX_V] = height - 1
-    floats[S.SIGN_ON] = 1.0
-    floats[S.SIGN_OFF] = -1.0 if config.polarity == "signed" else 1.0
-    floats[S.FIXED_X] = (sensor_w - 1) / 2  # the grid's centre
-    floats[S.FIXED_Y] = (sensor_h - 1) / 2
+    buffer[S.WINDOW_US] = config.window_us
+    buffer[S.BIN_SCALE] = (config.bins - 1) / config.window_us
+    buffer[S.SCALE_X] = gain_x * (1.0 if raw else config.window_us / config.t_max)
+    buffer[S.SCALE_Y] = gain_y * (1.0 if raw else config.window_us / config.t_max)
+    buffer[S.CENTER_X] = 0.0 if raw else (width - 1) / 2
+    buffer[S.CENTER_Y] = 0.0 if raw else (height - 1) / 2
+    buffer[S.MAX_U] = width - 1
+    buffer[S.MAX_V] = height - 1
+    buffer[S.SIGN_ON] = 1.0
+    buffer[S.SIGN_OFF] = -1.0 if config.polarity == "signed" else 1.0
+    buffer[S.FIXED_X] = (sensor_w - 1) / 2  # the grid's centre
+    buffer[S.FIXED_Y] = (sensor_h - 1) / 2
     modes = {"center": S.MODE_FIXED, "window": S.MODE_FIXED, "running": S.MODE_RUNNING, "line": S.MODE_LINE}
     mode = S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes[config.landmark]
     ints[S.MODE] = S.MODE_RAW if raw else mode
     ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
     ints[S.ROW] = 2 * (width + 1)
-    ints[S.PLANE] = ints[S.ROW] * (height + 1)
-    ints[S.OFF_SHIFT] = ints[S.PLANE] * config.bins if config.polarity == "split" else 0
+    ints[S.PLANE] = plane
+    ints[S.OFF_SHIFT] = plane * config.bins if config.polarity == "split" else 0
+    ints[S.LOG] = S.CELLS + n_cells
+    ints[S.LOG_SIZE] = log_size
+    return buffer

@@ -18,6 +18,7 @@ import numpy as np
 
 from async_tnt import EVENT_DTYPE, Processor, TNTConfig, warmup
 from async_tnt.bench.latency import bench_model
+from async_tnt.bench.timing import machine
 
 FIRST = 1_000_000
 PACKET = 1300
@@ -97,15 +98,17 @@ def main(argv: list[str] | None = None) -> int:
     assert first_mb is not None  # FIRST was passed
     grown_mb = last_mb - first_mb
     result = {
-        "model": name, "events": n_events, "decisions": n_decisions, "seconds": round(time.perf_counter() - started, 1),
-        "first_million_mb": round(first_mb, 2), "end_mb": round(last_mb, 2), "grown_mb": round(grown_mb, 2),
-        "limit_mb": args.limit_mb,
+        "machine": machine(), "model": name, "events": n_events, "decisions": n_decisions,
+        "seconds": round(time.perf_counter() - started, 1), "first_million_mb": round(first_mb, 2),
+        "end_mb": round(last_mb, 2), "grown_mb": round(grown_mb, 2), "limit_mb": args.limit_mb,
     }  # fmt: skip
     if args.json:
         print(json.dumps(result))
     else:
-        print(f"{n_events:,} events, {n_decisions:,} decisions in {result['seconds']} s; resident memory "
-              f"{first_mb:.1f} MB after the first million, {last_mb:.1f} MB at the end: {grown_mb:+.2f} MB")  # fmt: skip
+        print(
+            f"{n_events:,} events, {n_decisions:,} decisions in {result['seconds']} s; resident memory "
+            f"{first_mb:.1f} MB after the first million, {last_mb:.1f} MB at the end: {grown_mb:+.2f} MB"
+        )
     return int(grown_mb > args.limit_mb)
 
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,7 @@ from async_tnt.config import LANDMARKS
 from async_tnt.recordings import open_recording, sample_recordings
 
 from .latency import WorkDiffers, bench_latency, bench_model, bench_stream, made_recording
-from .timing import Progress, machine
+from .timing import Progress, is_installed, machine, one_thread
 from .volumes import GRIDS, PACKETS, bench_volume
 
 DESCRIPTION = """\
@@ -57,12 +55,12 @@ def main(args: argparse.Namespace) -> int:
     except (OSError, ValueError) as error:
         print(f"async-tnt bench: {error}", file=sys.stderr)
         return 2
-    with_torch = _has("torch") and _has("tnt_reference")
+    with_torch = is_installed("torch", "tnt_reference")
     progress = Progress(len(GRIDS) + 3)
     progress.step("compiling")
     warmup(model)
     try:
-        with _one_thread(with_torch):
+        with one_thread(with_torch):
             report = _measure(args, model, model_name, with_torch, progress)
     except WorkDiffers as error:
         print(f"async-tnt bench: {error}", file=sys.stderr)
@@ -75,14 +73,15 @@ def _measure(
     args: argparse.Namespace, model: Any, model_name: str, with_torch: bool, progress: Progress
 ) -> dict[str, Any]:
     rng = np.random.default_rng(args.seed)
-    rounds = 3 if args.quick else 11
+    rounds = 5 if args.quick else 31  # many short ones: another process interrupts few of them
     volumes = []
     for grid in GRIDS:
         progress.step(f"volume, {grid[0]} x {grid[1]}")
-        n_events = 13_000 if args.quick else 104_000  # whole packets of every size
+        n_events = 13_000 if args.quick else 26_000  # whole packets of every size
         volumes.append(bench_volume(grid, args.landmark, rng, n_events=n_events, rounds=rounds))
     recording = open_recording(sample_recordings()[3])
-    events = recording.read() if recording.sensor == model.config.sensor else made_recording(rng, model.config, 5000)
+    fits = recording.sensor == model.config.sensor
+    events = recording.read() if fits else made_recording(rng, model.config, 5000)
     progress.step("recording through a Processor")
     stream = bench_stream(model, events, rounds=rounds, with_torch=with_torch)
     progress.step("latency of decisions")
@@ -102,7 +101,7 @@ def table(report: dict[str, Any]) -> Iterator[str]:
     packages = ("python", "async_tnt", "numpy", "numba", "torch")
     versions = ", ".join(f"{name} {about[name]}" for name in packages if about[name])
     yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}; one thread"
-    yield f"medians of {settings['rounds']} rounds in turns, quartiles in brackets"
+    yield f"processor time, medians of {settings['rounds']} rounds in turns, quartiles in brackets"
     volumes = report["volume"]
     yield ""
     yield (f"TNTVolume, landmark {volumes[0]['landmark']}, {volumes[0]['bins']} bins, "
@@ -114,16 +113,19 @@ def table(report: dict[str, Any]) -> Iterator[str]:
         yield f"{title:28}" + _row([v["ns_per_event"][way] for v in volumes])
     yield f"{'us to open a window':28}" + _row([v["open_us"] for v in volumes])
     yield f"{'us to read after 1300':28}" + _row([v["read_us"] for v in volumes])
-    stream, decisions, config = report["processor"]["stream"], report["processor"]["latency"], report["model"]["config"]
+    stream, decisions = report["processor"]["stream"], report["processor"]["latency"]
+    config = report["model"]["config"]
     yield ""
-    yield (f"Processor, model {report['model']['name']} at {config['grid'][0]} x {config['grid'][1]}, landmark "
-           f"{config['landmark']}; a recording of {stream['events']:,} events, {stream['windows']} windows decided")  # fmt: skip
+    yield (f"Processor, model {report['model']['name']} at {config['grid'][0]} x {config['grid'][1]}, "
+           f"landmark {config['landmark']}; a recording of {stream['events']:,} events, "
+           f"{stream['windows']} windows decided")  # fmt: skip
     names = {"single": "push_one, each event", "batch": "batch way, torch, a window at once"}
     for way, figure in stream["ns_per_event"].items():
         title = names.get(way) or f"packets of {way.split('_')[1]}"
         yield f"{title + ', ns per event':48}" + _row([figure])
     yield ""
-    yield f"from the last event to the decision, {decisions['moments']} moments: us, 99th percentile behind"
+    yield (f"from the last event to the decision, {decisions['moments']} moments: us by the wall clock, "
+           "99th percentile behind")  # fmt: skip
     names = {
         "stream": "stream: push_one + fire", "push_one": "  push_one", "fire": "  fire",
         "batch": "batch: window's volume + network, torch", "batch_volume": "  volume", "batch_network": "  network",
@@ -133,7 +135,7 @@ def table(report: dict[str, Any]) -> Iterator[str]:
     if settings["batch"]:
         ratio, worst = decisions["batch_over_stream"], decisions["largest_difference"]
         yield f"{'batch / stream':48}" + _row([ratio])
-        yield f"same volumes (largest difference {worst['volume']:.0e} of the largest cell) and same classes: checked"
+        yield f"checked: same classes, same volumes (at most {worst['volume']:.0e} of the largest cell apart)"
     else:
         yield NO_TORCH
 
@@ -146,22 +148,3 @@ def _row(figures: list[dict[str, float]]) -> str:
 def _short(value: float) -> str:
     return f"{value:.1f}" if value < 100 else f"{value:,.0f}"
 
-
-def _has(package: str) -> bool:
-    return importlib.util.find_spec(package) is not None
-
-
-@contextmanager
-def _one_thread(with_torch: bool) -> Iterator[None]:
-    """torch on one thread, as we are; it is set back afterwards."""
-    if not with_torch:
-        yield
-        return
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import importlib.util
 import os
 import platform
 import sys
@@ -13,6 +14,11 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
+
+# Work of milliseconds is timed by the processor time it takes, which other processes cannot lengthen: what a
+# clock on the wall shows on a quiet machine. Windows counts it in steps of 16 ms only. Latencies, of which we
+# report the tail, are by the wall clock.
+work_clock = time.perf_counter if sys.platform == "win32" else time.process_time
 
 
 def interleave(cases: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, np.ndarray]:
@@ -62,6 +68,27 @@ def no_collector() -> Iterator[None]:
     finally:
         if was_enabled:
             gc.enable()
+
+
+@contextmanager
+def one_thread(with_torch: bool) -> Iterator[None]:
+    """torch on one thread, as ours is; it is set back afterwards."""
+    if not with_torch:
+        yield
+        return
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def is_installed(*packages: str) -> bool:
+    """Whether all of them can be imported, without importing any."""
+    return all(importlib.util.find_spec(package) is not None for package in packages)
 
 
 def machine(*packages: str) -> dict[str, Any]:

@@ -37,7 +37,9 @@ class TorchBatch:
     classes : how many the network tells apart.
     """
 
-    def __init__(self, config: TNTConfig, weights: Mapping[str, np.ndarray] | None = None, classes: int = 0) -> None:
+    def __init__(
+        self, config: TNTConfig, weights: Mapping[str, np.ndarray] | None = None, classes: int = 0
+    ) -> None:
         self.config = config
         width, height = config.grid
         plane = width * height
@@ -122,7 +124,9 @@ class TorchBatch:
             raise ValueError("the batch way needs at least 2 bins, got 1")
         # The lower corner stays one short of the last cell, so that the upper one is in the volume: an event
         # at u = W - 1 gives all of its weight to the upper. Saves the masks and a padded copy.
-        b0, v0, u0 = b.floor().clamp_(max=bins - 2), v.floor().clamp_(max=height - 2), u.floor().clamp_(max=width - 2)
+        b0 = b.floor().clamp_(max=bins - 2)
+        v0 = v.floor().clamp_(max=height - 2)
+        u0 = u.floor().clamp_(max=width - 2)
         corner = b0.long() * (height * width) + v0.long() * width + u0.long()  # (M,)
         fb, fv, fu = b - b0, v - v0, u - u0
         late = sign * fb

@@ -1,20 +1,21 @@
 """The classifier's layers at batch size one: convolution, pooling, dense, softmax.
 
-Feature maps are stored with a frame of zeros, shape (C, (H + 2) * (W + 2) + 2) per flat row: then a 3x3
-convolution is nine shifted reads of one long row, without borders, which runs in vector registers. What it
-computes at the frame's places is never read. A network's output depends on the order of its sums: here input
-channel by input channel, tap by tap, each with one rounding (`fma`).
+Feature maps are stored with a frame of zeros and as one long row: then a 3x3 convolution is nine shifted reads
+of that row, without borders, which runs in vector registers. What it computes at the frame's places is never
+read. A network's output depends on the order of its sums: here input channel by input channel, tap by tap,
+each with one rounding (`fma`).
 """
 
 import numpy as np
 
 from .fma import fma
 from .jit import compiled, inlined
+from .strip import PLACES, convolve_strip
 
 
 @compiled
 def frame(volume, framed):
-    """Copy a volume (C, H, W) into framed maps (C, (H + 2) * (W + 2) + 2), whose frame stays zero."""
+    """Copy a volume (C, H, W) into framed maps, shape (C, at least (H + 2) * (W + 2)), whose frame stays zero."""
     channels, height, width = volume.shape
     for c in range(channels):
         for y in range(height):
@@ -32,64 +33,24 @@ def convolve(framed, weights, bias, width, out):
 
     Parameters
     ----------
-    framed : float32, shape (C, (H + 2) * (W + 2) + 2). Framed input maps.
-    weights : float32, shape (F, C, 9), F a multiple of 4 (fill with zeros).
-    bias : float32, shape (F,).
+    framed : float32, shape (C, framed places). Framed input maps.
+    weights : float32, shape (blocks, C, 9, 8): eight filters a block, the last filled up with zeros.
+    bias : float32, shape (blocks, 8).
     width : int. W.
-    out : float32, shape (F, H * (W + 2)). Overwritten; places W and W + 1 of each row are garbage.
+    out : float32, shape (8 * blocks, strips * 32 >= H * (W + 2)). Overwritten; places W and W + 1 of each row,
+        and those beyond the last row, are garbage.
     """
-    n_filters, n_channels, _ = weights.shape
-    for f in range(n_filters):
-        for i in range(out.shape[1]):
-            out[f, i] = bias[f]
-    for f in range(0, n_filters, 4):
-        for c in range(n_channels):
-            _add_channel(framed, weights, width + 2, f, c, out)
-
-
-@compiled
-def _add_channel(framed, weights, row, f, c, out):
-    """Add input channel c to four filters from f on, which share the nine reads of an input place."""
-    # Unsigned indices, or Numba tests each for being negative; no slices, or it counts references to them.
-    one, f0, c = np.uint64(1), np.uint64(f), np.uint64(c)
-    f1, f2, f3 = f0 + one, f0 + one + one, f0 + one + one + one
-    a0, a1, a2, a3, a4, a5, a6, a7, a8 = _taps(weights, f0, c)
-    b0, b1, b2, b3, b4, b5, b6, b7, b8 = _taps(weights, f1, c)
-    c0, c1, c2, c3, c4, c5, c6, c7, c8 = _taps(weights, f2, c)
-    d0, d1, d2, d3, d4, d5, d6, d7, d8 = _taps(weights, f3, c)
-    for j in range(out.shape[1]):
-        i = np.uint64(j)
-        here = i + np.uint64(row)
-        below = here + np.uint64(row)
-        x0, x1, x2 = framed[c, i], framed[c, i + one], framed[c, i + one + one]
-        x3, x4, x5 = framed[c, here], framed[c, here + one], framed[c, here + one + one]
-        x6, x7, x8 = framed[c, below], framed[c, below + one], framed[c, below + one + one]
-        out[f0, i] = _nine(out[f0, i], x0, x1, x2, x3, x4, x5, x6, x7, x8, a0, a1, a2, a3, a4, a5, a6, a7, a8)
-        out[f1, i] = _nine(out[f1, i], x0, x1, x2, x3, x4, x5, x6, x7, x8, b0, b1, b2, b3, b4, b5, b6, b7, b8)
-        out[f2, i] = _nine(out[f2, i], x0, x1, x2, x3, x4, x5, x6, x7, x8, c0, c1, c2, c3, c4, c5, c6, c7, c8)
-        out[f3, i] = _nine(out[f3, i], x0, x1, x2, x3, x4, x5, x6, x7, x8, d0, d1, d2, d3, d4, d5, d6, d7, d8)
-
-
-@inlined
-def _taps(w, f, c):
-    above = w[f, c, 0], w[f, c, 1], w[f, c, 2]
-    here = w[f, c, 3], w[f, c, 4], w[f, c, 5]
-    below = w[f, c, 6], w[f, c, 7], w[f, c, 8]
-    return above + here + below
-
-
-@inlined
-def _nine(total, x0, x1, x2, x3, x4, x5, x6, x7, x8, w0, w1, w2, w3, w4, w5, w6, w7, w8):
-    """total + sum_k w_k x_k, in this order."""
-    total = fma(w0, x0, total)
-    total = fma(w1, x1, total)
-    total = fma(w2, x2, total)
-    total = fma(w3, x3, total)
-    total = fma(w4, x4, total)
-    total = fma(w5, x5, total)
-    total = fma(w6, x6, total)
-    total = fma(w7, x7, total)
-    return fma(w8, x8, total)
+    n_blocks, n_channels = weights.shape[:2]
+    flat_weights = weights.reshape(weights.size)
+    flat_bias = bias.reshape(bias.size)
+    flat_framed = framed.reshape(framed.size)
+    flat_out = out.reshape(out.size)
+    for block in range(n_blocks):
+        for start in range(0, out.shape[1], PLACES):
+            convolve_strip(
+                flat_framed, framed.shape[1], width + 2, n_channels, start, flat_weights, flat_bias, block, flat_out,
+                out.shape[1],
+            )  # fmt: skip
 
 
 @compiled
@@ -98,7 +59,7 @@ def pool(maps, width, height, pooled, pooled_row, first):
 
     Parameters
     ----------
-    maps : float32, shape (F', H * (W + 2)). What `convolve` wrote.
+    maps : float32, shape (F', at least H * (W + 2)). What `convolve` wrote.
     pooled : float32, shape (F, ...), F <= F'. Overwritten at flat places first + y * pooled_row + x: framed
         maps for the next convolution, or plain ones for a dense layer.
     """

@@ -1,18 +1,39 @@
-"""Between windows and readers: empty a volume, round its cells into the array that people see, store a
-window's events for a replay."""
+"""Between windows and readers: empty a volume, and round its cells into the array that people see."""
 
 import numpy as np
 
 from . import state as S
-from .jit import compiled
+from .jit import compiled, inlined
 
 
 @compiled
-def empty_volume(buffer, start_us, limit_us, n_intervals, height):
-    """Open a window: no events, all cells zero. Counters go on."""
-    ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
-    for i in range(S.CELLS, buffer.size):
-        buffer[i] = 0.0
+def empty_volume(buffer, array, start_us, limit_us):
+    """Open a window: no events, all cells and the array zero. Counters go on.
+
+    Parameters
+    ----------
+    buffer : float64, the volume's `state`. Updated in place.
+    array : float32, shape (C, H, W). Updated in place.
+    """
+    ints = buffer.view(np.int64)
+    if ints[S.WIPE]:
+        for i in range(S.CELLS, ints[S.LOG]):
+            buffer[i] = 0.0
+        array[:] = 0.0
+    else:
+        row = ints[S.ROW]
+        for k in range(ints[S.LOG], ints[S.LOG] + ints[S.N_LOG]):
+            for place in (ints[k], ints[k] + row):
+                buffer[place] = 0.0
+                buffer[place + 1] = 0.0
+                buffer[place + 2] = 0.0
+                buffer[place + 3] = 0.0
+            if k < ints[S.LOG] + ints[S.N_READ]:
+                _copy_around(buffer, ints, ints[k], array)
+    ints[S.N_LOG] = 0
+    ints[S.N_READ] = 0
+    ints[S.LOST] = 0
+    ints[S.WIPE] = 0
     buffer[S.C_XF] = 0.0
     buffer[S.C_YF] = 0.0
     buffer[S.C_FF] = 0.0
@@ -23,79 +44,62 @@ def empty_volume(buffer, start_us, limit_us, n_intervals, height):
     ints[S.SUM_Y] = 0
     ints[S.SUM_T] = 0
     ints[S.NEWEST_US] = -1
-    ints[S.BIN_LO] = 0  # the whole array is to be refreshed
-    ints[S.BIN_HI] = n_intervals - 1
-    ints[S.ROW_LO] = 0
-    ints[S.ROW_HI] = height - 1
 
 
 @compiled
 def copy_cells(buffer, array, n_intervals):
-    """array[b, y, x] = cells[b, y, x, 0] + cells[b - 1, y, x, 1], where cells changed since the last read.
+    """Bring the array up to date:  array[b, y, x] = cells[b, y, x, 0] + cells[b - 1, y, x, 1].
 
     Parameters
     ----------
-    buffer : float64, the volume's `state`. Its marks of change are cleared.
+    buffer : float64, the volume's `state`. The log's marks are updated.
     array : float32, shape (C, H, W). Updated in place. With C = 2 B, the OFF bins behind the ON bins.
     n_intervals : int. B.
     """
-    ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
-    n_bins, height, width = array.shape
-    cells = buffer[S.CELLS :].reshape(n_bins, height + 1, width + 1, 2)
-    bin_lo = ints[S.BIN_LO]
-    bin_hi = min(ints[S.BIN_HI] + 1, n_intervals - 1)
-    row_lo = ints[S.ROW_LO]
-    row_hi = min(ints[S.ROW_HI] + 1, height - 1)
-    for first in range(0, n_bins, n_intervals):
-        for b in range(first + bin_lo, first + bin_hi + 1):
-            for y in range(row_lo, row_hi + 1):
-                out = array[b, y]
-                early = cells[b, y]
-                if b > first:
-                    late = cells[b - 1, y]
-                    for x in range(width):
-                        out[x] = early[x, 0] + late[x, 1]
-                else:
-                    for x in range(width):
-                        out[x] = early[x, 0]
-    ints[S.BIN_LO] = S.FAR
-    ints[S.BIN_HI] = -1
-    ints[S.ROW_LO] = S.FAR
-    ints[S.ROW_HI] = -1
+    ints = buffer.view(np.int64)
+    n_changed = ints[S.N_LOG] - ints[S.N_READ]
+    if ints[S.LOST] or n_changed * S.NUMBERS_PER_LOGGED > array.size:
+        _copy_all(buffer, ints, array, n_intervals)
+    else:
+        for k in range(ints[S.LOG] + ints[S.N_READ], ints[S.LOG] + ints[S.N_LOG]):
+            _copy_around(buffer, ints, ints[k], array)
+    if ints[S.WIPE]:  # the log serves reads only until the next window
+        ints[S.N_LOG] = 0
+    ints[S.N_READ] = ints[S.N_LOG]
+    ints[S.LOST] = 0
 
 
 @compiled
-def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_stored):
-    """What `absorb` does for a landmark known only at the read: count and sum, and store the events.
+def _copy_all(buffer, ints, array, n_intervals):
+    n_bins, height, width = array.shape
+    row = ints[S.ROW]
+    plane = ints[S.PLANE]
+    for b in range(n_bins):
+        for y in range(height):
+            early = np.uint64(S.CELLS + b * plane + y * row)
+            late = early - np.uint64(plane) + np.uint64(1)
+            if b % n_intervals > 0:
+                for x in range(width):
+                    i = np.uint64(x) + np.uint64(x)
+                    array[b, y, x] = buffer[early + i] + buffer[late + i]
+            else:
+                for x in range(width):
+                    array[b, y, x] = buffer[early + np.uint64(x) + np.uint64(x)]
 
-    Parameters
-    ----------
-    buffer : float64, the volume's `state`. Updated in place, its cells excepted.
-    t, x, y, p, first, last : as for `absorb`.
-    stored_t, stored_x, stored_y, stored_p : columns. Updated in place from `n_stored` on; what exceeds them
-        is counted in the sums and not stored.
 
-    Returns
-    -------
-    first : int. The first event not taken (at or after LIMIT_US).
-    n_stored : int. Events stored now.
-    """
-    ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
-    while first < last and t[first] < ints[S.LIMIT_US]:
-        ints[S.RECEIVED] += 1
-        if t[first] < ints[S.START_US]:
-            ints[S.LATE] += 1
-        else:
-            ints[S.N] += 1
-            ints[S.SUM_X] += x[first]
-            ints[S.SUM_Y] += y[first]
-            ints[S.SUM_T] += t[first] - ints[S.START_US]
-            ints[S.NEWEST_US] = max(ints[S.NEWEST_US], t[first])
-            if n_stored < stored_t.size:
-                stored_t[n_stored] = t[first]
-                stored_x[n_stored] = x[first]
-                stored_y[n_stored] = y[first]
-                stored_p[n_stored] = p[first]
-                n_stored += 1
-        first += 1
-    return first, n_stored
+@inlined
+def _copy_around(buffer, ints, corner, array):
+    """`_copy_all` for the eight cells of an event at this corner."""
+    n_bins, height, width = array.shape
+    row = ints[S.ROW]
+    plane = ints[S.PLANE]
+    n_intervals = ints[S.OFF_SHIFT] // plane if ints[S.OFF_SHIFT] > 0 else n_bins
+    b0 = (corner - S.CELLS) // plane
+    y0 = (corner - S.CELLS - b0 * plane) // row
+    x0 = (corner - S.CELLS - b0 * plane - y0 * row) // 2
+    for b in range(b0, min(b0 + 2, n_bins)):
+        for y in range(y0, min(y0 + 2, height)):
+            for x in range(x0, min(x0 + 2, width)):
+                early = S.CELLS + b * plane + y * row + 2 * x
+                late = buffer[early - plane + 1] if b % n_intervals > 0 else 0.0
+                array[b, y, x] = buffer[early] + late

@@ -62,7 +62,6 @@ def place_event(grid, dt, on, num_x, num_y, den):
     corner : int. Index of the cell at (floor b, floor v, floor u) in the volume's buffer.
     y_frac, x_frac : float in [0, 1). Distance from the corner.
     early, later : float. What goes to bin floor b and to the next; they sum to the event's sign.
-    v_floor : float. First row.
     keep : bool. Whether the event is on the grid. If not, it weighs nothing at a legal place, so that
         adding it needs no branch.
     """
@@ -83,7 +82,7 @@ def place_event(grid, dt, on, num_x, num_y, den):
     later = sign * (b - b_floor)
     # one conversion: all are whole numbers below 2**31, exact in float64
     corner = S.CELLS + np.int32(b_floor * grid.plane + v_floor * grid.row + u_floor * 2.0 + shift)
-    return corner, v - v_floor, u - u_floor, sign - later, later, v_floor, keep
+    return corner, v - v_floor, u - u_floor, sign - later, later, keep
 
 
 @inlined

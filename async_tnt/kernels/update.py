@@ -33,11 +33,11 @@ def absorb(buffer, t, x, y, p, first, last):
     -------
     int : the first event not absorbed.
     """
-    ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
+    ints = buffer.view(np.int64)
     while first < last:
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]
-        if _all_in_window(buffer, ints, block_t, m):
+        if _all_in_window(ints, block_t, m):
             _displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
             _place(buffer, ints, block_t, p[first : first + m], m)
             _splat(buffer, ints, m)
@@ -55,7 +55,7 @@ def absorb(buffer, t, x, y, p, first, last):
 @compiled
 def absorb_one(buffer, t, x, y, p):
     """Check and add one event: ABSORBED, or AT_LIMIT or REFUSED (it breaks a rule) with nothing changed."""
-    ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
+    ints = buffer.view(np.int64)
     if (t < 0) | (t >= MAX_TIME_US) | (p < -1) | (p > 1):
         return REFUSED
     if (x < 0) | (x >= ints[S.SENSOR_W]) | (y < 0) | (y >= ints[S.SENSOR_H]):
@@ -92,18 +92,19 @@ def _absorb_event(buffer, ints, t, x, y, p):
             buffer, x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y], ints[S.SUM_T], remove_flow
         )
     grid = grid_of(buffer, ints)
-    corner, y_frac, x_frac, early, later, row_floor, keep = place_event(
+    corner, y_frac, x_frac, early, later, keep = place_event(
         grid, np.float64(dt), p > 0, num_x, num_y, den
     )
     ints[S.KEPT] += keep
     ints[S.TAU_ZERO] += den == 0.0
-    _mark_bins(ints, grid, dt, dt)
-    _mark_rows(ints, row_floor, row_floor)
+    if _log_has_room(ints, 1):
+        ints[ints[S.LOG] + ints[S.N_LOG]] = corner
+        ints[S.N_LOG] += 1
     add_event(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, early, later)
 
 
 @compiled
-def _all_in_window(buffer, ints, t, m):
+def _all_in_window(ints, t, m):
     """Whether a block lies in the open window and before the limit; if so, takes note of it."""
     oldest_us = t[0]
     newest_us = t[0]
@@ -116,7 +117,6 @@ def _all_in_window(buffer, ints, t, m):
     ints[S.RECEIVED] += m
     ints[S.N] += m
     ints[S.NEWEST_US] = max(ints[S.NEWEST_US], newest_us)
-    _mark_bins(ints, grid_of(buffer, ints), oldest_us - start_us, newest_us - start_us)
     if (oldest_us == start_us) & (ints[S.MODE] != S.MODE_RAW):
         for i in range(m):
             ints[S.TAU_ZERO] += t[i] == start_us
@@ -185,18 +185,18 @@ def _place(buffer, ints, t, p, m):
     start_us = ints[S.START_US]
     grid = grid_of(buffer, ints)
     n_kept = 0
-    row_lo = np.int32(S.FAR)
-    row_hi = np.int32(-1)
     for i in range(m):
         dt = np.float64(t[i] - start_us)
-        corners[i], y_fracs[i], x_fracs[i], earlies[i], laters[i], row_floor, keep = place_event(
+        corners[i], y_fracs[i], x_fracs[i], earlies[i], laters[i], keep = place_event(
             grid, dt, p[i] > 0, num_x[i], num_y[i], den[i]
         )
         n_kept += keep
-        row_lo = min(row_lo, np.int32(row_floor))
-        row_hi = max(row_hi, np.int32(row_floor))
     ints[S.KEPT] += n_kept
-    _mark_rows(ints, row_lo, row_hi)
+    if _log_has_room(ints, m):
+        end = ints[S.LOG] + ints[S.N_LOG]
+        for i in range(m):
+            ints[end + i] = corners[i]
+        ints[S.N_LOG] += m
 
 
 @compiled
@@ -213,14 +213,10 @@ def _splat(buffer, ints, m):
 
 
 @inlined
-def _mark_bins(ints, grid, oldest_dt, newest_dt):
-    """Note which intervals events between two times may change, for the next read."""
-    ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(np.float64(oldest_dt) * grid.bin_scale))
-    ints[S.BIN_HI] = max(ints[S.BIN_HI], np.int64(np.float64(newest_dt) * grid.bin_scale))
-
-
-@inlined
-def _mark_rows(ints, row_lo, row_hi):
-    """Note which rows change."""
-    ints[S.ROW_LO] = min(ints[S.ROW_LO], np.int64(row_lo))
-    ints[S.ROW_HI] = max(ints[S.ROW_HI], np.int64(row_hi))
+def _log_has_room(ints, m):
+    """Whether m more corners fit into the log; if not, takes note that it is incomplete."""
+    if ints[S.N_LOG] + m <= ints[S.LOG_SIZE]:
+        return True
+    ints[S.LOST] = 1
+    ints[S.WIPE] = 1
+    return False

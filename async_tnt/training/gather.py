@@ -29,23 +29,23 @@ def window_volumes(
     n_bins : B.
     out : float32, (N, C, H, W). Updated in place.
     """
-    floats = buffer[: S.N_FLOATS]
-    ints = buffer[S.N_FLOATS : S.CELLS].view(np.int64)
+    ints = buffer.view(np.int64)
     for i in range(out.shape[0]):
         n = _take_events(
             scratch_t, scratch_x, scratch_y, scratch_p, t, x, y, p,
             first[i], last[i], start_us[i], limit_us[i], matrix[i], keep[i], seed[i],
             ints[S.SENSOR_W], ints[S.SENSOR_H],
         )  # fmt: skip
-        empty_volume(buffer, start_us[i], limit_us[i], n_bins, out.shape[2])
+        empty_volume(buffer, out[i], start_us[i], limit_us[i])
+        ints[S.LOST] = 1  # every volume goes to another array, whole
         if about_mean and n > 0:
             sum_x = 0
             sum_y = 0
             for k in range(n):
                 sum_x += np.int64(scratch_x[k])
                 sum_y += np.int64(scratch_y[k])
-            floats[S.FIXED_X] = sum_x / n
-            floats[S.FIXED_Y] = sum_y / n
+            buffer[S.FIXED_X] = sum_x / n
+            buffer[S.FIXED_Y] = sum_y / n
         absorb(buffer, scratch_t, scratch_x, scratch_y, scratch_p, 0, n)
         copy_cells(buffer, out[i], n_bins)
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
+import io
 import json
+import subprocess
 import sys
 
 import numpy as np
@@ -12,6 +15,7 @@ import pytest
 
 from async_tnt import TNTConfig
 from async_tnt.bench import add_arguments, latency, main
+from async_tnt.bench.command import table
 from async_tnt.bench.timing import Progress, interleave, spread
 
 WAYS = {"single"} | {f"packet_{n}_{form}" for n in (10, 100, 1300) for form in ("structured", "columns")}
@@ -25,17 +29,23 @@ def parse(*words: str) -> argparse.Namespace:
 
 
 @pytest.fixture(scope="module")
-def small_run():
-    """Everything as `--quick`, with fewer events still."""
+def small_grids():
     patch = pytest.MonkeyPatch()
     patch.setattr("async_tnt.bench.command.GRIDS", ((34, 34), (64, 48)))
-    yield patch
+    yield
     patch.undo()
 
 
-def test_quick_json_is_one_object_with_every_figure(small_run, capsys):
-    assert main(parse("--quick", "--json")) == 0
-    report = json.loads(capsys.readouterr().out)
+@pytest.fixture(scope="module")
+def report(small_grids):
+    """What `--quick --json` prints, run once for the tests that read it."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main(parse("--quick", "--json")) == 0
+    return json.loads(printed.getvalue())
+
+
+def test_quick_json_is_one_object_with_every_figure(report):
     assert report["machine"]["cpu"] and report["machine"]["numpy"] == np.__version__
     assert [v["grid"] for v in report["volume"]] == [[34, 34], [64, 48]]
     for volume in report["volume"]:
@@ -52,9 +62,7 @@ def test_quick_json_is_one_object_with_every_figure(small_run, capsys):
 
 
 @needs_torch
-def test_batch_way_is_timed_and_makes_the_same_volumes(small_run, capsys):
-    assert main(parse("--quick", "--json")) == 0
-    report = json.loads(capsys.readouterr().out)
+def test_batch_way_is_timed_and_makes_the_same_volumes(report):
     assert report["settings"]["batch"] is True
     assert "batch" in report["processor"]["stream"]["ns_per_event"]
     decisions = report["processor"]["latency"]
@@ -63,8 +71,16 @@ def test_batch_way_is_timed_and_makes_the_same_volumes(small_run, capsys):
     assert decisions["batch_over_stream"]["median"] > 0
 
 
+def test_the_table_shows_every_figure(report):
+    text = "\n".join(table(report))
+    for title in ("update_one", "packets of 1300, columns", "open a window", "push_one + fire"):
+        assert title in text
+    assert f"{report['volume'][1]['ns_per_event']['single']['median']:,.0f}" in text
+    assert "batch / stream" in text or "torch is not installed" in text
+
+
 @needs_torch
-def test_different_work_is_not_timed_but_refused(small_run, monkeypatch, capsys):
+def test_different_work_is_not_timed_but_refused(small_grids, monkeypatch, capsys):
     from async_tnt.bench.torch_batch import TorchBatch
 
     right = TorchBatch.volume
@@ -75,17 +91,15 @@ def test_different_work_is_not_timed_but_refused(small_run, monkeypatch, capsys)
     assert captured.out == ""
 
 
-def test_without_torch_it_says_so_and_times_ours(small_run, monkeypatch, capsys):
-    monkeypatch.setattr("async_tnt.bench.command._has", lambda package: False)
+def test_without_torch_it_says_so_and_times_ours(small_grids, monkeypatch, capsys):
+    monkeypatch.setattr("async_tnt.bench.command.is_installed", lambda *packages: False)
     assert main(parse("--quick")) == 0
     text = capsys.readouterr().out
     assert "torch is not installed: only our own times" in text
-    assert "packets of 1300, columns" in text and "batch way" not in text.replace("for the batch way", "")
+    assert "packets of 1300, columns" in text and "batch: " not in text and "batch way, torch" not in text
 
 
 def test_the_bench_package_does_not_import_torch():
-    import subprocess
-
     code = "import sys, async_tnt.bench, async_tnt.bench.latency; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
@@ -146,7 +160,8 @@ def test_the_batch_way_is_the_reference(settings, grid):
     events = latency.made_recording(np.random.default_rng(5), config, 3000)
     events = events[events["t"] < 20_000]
     assert len(events) > 900
-    at = {"start_us": 0, "window_us": 20_000, "sensor": (34, 34), "grid": grid, "bins": 9, "polarity": config.polarity}
+    at = {"start_us": 0, "window_us": 20_000, "sensor": (34, 34), "grid": grid, "bins": 9}
+    at |= {"polarity": config.polarity}
     columns = [events[name].astype(np.int64) for name in "txyp"]
     if config.transform == "tnt":
         at |= {"t_max": config.t_max, "landmark": config.landmark, "remove_flow": config.remove_flow}

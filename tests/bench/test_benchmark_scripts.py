@@ -91,7 +91,7 @@ def test_unequal_volumes_stop_the_comparison(monkeypatch):
     peers = load("peers")
     right = peers.dsec_volume
     monkeypatch.setattr(peers, "dsec_volume", lambda *columns: right(*columns) * 1.01)
-    with pytest.raises(RuntimeError, match=r"must make the same volume .* 'dsec_torch': 0\.0"):
+    with pytest.raises(RuntimeError, match=r"must make the same volume as ours .*'dsec_torch': 0\.01"):
         peers.compare((34, 34), 1300, 1, rounds=1)
 
 

@@ -43,7 +43,12 @@ PACKED = {
         [(("column", "x"), "<u2"), (("row", "y"), "<u2"), (("on?", "p"), "i1"), (("us", "t"), "<i8")], align=True
     ),
     "fields out of order": np.dtype(
-        {"names": ["t", "x", "y", "p"], "formats": ["<i8", "<u2", "<u2", "i1"], "offsets": [7, 3, 17, 0], "itemsize": 23}
+        {
+            "names": ["t", "x", "y", "p"],
+            "formats": ["<i8", "<u2", "<u2", "i1"],
+            "offsets": [7, 3, 17, 0],
+            "itemsize": 23,
+        }
     ),
     "more fields": [("id", "S3"), *EVENT_DTYPE.descr, ("wall", "M8[us]"), ("w", "<f4", (2,)), ("note", "U2")],
 }
@@ -272,7 +277,7 @@ def test_columns_of_the_right_form_are_not_copied():
         lambda column: torch.tensor(column, dtype=torch.int32),
         lambda column: torch.tensor([column, column]).T[:, 0],  # strided
     ],
-    ids=["list", "tuple", "list of numpy numbers", "array.array", "memoryview", "tensor", "int32 tensor", "strided tensor"],
+    ids=["list", "tuple", "numpy numbers", "array.array", "memoryview", "tensor", "int32 tensor", "strided tensor"],
 )
 def test_columns_that_are_not_arrays(make):
     assert_taken((make(T), make(X), make(Y), make(P)))

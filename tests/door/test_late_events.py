@@ -1,5 +1,7 @@
 """Events that come after newer ones: accepted, dropped and counted, or refused."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -108,7 +110,7 @@ def test_any_stream_in_any_packets(times, cuts, late, form):
     events = packet(times)
     borders = [0, *sorted(min(cut, len(times)) for cut in cuts), len(times)]
     newest, n_dropped = -1, 0
-    for first, last in zip(borders, borders[1:], strict=False):
+    for first, last in pairwise(borders):
         expected, packet_newest, n_late = [], newest, 0
         for row in events[first:last].tolist():
             if row[0] < packet_newest and late != "accept":

@@ -60,13 +60,60 @@ def test_convolution_taps_are_not_flipped():
     from async_tnt.kernels.network import convolve, frame
 
     volume = np.arange(1, 13, dtype=np.float32).reshape(1, 3, 4)
-    framed = np.zeros((1, 5 * 6 + 2), np.float32)
+    framed = np.zeros((1, 32 + 2 * 6 + 2), np.float32)
     frame(volume, framed)
-    weights = np.zeros((4, 1, 9), np.float32)
-    weights[0, 0, 3] = 1
-    out = np.zeros((4, 3 * 6), np.float32)
-    convolve(framed, weights, np.zeros(4, np.float32), 4, out)
-    assert out[0].reshape(3, 6)[:, :4].tolist() == [[0, 1, 2, 3], [0, 5, 6, 7], [0, 9, 10, 11]]
+    weights = np.zeros((1, 1, 9, 8), np.float32)
+    weights[0, 0, 3, 0] = 1
+    out = np.zeros((8, 32), np.float32)
+    convolve(framed, weights, np.zeros((1, 8), np.float32), 4, out)
+    assert out[0, :18].reshape(3, 6)[:, :4].tolist() == [[0, 1, 2, 3], [0, 5, 6, 7], [0, 9, 10, 11]]
+
+
+def test_strip_in_registers_gives_the_bits_of_its_plain_spelling():
+    from numba import njit
+
+    from async_tnt.kernels import strip
+
+    rng = np.random.default_rng(5)
+    n_channels, row, n_blocks, n_places = 3, 7, 2, 96
+    plane = n_places + 2 * row + 2
+    framed = rng.normal(size=n_channels * plane).astype(np.float32)
+    weights = rng.normal(size=n_blocks * n_channels * 9 * 8).astype(np.float32)
+    bias = rng.normal(size=n_blocks * 8).astype(np.float32)
+    outputs = []
+    for function in (strip._convolve_strip_checked, strip._convolve_strip_in_registers):
+
+        @njit
+        def convolve_all(framed, weights, bias, out):
+            for block in range(n_blocks):
+                for start in range(0, n_places, 32):
+                    strip_function(framed, plane, row, n_channels, start, weights, bias, block, out, n_places)
+
+        strip_function = function
+        out = np.zeros(n_blocks * 8 * n_places, np.float32)
+        convolve_all(framed, weights, bias, out)
+        outputs.append(out)
+    assert outputs[0].any() and outputs[0].tobytes() == outputs[1].tobytes()
+
+
+def test_pair_gives_the_bits_of_its_plain_spelling():
+    from numba import njit
+
+    from async_tnt.kernels import pair
+
+    outputs = []
+    for function in (pair._add_pair_checked, pair._add_pair_vectorized):
+
+        @njit
+        def add_all(cells, shares):
+            for i in range(len(shares)):
+                add(cells, np.uint64(2 * (i % 5)), shares[i, 0], shares[i, 1], shares[i, 2])
+
+        add = function
+        cells = np.zeros(10)
+        add_all(cells, np.random.default_rng(6).normal(size=(500, 3)))
+        outputs.append(cells)
+    assert outputs[0].all() and outputs[0].tobytes() == outputs[1].tobytes()
 
 
 def test_any_float_array_of_the_right_shape_will_do():

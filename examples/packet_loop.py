@@ -1,0 +1,32 @@
+"""An event loop fed packet by packet, as a camera's driver feeds it.
+
+`push` takes each packet and returns the decisions that fell: one for each window that the packet closed.
+`fire` asks in between, whenever the program wants to know, and changes nothing.
+"""
+
+import async_tnt
+from async_tnt.recordings import open_recording, sample_recordings
+
+model = async_tnt.load_model("digits")
+async_tnt.warmup(model)  # compile now, not at the first packet
+processor = async_tnt.Processor(model)
+
+
+def show(decision: async_tnt.Decision) -> None:
+    time_ms = decision.time_us / 1000
+    print(f"{time_ms:7.1f} ms  {decision.trigger:<6}  {decision.events:5} events  "
+          f"{decision.label} ({decision.probability:.0%})")  # fmt: skip
+
+
+packets = open_recording(sample_recordings()[3], packet_events=250)  # stands for the camera
+for number, packet in enumerate(packets, start=1):
+    for decision in processor.push(packet):
+        show(decision)
+    if number % 4 == 0:  # somebody asks
+        show(processor.fire())
+for decision in processor.finish():  # the camera is off: what the last window holds
+    show(decision)
+
+counts = processor.counts
+print(f"{counts.received} events: {counts.kept} kept, {counts.dropped_outside} transformed out of the grid, "
+      f"{counts.dropped_tau_zero} at a window's very start")  # fmt: skip
