@@ -103,7 +103,7 @@ def _check_config(
 
     volume = TNTVolume(config)
     for start, _ in expected:
-        inside = events[(events["t"] >= start) & (events["t"] < start + config.window_us)]
+        inside = _events_of_window(events, start, config.window_us)
         volume.open(start)
         before = 0
         for n in _spread(inside.size, prefixes):
@@ -123,7 +123,7 @@ def _check_network(events: np.ndarray, model: Model, start_us: int | None) -> li
     classes = Comparison("classes that differ", "the model", 0.0)
     network, reference = CompiledClassifier(model), reference_network(model)
     for start, volume in closed_volumes(events, model.config, 0, start_us):
-        inside = events[(events["t"] >= start) & (events["t"] < start + model.config.window_us)]
+        inside = _events_of_window(events, start, model.config.window_us)
         ours = network(volume)
         theirs = reference(reference_volume(inside, model.config, start))
         logits.add(float(np.abs(ours - theirs).max()))
@@ -191,6 +191,12 @@ def reference_network(model: Model) -> Callable[[np.ndarray], np.ndarray]:
             return network(torch.tensor(volume)).numpy()
 
     return forward
+
+
+def _events_of_window(events: np.ndarray, start_us: int, window_us: int) -> np.ndarray:
+    """Those the stream adds to a window: an event that comes after the window closed is late."""
+    still_open = np.maximum.accumulate(events["t"]) < start_us + window_us
+    return events[still_open & (events["t"] >= start_us)]
 
 
 def _where(config: TNTConfig, start_us: int) -> dict[str, Any]:

@@ -44,8 +44,8 @@ class TorchBatch:
         width, height = config.grid
         plane = width * height
         self._corners = torch.tensor(
-            [b * plane + y * width + x for b in (0, 1) for y in (0, 1) for x in (0, 1)]
-        )[:, None]  # (8, 1)
+            [b * plane + y * width + x for b in (0, min(1, config.bins - 1)) for y in (0, 1) for x in (0, 1)]
+        )[:, None]  # (8, 1); a single bin has no later neighbour, and gets nothing as one
         self._on_grid = [(width - 1) / (config.sensor[0] - 1), (height - 1) / (config.sensor[1] - 1)]
         self._centre = [(width - 1) / 2, (height - 1) / 2]
         self.network = None
@@ -120,11 +120,9 @@ class TorchBatch:
     def _splat(self, b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, sign: torch.Tensor) -> torch.Tensor:
         """V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i), all eight cells of all events in one operation."""
         bins, (width, height) = self.config.bins, self.config.grid
-        if bins == 1:
-            raise ValueError("the batch way needs at least 2 bins, got 1")
         # The lower corner stays one short of the last cell, so that the upper one is in the volume: an event
         # at u = W - 1 gives all of its weight to the upper. Saves the masks and a padded copy.
-        b0 = b.floor().clamp_(max=bins - 2)
+        b0 = b.floor().clamp_(max=max(bins - 2, 0))
         v0 = v.floor().clamp_(max=height - 2)
         u0 = u.floor().clamp_(max=width - 2)
         corner = b0.long() * (height * width) + v0.long() * width + u0.long()  # (M,)

@@ -90,7 +90,8 @@ def dense(values, weights, bias, relu, used, out):
     for i in range(values.size):
         used[n_used] = i
         n_used += values[i] != 0
-    out[:] = bias
+    for j in range(out.size):  # `out[:] = bias` would compile seconds of code for its error message
+        out[j] = bias[j]
     n_blocked = n_used - n_used % 4
     for k in range(0, n_blocked, 4):  # four rows for one read and write of `out`
         _add_four_rows(values, weights, used[k], used[k + 1], used[k + 2], used[k + 3], out)

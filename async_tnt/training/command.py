@@ -64,9 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     volume.add_argument("--landmark", choices=LANDMARKS, default="running",
                         help="the point events are normalized about; `window` costs a replay at each "
                         "decision (default: running)")
-    volume.add_argument("--t-max", type=float, default=2.0, metavar="T",
+    volume.add_argument("--t-max", type=float, default=3.0, metavar="T",
                         help="TNT time at the window's end: smaller shrinks late events less, but loses more "
-                        "of the early ones over the border (default: 2)")
+                        "of the early ones over the border (default: 3)")
     volume.add_argument("--polarity", choices=POLARITIES, default="signed",
                         help="ON minus OFF events, both alike, or in bins of their own (default: signed)")
     volume.add_argument("--remove-flow", action="store_true",

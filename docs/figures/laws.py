@@ -187,10 +187,10 @@ def fallen_off(sensor_side: int, side: int) -> int:
 if __name__ == "__main__":
     print("## Constant flow: translation of the volume, in units of v / t_max\n")
     landmark_table(constant)
-    print("## Bell-shaped speed: the same, in units of D / t_max\n")
-    landmark_table(bell)
     print("## The ridge of `line`, at the end of a window with evenly spread events\n")
     ridge_table()
+    print("## Bell-shaped speed: the same, in units of D / t_max\n")
+    landmark_table(bell)
     print("## How far the landmark of an object at rest strays, in pixels (rms)\n")
     wander_table()
     print("## t_max on the ten bundled samples (three windows each)\n")

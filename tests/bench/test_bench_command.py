@@ -13,7 +13,7 @@ import sys
 import numpy as np
 import pytest
 
-from async_tnt import TNTConfig
+from async_tnt import Model, TNTConfig
 from async_tnt.bench import add_arguments, latency, main
 from async_tnt.bench.command import table
 from async_tnt.bench.timing import Progress, interleave, spread
@@ -117,6 +117,24 @@ def test_random_weights_stand_in_where_no_model_is_bundled(monkeypatch):
     assert all(np.array_equal(model.weights[key], again.weights[key]) for key in model.weights)
 
 
+@needs_torch
+@pytest.mark.parametrize("settings", [{"polarity": "split", "landmark": "line"}, {"landmark": "window"},
+                                      {"transform": "none", "bins": 1}], ids=str)  # fmt: skip
+def test_any_model_is_timed_on_a_made_stream(settings):
+    """Another sensor and grid than the samples', several windows: both ways see the same events at all times."""
+    config = TNTConfig(sensor=(50, 40), grid=(24, 20), window_us=10_000, **settings)
+    rng = np.random.default_rng(1)
+    shapes = {"conv1": (4, config.channels, 3, 3), "conv2": (6, 4, 3, 3), "fc1": (8, 6 * 5 * 6), "fc2": (3, 8)}
+    weights = {f"{k}.weight": rng.normal(0, 0.2, s).astype(np.float32) for k, s in shapes.items()}
+    weights |= {f"{k}.bias": rng.normal(0, 0.2, s[0]).astype(np.float32) for k, s in shapes.items()}
+    model = Model(config, weights, ("a", "b", "c"))
+    events = latency.made_recording(rng, config, 2000)
+    decisions = latency.bench_latency(model, events, moments=30, with_torch=True)
+    assert 0 < decisions["largest_difference"]["volume"] < 1e-4
+    stream = latency.bench_stream(model, events, rounds=1, with_torch=True)
+    assert stream["windows"] == 3 and stream["ns_per_event"]["batch"]["median"] > 0
+
+
 def test_cases_take_turns_and_the_warm_up_is_not_counted():
     calls: list[str] = []
 
@@ -143,7 +161,7 @@ def test_progress_keeps_quiet_at_first(capsys):
 
 TWINS = [{"landmark": name, "polarity": p, "t_max": t} for name in ("center", "running", "line", "window")
          for p in ("signed", "unsigned", "split") for t in (2.0, 8.0)]  # fmt: skip
-TWINS += [{"landmark": "line", "remove_flow": True, "t_max": 2.0}, {"transform": "none"}]
+TWINS += [{"landmark": "line", "remove_flow": True, "t_max": 2.0}, {"transform": "none"}, {"bins": 1}]
 
 
 @needs_torch
@@ -160,7 +178,7 @@ def test_the_batch_way_is_the_reference(settings, grid):
     events = latency.made_recording(np.random.default_rng(5), config, 3000)
     events = events[events["t"] < 20_000]
     assert len(events) > 900
-    at = {"start_us": 0, "window_us": 20_000, "sensor": (34, 34), "grid": grid, "bins": 9}
+    at = {"start_us": 0, "window_us": 20_000, "sensor": (34, 34), "grid": grid, "bins": config.bins}
     at |= {"polarity": config.polarity}
     columns = [events[name].astype(np.int64) for name in "txyp"]
     if config.transform == "tnt":

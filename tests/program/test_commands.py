@@ -120,6 +120,13 @@ def test_check_holds_stream_and_batch_equal(capsys, tmp_path):
     }  # fmt: skip
 
 
+def test_check_takes_recordings_whose_times_run_backwards(capsys, tmp_path):
+    events = random_events(600, duration_us=300_000)
+    events["t"][100:500:7] = events["t"][99:499:7] - 20_000
+    np.save(tmp_path / "backwards.npy", events)
+    assert main(["check", str(tmp_path / "backwards.npy"), "--prefixes", "2"]) == 0, capsys.readouterr().out
+
+
 def test_check_says_no_when_the_stream_is_wrong(monkeypatch, capsys):
     """An error of a millionth of a pixel in one landmark must not pass."""
     landmark = TNTVolume.landmark.fget

@@ -1,4 +1,4 @@
-"""The examples run as they are, from anywhere, with warnings as errors, and what they print is right."""
+"""Examples and figures run as they are, from anywhere, with warnings as errors, and what they print is right."""
 
 import re
 import subprocess
@@ -11,14 +11,14 @@ import pytest
 import async_tnt
 from async_tnt.recordings import open_recording, sample_recordings
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES, DOCS = ROOT / "examples", ROOT / "docs"
 
 
-def lines_of(name, folder):
-    """What an example prints, run in a folder of its own."""
-    done = subprocess.run(
-        [sys.executable, "-W", "error", str(EXAMPLES / name)], cwd=folder, capture_output=True, text=True, timeout=120
-    )
+def lines_of(name, folder, *arguments, scripts=EXAMPLES):
+    """What a script prints, run in a folder of its own."""
+    command = [sys.executable, "-W", "error", str(scripts / name), *map(str, arguments)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0 and done.stderr == "", done.stderr
     return done.stdout.splitlines()
 
@@ -90,3 +90,30 @@ def test_stream_equals_batch_would_notice(tmp_path, broken):
     (tmp_path / "broken.py").write_text(source.replace("stream = volume.array", broken))
     done = subprocess.run([sys.executable, str(tmp_path / "broken.py")], capture_output=True, text=True, timeout=120)
     assert done.returncode == 1 and "AssertionError" in done.stderr
+
+
+def test_the_numbers_in_the_mathematics_are_those_that_the_script_prints(tmp_path):
+    text = (DOCS / "mathematics.md").read_text()
+    printed = lines_of("laws.py", tmp_path, scripts=DOCS / "figures")
+    rows = [line for line in printed if line.startswith("|")]
+    assert [line for line in text.splitlines() if line.startswith("|")] == rows
+    assert len(rows) > 30
+    border, cancellation, *fallen = [line for line in printed if line[:1].isdigit()]
+    assert f"> {border}\n" in text
+    words = " ".join(text.split())
+    for error in re.findall(r"\d+e-\d+", cancellation):
+        assert error in words
+    for line in fallen:
+        assert re.search(r"\d+ columns and \d+ rows", line)[0] in words
+
+
+def test_the_figure_is_drawn(tmp_path):
+    image = pytest.importorskip("matplotlib.image")
+    out = tmp_path / "figure.png"
+    lines_of(
+        "what_happens.py", tmp_path, "--recording", 8, "--every-us", 20_000, "--out", out, scripts=DOCS / "figures"
+    )
+    drawn, kept = image.imread(out), image.imread(DOCS / "images" / "what_happens.png")
+    assert drawn.shape == kept.shape
+    assert len(np.unique(drawn.reshape(-1, drawn.shape[2]), axis=0)) > 50  # colours: it is not blank
+    assert out.stat().st_size < 250_000
