@@ -192,6 +192,8 @@ class Processor:
     def _take(self, columns: Columns, first: int, last: int) -> int:
         """Add events to all open windows up to the next moment when something has to happen."""
         oldest = self._open[0]
+        if len(self._volumes) == 1:  # it counts for itself
+            return oldest.take(columns, first, last)
         late = oldest.n_late
         taken = oldest.take(columns, first, last)
         self._n_late += oldest.n_late - late

@@ -16,24 +16,24 @@ def empty_volume(buffer, array, start_us, limit_us):
     array : float32, shape (C, H, W). Updated in place.
     """
     ints = buffer.view(np.int64)
-    if ints[S.WIPE]:
-        for i in range(S.CELLS, ints[S.LOG]):
+    first = ints[S.LOG]
+    if ints[S.WIPE] or ints[S.N_LOG] * S.NUMBERS_PER_EMPTIED > first - S.CELLS:
+        for i in range(S.CELLS, first):
             buffer[i] = 0.0
         array[:] = 0.0
     else:
         row = ints[S.ROW]
-        for k in range(ints[S.LOG], ints[S.LOG] + ints[S.N_LOG]):
+        for k in range(first, first + ints[S.N_LOG]):
             for place in (ints[k], ints[k] + row):
                 buffer[place] = 0.0
                 buffer[place + 1] = 0.0
                 buffer[place + 2] = 0.0
                 buffer[place + 3] = 0.0
-            if k < ints[S.LOG] + ints[S.N_READ]:
-                _copy_around(buffer, ints, ints[k], array)
+        for k in range(first, first + ints[S.N_READ]):  # now that all cells are zero
+            _copy_around(buffer, ints, ints[k], array)
     ints[S.N_LOG] = 0
-    ints[S.N_READ] = 0
-    ints[S.LOST] = 0
     ints[S.WIPE] = 0
+    _note_read(ints)
     buffer[S.C_XF] = 0.0
     buffer[S.C_YF] = 0.0
     buffer[S.C_FF] = 0.0
@@ -59,22 +59,32 @@ def copy_cells(buffer, array, n_intervals):
     ints = buffer.view(np.int64)
     n_changed = ints[S.N_LOG] - ints[S.N_READ]
     if ints[S.LOST] or n_changed * S.NUMBERS_PER_LOGGED > array.size:
-        _copy_all(buffer, ints, array, n_intervals)
+        _copy_bins(buffer, ints, array, n_intervals)
     else:
         for k in range(ints[S.LOG] + ints[S.N_READ], ints[S.LOG] + ints[S.N_LOG]):
             _copy_around(buffer, ints, ints[k], array)
     if ints[S.WIPE]:  # the log serves reads only until the next window
         ints[S.N_LOG] = 0
+    _note_read(ints)
+
+
+@inlined
+def _note_read(ints):
     ints[S.N_READ] = ints[S.N_LOG]
     ints[S.LOST] = 0
+    ints[S.BIN_LO] = S.NO_BIN
+    ints[S.BIN_HI] = -1
 
 
 @compiled
-def _copy_all(buffer, ints, array, n_intervals):
+def _copy_bins(buffer, ints, array, n_intervals):
+    """`copy_cells` for all cells of the bins that changed."""
     n_bins, height, width = array.shape
     row = ints[S.ROW]
     plane = ints[S.PLANE]
     for b in range(n_bins):
+        if b % n_intervals < ints[S.BIN_LO] or b % n_intervals > ints[S.BIN_HI] + 1:
+            continue
         for y in range(height):
             early = np.uint64(S.CELLS + b * plane + y * row)
             late = early - np.uint64(plane) + np.uint64(1)
@@ -89,7 +99,7 @@ def _copy_all(buffer, ints, array, n_intervals):
 
 @inlined
 def _copy_around(buffer, ints, corner, array):
-    """`_copy_all` for the eight cells of an event at this corner."""
+    """`copy_cells` for the eight cells of an event at this corner."""
     n_bins, height, width = array.shape
     row = ints[S.ROW]
     plane = ints[S.PLANE]

@@ -61,6 +61,8 @@ N_LOG = 35  # corners in the log
 N_READ = 36  # of them known to the last read
 LOST = 37  # 1: since the last read more changed than the log holds
 WIPE = 38  # 1: since the window opened more changed than the log holds
+BIN_LO = 39  # intervals that changed since the last read; BIN_HI < BIN_LO: none
+BIN_HI = 40
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 BLOCK = 256  # so that all rows together fit the first-level cache
@@ -83,4 +85,7 @@ MODE_RUNNING = 2
 MODE_LINE = 3
 MODE_LINE_FLOW_REMOVED = 4
 
-NUMBERS_PER_LOGGED = 32  # working through one logged event costs as much as through so many numbers in order
+NO_BIN = 1 << 30
+# Working through one logged event, here and there in memory, costs as much as so many numbers in order:
+NUMBERS_PER_LOGGED = 32  # at a read
+NUMBERS_PER_EMPTIED = 100  # when a window is emptied

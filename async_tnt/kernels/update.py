@@ -37,7 +37,7 @@ def absorb(buffer, t, x, y, p, first, last):
     while first < last:
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]
-        if _all_in_window(ints, block_t, m):
+        if _all_in_window(buffer, ints, block_t, m):
             _displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
             _place(buffer, ints, block_t, p[first : first + m], m)
             _splat(buffer, ints, m)
@@ -97,6 +97,7 @@ def _absorb_event(buffer, ints, t, x, y, p):
     )
     ints[S.KEPT] += keep
     ints[S.TAU_ZERO] += den == 0.0
+    _mark_bins(ints, grid, dt, dt)
     if _log_has_room(ints, 1):
         ints[ints[S.LOG] + ints[S.N_LOG]] = corner
         ints[S.N_LOG] += 1
@@ -104,7 +105,7 @@ def _absorb_event(buffer, ints, t, x, y, p):
 
 
 @compiled
-def _all_in_window(ints, t, m):
+def _all_in_window(buffer, ints, t, m):
     """Whether a block lies in the open window and before the limit; if so, takes note of it."""
     oldest_us = t[0]
     newest_us = t[0]
@@ -117,6 +118,7 @@ def _all_in_window(ints, t, m):
     ints[S.RECEIVED] += m
     ints[S.N] += m
     ints[S.NEWEST_US] = max(ints[S.NEWEST_US], newest_us)
+    _mark_bins(ints, grid_of(buffer, ints), oldest_us - start_us, newest_us - start_us)
     if (oldest_us == start_us) & (ints[S.MODE] != S.MODE_RAW):
         for i in range(m):
             ints[S.TAU_ZERO] += t[i] == start_us
@@ -210,6 +212,13 @@ def _splat(buffer, ints, m):
     row = np.uint64(ints[S.ROW])
     for i in range(m):
         add_event(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], early[i], later[i])
+
+
+@inlined
+def _mark_bins(ints, grid, oldest_dt, newest_dt):
+    """Note which intervals events between two times may change, for the next read."""
+    ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(np.float64(oldest_dt) * grid.bin_scale))
+    ints[S.BIN_HI] = max(ints[S.BIN_HI], np.int64(np.float64(newest_dt) * grid.bin_scale))
 
 
 @inlined

@@ -38,6 +38,8 @@ def window_volumes(
         )  # fmt: skip
         empty_volume(buffer, out[i], start_us[i], limit_us[i])
         ints[S.LOST] = 1  # every volume goes to another array, whole
+        ints[S.BIN_LO] = 0
+        ints[S.BIN_HI] = n_bins - 1
         if about_mean and n > 0:
             sum_x = 0
             sum_y = 0

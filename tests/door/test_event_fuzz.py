@@ -93,7 +93,9 @@ def numbers(field, number, sensor, trouble):
     if not trouble:
         return st.sampled_from([-1, 1]) if field == "p" and low < 0 else st.integers(0, min(end - 1, high))
     around = [limit + d for limit in [*LIMITS, end] for d in (-2, -1, 0, 1, 3) if low <= limit + d <= high]
-    return st.one_of(st.sampled_from(around), st.integers(low, high), st.integers(0, min(end - 1, high)))
+    nearest = [value for value in (-1, end - 1, end) if low <= value <= high]
+    right = st.integers(0, min(end - 1, high))
+    return st.one_of(right, right, st.sampled_from(nearest or [0]), st.sampled_from(around), st.integers(low, high))
 
 
 @functools.cache

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from made import events_of, random_events
 
 from async_tnt import Counts, ReplayBufferFull, TNTConfig, TNTVolume
@@ -60,6 +62,37 @@ def test_reading_between_events_changes_nothing():
             unread.update_one(*event)
         assert read.array.tobytes() == unread.array.tobytes()
         assert read.counts == unread.counts
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.one_of(st.integers(1, 400), st.sampled_from(["read", "open"])), min_size=3, max_size=25),
+    st.sampled_from([(34, 34), (90, 70), (300, 200)]),
+    st.sampled_from(["running", "window"]),
+    st.sampled_from(["signed", "split"]),
+    st.integers(0, 1000),
+)
+def test_a_used_volume_equals_a_fresh_one(steps, sensor, landmark, polarity, seed):
+    """Whatever was read and emptied before: large volumes are read and emptied only where events were."""
+    config = CONFIG.replace(sensor=sensor, grid=sensor, landmark=landmark, polarity=polarity)
+    used, start_us = TNTVolume(config), 0
+    used.open(0)
+    fresh = TNTVolume(config)
+    fresh.open(0)
+    for step in steps:
+        seed += 1
+        if step == "open":
+            start_us += 1000
+            used.open(start_us)
+            fresh = TNTVolume(config)
+            fresh.open(start_us)
+        elif step == "read":
+            assert np.array_equal(used.array, fresh.array)
+        else:
+            events = random_events(step, seed=seed, duration_us=1000, start_us=start_us, sensor=sensor)
+            used.update(events)
+            fresh.update(events)
+    assert np.array_equal(used.array, fresh.array)
 
 
 def test_events_before_the_open_window_are_dropped_and_counted():
