@@ -11,9 +11,10 @@ Start with `Processor` (events in, decisions out), `TNTVolume` (the representati
 
 from .classifier import CompiledClassifier
 from .config import TNTConfig
+from .decision import Decision
 from .events import EVENT_DTYPE
 from .model import Model, bundled_models, load_model
-from .processor import Decision, Processor
+from .processor import Processor
 from .replay import ReplayBufferFull
 from .streams import astream, stream
 from .volume import Counts, TNTVolume

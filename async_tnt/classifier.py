@@ -60,10 +60,10 @@ def _pack_filters(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.nda
     n_blocks = -(-len(filters) // FILTERS)
     packed = np.zeros((n_blocks * FILTERS, filters.shape[1], TAPS), np.float32)
     packed[: len(filters)] = filters.reshape(*filters.shape[:2], TAPS)
-    packed = packed.reshape(n_blocks, FILTERS, -1, TAPS).transpose(0, 2, 3, 1)
     packed_bias = np.zeros((n_blocks, FILTERS), np.float32)
     packed_bias.flat[: len(bias)] = bias
-    return np.ascontiguousarray(packed), packed_bias
+    blocks = packed.reshape(n_blocks, FILTERS, -1, TAPS).transpose(0, 2, 3, 1)
+    return np.ascontiguousarray(blocks), packed_bias
 
 
 def _transpose(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.ndarray, np.ndarray]:

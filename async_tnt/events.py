@@ -159,8 +159,8 @@ class EventDoor:
         self.n_dropped += n_late
         if not n_late:
             return columns
-        kept = [column[: columns.n][~late] for column in columns[:4]]
-        return Columns(*kept, t.size - n_late)
+        t, x, y, p = (column[: columns.n][~late] for column in columns[:4])
+        return Columns(t, x, y, p, t.size)
 
 
 def named_columns(events: Any, depth: int = 0) -> Four | None:
@@ -234,7 +234,7 @@ def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> 
     columns["p"] = polarity == 1
     # C-contiguous, aligned and writeable (what is not is copied): one compiled version
     typed = zip(columns.values(), _DTYPES, strict=True)
-    t, x, y, p = (np.require(column, dtype, "CAW") for column, dtype in typed)
+    t, x, y, p = (np.require(column, dtype, ["C", "A", "W"]) for column, dtype in typed)
     return Columns(t, x, y, p, t.size)
 
 

@@ -4,49 +4,20 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from .classifier import CompiledClassifier
 from .config import TNTConfig
+from .decision import Decision, decide
 from .events import Columns, EventDoor
-from .kernels.network import softmax
 from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
 from .model import Model
 from .volume import UNOPENED, Counts, TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
 NEVER = 1 << 62
-
-
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """What the classifier says of one window at one moment."""
-
-    label: str
-    """Name of the likeliest class."""
-    index: int
-    """Its number."""
-    probabilities: np.ndarray
-    """float64, shape (n_classes,): softmax of the logits."""
-    logits: np.ndarray
-    """float32, shape (n_classes,)."""
-    window_start_us: int
-    time_us: int
-    """Newest event in the window; the window's start if it has none."""
-    events: int
-    """Events in the window so far."""
-    complete: bool
-    """Whether the window is closed: no event can come any more."""
-    trigger: str
-    """Why it fired: `window` (closed), `every_us`, `every_events`, `fire` (on demand), `end` (of the stream)."""
-
-    @property
-    def probability(self) -> float:
-        """Probability of the likeliest class."""
-        return float(self.probabilities[self.index])
 
 
 class Processor:
@@ -101,7 +72,9 @@ class Processor:
         elif isinstance(model, TNTConfig):
             self.config = model
         else:
-            raise TypeError(f"`model` must be a Model or a TNTConfig, got {type(model).__name__}; load_model(name) loads one")
+            raise TypeError(
+                f"`model` must be a Model or a TNTConfig, got {type(model).__name__}; load_model(name) loads one"
+            )
         if classifier is None:
             raise TypeError("`classifier` is missing: a TNTConfig alone cannot decide; pass a Model or a callable")
         if not callable(classifier):
@@ -284,23 +257,9 @@ class Processor:
         logits = np.asarray(self.classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
         if self.classes is None:
             self.classes = tuple(str(k) for k in range(logits.size))
-        if logits.size != len(self.classes):
-            raise ValueError(f"`classifier` must return {len(self.classes)} logits, one for each class, got {logits.size}")
-        probabilities = np.empty(logits.size)
-        softmax(logits, probabilities)
-        index = int(logits.argmax())
         start_us, n_events = volume.start_us, volume.n_events
-        return Decision(
-            label=self.classes[index],
-            index=index,
-            probabilities=probabilities,
-            logits=logits,
-            window_start_us=start_us,
-            time_us=volume.newest_us if n_events else start_us,
-            events=n_events,
-            complete=complete,
-            trigger=trigger,
-        )
+        time_us = volume.newest_us if n_events else start_us
+        return decide(logits, self.classes, start_us, time_us, n_events, complete, trigger)
 
     # -- looking in --------------------------------------------------------------------------------------
 

@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from .config import TNTConfig
+from .decision import Decision
 from .model import Model, load_model
-from .processor import Decision, Processor
+from .processor import Processor
 
 
-def stream(source: Iterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any) -> Iterator[Decision]:
+def stream(
+    source: Iterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any
+) -> Iterator[Decision]:
     """Classify a source of events, lazily.
 
     Parameters

@@ -217,9 +217,7 @@ class TNTVolume:
         if self._replay is not None:
             self._replay.run(self)
             unstored = self._replay.n_unstored
-        received, kept, late, tau_zero = (
-            int(self._ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO)
-        )
+        received, kept, late, tau_zero = (int(self._ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO))
         dropped = self._door.n_dropped
         outside = received - kept - late - tau_zero - unstored
         return Counts(received + dropped, kept, outside, tau_zero, late + dropped, unstored)

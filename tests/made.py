@@ -50,7 +50,9 @@ def nasty_streams(draw, sensor, window_us: int, start_us: int, max_events: int =
     times that run backwards, all at one pixel."""
     n = draw(st.integers(0, max_events))
     inside = st.integers(0, window_us - 1)
-    special = st.sampled_from([k for k in (0, 1, window_us // 8, window_us // 4, window_us // 2, window_us - 1) if k < window_us])
+    special = st.sampled_from(
+        [k for k in (0, 1, window_us // 8, window_us // 4, window_us // 2, window_us - 1) if k < window_us]
+    )
     times = draw(st.lists(st.one_of(inside, special), min_size=n, max_size=n))
     if draw(st.booleans()):
         times = sorted(times)

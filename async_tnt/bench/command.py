@@ -39,10 +39,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `async-tnt bench` to its parser."""
     parser.description, parser.epilog = DESCRIPTION, EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--landmark", choices=LANDMARKS, default="running",
-                        help="of the volumes timed by themselves (default: running)")
-    parser.add_argument("--model", metavar="NAME_OR_FILE",
-                        help='network for the decisions (default: the bundled "digits", else random weights)')
+    parser.add_argument(
+        "--landmark", choices=LANDMARKS, default="running", help="of the volumes timed by themselves (default: running)"
+    )
+    parser.add_argument(
+        "--model",
+        metavar="NAME_OR_FILE",
+        help='network for the decisions (default: the bundled "digits", else random weights)',
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the made events (default: 0)")
     parser.add_argument("--quick", action="store_true", help="fewer events and rounds: seconds, wider quartiles")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
@@ -147,4 +151,3 @@ def _row(figures: list[dict[str, float]]) -> str:
 
 def _short(value: float) -> str:
     return f"{value:.1f}" if value < 100 else f"{value:,.0f}"
-

@@ -37,9 +37,7 @@ class TorchBatch:
     classes : how many the network tells apart.
     """
 
-    def __init__(
-        self, config: TNTConfig, weights: Mapping[str, np.ndarray] | None = None, classes: int = 0
-    ) -> None:
+    def __init__(self, config: TNTConfig, weights: Mapping[str, np.ndarray] | None = None, classes: int = 0) -> None:
         self.config = config
         width, height = config.grid
         plane = width * height

@@ -11,8 +11,9 @@ from typing import TextIO
 
 import numpy as np
 
+from ..decision import Decision
 from ..model import Model
-from ..processor import Decision, Processor
+from ..processor import Processor
 from ..recordings import Recording
 from ..warmup import warmup
 from .files import add_files, add_start, complain, model_of, open_all, paths_of, positive_int

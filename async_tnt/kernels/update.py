@@ -92,9 +92,7 @@ def _absorb_event(buffer, ints, t, x, y, p):
             buffer, x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y], ints[S.SUM_T], remove_flow
         )
     grid = grid_of(buffer, ints)
-    corner, y_frac, x_frac, early, later, keep = place_event(
-        grid, np.float64(dt), p > 0, num_x, num_y, den
-    )
+    corner, y_frac, x_frac, early, later, keep = place_event(grid, np.float64(dt), p > 0, num_x, num_y, den)
     ints[S.KEPT] += keep
     ints[S.TAU_ZERO] += den == 0.0
     _mark_bins(ints, grid, dt, dt)
@@ -158,9 +156,7 @@ def _displace(buffer, ints, t, x, y, m):
             sums_y[i] = sum_y
     if mode == S.MODE_RUNNING:
         for i in range(m):
-            num_x[i], num_y[i], den[i] = displace_running(
-                x[i], y[i], t[i] - start_us, n + i + 1, sums_x[i], sums_y[i]
-            )
+            num_x[i], num_y[i], den[i] = displace_running(x[i], y[i], t[i] - start_us, n + i + 1, sums_x[i], sums_y[i])
     elif mode == S.MODE_FIXED:
         fixed_x = buffer[S.FIXED_X]
         fixed_y = buffer[S.FIXED_Y]

@@ -91,16 +91,12 @@ def read_nmnist(
         return events
     text = f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {damage}"
     if strict:
-        raise ValueError(
-            f"{text}. Fetch the file again, or pass strict=False for the {n_good} events before."
-        )
+        raise ValueError(f"{text}. Fetch the file again, or pass strict=False for the {n_good} events before.")
     warnings.warn(f"{text}. Keeping the {n_good} events before.", stacklevel=2)
     return events[:n_good].copy()
 
 
-def write_nmnist(
-    path: str | os.PathLike[str], events: np.ndarray, *, sensor: tuple[int, int] | None = SENSOR
-) -> None:
+def write_nmnist(path: str | os.PathLike[str], events: np.ndarray, *, sensor: tuple[int, int] | None = SENSOR) -> None:
     """Write events in N-MNIST's format; `read_nmnist` gives the same events back.
 
     Parameters
@@ -118,9 +114,7 @@ def write_nmnist(
     names = getattr(getattr(events, "dtype", None), "names", None) or ()
     missing = [name for name in ("t", "x", "y", "p") if name not in names]
     if missing or events.ndim != 1:
-        raise TypeError(
-            f"`events` must be a 1-D structured array with fields t, x, y, p; got {_describe(events)}"
-        )
+        raise TypeError(f"`events` must be a 1-D structured array with fields t, x, y, p; got {_describe(events)}")
     for name in ("t", "x", "y", "p"):
         if events.dtype[name].kind not in "iub":
             raise TypeError(f"`{name}` must have an integer type, got {events.dtype[name]}")
@@ -130,9 +124,7 @@ def write_nmnist(
     _check_range("x", events["x"], width)
     _check_range("y", events["y"], height)
     _check_range("p", events["p"], 2)
-    _refuse(
-        events["y"] == OVERFLOW_Y, "y", events["y"], f"must not be {OVERFLOW_Y}, the mark of a timer overflow"
-    )
+    _refuse(events["y"] == OVERFLOW_Y, "y", events["y"], f"must not be {OVERFLOW_Y}, the mark of a timer overflow")
     t_us = events["t"].astype(np.int64)
     _refuse(np.diff(t_us, prepend=t_us[:1]) < 0, "t", t_us, "must never decrease")
 
@@ -145,9 +137,7 @@ def write_nmnist(
     Path(path).write_bytes(rows.tobytes())
 
 
-def _first_damage(
-    events: np.ndarray, event_rows: np.ndarray, sensor: tuple[int, int] | None
-) -> tuple[int, str | None]:
+def _first_damage(events: np.ndarray, event_rows: np.ndarray, sensor: tuple[int, int] | None) -> tuple[int, str | None]:
     """The number of good events before the first bad one, and what is wrong with it (None: nothing)."""
     off_sensor = np.zeros(len(events), bool)
     if sensor is not None:
@@ -173,9 +163,7 @@ def _first_damage(
 def _checked_sensor(sensor: tuple[int, int]) -> tuple[int, int]:
     width, height = sensor
     if not (1 <= width <= 256 and 1 <= height <= 256):
-        raise ValueError(
-            f"`sensor` must be (width, height) in 1..256, what one byte can address, got {sensor}"
-        )
+        raise ValueError(f"`sensor` must be (width, height) in 1..256, what one byte can address, got {sensor}")
     return int(width), int(height)
 
 

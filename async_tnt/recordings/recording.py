@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.recordings.columns import read_npy, read_npz
 from async_tnt.recordings.nmnist import SENSOR, read_nmnist
+from async_tnt.recordings.numpy_files import read_npy, read_npz
 
 Reader = Callable[[Path], tuple[np.ndarray, tuple[int, int] | None]]
 
@@ -22,9 +22,7 @@ class Recording:
     there.
     """
 
-    def __init__(
-        self, path: Path, events: np.ndarray, sensor: tuple[int, int] | None, packet_events: int
-    ) -> None:
+    def __init__(self, path: Path, events: np.ndarray, sensor: tuple[int, int] | None, packet_events: int) -> None:
         self.path = path
         self.sensor = sensor
         self.packet_events = packet_events
@@ -99,9 +97,7 @@ def open_recording(path: str | os.PathLike[str], packet_events: int = 1000) -> R
         raise ValueError(f"`packet_events` must be at least 1, got {packet_events}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise ValueError(
-            f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}"
-        )
+        raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
     events, sensor = reader(path)
     return Recording(path, events, sensor, int(packet_events))
 

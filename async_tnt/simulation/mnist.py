@@ -57,8 +57,7 @@ def read_idx(path: str | os.PathLike[str]) -> np.ndarray:
     n_expected = n_header + math.prod(shape) * dtype.itemsize  # in Python integers: these cannot wrap
     if len(raw) != n_expected:
         raise ValueError(
-            f"{path}: damaged IDX file: shape {shape} of {dtype.name} takes {n_expected} bytes, "
-            f"got {len(raw)}"
+            f"{path}: damaged IDX file: shape {shape} of {dtype.name} takes {n_expected} bytes, got {len(raw)}"
         )
     try:
         values = np.frombuffer(raw, dtype, offset=n_header).reshape(shape)
@@ -92,8 +91,7 @@ def load_mnist(folder: str | os.PathLike[str], split: str) -> tuple[np.ndarray, 
     images, labels = read_idx(images_path), read_idx(labels_path)
     if images.ndim != 3 or images.shape[1:] != (28, 28) or images.dtype != np.uint8:
         raise ValueError(
-            f"{images_path}: MNIST images must be uint8 of shape (N, 28, 28), "
-            f"got {images.dtype} {images.shape}"
+            f"{images_path}: MNIST images must be uint8 of shape (N, 28, 28), got {images.dtype} {images.shape}"
         )
     if labels.shape != images.shape[:1] or labels.dtype != np.uint8:
         raise ValueError(

@@ -39,9 +39,7 @@ def sample_indices(labels: np.ndarray, first_index: int = FIRST_INDEX) -> dict[i
     return indices
 
 
-def write_samples(
-    mnist_folder: str | os.PathLike[str], out_folder: str | os.PathLike[str], seed: int
-) -> list[Path]:
+def write_samples(mnist_folder: str | os.PathLike[str], out_folder: str | os.PathLike[str], seed: int) -> list[Path]:
     """Simulate and write `<out_folder>/<digit>.bin` for the ten digits; returns their paths.
 
     Each digit has a random generator of its own, seeded by (seed, digit).

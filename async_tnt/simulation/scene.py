@@ -84,9 +84,7 @@ def render(
     if width < 1 or height < 1:
         raise ValueError(f"`sensor` must be a positive (width, height), got {sensor}")
 
-    margin = (
-        math.ceil(3.0 * scene.blur_px) + 1
-    )  # 3 standard deviations of blur, and one pixel of ground around
+    margin = math.ceil(3.0 * scene.blur_px) + 1  # 3 standard deviations of blur, and one pixel of ground around
     blurred = _blur(np.pad(strokes, margin), scene.blur_px)
     frames = np.empty((len(dx), height, width))
     translate(frames, blurred, dx - margin, dy - margin)

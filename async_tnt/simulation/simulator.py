@@ -94,9 +94,7 @@ def simulate(
     pixels = PixelModel() if pixels is None else pixels
     frames, times = _checked_frames(log_frames, frame_times_us)
     shape = frames.shape[1:]
-    threshold_on = np.maximum(
-        pixels.threshold_on * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD
-    )
+    threshold_on = np.maximum(pixels.threshold_on * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD)
     threshold_off = np.maximum(
         pixels.threshold_off * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD
     )
@@ -228,9 +226,7 @@ def pixel_events(
     return t_out[:n].copy(), x_out[:n].copy(), y_out[:n].copy(), p_out[:n].copy()
 
 
-def _noise(
-    shape: tuple[int, ...], times: np.ndarray, rng: np.random.Generator, pixels: PixelModel
-) -> np.ndarray:
+def _noise(shape: tuple[int, ...], times: np.ndarray, rng: np.random.Generator, pixels: PixelModel) -> np.ndarray:
     """Background events: a Poisson process of the same rate at every pixel."""
     height, width = shape
     span_us = times[-1] - times[0]
@@ -254,15 +250,11 @@ def _checked_frames(log_frames: np.ndarray, frame_times_us: np.ndarray) -> tuple
     if max(frames.shape[1:]) > 1 << 16:
         raise ValueError(f"`log_frames` must be at most 65536 pixels wide and high, got {frames.shape}")
     if times.shape != frames.shape[:1]:
-        raise ValueError(
-            f"`frame_times_us` must have shape ({frames.shape[0]},), one per frame, got {times.shape}"
-        )
+        raise ValueError(f"`frame_times_us` must have shape ({frames.shape[0]},), one per frame, got {times.shape}")
     if not np.isfinite(frames).all():
         raise ValueError("`log_frames` must be finite; luminance 0 has no logarithm")
     if not np.isfinite(times).all() or (np.diff(times) <= 0).any() or times[0] < 0 or times[-1] > 2**53:
-        raise ValueError(
-            "`frame_times_us` must be strictly increasing, in [0, 2^53]: what float64 holds exactly"
-        )
+        raise ValueError("`frame_times_us` must be strictly increasing, in [0, 2^53]: what float64 holds exactly")
     return frames, times
 
 

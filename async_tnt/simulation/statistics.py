@@ -103,9 +103,7 @@ def describe(
     }
     for s in range(n_saccades):
         for axis, name in enumerate("xy"):
-            result[f"ON - OFF centroid, saccade {s + 1}, {name}"] = _mean(
-                [offset[axis] for offset in offsets[s]]
-            )
+            result[f"ON - OFF centroid, saccade {s + 1}, {name}"] = _mean([offset[axis] for offset in offsets[s]])
     return result
 
 
@@ -116,9 +114,7 @@ def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
     lines = [" " * 36 + "".join(f"{title:>{width}}" for title in columns)]
     for name in names:
         label = f"{name} [{UNITS[name]}]" if UNITS.get(name) else name
-        values = "".join(
-            f"{description.get(name, float('nan')):{width}.2f}" for description in columns.values()
-        )
+        values = "".join(f"{description.get(name, float('nan')):{width}.2f}" for description in columns.values())
         lines.append(f"{label:<36}{values}")
     return "\n".join(lines)
 

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS, TNTConfig
+from async_tnt.model import load_model
 
 from .augment import Augmentation
 from .simulated import read_samples, simulate_recordings
@@ -45,54 +46,124 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description, parser.epilog = DESCRIPTION, EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     data = parser.add_argument_group("data")
-    data.add_argument("--nmnist", type=Path, metavar="FOLDER",
-                      help="N-MNIST: the folder with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)")
-    data.add_argument("--mnist", type=Path, metavar="FOLDER",
-                      help="MNIST's IDX files, gzipped or not, for --simulated (default: $TNT_DATA/mnist)")
-    data.add_argument("--simulated", type=int, default=0, metavar="N",
-                      help="add N simulated recordings of other MNIST images (default: 0; about 5 ms each)")
-    data.add_argument("--validation", type=float, default=0.1, metavar="SHARE",
-                      help="share of the real recordings held out to watch the training (default: 0.1)")
-    data.add_argument("--skip-damaged", action="store_true",
-                      help="leave damaged recordings out, with a warning each, instead of stopping")
-    data.add_argument("--test", action="store_true",
-                      help="at the end, also classify N-MNIST's Test folder and write the accuracy into the "
-                      "model's record; do this once, after all choices are made")
+    data.add_argument(
+        "--nmnist",
+        type=Path,
+        metavar="FOLDER",
+        help="N-MNIST: the folder with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)",
+    )
+    data.add_argument(
+        "--mnist",
+        type=Path,
+        metavar="FOLDER",
+        help="MNIST's IDX files, gzipped or not, for --simulated (default: $TNT_DATA/mnist)",
+    )
+    data.add_argument(
+        "--simulated",
+        type=int,
+        default=0,
+        metavar="N",
+        help="add N simulated recordings of other MNIST images (default: 0; about 5 ms each)",
+    )
+    data.add_argument(
+        "--validation",
+        type=float,
+        default=0.1,
+        metavar="SHARE",
+        help="share of the real recordings held out to watch the training (default: 0.1)",
+    )
+    data.add_argument(
+        "--skip-damaged",
+        action="store_true",
+        help="leave damaged recordings out, with a warning each, instead of stopping",
+    )
+    data.add_argument(
+        "--test",
+        action="store_true",
+        help="at the end, also classify N-MNIST's Test folder and write the accuracy into the "
+        "model's record; do this once, after all choices are made",
+    )
     volume = parser.add_argument_group("volume (what the network sees)")
-    volume.add_argument("--transform", choices=TRANSFORMS, default="tnt",
-                        help="tnt, or none: the plain event volume (default: tnt)")
-    volume.add_argument("--landmark", choices=LANDMARKS, default="running",
-                        help="the point events are normalized about; `window` costs a replay at each "
-                        "decision (default: running)")
-    volume.add_argument("--t-max", type=float, default=3.0, metavar="T",
-                        help="TNT time at the window's end: smaller shrinks late events less, but loses more "
-                        "of the early ones over the border (default: 3)")
-    volume.add_argument("--polarity", choices=POLARITIES, default="signed",
-                        help="ON minus OFF events, both alike, or in bins of their own (default: signed)")
-    volume.add_argument("--remove-flow", action="store_true",
-                        help="subtract the fitted flow (with --landmark line)")
+    volume.add_argument(
+        "--transform", choices=TRANSFORMS, default="tnt", help="tnt, or none: the plain event volume (default: tnt)"
+    )
+    volume.add_argument(
+        "--landmark",
+        choices=LANDMARKS,
+        default="running",
+        help="the point events are normalized about; `window` costs a replay at each decision (default: running)",
+    )
+    volume.add_argument(
+        "--t-max",
+        type=float,
+        default=3.0,
+        metavar="T",
+        help="TNT time at the window's end: smaller shrinks late events less, but loses more "
+        "of the early ones over the border (default: 3)",
+    )
+    volume.add_argument(
+        "--polarity",
+        choices=POLARITIES,
+        default="signed",
+        help="ON minus OFF events, both alike, or in bins of their own (default: signed)",
+    )
+    volume.add_argument("--remove-flow", action="store_true", help="subtract the fitted flow (with --landmark line)")
     volume.add_argument("--bins", type=int, default=9, metavar="B", help="time bins (default: 9)")
     learning = parser.add_argument_group("training")
-    learning.add_argument("--epochs", type=int, default=20, metavar="N",
-                          help="passes over the training windows (default: 20)")
+    learning.add_argument(
+        "--epochs", type=int, default=20, metavar="N", help="passes over the training windows (default: 20)"
+    )
     learning.add_argument("--batch", type=int, default=64, metavar="N", help="windows per step (default: 64)")
-    learning.add_argument("--rate", type=float, default=2e-3, metavar="R",
-                          help="highest learning rate of AdamW; it falls along a cosine (default: 0.002)")
-    learning.add_argument("--seed", type=int, default=0, metavar="N",
-                          help="of weights, order, augmentation, split and simulation (default: 0)")
+    learning.add_argument(
+        "--rate",
+        type=float,
+        default=2e-3,
+        metavar="R",
+        help="highest learning rate of AdamW; it falls along a cosine (default: 0.002)",
+    )
+    learning.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of weights, order, augmentation, split and simulation (default: 0)",
+    )
     learning.add_argument("--no-augmentation", action="store_true", help="train on the windows as they are")
-    learning.add_argument("--keep", choices=("last", "best"), default="last",
-                          help="the weights to write: after the last epoch, or after the one that validates "
-                          "best (default: last; both are in the run folder)")
-    learning.add_argument("--threads", type=int, metavar="N",
-                          help="torch's threads; another number gives slightly other weights")
-    learning.add_argument("--smoke", action="store_true",
-                          help="try the whole way in seconds: two epochs on the ten bundled samples")
+    learning.add_argument(
+        "--keep",
+        choices=("last", "best"),
+        default="last",
+        help="the weights to write: after the last epoch, or after the one that validates "
+        "best (default: last; both are in the run folder)",
+    )
+    learning.add_argument(
+        "--threads", type=int, metavar="N", help="torch's threads; another number gives slightly other weights"
+    )
+    learning.add_argument(
+        "--smoke", action="store_true", help="try the whole way in seconds: two epochs on the ten bundled samples"
+    )
     files = parser.add_argument_group("files")
-    files.add_argument("--out", type=Path, default=Path("model.safetensors"), metavar="FILE",
-                       help="the trained model (default: model.safetensors)")
-    files.add_argument("--run", type=Path, metavar="FOLDER", dest="run_folder",
-                       help="checkpoints and learning curves (default: runs/<name of --out>)")
+    files.add_argument(
+        "--start-from",
+        metavar="MODEL",
+        help="train on from a model file, or a bundled model's name, instead of random weights; "
+        "the volume's options are then that model's. Keep --seed, and with it the recordings "
+        "that are held out",
+    )
+    files.add_argument(
+        "--out",
+        type=Path,
+        default=Path("model.safetensors"),
+        metavar="FILE",
+        help="the trained model (default: model.safetensors)",
+    )
+    files.add_argument(
+        "--run",
+        type=Path,
+        metavar="FOLDER",
+        dest="run_folder",
+        help="checkpoints and learning curves (default: runs/<name of --out>)",
+    )
     files.add_argument("--json", action="store_true", help="print the results as JSON on stdout")
 
 
@@ -108,8 +179,7 @@ def main(args: argparse.Namespace) -> int:
         return _train(args, run_folder)
     except KeyboardInterrupt:
         print(
-            f"\ninterrupted; the finished epochs are kept in {run_folder}. "
-            "Give the same command again to go on.",
+            f"\ninterrupted; the finished epochs are kept in {run_folder}. Give the same command again to go on.",
             file=sys.stderr,
         )
         return 130
@@ -127,7 +197,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
     if args.threads is not None:
         torch.set_num_threads(args.threads)
-    config = TNTConfig(
+    start = load_model(args.start_from) if args.start_from else None
+    config = start.config if start is not None else TNTConfig(
         bins=args.bins, t_max=args.t_max, landmark=args.landmark, polarity=args.polarity,
         transform=args.transform, remove_flow=args.remove_flow,
     )  # fmt: skip
@@ -163,7 +234,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         print(f"{text}  ({_minutes(left_s)} left)", file=sys.stderr)
 
     result = train(
-        config, training, validation, settings, run_folder, progress=show_progress, report=report
+        config, training, validation, settings, run_folder, start=start, progress=show_progress, report=report
     )
     model = result.best if args.keep == "best" else result.last
     summary: dict[str, Any] = {
@@ -179,6 +250,11 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
             "torch": torch.__version__,
         },
     }
+    if start is not None:
+        summary["started_from"] = {
+            name: start.record[name] for name in ("command", "data", "epochs", "seed", "validation", "test",
+                                                  "started_from") if name in start.record
+        }  # fmt: skip
     network = network_of(model)
     if len(validation):
         print("evaluating on the held-out recordings", file=sys.stderr)
@@ -197,9 +273,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     return 0
 
 
-def _load(
-    args: argparse.Namespace, nmnist: Path | None, config: TNTConfig
-) -> tuple[Windows, Windows, dict[str, Any]]:
+def _load(args: argparse.Namespace, nmnist: Path | None, config: TNTConfig) -> tuple[Windows, Windows, dict[str, Any]]:
     """Windows to train on, windows held out, and the data in words."""
     if nmnist is None:
         windows = lay_windows(read_samples(), config.window_us)
@@ -236,9 +310,7 @@ def _folder(given: Path | None, name: str, option: str) -> Path:
     if folder is None:
         root = os.environ.get("TNT_DATA")
         if not root:
-            raise FileNotFoundError(
-                f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/"
-            )
+            raise FileNotFoundError(f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/")
         folder = Path(root) / name
     if not folder.is_dir():
         raise FileNotFoundError(f"no folder {folder}; give {option} FOLDER, or set TNT_DATA")
@@ -252,8 +324,10 @@ def _command(args: argparse.Namespace) -> str:
     words = ["async-tnt train"]
     for action in parser._actions:
         value = getattr(args, action.dest)
-        if action.type is Path or action.dest in ("json", "skip_damaged") or value == action.default:
+        if action.type is Path or value == action.default or action.dest in ("json", "skip_damaged"):
             continue
+        if action.dest == "start_from":
+            value = Path(value).name
         words.append(action.option_strings[0] if value is True else f"{action.option_strings[0]} {value}")
     return " ".join(words)
 

@@ -50,11 +50,19 @@ def export(
 ) -> Model:
     """The finished model: the first convolution absorbs the input's scale, so that it takes raw volumes.
 
-        conv1(scale * V) = sum_c w_c * (scale_c V_c) = sum_c (scale_c w_c) * V_c
+    conv1(scale * V) = sum_c w_c * (scale_c V_c) = sum_c (scale_c w_c) * V_c
     """
     weights = {name: w.detach().cpu().numpy().copy() for name, w in network.state_dict().items()}
     weights["conv1.weight"] *= scale[None, :, None, None]
     return Model(config, weights, classes, record)
+
+
+def network_before_export(model: Model, scale: np.ndarray) -> Classifier:
+    """The inverse of `export`: a model's network for volumes that are multiplied by `scale`, to train it on."""
+    network = network_of(model)
+    with torch.no_grad():
+        network.conv1.weight /= torch.from_numpy(scale)[None, :, None, None]
+    return network
 
 
 def network_of(model: Model) -> Classifier:

@@ -34,8 +34,7 @@ def simulate_recordings(
         raise ValueError(f"the number of simulated recordings must be in [0, {n_images}], got {n}")
     indices = FIRST_INDEX + np.random.default_rng(seed).permutation(n_images)[:n]
     events = (
-        simulate_digit(images[i], np.random.default_rng((seed, int(i))))
-        for i in progress(indices, "simulating", n)
+        simulate_digit(images[i], np.random.default_rng((seed, int(i)))) for i in progress(indices, "simulating", n)
     )
     return Recordings.from_events(events, labels[indices], [f"simulated {i}" for i in indices])
 

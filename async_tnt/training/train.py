@@ -21,7 +21,7 @@ from async_tnt.model import Model
 from .augment import Augmentation, Draws
 from .batches import BatchVolumes
 from .evaluate import accuracy_by_recording, class_probabilities
-from .networks import channel_scale, export, new_network
+from .networks import channel_scale, export, network_before_export, new_network
 from .windows import CLASSES, Progress, Windows, no_progress
 
 CHECKPOINT = "checkpoint.pt"
@@ -80,6 +80,7 @@ def train(
     settings: TrainSettings,
     run_folder: Path,
     *,
+    start: Model | None = None,
     progress: Progress = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
     device: str | None = None,
@@ -95,24 +96,33 @@ def train(
     training : windows to learn from.
     validation : windows that choose the best epoch (the later of equals); may be empty: then it is the last.
     run_folder : for checkpoint and history; made if missing.
+    start : a model to train on from; None starts with random weights.
     progress : shows each epoch's steps.
     report : called with the history's new row after each epoch, when its checkpoint is written.
     device : of torch; a GPU where torch sees one, else the CPU.
 
     Raises
     ------
-    ValueError : no training windows, or the run folder holds a run with other settings or data.
+    ValueError : no training windows, `start` has another configuration or other classes, or the run folder
+        holds a run with other settings or data.
     """
     if len(training) == 0:
         raise ValueError("`training` must hold at least one window, got none")
+    if start is not None and (start.config, start.classes) != (config, CLASSES):
+        raise ValueError(
+            f"`start` must have the configuration and classes of this training, got {start.config} and "
+            f"classes {', '.join(start.classes)}"
+        )
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     run_folder.mkdir(parents=True, exist_ok=True)
     scale = channel_scale(config, training)
-    network = new_network(config, len(CLASSES), settings.seed).to(device)
+    network = (
+        new_network(config, len(CLASSES), settings.seed) if start is None else network_before_export(start, scale)
+    ).to(device)
     placed: Any = network  # the stubs of `to` know no memory_format
     placed.to(memory_format=torch.channels_last)  # a third faster
     optimizer = _optimizer(network, settings)
-    identity = _identity(config, settings, training, validation)
+    identity = _identity(config, settings, training, validation, start)
     state = _load_checkpoint(run_folder / CHECKPOINT, identity)
     history: list[dict[str, float]] = []
     best: dict[str, torch.Tensor] = {}
@@ -202,7 +212,9 @@ def _set_rate(optimizer: torch.optim.Optimizer, settings: TrainSettings, step: i
         group["lr"] = settings.learning_rate * share
 
 
-def _identity(config: TNTConfig, settings: TrainSettings, training: Windows, validation: Windows) -> str:
+def _identity(
+    config: TNTConfig, settings: TrainSettings, training: Windows, validation: Windows, start: Model | None
+) -> str:
     """All that decides the weights, as JSON: a checkpoint goes on only where it is the same."""
     data = zlib.crc32(training.recordings.offsets.tobytes())
     for windows in (training, validation):
@@ -217,6 +229,7 @@ def _identity(config: TNTConfig, settings: TrainSettings, training: Windows, val
             "training_windows": len(training),
             "validation_windows": len(validation),
             "data": data,
+            "start": 0 if start is None else zlib.crc32(b"".join(w.tobytes() for w in start.weights.values())),
         }
     )
 
@@ -238,7 +251,7 @@ def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
         if found[part].get(name) != wanted[part].get(name)
     )
     differ += [
-        name for name in ("training_windows", "validation_windows", "data") if found[name] != wanted[name]
+        name for name in ("training_windows", "validation_windows", "data", "start") if found.get(name) != wanted[name]
     ]
     if differ:
         raise ValueError(

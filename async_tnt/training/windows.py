@@ -88,9 +88,7 @@ class Recordings:
         for name, recording in zip(names, events, strict=True):
             t = recording["t"]
             if len(t) and not (t[0] >= 0 and t[-1] < 1 << 31 and (np.diff(t) >= 0).all()):
-                raise ValueError(
-                    f"{name}: times must be in order and in [0, 2**31) us, got {t[0]} to {t[-1]}"
-                )
+                raise ValueError(f"{name}: times must be in order and in [0, 2**31) us, got {t[0]} to {t[-1]}")
             for field, dtype in COLUMNS.items():
                 parts[field].append(recording[field].astype(dtype))
             sizes.append(len(t))

@@ -195,9 +195,7 @@ class Pipeline(nn.Module):
 def grid_for_two_pools(grid: tuple[int, int]) -> tuple[int, int]:
     width, height = check_size("grid", grid)
     if min(width, height) < 4:
-        raise ValueError(
-            f"`grid` must have sides of at least 4 pixels, to be halved twice, got {(width, height)}"
-        )
+        raise ValueError(f"`grid` must have sides of at least 4 pixels, to be halved twice, got {(width, height)}")
     return width, height
 
 
@@ -205,6 +203,5 @@ def check_volume_shape(volume: torch.Tensor, channels: int, grid: tuple[int, int
     expected = (channels, grid[1], grid[0])
     if volume.ndim not in (3, 4) or tuple(volume.shape[-3:]) != expected:
         raise ValueError(
-            f"`volume` must have shape (C, H, W) or (N, C, H, W) with (C, H, W) = {expected}, "
-            f"got {tuple(volume.shape)}"
+            f"`volume` must have shape (C, H, W) or (N, C, H, W) with (C, H, W) = {expected}, got {tuple(volume.shape)}"
         )

@@ -33,9 +33,7 @@ def window_events(
     start = whole_number("start_us", start_us)
     length = whole_number("window_us", window_us)
     if length <= 0:
-        raise ValueError(
-            f"`window_us` must be positive, got {length}; for events at a single instant, pass at least 1"
-        )
+        raise ValueError(f"`window_us` must be positive, got {length}; for events at a single instant, pass at least 1")
     times, xs, ys = as_column("t", t), as_column("x", x), as_column("y", y)
     check_same_length(t=times, x=xs, y=ys)
     if times.is_floating_point() and times.dtype != torch.float64 and len(times):

@@ -71,7 +71,9 @@ def _written(path, content):
     return path
 
 
-@pytest.mark.parametrize("argv", [[], ["fly"], ["run", "--every-us", "0"], ["run", "--late", "maybe"], ["check", "--prefixes", "x"]])
+@pytest.mark.parametrize(
+    "argv", [[], ["fly"], ["run", "--every-us", "0"], ["run", "--late", "maybe"], ["check", "--prefixes", "x"]]
+)
 def test_bad_usage_exits_with_2(argv, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(argv)

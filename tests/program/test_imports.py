@@ -41,7 +41,9 @@ def test_reference_imports_nothing_of_the_package():
 
 def test_works_where_nothing_can_be_cached(tmp_path):
     """Numba refuses cache=True where neither the package nor the user's cache folder can be written."""
-    code = "import async_tnt; v = async_tnt.TNTVolume(async_tnt.TNTConfig()); v.update_one(5, 1, 1, 1); print(v.n_events)"
+    code = (
+        "import async_tnt; v = async_tnt.TNTVolume(async_tnt.TNTConfig()); v.update_one(5, 1, 1, 1); print(v.n_events)"
+    )
     blocked = tmp_path / "file"
     blocked.write_text("a file, so that no folder can be made here")
     env = os.environ | {"NUMBA_CACHE_DIR": str(blocked / "cache")}

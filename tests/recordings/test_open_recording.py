@@ -55,9 +55,7 @@ def test_suffix_is_read_in_any_case(path):
 
 
 def test_unknown_suffix_lists_the_known_ones(tmp_path):
-    with pytest.raises(
-        ValueError, match=r"a\.aedat4: unknown suffix '\.aedat4', expected one of \.bin, \.npy, \.npz"
-    ):
+    with pytest.raises(ValueError, match=r"a\.aedat4: unknown suffix '\.aedat4', expected one of \.bin, \.npy, \.npz"):
         open_recording(tmp_path / "a.aedat4")
     with pytest.raises(ValueError, match="unknown suffix ''"):
         open_recording(tmp_path / "nothing")

@@ -52,8 +52,7 @@ def test_volume_sums_to_the_kept_signs(name, polarity):
 def test_split_recombines_to_signed_and_unsigned():
     events = stream(n=300)
     signed, unsigned, split = (
-        tnt_volume(*events, **VOLUME, polarity=name, dtype=torch.float64)
-        for name in ("signed", "unsigned", "split")
+        tnt_volume(*events, **VOLUME, polarity=name, dtype=torch.float64) for name in ("signed", "unsigned", "split")
     )
     assert split.abs().max() > 1
     torch.testing.assert_close(split[:5] - split[5:], signed, rtol=0, atol=1e-12)

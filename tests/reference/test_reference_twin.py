@@ -29,9 +29,7 @@ def windows(draw):
     event = st.tuples(dt, st.integers(0, sensor[0] - 1), st.integers(0, sensor[1] - 1), st.booleans())
     events = draw(st.lists(event, max_size=12))
     t, x, y, p = ([e[k] for e in events] for k in range(4))
-    return ([start_us + a for a in t], x, y, p), dict(
-        start_us=start_us, window_us=window_us, sensor=sensor, grid=grid
-    )
+    return ([start_us + a for a in t], x, y, p), dict(start_us=start_us, window_us=window_us, sensor=sensor, grid=grid)
 
 
 def landmark_twin(name, t, x, axis, start_us, window_us, sensor, grid):

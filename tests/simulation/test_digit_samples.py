@@ -45,9 +45,7 @@ def test_a_recording_is_in_order_on_the_sensor_and_in_time():
 def test_events_follow_the_stated_flow():
     # a bar at 60 px/s to the right: its events move as fast, and start from its place
     motion = ConstantVelocity.towards(0.0, 60.0, duration_us=100_000)
-    events = simulate_digit(
-        digit_image(), np.random.default_rng(0), trajectory=motion, pixels=PixelModel(noise_hz=0.0)
-    )
+    events = simulate_digit(digit_image(), np.random.default_rng(0), trajectory=motion, pixels=PixelModel(noise_hz=0.0))
     late = events[events["t"] > 30_000]  # each pixel has seen its first event by then
     slope, start = np.polyfit(late["t"] * 1e-6, late["x"], 1)
     assert slope == pytest.approx(60.0, rel=0.05)
@@ -62,9 +60,7 @@ def test_same_seed_same_events_another_seed_others():
 
 def test_finer_frames_change_little():
     coarse, fine = (
-        simulate_digit(
-            digit_image(), np.random.default_rng(0), frame_us=frame_us, pixels=PixelModel(noise_hz=0)
-        )
+        simulate_digit(digit_image(), np.random.default_rng(0), frame_us=frame_us, pixels=PixelModel(noise_hz=0))
         for frame_us in (1_000, 100)
     )
     assert len(coarse) == pytest.approx(len(fine), rel=0.02)
@@ -121,9 +117,7 @@ def test_samples_are_reproducible_bit_for_bit(folder, tmp_path):
 def test_bundled_samples_are_what_the_command_makes(tmp_path):
     made = write_samples(DATA / "mnist", tmp_path, seed=0)
     for digit, bundled in sample_recordings().items():
-        assert bundled.read_bytes() == made[digit].read_bytes(), (
-            f"sample {digit} is not what this version simulates"
-        )
+        assert bundled.read_bytes() == made[digit].read_bytes(), f"sample {digit} is not what this version simulates"
 
 
 def test_command_writes_ten_files_and_says_so(folder, tmp_path, capsys):

@@ -112,9 +112,7 @@ def test_folders_that_are_not_mnist_are_refused(tmp_path, change, complaint):
 
 
 def test_missing_files_and_unknown_splits_are_told(tmp_path):
-    with pytest.raises(
-        FileNotFoundError, match=r"neither train-images-idx3-ubyte\.gz nor train-images-idx3-ubyte;"
-    ):
+    with pytest.raises(FileNotFoundError, match=r"neither train-images-idx3-ubyte\.gz nor train-images-idx3-ubyte;"):
         load_mnist(tmp_path, "train")
     with pytest.raises(ValueError, match=r"`split` must be one of 'train', 'test', got 'val'"):
         load_mnist(tmp_path, "val")

@@ -147,9 +147,7 @@ def test_background_events_of_still_light_have_the_stated_rate_and_polarity():
 
 
 def test_still_light_without_noise_gives_nothing():
-    assert (
-        len(simulate(STILL, np.array([0, 10_000]), np.random.default_rng(0), PixelModel(noise_hz=0.0))) == 0
-    )
+    assert len(simulate(STILL, np.array([0, 10_000]), np.random.default_rng(0), PixelModel(noise_hz=0.0))) == 0
 
 
 def test_pixels_begin_in_random_states():

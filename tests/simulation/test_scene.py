@@ -93,9 +93,7 @@ def test_uint8_images_reach_full_scale_at_255():
     )
 
 
-@pytest.mark.parametrize(
-    ("angle", "axis", "sign"), [(0, "x", 1), (180, "x", -1), (90, "y", 1), (270, "y", -1)]
-)
+@pytest.mark.parametrize(("angle", "axis", "sign"), [(0, "x", 1), (180, "x", -1), (90, "y", 1), (270, "y", -1)])
 @pytest.mark.parametrize("dark_on_bright", [True, False])
 def test_on_events_trail_a_dark_digit_and_lead_a_bright_one(angle, axis, sign, dark_on_bright):
     image = np.zeros((28, 28))

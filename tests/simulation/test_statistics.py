@@ -56,9 +56,7 @@ def test_nothing_to_measure_is_nan_without_a_warning(nothing):
 
 
 def test_table_has_a_row_per_number_and_a_column_per_description():
-    table = side_by_side(
-        {"real": {"ON share": 49.8, "active pixels": 26.0}, "simulated": {"ON share": 49.126}}
-    )
+    table = side_by_side({"real": {"ON share": 49.8, "active pixels": 26.0}, "simulated": {"ON share": 49.126}})
     head, on_share, active = table.splitlines()
     assert head.split() == ["real", "simulated"]
     assert on_share.split()[-2:] == ["49.80", "49.13"] and "[%]" in on_share
@@ -75,9 +73,7 @@ def test_simulations_are_like_the_real_recordings_of_the_same_images():
     images, labels = load_mnist(DATA / "mnist", "train")
     assert all(labels[int(path.stem) - 1] == int(path.parent.name) for path in paths)
     real = [read_nmnist(path) for path in paths]
-    simulated = [
-        simulate_digit(images[int(path.stem) - 1], np.random.default_rng(i)) for i, path in enumerate(paths)
-    ]
+    simulated = [simulate_digit(images[int(path.stem) - 1], np.random.default_rng(i)) for i, path in enumerate(paths)]
     expected, got = describe(real), describe(simulated)
     report = side_by_side({"real": expected, "simulated": got})
     for name in ("events per saccade", "active pixels", "events per active pixel", "ON share",
@@ -93,8 +89,6 @@ def test_simulations_are_like_the_real_recordings_of_the_same_images():
         np.add.at(counts, (saccade, events["p"], events["y"], events["x"]), 1)
         return counts.ravel()
 
-    likeness = np.corrcoef([maps(events) for events in real], [maps(events) for events in simulated])[
-        :60, 60:
-    ]
+    likeness = np.corrcoef([maps(events) for events in real], [maps(events) for events in simulated])[:60, 60:]
     assert np.diag(likeness).mean() > 0.85
     assert (likeness.argmax(axis=1) == np.arange(60)).all()

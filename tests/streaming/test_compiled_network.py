@@ -5,8 +5,10 @@ import pytest
 import tnt_reference
 import torch
 from made import random_events, random_model
+from numba import njit
 
 from async_tnt import CompiledClassifier, TNTConfig, TNTVolume
+from async_tnt.kernels import pair, strip
 
 CASES = [  # grid, bins, polarity, widths, classes
     ((34, 34), 9, "signed", (16, 32, 64), 10),
@@ -70,50 +72,43 @@ def test_convolution_taps_are_not_flipped():
 
 
 def test_strip_in_registers_gives_the_bits_of_its_plain_spelling():
-    from numba import njit
-
-    from async_tnt.kernels import strip
-
     rng = np.random.default_rng(5)
     n_channels, row, n_blocks, n_places = 3, 7, 2, 96
     plane = n_places + 2 * row + 2
     framed = rng.normal(size=n_channels * plane).astype(np.float32)
     weights = rng.normal(size=n_blocks * n_channels * 9 * 8).astype(np.float32)
     bias = rng.normal(size=n_blocks * 8).astype(np.float32)
-    outputs = []
-    for function in (strip._convolve_strip_checked, strip._convolve_strip_in_registers):
 
+    def outputs_of(spelling):
         @njit
-        def convolve_all(framed, weights, bias, out):
+        def convolve_all(out):
             for block in range(n_blocks):
                 for start in range(0, n_places, 32):
-                    strip_function(framed, plane, row, n_channels, start, weights, bias, block, out, n_places)
+                    spelling(framed, plane, row, n_channels, start, weights, bias, block, out, n_places)
 
-        strip_function = function
         out = np.zeros(n_blocks * 8 * n_places, np.float32)
-        convolve_all(framed, weights, bias, out)
-        outputs.append(out)
-    assert outputs[0].any() and outputs[0].tobytes() == outputs[1].tobytes()
+        convolve_all(out)
+        return out
+
+    plain = outputs_of(strip._convolve_strip_checked)
+    assert plain.all() and plain.tobytes() == outputs_of(strip._convolve_strip_in_registers).tobytes()
 
 
 def test_pair_gives_the_bits_of_its_plain_spelling():
-    from numba import njit
+    shares = np.random.default_rng(6).normal(size=(500, 3))
 
-    from async_tnt.kernels import pair
-
-    outputs = []
-    for function in (pair._add_pair_checked, pair._add_pair_vectorized):
-
+    def cells_of(spelling):
         @njit
-        def add_all(cells, shares):
+        def add_all(cells):
             for i in range(len(shares)):
-                add(cells, np.uint64(2 * (i % 5)), shares[i, 0], shares[i, 1], shares[i, 2])
+                spelling(cells, np.uint64(2 * (i % 5)), shares[i, 0], shares[i, 1], shares[i, 2])
 
-        add = function
         cells = np.zeros(10)
-        add_all(cells, np.random.default_rng(6).normal(size=(500, 3)))
-        outputs.append(cells)
-    assert outputs[0].all() and outputs[0].tobytes() == outputs[1].tobytes()
+        add_all(cells)
+        return cells
+
+    plain = cells_of(pair._add_pair_checked)
+    assert plain.all() and plain.tobytes() == cells_of(pair._add_pair_vectorized).tobytes()
 
 
 def test_any_float_array_of_the_right_shape_will_do():

@@ -23,7 +23,9 @@ def centre_of_each_bin(landmark, v, **settings):
     """Centroid along x of the volume's bins, relative to the same object at rest."""
     rows = []
     for speed in (v, 0):
-        volume = TNTVolume(TNTConfig(window_us=WINDOW_US, t_max=T_MAX, landmark=landmark, polarity="unsigned", **settings))
+        volume = TNTVolume(
+            TNTConfig(window_us=WINDOW_US, t_max=T_MAX, landmark=landmark, polarity="unsigned", **settings)
+        )
         volume.open(0)
         volume.update(moving(speed))
         array = volume.array.astype(np.float64)

@@ -54,7 +54,7 @@ def test_window_is_decided_when_the_first_event_at_or_after_its_end_comes():
 
 
 def test_windows_start_where_asked():
-    decisions, processor = run(events_of(*at([5, 999, 1000, 2500])), start_us=0)
+    decisions, _ = run(events_of(*at([5, 999, 1000, 2500])), start_us=0)
     assert summary(decisions) == [("window", 0, 999, 2), ("window", 1000, 1000, 1), ("end", 2000, 2500, 1)]
     assert [d.complete for d in decisions] == [True, True, False]
 
@@ -136,7 +136,13 @@ def test_every_event():
     late=st.sampled_from(["accept", "drop"]),
 )
 def test_decisions_do_not_depend_on_packets(events, landmark, hop_us, every_us, every_events, start_us, late):
-    settings = {"hop_us": hop_us, "every_us": every_us, "every_events": every_events, "start_us": start_us, "late": late}
+    settings = {
+        "hop_us": hop_us,
+        "every_us": every_us,
+        "every_events": every_events,
+        "start_us": start_us,
+        "late": late,
+    }
     config = CONFIG.replace(landmark=landmark)
     expected, processor = run(events, config=config, **settings)
     for size in (1, 2, 7):
@@ -151,11 +157,11 @@ def test_decisions_do_not_depend_on_packets(events, landmark, hop_us, every_us, 
 
 def test_fire_changes_nothing():
     events = random_events(2000, seed=6, duration_us=5000)
-    for settings in ({}, {"every_us": 70}, {"every_events": 30}, {"hop_us": 400}):
+    for triggers in ({}, {"every_us": 70}, {"every_events": 30}, {"hop_us": 400}):
         for landmark in ("running", "window"):
             config = CONFIG.replace(landmark=landmark)
-            expected, quiet = run(events, 50, config=config, **settings)
-            fired = Processor(config, classifier=total_and_size, **settings)
+            expected, quiet = run(events, 50, config=config, **triggers)
+            fired = Processor(config, classifier=total_and_size, **triggers)
             decisions = []
             for first in range(0, len(events), 50):
                 decisions += fired.push(events[first : first + 50])

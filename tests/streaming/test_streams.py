@@ -90,5 +90,5 @@ def test_two_processors_side_by_side_do_not_touch_each_other():
 def test_decisions_keep_their_numbers_when_the_stream_goes_on():
     decisions = list(stream([EVENTS], random_model(CONFIG)))
     logits = [d.logits.copy() for d in decisions]
-    assert all(np.array_equal(d.logits, l) for d, l in zip(decisions, logits, strict=True))
-    assert len({l.tobytes() for l in logits}) == len(logits)
+    assert all(np.array_equal(d.logits, kept) for d, kept in zip(decisions, logits, strict=True))
+    assert len({kept.tobytes() for kept in logits}) == len(logits)

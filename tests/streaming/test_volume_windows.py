@@ -142,7 +142,9 @@ def test_every_event_is_counted_once(landmark):
     assert c.received == c.kept + c.dropped_outside + c.dropped_tau_zero + c.dropped_late + c.dropped_unstored
 
 
-@pytest.mark.parametrize("bad", [(5, 34, 0, 1), (5, 0, -1, 1), (-1, 0, 0, 1), (5, 0, 0, 2), (5.0, 0, 0, 1), (5, "3", 0, 1)])
+@pytest.mark.parametrize(
+    "bad", [(5, 34, 0, 1), (5, 0, -1, 1), (-1, 0, 0, 1), (5, 0, 0, 2), (5.0, 0, 0, 1), (5, "3", 0, 1)]
+)
 def test_a_bad_event_leaves_everything_as_it_was(bad):
     volume = TNTVolume(CONFIG)
     volume.open(0)
@@ -164,7 +166,9 @@ def test_numpy_scalars_and_bools_are_events_too():
     assert numpy.n_events == 2
 
 
-@pytest.mark.parametrize("start_us, error", [(-1, ValueError), (1 << 62, ValueError), (0.5, TypeError), ("0", TypeError)])
+@pytest.mark.parametrize(
+    "start_us, error", [(-1, ValueError), (1 << 62, ValueError), (0.5, TypeError), ("0", TypeError)]
+)
 def test_open_refuses_what_is_no_time(start_us, error):
     with pytest.raises(error):
         TNTVolume(CONFIG).open(start_us)
@@ -176,7 +180,7 @@ def test_open_says_what_it_wants():
 
 
 def test_flow_needs_the_line():
-    with pytest.raises(ValueError, match='`flow` needs landmark="line", got \'center\''):
+    with pytest.raises(ValueError, match="`flow` needs landmark=\"line\", got 'center'"):
         _ = TNTVolume(CONFIG).flow
 
 

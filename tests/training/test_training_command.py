@@ -126,3 +126,18 @@ def test_tnt_data_is_the_default_folder(nmnist, tmp_path, monkeypatch, capsys):
     assert "held out:" in capsys.readouterr().out
     assert run(*words, "--simulated", 3) == 2
     assert f"no folder {tmp_path / 'mnist'}; give --mnist FOLDER" in capsys.readouterr().err
+
+
+def test_training_on_takes_the_models_configuration_and_says_so(nmnist, tmp_path, capsys):
+    words = ["--nmnist", nmnist, "--epochs", 1, "--batch", 8]
+    first, second = tmp_path / "first.safetensors", tmp_path / "second.safetensors"
+    assert run(*words, "--landmark", "center", "--t-max", 5, "--out", first, "--run", tmp_path / "a") == 0
+    assert run(*words, "--rate", 1e-4, "--start-from", first, "--out", second, "--run", tmp_path / "b") == 0
+    model = load_model(second)
+    assert model.config == load_model(first).config and model.config.t_max == 5.0
+    assert model.record["started_from"]["command"].endswith("--landmark center --t-max 5.0 --epochs 1 --batch 8")
+    assert "--rate 0.0001" in model.record["command"] and "first.safetensors" in model.record["command"]
+    assert str(tmp_path) not in json.dumps(dict(model.record))
+    capsys.readouterr()
+    assert run(*words, "--start-from", tmp_path / "nowhere", "--run", tmp_path / "c") == 2
+    assert "no model file" in capsys.readouterr().err

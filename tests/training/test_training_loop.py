@@ -175,9 +175,7 @@ def test_evaluation_by_hand():
             rows += [(105_000 * k + 1_000 * (i + 40), 16, 16, p) for i in range(n)]
         return np.array(rows, EVENT_DTYPE)
 
-    recordings = Recordings.from_events(
-        [recording((1, 1), (1, 1), (9, 0)), recording((3, 0), (3, 0), (3, 0))], [1, 0]
-    )
+    recordings = Recordings.from_events([recording((1, 1), (1, 1), (9, 0)), recording((3, 0), (3, 0), (3, 0))], [1, 0])
     config = TNTConfig(transform="none")
     found = evaluate(CountsOn(), config, lay_windows(recordings, 105_000), times_ms=(10, 100))
     assert found.per_window == pytest.approx(5 / 6)
@@ -186,3 +184,18 @@ def test_evaluation_by_hand():
     assert found.per_recording == 0.5  # mean of .731, .731, .0001 for class 1 is below a half
     assert found.against_time == {10.0: 0.5, 100.0: pytest.approx(5 / 6)}  # nothing yet: class 0
     assert found.to_dict()["against_time_ms"] == {"10": 0.5, "100": 0.83333}
+
+
+def test_training_on_starts_where_the_model_ended(windows, tmp_path):
+    """With a rate of next to nothing, the weights stay those of the model."""
+    first = train(CONFIG, windows, windows[:0], TrainSettings(epochs=1, batch=16), tmp_path / "first").last
+    still = TrainSettings(epochs=1, batch=16, learning_rate=1e-12, weight_decay=0.0)
+    on = train(CONFIG, windows, windows[:0], still, tmp_path / "on", start=first).last
+    for name, weights in first.weights.items():
+        np.testing.assert_allclose(on.weights[name], weights, rtol=1e-5, atol=1e-7)
+    anew = train(CONFIG, windows, windows[:0], still, tmp_path / "anew").last
+    assert not np.allclose(anew.weights["fc1.weight"], first.weights["fc1.weight"], atol=1e-4)
+    with pytest.raises(ValueError, match="holds a run with other start"):
+        train(CONFIG, windows, windows[:0], still, tmp_path / "on", start=anew)
+    with pytest.raises(ValueError, match="`start` must have the configuration and classes of this training"):
+        train(CONFIG.replace(t_max=8.0), windows, windows[:0], still, tmp_path / "other", start=first)

@@ -24,9 +24,7 @@ def mnist(tmp_path_factory):
         labels[FIRST_INDEX + k] = k + 1
     header = struct.pack(">4B3I", 0, 0, 8, 3, N_IMAGES, 28, 28)
     (folder / "train-images-idx3-ubyte").write_bytes(header + images.tobytes())
-    (folder / "train-labels-idx1-ubyte").write_bytes(
-        struct.pack(">4BI", 0, 0, 8, 1, N_IMAGES) + labels.tobytes()
-    )
+    (folder / "train-labels-idx1-ubyte").write_bytes(struct.pack(">4BI", 0, 0, 8, 1, N_IMAGES) + labels.tobytes())
     return folder
 
 

@@ -1,0 +1,44 @@
+"""A small model, its parts and its file's metadata; for the tests in this folder."""
+
+import json
+
+import numpy as np
+from made import random_model
+
+from async_tnt import TNTConfig
+from async_tnt.model import FORMAT
+
+SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)
+
+
+def small_model(seed=0):
+    return random_model(SMALL, classes=3, widths=(2, 3, 4), seed=seed)
+
+
+def changed(**weights):
+    """The small model's weights with some replaced, or left out (None)."""
+    weights = {name.replace("__", "."): values for name, values in weights.items()}
+    weights = {**small_model().weights, **weights}
+    return {name: values for name, values in weights.items() if values is not None}
+
+
+def assert_same(one, other):
+    assert one.config == other.config
+    assert one.classes == other.classes
+    assert one.record == other.record
+    assert one.weights.keys() == other.weights.keys()
+    for name, values in one.weights.items():
+        assert values.dtype == other.weights[name].dtype == np.float32
+        assert values.shape == other.weights[name].shape
+        assert values.tobytes() == other.weights[name].tobytes()
+
+
+def metadata(**changes):
+    values = {
+        "format": FORMAT,
+        "config": json.dumps(SMALL.to_dict()),
+        "classes": '["a", "b", "c"]',
+        "record": "{}",
+        **changes,
+    }
+    return {name: value for name, value in values.items() if value is not None}
