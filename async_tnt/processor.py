@@ -116,7 +116,7 @@ class Processor:
     # -- events in ---------------------------------------------------------------------------------------
 
     def push(self, events: Any) -> list[Decision]:
-        """Take a packet of events, in any form that `async_tnt.events` lists.
+        """Take a packet of events, in any form that `async_tnt.event_forms` lists.
 
         Returns
         -------

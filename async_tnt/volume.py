@@ -99,7 +99,7 @@ class TNTVolume:
         empty_volume(self._buffer, self._array, start_us, limit_us)
 
     def update(self, events: Any) -> int:
-        """Add a packet of events, in any form that `async_tnt.events` lists.
+        """Add a packet of events, in any form that `async_tnt.event_forms` lists.
 
         Returns
         -------

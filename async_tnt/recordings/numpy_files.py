@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import NAMES, as_events
+from async_tnt.event_forms import NAMES
+from async_tnt.events import as_events
 
 ANY_SENSOR = (1 << 16, 1 << 16)  # what uint16 pixels can say
 

@@ -1,0 +1,87 @@
+"""The forms in which the field hands events around, each taken apart into four columns, unchecked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+NAMES = {
+    "t": ("t", "ts", "timestamp"),
+    "x": ("x",),
+    "y": ("y",),
+    "p": ("p", "on", "polarity", "pol"),
+}
+MAX_DEPTH = 4  # an object's .numpy() may be events in another form, but not itself for ever
+FORMS = (
+    "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
+    "(t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
+)
+
+Four = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def named_columns(events: Any, depth: int = 0) -> Four | None:
+    """The four columns of any accepted form, unchecked; None for no events.
+
+    Raises
+    ------
+    TypeError, ValueError : not a form of events; the message says what came and what is accepted.
+    """
+    if events is None:
+        return None
+    if isinstance(events, (np.ndarray, np.void)):
+        names = events.dtype.names
+        if names is None:
+            if isinstance(events, np.ndarray) and events.size == 0:
+                return None
+            raise TypeError(f"events must be {FORMS}; got a plain array of shape {np.shape(events)}")
+        what = f"a structured array with fields {', '.join(names)}"
+        t, x, y, p = (np.atleast_1d(events[_pick(field, names, what)]) for field in NAMES)
+        return t, x, y, p
+    by_name = hasattr(events, "x") and hasattr(events, "y")
+    if isinstance(events, (tuple, list)):
+        if len(events) == 0:
+            return None
+        if len(events) != 4:
+            raise ValueError(f"a tuple of events must hold four columns (t, x, y, p), got {len(events)}")
+        if not by_name:  # a named tuple says itself which is which
+            t, x, y, p = (_as_column(field, column) for field, column in zip(NAMES, events, strict=True))
+            return t, x, y, p
+    if depth < MAX_DEPTH and hasattr(events, "polarity_events"):
+        return named_columns(events.polarity_events, depth + 1)
+    if by_name:
+        have = [name for names in NAMES.values() for name in names if hasattr(events, name)]
+        what = f"a {type(events).__name__} with attributes {', '.join(have)}"
+        t, x, y, p = (_as_column(field, getattr(events, _pick(field, have, what))) for field in NAMES)
+        return t, x, y, p
+    if depth < MAX_DEPTH and callable(getattr(events, "numpy", None)):
+        try:
+            array = events.numpy()
+        except RuntimeError as error:  # torch: a tensor that requires grad
+            raise TypeError(f"{type(events).__name__}.numpy() failed: {error}") from error
+        return named_columns(array, depth + 1)
+    raise TypeError(f"events must be {FORMS}; got {type(events).__name__}")
+
+
+def _as_column(field: str, values: Any) -> np.ndarray:
+    try:
+        column = np.atleast_1d(np.asarray(values))
+    except Exception as error:  # whatever a foreign object's __array__ raises
+        raise ValueError(f"`{field}` must be a column of whole numbers: {error}") from error
+    if column.size == 0:
+        return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
+    if column.dtype.kind == "f" and isinstance(values, (list, tuple)) and all(type(v) is int for v in values):
+        return np.array(values, object)  # some beyond int64: NumPy made floats of them, `_check_type` names them
+    return column
+
+
+def _pick(field: str, have: Any, what: str) -> str:
+    for name in NAMES[field]:
+        if name in have:
+            return name
+    raise ValueError(f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}")
+
+
+def brief(value: Any) -> str:
+    return str(value)[:40] if isinstance(value, (str, np.generic)) else type(value).__name__
