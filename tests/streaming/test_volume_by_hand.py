@@ -66,6 +66,13 @@ def test_event_a_little_past_the_border_is_dropped_and_counted():
     assert volume.counts.dropped_outside == 1
 
 
+def test_a_ten_millionth_of_a_pixel_past_the_border_is_outside():
+    """Only rounding is forgiven: tau = 1 - 1e-8 puts u at 33 + 1.65e-7."""
+    config = TNT.replace(window_us=800_000_000)
+    assert volume_of(config, (99_999_999, 33, 16, 1)).counts.dropped_outside == 1
+    assert volume_of(config, (100_000_000, 33, 16, 1)).counts.kept == 1
+
+
 def test_tnt_time_zero_is_dropped_and_counted():
     volume = volume_of(TNT, (0, 16, 16, 1))
     assert not volume.array.any()
