@@ -9,11 +9,15 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import int64
+from numba.core.errors import NumbaError
 
 from .event_forms import NAMES, brief, named_columns
-from .kernels.columns import FINE, KIND, MAX_TIME_US, check_columns, find_late, load_records
+from .kernels.columns import COLUMN_TYPES, FINE, KIND, MAX_TIME_US, RAW_TYPE, check_columns, find_late, load_records
+from .kernels.jit import compile_only
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
+
 """How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0 = OFF."""
 
 LATE_POLICIES = ("accept", "drop", "raise")
@@ -45,6 +49,7 @@ def empty_columns(n: int) -> Columns:
 
 _DTYPES = tuple(map(np.dtype, (np.int64, np.uint16, np.uint16, np.uint8)))
 NO_EVENTS = empty_columns(0)
+_new_tuple = tuple.__new__  # what Columns(...) does, without a call of Python code
 
 
 class EventDoor:
@@ -59,6 +64,8 @@ class EventDoor:
     def __init__(self, sensor: tuple[int, int], late: str = "accept") -> None:
         if late not in LATE_POLICIES:
             raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {late!r}")
+        compile_only(check_columns, *COLUMN_TYPES, int64, int64)
+        compile_only(load_records, RAW_TYPE, int64[::1], int64, int64, int64, *COLUMN_TYPES)
         self.sensor = sensor
         self.late = late
         self.reset()
@@ -84,10 +91,10 @@ class EventDoor:
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event.
             Nothing is taken over from such a packet.
         """
-        if isinstance(events, np.ndarray):
-            columns = self._load(events)
+        if type(events) is tuple:
+            columns = self._pass(events)
         else:
-            columns = self._pass(events) if type(events) is tuple else None
+            columns = self._load(events) if isinstance(events, np.ndarray) else None
         if columns is None:
             named = named_columns(events)
             columns = NO_EVENTS if named is None else checked_columns(*named, self.sensor)
@@ -101,35 +108,37 @@ class EventDoor:
         if dtype is not self._dtype or dtype.names is not self._names:  # fields can be renamed in place
             self._dtype, self._names = dtype, dtype.names
             self._layout = _record_layout(dtype)
-        if self._layout is None or events.ndim != 1 or not events.flags.c_contiguous:
+        if self._layout is None or events.ndim == 0:
             return None
         n = len(events)
         if n == 0:
-            return NO_EVENTS
+            return NO_EVENTS if events.ndim == 1 else None
         if n > len(self._scratch.t):
             self._scratch = empty_columns(max(1024, 2 * n))
         t, x, y, p, _ = self._scratch
         width, height = self.sensor
-        raw = np.frombuffer(events, np.uint8)
-        raw.flags.writeable = False  # whatever the caller's array is: one compiled version
+        try:
+            raw = np.frombuffer(events, np.uint8)
+        except ValueError:  # not contiguous
+            return None
         if load_records(raw, self._layout, n, width, height, t, x, y, p) != FINE:
             return None
-        return Columns(t, x, y, p, n)
+        return _new_tuple(Columns, (t, x, y, p, n))
 
     def _pass(self, events: tuple[Any, ...]) -> Columns | None:
         """The fast way in for columns that have the right form already: used as they are, uncopied."""
         if len(events) != 4:
             return None
-        for column, dtype in zip(events, _DTYPES, strict=True):
-            if type(column) is not np.ndarray or column.dtype is not dtype or not column.flags.carray:
-                return None
         t, x, y, p = events
-        shape = t.shape
-        if len(shape) != 1 or x.shape != shape or y.shape != shape or p.shape != shape:
+        width, height = self.sensor
+        try:  # what is easily told first: an exception costs microseconds
+            if t.dtype is not _DTYPES[0] or x.dtype is not _DTYPES[1] or p.dtype is not _DTYPES[3]:
+                return None
+            if check_columns(t, x, y, p, width, height) != FINE:
+                return None
+        except (AttributeError, TypeError, NumbaError):  # not one-dimensional, contiguous, aligned, writeable
             return None
-        if check_columns(t, x, y, p, *self.sensor) != FINE:
-            return None
-        return Columns(t, x, y, p, shape[0])
+        return _new_tuple(Columns, (t, x, y, p, len(t)))
 
     def _apply_policy(self, columns: Columns) -> Columns:
         t = columns.t[: columns.n]

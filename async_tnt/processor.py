@@ -127,6 +127,8 @@ class Processor:
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event. The
             processor is as it was before.
         """
+        if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
+            return self.push_one(*events)
         return self._push(self._door(events))
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:

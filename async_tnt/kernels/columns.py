@@ -15,6 +15,8 @@ I8, U8, I16, U16, I32, U32, I64 = range(7)
 KIND = {"i1": I8, "u1": U8, "b1": U8, "i2": I16, "u2": U16, "i4": I32, "u4": U32, "i8": I64, "u8": I64}
 MAX_TIME_US = 1 << 62  # so that start + window never overflows
 FINE, BAD = 0, 1
+RAW_TYPE = types.Array(types.uint8, 1, "C", readonly=True)  # writeable ones pass for read-only
+COLUMN_TYPES = (types.int64[::1], types.uint16[::1], types.uint16[::1], types.uint8[::1])
 
 
 @intrinsic
@@ -67,6 +69,8 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     int : FINE, or BAD if any number breaks its rule (who calls finds out which).
     """
     size = layout[8]
+    if raw.size != n * size:  # more dimensions than one
+        return BAD
     offset, kind = layout[0], layout[1]
     if kind == I64:  # the common kinds have loops of their own, without tests inside
         for i in range(n):
@@ -110,8 +114,13 @@ def _load_pixels(raw, offset, kind, size, n, end, column):
 
 @compiled
 def check_columns(t, x, y, p, sensor_w, sensor_h):
-    """FINE, or BAD if any number breaks its rule. Columns of equal length, as `load_records` makes them."""
+    """FINE, or BAD if any number breaks its rule, lengths differ, or a column is not aligned (the one thing that
+    Numba's own check of its arguments lets pass). Columns as `load_records` makes them."""
     bad = 0
+    if x.size != t.size or y.size != t.size or p.size != t.size:
+        return BAD
+    if (t.ctypes.data % 8 != 0) | (x.ctypes.data % 2 != 0) | (y.ctypes.data % 2 != 0):
+        return BAD
     for i in range(t.size):
         bad += (t[i] < 0) | (t[i] >= MAX_TIME_US)
     for i in range(x.size):

@@ -25,6 +25,17 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         return _strict()(function)
 
 
+def compile_only(kernel: Any, *types: Any) -> None:
+    """Compile a kernel for these argument types, and let a call with any others raise a TypeError.
+
+    So the call itself checks types, dimensions, layout and flags of the arrays it is given, which in Python
+    would cost more than the work; and nothing a caller hands over can set off a compilation.
+    """
+    if not kernel.signatures:
+        kernel.compile(types)
+        kernel.disable_compile()
+
+
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """A formula that several kernels share: compiled into each of them, never called by itself."""
     return _strict(inline="always")(function)
