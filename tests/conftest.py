@@ -1,6 +1,5 @@
-"""Shared by all tests: where the data is, and a compiler cache that no edited kernel can make stale."""
+"""Shared by all tests: where the data is."""
 
-import hashlib
 import os
 from pathlib import Path
 
@@ -8,11 +7,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 
-# Numba looks only at the file of the function it caches, not at those that are compiled into it. A folder of
-# its own for each state of the kernels makes an edit of a shared formula count.
-_sources = hashlib.sha256(b"".join(p.read_bytes() for p in sorted((ROOT / "async_tnt").rglob("*.py"))))
-_mode = "bounds" if os.environ.get("NUMBA_BOUNDSCHECK") == "1" else "plain"
-os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".numba_cache" / f"{_sources.hexdigest()[:16]}-{_mode}"))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 

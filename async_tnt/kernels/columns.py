@@ -71,63 +71,87 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     size = layout[8]
     if raw.size != n * size:  # more dimensions than one
         return BAD
-    offset, kind = layout[0], layout[1]
-    if kind == I64:  # the common kinds have loops of their own, without tests inside
+    kind_t, kind_x, kind_y, kind_p = layout[1], layout[3], layout[5], layout[7]
+    if kind_t == I64 and kind_x in (U16, I16) and kind_y in (U16, I16) and kind_p in (U8, I8):
+        # What most libraries deliver, without tests inside the loop. Read as unsigned, a negative pixel is
+        # too large (the sensor ends at 2**15 at most), and polarity -1 is 255.
+        at_t, at_x, at_y, at_p = layout[0], layout[2], layout[4], layout[6]
         for i in range(n):
-            t[i] = load(raw, i * size + offset, np.int64)
-    else:
-        for i in range(n):
-            t[i] = _load_kind(raw, i * size + offset, kind)
-    bad = _load_pixels(raw, layout[2], layout[3], size, n, sensor_w, x)
-    bad += _load_pixels(raw, layout[4], layout[5], size, n, sensor_h, y)
-    offset, kind = layout[6], layout[7]
-    zeros = 0
-    minuses = 0
-    for i in range(n):
-        at = i * size + offset
-        value = _load_kind(raw, at, kind) if kind != U8 else np.int64(raw[np.uint64(at)])
-        bad += (value < -1) | (value > 1)
-        zeros += value == 0
-        minuses += value < 0
-        p[i] = value > 0
-    for i in range(n):
-        bad += (t[i] < 0) | (t[i] >= MAX_TIME_US)
-    return BAD if bad > 0 or (zeros > 0 and minuses > 0) else FINE
+            t[i] = load(raw, at_t, np.int64)
+            x[i] = load(raw, at_x, np.uint16)
+            y[i] = load(raw, at_y, np.uint16)
+            p[i] = load(raw, at_p, np.uint8)
+            at_t += size
+            at_x += size
+            at_y += size
+            at_p += size
+        if kind_p == I8 and not _unsign(p, n):
+            return BAD
+    elif not _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p) or not _unsign(p, n):
+        return BAD
+    return _in_range(t, x, y, p, n, sensor_w, sensor_h)
 
 
 @compiled
-def _load_pixels(raw, offset, kind, size, n, end, column):
-    """One coordinate; returns how many lie outside [0, end)."""
-    bad = 0
-    if kind in (U16, I16):  # end is at most 2**15: a negative int16 is too large as uint16
-        for i in range(n):
-            column[i] = load(raw, i * size + offset, np.uint16)
-        for i in range(n):
-            bad += column[i] >= end
-    else:
-        for i in range(n):
-            value = _load_kind(raw, i * size + offset, kind)
-            bad += (value < 0) | (value >= end)
-            column[i] = value
-    return bad
+def _in_range(t, x, y, p, n, sensor_w, sensor_h):
+    """FINE if all columns keep their limits. Smallest and largest, since they stay in the column's own type and
+    so in full vector registers, where counting offenders would widen every number to 64 bits."""
+    t_min = t_max = t[0]
+    x_max = x[0]
+    y_max = y[0]
+    p_max = p[0]
+    for i in range(n):
+        t_min = min(t_min, t[i])
+        t_max = max(t_max, t[i])
+    for i in range(n):
+        x_max = max(x_max, x[i])
+        y_max = max(y_max, y[i])
+    for i in range(n):
+        p_max = max(p_max, p[i])
+    fine = (t_min >= 0) & (t_max < MAX_TIME_US) & (x_max < sensor_w) & (y_max < sensor_h) & (p_max <= 1)
+    return FINE if fine else BAD
+
+
+@compiled
+def _unsign(p, n):
+    """Polarity -1 (here 255) and +1 become 0 and 1; False if there are zeros beside, or other numbers."""
+    zeros = 0
+    minuses = 0
+    ones = 0
+    for i in range(n):
+        zeros += p[i] == 0
+        minuses += p[i] == 255
+        ones += p[i] == 1
+        p[i] = p[i] == 1
+    return zeros + minuses + ones == n and (zeros == 0 or minuses == 0)
+
+
+@compiled
+def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
+    """Records of any kinds of numbers; False where one does not fit its column, which narrowing would hide."""
+    size = layout[8]
+    fits = True
+    for i in range(n):
+        t[i] = _load_kind(raw, i * size + layout[0], layout[1])
+        x_i = _load_kind(raw, i * size + layout[2], layout[3])
+        y_i = _load_kind(raw, i * size + layout[4], layout[5])
+        p_i = _load_kind(raw, i * size + layout[6], layout[7])
+        fits &= (x_i >= 0) & (x_i < sensor_w) & (y_i >= 0) & (y_i < sensor_h) & (p_i >= -1) & (p_i <= 1)
+        x[i] = x_i
+        y[i] = y_i
+        p[i] = p_i & 255
+    return fits
 
 
 @compiled
 def check_columns(t, x, y, p, sensor_w, sensor_h):
     """FINE, or BAD if any number breaks its rule, lengths differ, or a column is not aligned (the one thing that
     Numba's own check of its arguments lets pass). Columns as `load_records` makes them."""
-    bad = 0
     if x.size != t.size or y.size != t.size or p.size != t.size:
         return BAD
     if (t.ctypes.data % 8 != 0) | (x.ctypes.data % 2 != 0) | (y.ctypes.data % 2 != 0):
         return BAD
-    for i in range(t.size):
-        bad += (t[i] < 0) | (t[i] >= MAX_TIME_US)
-    for i in range(x.size):
-        bad += (x[i] >= sensor_w) | (y[i] >= sensor_h)
-    for i in range(p.size):
-        bad += p[i] > 1
-    return BAD if bad > 0 else FINE
+    return _in_range(t, x, y, p, t.size, sensor_w, sensor_h) if t.size > 0 else FINE
 
 
 @compiled

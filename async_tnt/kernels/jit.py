@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from numba import njit
+from numba import config, njit
 
 # error_model="numpy": 1 / 0 is inf, as in the equations. Python's model would raise, and the test for it
 # keeps loops out of vector registers. No fastmath anywhere: how a stream is cut must not change a bit.
 _strict = partial(njit, error_model="numpy")
+
+
+def _stamp_of_all_kernels() -> tuple[Any, ...]:
+    files = [os.stat(path) for path in sorted(Path(__file__).parent.glob("*.py"))]
+    return tuple((f.st_mtime, f.st_size) for f in files), getattr(config, "BOUNDSCHECK", None)
+
+
+STAMP = _stamp_of_all_kernels()
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -20,9 +30,15 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     folder is writable (NUMBA_CACHE_DIR names another); then every process compiles anew.
     """
     try:
-        return _strict(cache=True)(function)
+        kernel = _strict(cache=True)(function)
     except RuntimeError:
         return _strict()(function)
+    # Numba looks only at the file of the function itself: after an edit of a formula that is compiled into it
+    # from elsewhere, it would go on serving the old code. So every cached kernel depends on all files here.
+    cache_file: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    if hasattr(cache_file, "_source_stamp"):
+        cache_file._source_stamp = (cache_file._source_stamp, STAMP)
+    return kernel
 
 
 def compile_only(kernel: Any, *types: Any) -> None:

@@ -73,9 +73,8 @@ Y_FRAC = DEN + BLOCK  # buffer: place in the volume
 X_FRAC = Y_FRAC + BLOCK
 EARLY = X_FRAC + BLOCK
 LATER = EARLY + BLOCK
-PREFIX_X = LATER + BLOCK  # ints: S_x, S_y at each event
-PREFIX_Y = PREFIX_X + BLOCK
-CORNER = PREFIX_Y + BLOCK
+PREFIX = LATER + BLOCK  # ints: sums over the block up to each event
+CORNER = PREFIX + BLOCK
 CELLS = CORNER + BLOCK
 
 # how an event's coordinates are made (MODE)

@@ -13,6 +13,7 @@ import numpy as np
 
 from . import state as S
 from .columns import MAX_TIME_US
+from .displace import displace
 from .jit import compiled, inlined
 from .landmark import displace_fixed, displace_line, displace_raw, displace_running
 from .splat import add_event, grid_of, place_event
@@ -38,7 +39,7 @@ def absorb(buffer, t, x, y, p, first, last):
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]
         if _all_in_window(buffer, ints, block_t, m):
-            _displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
+            displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
             _place(buffer, ints, block_t, p[first : first + m], m)
             _splat(buffer, ints, m)
             first += m
@@ -121,52 +122,6 @@ def _all_in_window(buffer, ints, t, m):
         for i in range(m):
             ints[S.TAU_ZERO] += t[i] == start_us
     return True
-
-
-@compiled
-def _displace(buffer, ints, t, x, y, m):
-    """The displacement of each event from its landmark (see `landmark`) into NUM_X, NUM_Y, DEN."""
-    sums_x = ints[S.PREFIX_X : S.PREFIX_X + S.BLOCK]
-    sums_y = ints[S.PREFIX_Y : S.PREFIX_Y + S.BLOCK]
-    num_x = buffer[S.NUM_X : S.NUM_X + S.BLOCK]
-    num_y = buffer[S.NUM_Y : S.NUM_Y + S.BLOCK]
-    den = buffer[S.DEN : S.DEN + S.BLOCK]
-    mode = ints[S.MODE]
-    start_us = ints[S.START_US]
-    n = ints[S.N] - m  # events before this block
-    sum_x = ints[S.SUM_X]
-    sum_y = ints[S.SUM_Y]
-    sum_t = ints[S.SUM_T]
-    if mode == S.MODE_LINE or mode == S.MODE_LINE_FLOW_REMOVED:
-        remove_flow = mode == S.MODE_LINE_FLOW_REMOVED
-        for i in range(m):
-            dt = t[i] - start_us
-            sum_x += x[i]
-            sum_y += y[i]
-            sum_t += dt
-            num_x[i], num_y[i], den[i] = displace_line(
-                buffer, x[i], y[i], dt, n + i + 1, sum_x, sum_y, sum_t, remove_flow
-            )
-        ints[S.SUM_T] = sum_t
-    else:
-        for i in range(m):
-            sum_x += x[i]
-            sum_y += y[i]
-            sums_x[i] = sum_x
-            sums_y[i] = sum_y
-    if mode == S.MODE_RUNNING:
-        for i in range(m):
-            num_x[i], num_y[i], den[i] = displace_running(x[i], y[i], t[i] - start_us, n + i + 1, sums_x[i], sums_y[i])
-    elif mode == S.MODE_FIXED:
-        fixed_x = buffer[S.FIXED_X]
-        fixed_y = buffer[S.FIXED_Y]
-        for i in range(m):
-            num_x[i], num_y[i], den[i] = displace_fixed(x[i], y[i], t[i] - start_us, fixed_x, fixed_y)
-    elif mode == S.MODE_RAW:
-        for i in range(m):
-            num_x[i], num_y[i], den[i] = displace_raw(x[i], y[i])
-    ints[S.SUM_X] = sum_x
-    ints[S.SUM_Y] = sum_y
 
 
 @compiled

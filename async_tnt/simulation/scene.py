@@ -15,7 +15,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+
+from async_tnt.kernels.jit import compiled
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def render(
     return np.log(1.0 - depth * frames if scene.dark_on_bright else 1.0 / scene.contrast + depth * frames)
 
 
-@njit(cache=True)
+@compiled
 def translate(frames: np.ndarray, image: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> None:
     """Shift an image by a fraction of pixels, bilinearly.
 

@@ -23,10 +23,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from async_tnt.events import EVENT_DTYPE
+from async_tnt.kernels.jit import compiled
 
 MIN_THRESHOLD = 1e-3
 """Smallest threshold: one thousandth of log luminance is a 0.1 % change, far below any pixel's."""
@@ -149,7 +149,7 @@ def simulate_events(
     return _sorted(events)
 
 
-@njit(cache=True)
+@compiled
 def pixel_events(
     log_frames: np.ndarray,
     frame_times_us: np.ndarray,

@@ -3,14 +3,14 @@
 # mypy: disable-error-code="no-untyped-def"
 
 import numpy as np
-from numba import njit
 
 from async_tnt.kernels import state as S
+from async_tnt.kernels.jit import compiled
 from async_tnt.kernels.read import copy_cells, empty_volume
 from async_tnt.kernels.update import absorb
 
 
-@njit(error_model="numpy")  # not cached: Numba would serve it stale after a change in the kernels it calls
+@compiled
 def window_volumes(
     buffer, scratch_t, scratch_x, scratch_y, scratch_p,
     t, x, y, p, first, last, start_us, limit_us, matrix, keep, seed, about_mean, n_bins, out,
@@ -52,7 +52,7 @@ def window_volumes(
         copy_cells(buffer, out[i], n_bins)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _take_events(
     scratch_t, scratch_x, scratch_y, scratch_p, t, x, y, p, first, last, start_us, limit_us,
     matrix, keep, seed, width, height,
@@ -74,7 +74,7 @@ def _take_events(
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _uniform(seed, i):
     """A number in [0, 1) that belongs to (seed, i): the i-th of the generator SplitMix64.
 

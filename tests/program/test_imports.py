@@ -1,6 +1,7 @@
 """What importing costs, and what it must not bring along."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -54,3 +55,27 @@ def test_works_where_nothing_can_be_cached(tmp_path):
 def test_warmup_says_how_long_it_took():
     assert 0 < async_tnt.warmup() < 60
     assert 0 < async_tnt.warmup(async_tnt.TNTConfig(grid=(20, 20))) < 60
+
+
+def test_an_edited_constant_reaches_kernels_that_were_cached_before(tmp_path):
+    """By itself Numba would serve the old machine code: it looks only at the kernel's own file."""
+    package = tmp_path / "async_tnt"
+    shutil.copytree(Path(async_tnt.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__", "assets"))
+    code = (
+        "import numpy as np; from async_tnt.kernels.store import store_events; "
+        "t = np.ones(1, np.int64); x = np.ones(1, np.uint16); p = np.ones(1, np.uint8); b = np.zeros(60); "
+        "b.view(np.int64)[25] = 5; store_events(b, t, x, x, p, 0, 1, t, x, x, p, 0); print(b.view(np.int64)[31])"
+    )
+    env = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def received():
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env=env, timeout=120, cwd=tmp_path
+        )
+        return done.stdout.strip() or done.stderr
+
+    assert received() == "1"
+    assert received() == "1"  # from the cache
+    state = package / "kernels" / "state.py"
+    state.write_text(state.read_text().replace("RECEIVED = 31", "RECEIVED = 45"))
+    assert received() == "0"
