@@ -72,24 +72,29 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
     if raw.size != n * size:  # more dimensions than one
         return BAD
     kind_t, kind_x, kind_y, kind_p = layout[1], layout[3], layout[5], layout[7]
-    if kind_t == I64 and kind_x in (U16, I16) and kind_y in (U16, I16) and kind_p in (U8, I8):
-        # What most libraries deliver, without tests inside the loop. Read as unsigned, a negative pixel is
+    if kind_t == I64 and kind_x in (U16, I16) and kind_y in (U16, I16) and kind_p in (U8, I8, U16, I16):
+        # What most libraries deliver, without tests inside the loops. Read as unsigned, a negative pixel is
         # too large (the sensor ends at 2**15 at most), and polarity -1 is 255.
         at_t, at_x, at_y, at_p = layout[0], layout[2], layout[4], layout[6]
-        for i in range(n):
-            t[i] = load(raw, at_t, np.int64)
-            x[i] = load(raw, at_x, np.uint16)
-            y[i] = load(raw, at_y, np.uint16)
-            p[i] = load(raw, at_p, np.uint8)
-            at_t += size
-            at_x += size
-            at_y += size
-            at_p += size
-        if kind_p == I8 and not _unsign(p, n):
+        if kind_p in (U8, I8):
+            for i in range(n):
+                t[i], x[i], y[i] = _load_time_and_place(raw, i * size, at_t, at_x, at_y)
+                p[i] = load(raw, i * size + at_p, np.uint8)
+        else:
+            for i in range(n):
+                t[i], x[i], y[i] = _load_time_and_place(raw, i * size, at_t, at_x, at_y)
+                polarity = load(raw, i * size + at_p, np.uint16)
+                p[i] = polarity if polarity <= 2 else (255 if polarity == 0xFFFF else 2)
+        if kind_p in (I8, I16) and not _unsign(p, n):
             return BAD
     elif not _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p) or not _unsign(p, n):
         return BAD
     return _in_range(t, x, y, p, n, sensor_w, sensor_h)
+
+
+@inlined
+def _load_time_and_place(raw, record, at_t, at_x, at_y):
+    return load(raw, record + at_t, np.int64), load(raw, record + at_x, np.uint16), load(raw, record + at_y, np.uint16)
 
 
 @compiled

@@ -37,7 +37,7 @@ examples:
   async-tnt train --smoke                          does everything work here? seconds, no data needed
   async-tnt train --nmnist N-MNIST --out mine.safetensors
   async-tnt train --nmnist N-MNIST --mnist MNIST --simulated 20000 --landmark line --t-max 2 --epochs 40
-  async-tnt run mine.safetensors recording.bin     use it
+  async-tnt run --model mine.safetensors my.bin     use it
 """
 
 
