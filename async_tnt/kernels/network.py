@@ -59,20 +59,24 @@ def pool(maps, width, height, pooled, pooled_row, first):
 
     Parameters
     ----------
-    maps : float32, shape (F', at least H * (W + 2)). What `convolve` wrote.
+    maps : float32, shape (F', at least H * (W + 2)). What `convolve` wrote. Overwritten.
     pooled : float32, shape (F, ...), F <= F'. Overwritten at flat places first + y * pooled_row + x: framed
         maps for the next convolution, or plain ones for a dense layer.
     """
+    zero = np.float32(0)
+    one = np.uint64(1)
     for f in range(pooled.shape[0]):
         for y in range(height // 2):
-            upper = maps[f, 2 * y * (width + 2) :]
-            lower = maps[f, (2 * y + 1) * (width + 2) :]
-            target = pooled[f, first + y * pooled_row :]
+            # unsigned, or Numba tests each index for being negative
+            upper = np.uint64(2 * y * (width + 2))
+            lower = upper + np.uint64(width + 2)
+            target = np.uint64(first + y * pooled_row)
+            for x in range(width):  # the two rows' sum in place of the upper one
+                i = np.uint64(x)
+                maps[f, upper + i] = max(maps[f, upper + i], zero) + max(maps[f, lower + i], zero)
             for x in range(width // 2):
-                total = max(upper[2 * x], np.float32(0)) + max(upper[2 * x + 1], np.float32(0))
-                total += max(lower[2 * x], np.float32(0))
-                total += max(lower[2 * x + 1], np.float32(0))
-                target[x] = total * np.float32(0.25)
+                i = np.uint64(x)
+                pooled[f, target + i] = (maps[f, upper + i + i] + maps[f, upper + i + i + one]) * np.float32(0.25)
 
 
 @compiled
