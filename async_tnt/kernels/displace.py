@@ -39,7 +39,7 @@ def _displace_running(buffer, ints, t, x, y, m):
     den = buffer[S.DEN : S.DEN + S.BLOCK]
     start_us = ints[S.START_US]
     n = ints[S.N] - m
-    # Both sums of a block, at most 256 * 65535 < 2**32 each, in one number: one addition and one store.
+    # Both sums of a block, each far below 2**32, in one number: one addition and one store.
     both = np.int64(0)
     for i in range(m):
         both += np.int64(x[i]) | np.int64(y[i]) << 32

@@ -65,7 +65,7 @@ BIN_LO = 39  # intervals that changed since the last read; BIN_HI < BIN_LO: none
 BIN_HI = 40
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
-BLOCK = 256  # so that all rows together fit the first-level cache
+BLOCK = 336  # so that all rows together (27 kB) and an interval's cells share the first-level cache
 NUM_X = 48  # buffer: displacement from the landmark
 NUM_Y = NUM_X + BLOCK
 DEN = NUM_Y + BLOCK

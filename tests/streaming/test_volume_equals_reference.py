@@ -101,7 +101,7 @@ def test_any_packets_give_the_same_bits(data):
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda c: f"{c.landmark}-{c.polarity}-{c.transform}-{c.remove_flow}")
 def test_long_packets_take_the_block_path_to_the_same_bits(config):
-    """Blocks of 256 events run in vector registers, single events in scalars."""
+    """Blocks of events run in vector registers, single events in scalars."""
     events = random_events(1500, seed=1)
     one, many = TNTVolume(config), TNTVolume(config)
     one.open(0), many.open(0)
