@@ -14,6 +14,8 @@ from .events import EVENT_DTYPE
 from .model import Model
 from .processor import Processor
 
+PATIENCE_S = 1.0  # silent until then
+
 
 def warmup(model: Model | TNTConfig | None = None) -> float:
     """Compile everything that a stream may call, or load it from Numba's cache.
@@ -30,7 +32,7 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     float : seconds it took.
     """
     started = time.perf_counter()
-    notice = threading.Timer(1.0, _say)
+    notice = threading.Timer(PATIENCE_S, _say)
     notice.daemon = True
     notice.start()
     try:
@@ -56,7 +58,7 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
 
 def _say() -> None:
     if sys.stderr.isatty():
-        print("async_tnt: compiling kernels, once on this machine (about 15 s) ...", file=sys.stderr, flush=True)
+        print("async_tnt: compiling kernels, once on this machine (about 10 s) ...", file=sys.stderr, flush=True)
 
 
 def _made_weights(config: TNTConfig) -> dict[str, np.ndarray]:
