@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,11 +12,8 @@ from .kernels.read import empty_volume
 from .kernels.store import store_events
 from .kernels.update import absorb
 
-if TYPE_CHECKING:
-    from .volume import TNTVolume
-
 FIRST_CAPACITY = 4096
-UNCOUNTED = (S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE)
+UNCHANGED_BY_REPLAY = (S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE)
 
 
 class ReplayBufferFull(UserWarning):
@@ -62,13 +58,18 @@ class ReplayBuffer:
                 )
         return first
 
-    def run(self, volume: TNTVolume) -> None:
-        """Bring the volume's cells and counts up to date: all stored events about the window's centroid."""
+    def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
+        """Bring a volume's cells and counts up to date: all stored events about the window's centroid.
+
+        Parameters
+        ----------
+        buffer, array : the volume's, see `kernels.read.empty_volume`.
+        """
         if self._fresh:
             return
-        ints, buffer = volume._ints, volume._buffer
-        kept = {slot: int(ints[slot]) for slot in UNCOUNTED}
-        empty_volume(buffer, volume._array, kept[S.START_US], kept[S.LIMIT_US])
+        ints = buffer.view(np.int64)
+        kept = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
+        empty_volume(buffer, array, kept[S.START_US], kept[S.LIMIT_US])
         ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
         if kept[S.N]:
             buffer[S.FIXED_X] = kept[S.SUM_X] / kept[S.N]
@@ -78,11 +79,12 @@ class ReplayBuffer:
             ints[slot] = value
         self._fresh = True
 
-    def close(self, volume: TNTVolume) -> None:
+    def close(self, buffer: np.ndarray, array: np.ndarray) -> None:
         """The window is over: keep its final counts."""
-        self.run(volume)
-        self._closed_kept = int(volume._ints[S.KEPT])
-        self._closed_tau_zero = int(volume._ints[S.TAU_ZERO])
+        self.run(buffer, array)
+        ints = buffer.view(np.int64)
+        self._closed_kept = int(ints[S.KEPT])
+        self._closed_tau_zero = int(ints[S.TAU_ZERO])
         self.n = 0
         self._warned = False
 

@@ -88,7 +88,7 @@ class TNTVolume:
         if not 0 <= start_us < 1 << 62:
             raise ValueError(f"`start_us` must be in [0, 2**62), got {start_us}")
         if self._replay is not None:
-            self._replay.close(self)
+            self._replay.close(self._buffer, self._array)
         self._empty(start_us, start_us + self.config.window_us)
 
     def set_limit(self, limit_us: int) -> None:
@@ -173,7 +173,7 @@ class TNTVolume:
         by nothing else. Copy it to keep it.
         """
         if self._replay is not None:
-            self._replay.run(self)
+            self._replay.run(self._buffer, self._array)
         if self._ints[S.N_LOG] > self._ints[S.N_READ] or self._ints[S.LOST]:
             copy_cells(self._buffer, self._array, self.config.bins)
         return self._view
@@ -215,7 +215,7 @@ class TNTVolume:
         """What became of the events, see `Counts`."""
         unstored = 0
         if self._replay is not None:
-            self._replay.run(self)
+            self._replay.run(self._buffer, self._array)
             unstored = self._replay.n_unstored
         received, kept, late, tau_zero = (int(self._ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO))
         dropped = self._door.n_dropped

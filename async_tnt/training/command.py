@@ -15,156 +15,17 @@ from typing import Any
 import numba
 import numpy as np
 
-from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS, TNTConfig
+from async_tnt.config import TNTConfig
 from async_tnt.model import load_model
 
 from .augment import Augmentation
+from .options import add_arguments
 from .simulated import read_samples, simulate_recordings
 from .windows import Recordings, Windows, lay_windows, no_progress, read_folder, split_recordings
 
+__all__ = ["add_arguments", "main"]
+
 TIMES_MS = tuple(float(ms) for ms in range(10, 101, 10))
-
-DESCRIPTION = """\
-Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
-
-Recordings are read from the folder of N-MNIST and, with --simulated, made from MNIST's images. Each epoch
-sees every window a little moved, turned and thinned, so that no two epochs are alike. A share of the real
-recordings is held out and only looked at, after each epoch. Checkpoints go into the run folder: stop with
-Ctrl-C, give the same command again, and the training goes on to the very same weights.
-"""
-EPILOG = """\
-examples:
-  async-tnt train --smoke                          does everything work here? seconds, no data needed
-  async-tnt train --nmnist N-MNIST --out mine.safetensors
-  async-tnt train --nmnist N-MNIST --mnist MNIST --simulated 20000 --landmark line --t-max 2 --epochs 40
-  async-tnt run --model mine.safetensors my.bin     use it
-"""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `async-tnt train` to its parser."""
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    data = parser.add_argument_group("data")
-    data.add_argument(
-        "--nmnist",
-        type=Path,
-        metavar="FOLDER",
-        help="N-MNIST: the folder with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)",
-    )
-    data.add_argument(
-        "--mnist",
-        type=Path,
-        metavar="FOLDER",
-        help="MNIST's IDX files, gzipped or not, for --simulated (default: $TNT_DATA/mnist)",
-    )
-    data.add_argument(
-        "--simulated",
-        type=int,
-        default=0,
-        metavar="N",
-        help="add N simulated recordings of other MNIST images (default: 0; about 5 ms each)",
-    )
-    data.add_argument(
-        "--validation",
-        type=float,
-        default=0.1,
-        metavar="SHARE",
-        help="share of the real recordings held out to watch the training (default: 0.1)",
-    )
-    data.add_argument(
-        "--skip-damaged",
-        action="store_true",
-        help="leave damaged recordings out, with a warning each, instead of stopping",
-    )
-    data.add_argument(
-        "--test",
-        action="store_true",
-        help="at the end, also classify N-MNIST's Test folder and write the accuracy into the "
-        "model's record; do this once, after all choices are made",
-    )
-    volume = parser.add_argument_group("volume (what the network sees)")
-    volume.add_argument(
-        "--transform", choices=TRANSFORMS, default="tnt", help="tnt, or none: the plain event volume (default: tnt)"
-    )
-    volume.add_argument(
-        "--landmark",
-        choices=LANDMARKS,
-        default="running",
-        help="the point events are normalized about; `window` costs a replay at each decision (default: running)",
-    )
-    volume.add_argument(
-        "--t-max",
-        type=float,
-        default=3.0,
-        metavar="T",
-        help="TNT time at the window's end: smaller shrinks late events less, but loses more "
-        "of the early ones over the border (default: 3)",
-    )
-    volume.add_argument(
-        "--polarity",
-        choices=POLARITIES,
-        default="signed",
-        help="ON minus OFF events, both alike, or in bins of their own (default: signed)",
-    )
-    volume.add_argument("--remove-flow", action="store_true", help="subtract the fitted flow (with --landmark line)")
-    volume.add_argument("--bins", type=int, default=9, metavar="B", help="time bins (default: 9)")
-    learning = parser.add_argument_group("training")
-    learning.add_argument(
-        "--epochs", type=int, default=20, metavar="N", help="passes over the training windows (default: 20)"
-    )
-    learning.add_argument("--batch", type=int, default=64, metavar="N", help="windows per step (default: 64)")
-    learning.add_argument(
-        "--rate",
-        type=float,
-        default=2e-3,
-        metavar="R",
-        help="highest learning rate of AdamW; it falls along a cosine (default: 0.002)",
-    )
-    learning.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        metavar="N",
-        help="of weights, order, augmentation, split and simulation (default: 0)",
-    )
-    learning.add_argument("--no-augmentation", action="store_true", help="train on the windows as they are")
-    learning.add_argument(
-        "--keep",
-        choices=("last", "best"),
-        default="last",
-        help="the weights to write: after the last epoch, or after the one that validates "
-        "best (default: last; both are in the run folder)",
-    )
-    learning.add_argument(
-        "--threads", type=int, metavar="N", help="torch's threads; another number gives slightly other weights"
-    )
-    learning.add_argument(
-        "--smoke", action="store_true", help="try the whole way in seconds: two epochs on the ten bundled samples"
-    )
-    files = parser.add_argument_group("files")
-    files.add_argument(
-        "--start-from",
-        metavar="MODEL",
-        help="train on from a model file, or a bundled model's name, instead of random weights; "
-        "the volume's options are then that model's. Keep --seed, and with it the recordings "
-        "that are held out",
-    )
-    files.add_argument(
-        "--out",
-        type=Path,
-        default=Path("model.safetensors"),
-        metavar="FILE",
-        help="the trained model (default: model.safetensors)",
-    )
-    files.add_argument(
-        "--run",
-        type=Path,
-        metavar="FOLDER",
-        dest="run_folder",
-        help="checkpoints and learning curves (default: runs/<name of --out>)",
-    )
-    files.add_argument("--json", action="store_true", help="print the results as JSON on stdout")
 
 
 def main(args: argparse.Namespace) -> int:
