@@ -9,6 +9,7 @@ Start with `Processor` (events in, decisions out), `TNTVolume` (the representati
 (what it holds). The batch reference is the package `tnt_reference`.
 """
 
+from . import recordings
 from .classifier import CompiledClassifier
 from .config import TNTConfig
 from .decision import Decision
@@ -35,6 +36,7 @@ __all__ = [
     "astream",
     "bundled_models",
     "load_model",
+    "recordings",
     "stream",
     "warmup",
 ]

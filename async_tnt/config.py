@@ -13,7 +13,7 @@ LANDMARKS = ("center", "running", "line", "window")
 POLARITIES = ("signed", "unsigned", "split")
 TRANSFORMS = ("tnt", "none")
 MAX_SIDE = 1 << 15
-MAX_WINDOW_US = 24 * 3600 * 1_000_000
+MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
 MAX_CELLS = 1 << 31
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from .kernels.network import softmax
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)  # arrays have no truth value to compare by
 class Decision:
     """What the classifier says of one window at one moment."""
 
@@ -45,10 +45,12 @@ def decide(
 
     Raises
     ------
-    ValueError : there is not one logit for each class.
+    ValueError : there is not one finite logit for each class.
     """
     if logits.size != len(classes):
         raise ValueError(f"`classifier` must return {len(classes)} logits, one for each class, got {logits.size}")
+    if logits.size == 0 or not np.isfinite(logits).all():
+        raise ValueError(f"`classifier` must return finite logits, got {logits.tolist()}")
     probabilities = np.empty(logits.size)
     softmax(logits, probabilities)
     index = int(logits.argmax())

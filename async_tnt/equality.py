@@ -9,6 +9,7 @@ Needs torch (extra `reference`), which is imported only when something is checke
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,8 +40,8 @@ class Comparison:
 
     def add(self, difference: float) -> None:
         self.n += 1
-        # a nan must fail, and max() would forget it
-        self.worst = float(difference) if not difference <= self.worst else self.worst
+        if not (math.isnan(self.worst) or difference <= self.worst):  # a nan must stay, and fail
+            self.worst = float(difference)
 
     @property
     def holds(self) -> bool:
@@ -98,8 +99,8 @@ def _check_config(
     for size in packet_sizes[1:]:
         got = closed_volumes(events, config, size, start_us)
         packets.add(abs(len(got) - len(expected)))
-        for (_, a), (_, b) in zip(expected, got, strict=False):
-            packets.add(float(np.count_nonzero(a.view(np.uint32) != b.view(np.uint32))))
+        for (start_a, a), (start_b, b) in zip(expected, got, strict=False):
+            packets.add(float(np.count_nonzero(a.view(np.uint32) != b.view(np.uint32)) + (start_a != start_b)))
 
     volume = TNTVolume(config)
     for start, _ in expected:

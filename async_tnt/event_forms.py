@@ -1,4 +1,14 @@
-"""The forms in which the field hands events around, each taken apart into four columns, unchecked."""
+"""The forms in which the field hands events around, each taken apart into four columns, unchecked.
+
+    a structured array      fields t|ts|timestamp, x, y, p|on|polarity|pol, in any order and of any integer type:
+                            Metavision, faery, neuromorphic-drivers, dv-processing's .numpy(), tonic
+    a tuple of four columns (t, x, y, p): arrays, lists, tensors; or a named tuple with these names
+    a tuple of four numbers (t, x, y, p): a single event
+    an object               with .t .x .y .p, with .polarity_events (neuromorphic-drivers' packets), or with .numpy()
+    None, or anything empty no events
+
+Times are integer microseconds, polarity bool, 0/1 or -1/+1.
+"""
 
 from __future__ import annotations
 
@@ -43,6 +53,12 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
     if isinstance(events, (tuple, list)):
         if len(events) == 0:
             return None
+        is_event = isinstance(events[0], (dict, np.void)) or (isinstance(events[0], tuple) and len(events) != 4)
+        if isinstance(events, list) and is_event:
+            raise TypeError(
+                f"a list of single events ({type(events[0]).__name__} at event 0) is no packet: hand it to "
+                "`stream`, event by event, or push four columns (t, x, y, p)"
+            )
         if len(events) != 4:
             raise ValueError(f"a tuple of events must hold four columns (t, x, y, p), got {len(events)}")
         if not by_name:  # a named tuple says itself which is which

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,11 @@ from .decision import Decision, decide
 from .events import Columns, EventDoor
 from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
 from .model import Model
-from .volume import UNOPENED, Counts, TNTVolume
+from .volume import UNOPENED, Counts, TNTVolume, checked_time
 
 Classifier = Callable[[np.ndarray], Any]
 NEVER = 1 << 62
+MAX_OPEN_WINDOWS = 256
 
 
 class Processor:
@@ -30,14 +32,16 @@ class Processor:
     Parameters
     ----------
     model : a Model, or a TNTConfig together with `classifier`.
-    classifier : any callable from a volume (float32, shape (C, H, W), read-only, valid during the call) to
-        logits; by default the model's own network, compiled.
+    classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during the call)
+        to logits, finite ones; by default the model's own network, compiled. For a torch module `net`:
+        `lambda volume: net(torch.tensor(volume)[None]).detach()`.
     classes : class names; by default the model's, or else "0", "1", ...
     start_us : start of the first window, in microseconds.
     hop_us : distance between the starts of windows, by default `window_us`. A smaller one gives overlapping
         windows; triggers and `fire` then speak of the oldest open window, the most complete one.
     every_us : decide also whenever so much time has passed since the window's start, if events came meanwhile.
-        The decision falls when the first event at or after that moment shows that it has come.
+        The decision falls when the first event at or after that moment shows that it has come. With overlapping
+        windows: at those moments of a window at which it is the oldest.
     every_events : decide also after every so many events of the window.
     late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen. Events before
         every open window are always dropped and counted.
@@ -85,18 +89,28 @@ class Processor:
             raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {hop_us}")
         self._every_us = None if every_us is None else _positive("every_us", every_us)
         self._every_events = None if every_events is None else _positive("every_events", every_events)
-        if start_us is not None and not 0 <= start_us < 1 << 61:
-            raise ValueError(f"`start_us` must be in [0, 2**61), got {start_us}")
+        start_us = None if start_us is None else checked_time("start_us", start_us)
+        if isinstance(classes, str):
+            raise TypeError(f"`classes` must be a sequence of names, got the single string {classes!r}")
         self.classifier = classifier
         self.classes = None if classes is None else tuple(classes)
         self._start_us = start_us
         self._door = EventDoor(self.config.sensor, late)
         n_volumes = -(-window_us // self._hop_us)
+        if n_volumes > MAX_OPEN_WINDOWS:
+            raise ValueError(
+                f"`hop_us` must be at least window_us / {MAX_OPEN_WINDOWS} = {-(-window_us // MAX_OPEN_WINDOWS)}, "
+                f"got {self._hop_us}: {n_volumes} windows would be open at once"
+            )
         self._volumes = [TNTVolume(self.config, replay_events=replay_events) for _ in range(n_volumes)]
         # One event by itself goes straight to the volume where nothing else has to be looked after.
         direct = n_volumes == 1 and every_events is None and late == "accept"
         self._add = self._volumes[0].add if direct else _ask_the_door
+        self._may_warn = self.config.landmark == "window"
         self.reset()
+
+    def __repr__(self) -> str:
+        return f"Processor({self.config}, {len(self._open)} open windows, {self.counts.received} events received)"
 
     def reset(self) -> None:
         """Forget the stream: no window open, all counts zero. Classifier and settings stay."""
@@ -118,6 +132,8 @@ class Processor:
     def push(self, events: Any) -> list[Decision]:
         """Take a packet of events, in any form that `async_tnt.event_forms` lists.
 
+        Arrays in the door's own form are read where they lie: leave them alone until `push` returns.
+
         Returns
         -------
         The decisions that fell: one for every window that the packet closed and every trigger it tripped.
@@ -126,6 +142,9 @@ class Processor:
         ------
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event. The
             processor is as it was before.
+
+        What the classifier raises passes through. Then the events before that decision are taken and the rest of
+        the packet is not; the next push tries the decision again.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
@@ -144,7 +163,8 @@ class Processor:
                 self._open_windows(t)
             self._add(t, x, y, p)
             return decisions
-        return self._push(self._door(([t], [x], [y], [p])))
+        columns = self._door.one(t, x, y, p)
+        return self._push(self._door(([t], [x], [y], [p])) if columns is None else columns)
 
     def _push(self, columns: Columns) -> list[Decision]:
         decisions: list[Decision] = []
@@ -162,6 +182,9 @@ class Processor:
             if taken < last:
                 self._advance(int(columns.t[taken]), decisions)
             first = taken
+        if self._may_warn:
+            for volume in self._volumes:
+                volume.warn()
         return decisions
 
     def _take(self, columns: Columns, first: int, last: int) -> int:
@@ -173,7 +196,7 @@ class Processor:
         taken = oldest.take(columns, first, last)
         self._n_late += oldest.n_late - late
         self._n_received += taken - first
-        for volume in list(self._open)[1:]:
+        for volume in islice(self._open, 1, None):
             volume.take(columns, first, taken)
         return taken
 
@@ -186,10 +209,10 @@ class Processor:
                 self._fire_if_new("every_us", decisions)
                 self._set_trigger(min(t_us, end_us))
             elif end_us <= t_us:
-                volume = self._open.popleft()
-                if volume.n_events:
+                volume = self._open[0]
+                if volume.n_events:  # first: should the classifier raise, the window stays open
                     decisions.append(self._decide(volume, "window", complete=True))
-                self._free.append(volume)
+                self._free.append(self._open.popleft())
                 self._n_decided = 0
                 self._set_trigger(end_us)
             else:
@@ -242,11 +265,11 @@ class Processor:
         """
         decisions = []
         while self._open:
-            volume = self._open.popleft()
+            volume = self._open[0]
             if volume.n_events:
                 decisions.append(self._decide(volume, "end"))
             volume.set_limit(UNOPENED)
-            self._free.append(volume)
+            self._free.append(self._open.popleft())
         return decisions
 
     def _fire_if_new(self, trigger: str, decisions: list[Decision], due: bool = True) -> None:
@@ -257,11 +280,12 @@ class Processor:
 
     def _decide(self, volume: TNTVolume, trigger: str, complete: bool = False) -> Decision:
         logits = np.asarray(self.classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
-        if self.classes is None:
-            self.classes = tuple(str(k) for k in range(logits.size))
+        classes = tuple(str(k) for k in range(logits.size)) if self.classes is None else self.classes
         start_us, n_events = volume.start_us, volume.n_events
         time_us = volume.newest_us if n_events else start_us
-        return decide(logits, self.classes, start_us, time_us, n_events, complete, trigger)
+        decision = decide(logits, classes, start_us, time_us, n_events, complete, trigger)
+        self.classes = classes  # from the first answer on, where nobody named them
+        return decision
 
     # -- looking in --------------------------------------------------------------------------------------
 

@@ -37,26 +37,33 @@ class ReplayBuffer:
         self._closed_tau_zero = 0
         self._fresh = True
         self._warned = False
+        self._warning_due = False
 
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
         """Take events up to the window's end; returns the first one not taken."""
-        self._grow(self.n + last - first)
+        if self.n + last - first > self._columns.t.size:
+            taken = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
+            self._grow(self.n + int(np.count_nonzero(taken)))
         before = self._counted(buffer) - self.n
         first, self.n = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self.n)
         self._fresh = False
         missing = self._counted(buffer) - self.n - before
         if missing:
             self.n_unstored += missing
-            if not self._warned:
-                self._warned = True
-                warnings.warn(
-                    f"the replay buffer of {self.capacity} events is full; what exceeds it is missing from "
-                    "the window's volume and counted as dropped_unstored (raise replay_events, or shorten "
-                    "window_us)",
-                    ReplayBufferFull,
-                    stacklevel=4,
-                )
+            self._warning_due = self._warning_due or not self._warned
+            self._warned = True
         return first
+
+    def warn(self) -> None:
+        """Say that the buffer is full, once a window: after a packet is done, since a warning may be an error."""
+        if self._warning_due:
+            self._warning_due = False
+            warnings.warn(
+                f"the replay buffer of {self.capacity} events is full; what exceeds it is missing from the "
+                "window's volume and counted as dropped_unstored (raise replay_events, or shorten window_us)",
+                ReplayBufferFull,
+                stacklevel=4,
+            )
 
     def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
         """Bring a volume's cells and counts up to date: all stored events about the window's centroid.
@@ -68,14 +75,14 @@ class ReplayBuffer:
         if self._fresh:
             return
         ints = buffer.view(np.int64)
-        kept = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
-        empty_volume(buffer, array, kept[S.START_US], kept[S.LIMIT_US])
+        saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
+        empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US])
         ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
-        if kept[S.N]:
-            buffer[S.FIXED_X] = kept[S.SUM_X] / kept[S.N]
-            buffer[S.FIXED_Y] = kept[S.SUM_Y] / kept[S.N]
+        if saved[S.N]:
+            buffer[S.FIXED_X] = saved[S.SUM_X] / saved[S.N]
+            buffer[S.FIXED_Y] = saved[S.SUM_Y] / saved[S.N]
         absorb(buffer, *self._columns[:4], 0, self.n)
-        for slot, value in kept.items():
+        for slot, value in saved.items():
             ints[slot] = value
         self._fresh = True
 

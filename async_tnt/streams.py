@@ -33,7 +33,12 @@ def stream(
     >>> [decision.label for decision in stream(open_recording(sample_recordings()[3]), "digits")]
     ['3', '3', '3']
     """
-    processor = as_processor(model, **settings)
+    if isinstance(source, (str, Path)):
+        raise TypeError(f"`source` must yield events, got the path {source}; open_recording(path) reads a file")
+    return _stream(source, as_processor(model, **settings))  # now, so that mistakes show before the first event
+
+
+def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
     for events in source:
         yield from processor.push(events)
     yield from processor.finish()

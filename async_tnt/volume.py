@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import operator
+import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
 class Counts:
     """What became of the events since the volume was made or reset.
 
-    Every event received is kept or in exactly one of the dropped ones:
+    Every event received is kept or in exactly one of the dropped ones (where windows do not overlap):
     received = kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_unstored.
     """
 
@@ -80,20 +80,38 @@ class TNTVolume:
         self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
         self.reset()
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in ("_ints", "_view")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._ints = self._buffer.view(np.int64)  # views again, and not copies of what they showed
+        self._view = self._array.view()
+        self._view.flags.writeable = False
+
+    def __copy__(self) -> TNTVolume:
+        return copy.deepcopy(self)
+
+    def __repr__(self) -> str:
+        return f"TNTVolume({self.config}, {self.n_events} events from {self.start_us} us on)"
+
     # -- events in ---------------------------------------------------------------------------------------
 
     def open(self, start_us: int) -> None:
         """Open the window `[start_us, start_us + window_us)`, empty. Windows that follow are laid end to end."""
-        start_us = operator.index(start_us)
-        if not 0 <= start_us < 1 << 62:
-            raise ValueError(f"`start_us` must be in [0, 2**62), got {start_us}")
+        start_us = checked_time("start_us", start_us)
         if self._replay is not None:
             self._replay.close(self._buffer, self._array)
         self._empty(start_us, start_us + self.config.window_us)
 
     def set_limit(self, limit_us: int) -> None:
-        """Make `take` stop before events at or after `limit_us`, which may not lie past the window's end."""
-        self._ints[S.LIMIT_US] = limit_us
+        """Make `take` stop before events at or after `limit_us`, or at the window's end if that comes first."""
+        self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
+
+    def warn(self) -> None:
+        """Give the warnings that the last packet made due."""
+        if self._replay is not None:
+            self._replay.warn()
 
     def _empty(self, start_us: int, limit_us: int) -> None:
         empty_volume(self._buffer, self._array, start_us, limit_us)
@@ -116,6 +134,7 @@ class TNTVolume:
         while first < n:
             closed += self._open_next(int(columns.t[first]))
             first = self.take(columns, first, n)
+        self.warn()
         return closed
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
@@ -198,8 +217,9 @@ class TNTVolume:
     @property
     def flow(self) -> tuple[float, float]:
         """Landmark `line` only: the fitted flow (x, y) in grid pixels per window."""
-        if self.config.landmark != "line":
-            raise ValueError(f'`flow` needs landmark="line", got {self.config.landmark!r}')
+        if self.config.landmark != "line" or self.config.transform != "tnt":
+            got = f"landmark={self.config.landmark!r}, transform={self.config.transform!r}"
+            raise ValueError(f'`flow` needs landmark="line" and transform="tnt", got {got}')
         return self._to_grid(*self._slopes())
 
     def _slopes(self) -> tuple[float, float]:
@@ -234,13 +254,22 @@ class TNTVolume:
 
     @property
     def start_us(self) -> int:
-        """Start of the open window."""
+        """Start of the open window; 0 before the first."""
         return int(self._ints[S.START_US])
 
     @property
     def newest_us(self) -> int:
         """Time of the newest event in the open window; -1 if it has none."""
         return int(self._ints[S.NEWEST_US])
+
+
+def checked_time(name: str, t_us: int) -> int:
+    """A time in microseconds that a window may start at, as Python's int."""
+    if not hasattr(t_us, "__index__") or isinstance(t_us, bool):
+        raise TypeError(f"`{name}` must be a whole number of microseconds, got {t_us!r}")
+    if not 0 <= t_us < 1 << 62:
+        raise ValueError(f"`{name}` must be in [0, 2**62), got {t_us}")
+    return int(t_us)
 
 
 def new_state(config: TNTConfig) -> np.ndarray:

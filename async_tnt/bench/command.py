@@ -32,7 +32,7 @@ examples:
   async-tnt bench --quick --json      a few seconds, for scripts
   async-tnt bench --landmark line     the other landmarks cost as much or more
 """
-NO_TORCH = "torch is not installed: only our own times (pip install 'async_tnt[reference]' for the batch way)"
+NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for the batch way)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

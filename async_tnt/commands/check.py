@@ -37,7 +37,7 @@ def main(args: argparse.Namespace) -> int:
         import tnt_reference  # noqa: F401
         import torch
     except ImportError as error:
-        complain(f"check needs the batch reference, which needs torch: pip install 'async_tnt[reference]' ({error})")
+        complain(f"check needs the batch reference, which needs torch: pip install '.[reference]' ({error})")
         return 2
     torch.set_num_threads(1)
     model = model_of(args)
@@ -46,6 +46,8 @@ def main(args: argparse.Namespace) -> int:
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
         for recording in open_all(paths, model):
             events = recording.read().astype(EVENT_DTYPE, copy=False)
+            if events.size == 0:
+                raise ValueError(f"{recording.path}: no events, nothing to check")
             results[recording.path] = check_recording(
                 events, model, prefixes=args.prefixes, start_us=args.start_us, on_progress=bar.update
             )
@@ -53,7 +55,7 @@ def main(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(_as_json(results, args.prefixes, not failed)))
     else:
-        _print_table(results)
+        _print_table(results, equal=not failed)
     return 1 if failed else 0
 
 
@@ -65,7 +67,7 @@ def _prefixes(text: str) -> int | None:
     return int(text)
 
 
-def _print_table(results: dict[Path, list[Comparison]]) -> None:
+def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
     """A line for each promise, the worst over all recordings; then the recordings that break one."""
     merged: dict[tuple[str, str], Comparison] = {}
     for comparisons in results.values():
@@ -82,8 +84,7 @@ def _print_table(results: dict[Path, list[Comparison]]) -> None:
         for c in comparisons:
             if not c.holds:
                 print(f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons", file=sys.stderr)
-    verdict = "equal" if all(c.holds for c in merged.values()) else "NOT equal"
-    print(f"{len(results)} recordings: stream and batch are {verdict}")
+    print(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
 
 
 def _as_json(results: dict[Path, list[Comparison]], prefixes: int | None, equal: bool) -> dict[str, object]:

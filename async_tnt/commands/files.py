@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from ..events import as_events
 from ..model import Model, bundled_models, load_model
 from ..recordings import READERS, Recording, open_recording, sample_recordings
 
@@ -49,6 +50,11 @@ def open_all(paths: list[Path], model: Model) -> Iterator[Recording]:
                 f"{path}: a sensor of {recording.sensor[0]}x{recording.sensor[1]} pixels, but the model is "
                 f"for {model.config.sensor[0]}x{model.config.sensor[1]}"
             )
+        if recording.sensor is None:
+            try:
+                as_events(recording.read(), model.config.sensor)
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"{path}: {error}") from None
         yield recording
 
 

@@ -53,11 +53,12 @@ def main(args: argparse.Namespace) -> int:
     )  # fmt: skip
     warmup(model)
     failed = False
-    if not args.json:
-        print(HEADER)
+    header = "" if args.json else HEADER + "\n"
     for path in paths_of(args):
         try:
             (recording,) = open_all([path], model)
+            print(end=header)
+            header = ""
             _run(recording, processor, model, args.json, sys.stdout)
         except BrokenPipeError:
             raise
@@ -79,8 +80,13 @@ def _run(recording: Recording, processor: Processor, model: Model, as_json: bool
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
         print(f"{recording.path.name}: {model.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
-    elif not closed:
-        complain(f"{recording.path}: no event in any window")
+    late = processor.counts.dropped_late
+    if late:
+        complain(
+            f"{recording.path}: {late} of {recording.n_events} events dropped: they came late (see --late, --start-us)"
+        )
+    if not closed:
+        raise ValueError(f"{recording.path}: no event in any window, nothing to decide")
 
 
 def timed_decisions(recording: Recording, processor: Processor) -> Iterator[tuple[Decision, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ def _stamp_of_all_kernels() -> tuple[Any, ...]:
     return tuple((f.st_mtime, f.st_size) for f in files), getattr(config, "BOUNDSCHECK", None)
 
 
+_compiling = threading.Lock()
 STAMP = _stamp_of_all_kernels()
 
 
@@ -47,9 +49,10 @@ def compile_only(kernel: Any, *types: Any) -> None:
     So the call itself checks types, dimensions, layout and flags of the arrays it is given, which in Python
     would cost more than the work; and nothing a caller hands over can set off a compilation.
     """
-    if not kernel.signatures:
-        kernel.compile(types)
-        kernel.disable_compile()
+    with _compiling:
+        if not kernel.signatures:
+            kernel.compile(types)
+            kernel.disable_compile()
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:

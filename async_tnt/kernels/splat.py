@@ -60,7 +60,7 @@ def place_event(grid, dt, on, num_x, num_y, den):
     Returns
     -------
     corner : int. Index of the cell at (floor b, floor v, floor u) in the volume's buffer.
-    y_frac, x_frac : float in [0, 1). Distance from the corner.
+    y_frac, x_frac : float in [0, 1), but for the tolerance. Distance from the corner.
     early, later : float. What goes to bin floor b and to the next; they sum to the event's sign.
     keep : bool. Whether the event is on the grid. If not, it weighs nothing at a legal place, so that
         adding it needs no branch.

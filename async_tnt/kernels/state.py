@@ -79,7 +79,7 @@ CELLS = CORNER + BLOCK
 
 # how an event's coordinates are made (MODE)
 MODE_RAW = 0  # no transform
-MODE_FIXED = 1  # a landmark given from outside: centre, window mean, regressor
+MODE_FIXED = 1  # a landmark given from outside: the centre, the window's mean
 MODE_RUNNING = 2
 MODE_LINE = 3
 MODE_LINE_FLOW_REMOVED = 4

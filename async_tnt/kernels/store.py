@@ -31,7 +31,6 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
             ints[S.N] += 1
             ints[S.SUM_X] += x[first]
             ints[S.SUM_Y] += y[first]
-            ints[S.SUM_T] += t[first] - ints[S.START_US]
             ints[S.NEWEST_US] = max(ints[S.NEWEST_US], t[first])
             if n_stored < stored_t.size:
                 stored_t[n_stored] = t[first]

@@ -34,7 +34,7 @@ def main(args: argparse.Namespace) -> int:
         import torch  # noqa: F401
         from tnt_reference import Classifier  # noqa: F401
     except ImportError as error:
-        return _fail(f"training needs torch ({error}); install it with: pip install 'async-tnt[train]'")
+        return _fail(f"training needs torch ({error}); install it with: pip install '.[train]'")
     run_folder = args.run_folder or Path("runs") / args.out.stem
     try:
         return _train(args, run_folder)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from async_tnt.commands.files import positive_int
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 
 DESCRIPTION = """\
@@ -120,7 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "best (default: last; both are in the run folder)",
     )
     learning.add_argument(
-        "--threads", type=int, metavar="N", help="torch's threads; another number gives slightly other weights"
+        "--threads", type=positive_int, metavar="N", help="torch's threads; another number gives slightly other weights"
     )
     learning.add_argument(
         "--smoke", action="store_true", help="try the whole way in seconds: two epochs on the ten bundled samples"

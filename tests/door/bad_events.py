@@ -293,7 +293,8 @@ BAD |= {
     "four events, not four columns": (
         list(np.zeros(4, EVENT_DTYPE)),
         TypeError,
-        f"`t` must be whole numbers, got {EVENT_DTYPE} ((0, 0, 0, 0) at event 0)",
+        "a list of single events (void at event 0) is no packet: hand it to `stream`, event by event, or push "
+        "four columns (t, x, y, p)",
     ),
     "a time beyond int64": (
         ([5, 2**64], [0, 0], [0, 0], [0, 0]),

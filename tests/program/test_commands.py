@@ -129,6 +129,35 @@ def test_check_takes_recordings_whose_times_run_backwards(capsys, tmp_path):
     assert main(["check", str(tmp_path / "backwards.npy"), "--prefixes", "2"]) == 0, capsys.readouterr().out
 
 
+def test_a_comparison_never_forgets_a_nan():
+    from async_tnt.equality import Comparison
+
+    for differences in ([float("nan"), 0.0], [0.0, float("nan"), 0.5], [2.0]):
+        comparison = Comparison("x", "y", 1.0)
+        for difference in differences:
+            comparison.add(difference)
+        assert not comparison.holds
+    assert not Comparison("x", "y", 1.0).holds  # nothing compared
+
+
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_a_recording_without_events(command, tmp_path, capsys):
+    (tmp_path / "empty.bin").write_bytes(b"")
+    assert main([command, str(tmp_path / "empty.bin")]) == 2
+    assert "empty.bin: no event" in capsys.readouterr().err
+
+
+def test_events_off_the_sensor_name_file_and_event(tmp_path, capsys):
+    np.save(tmp_path / "h.npy", np.array([[0, 1, 1, 1], [5, 40, 1, 1]]))
+    assert main(["run", str(tmp_path / "h.npy")]) == 2
+    assert "h.npy: `x` must be in [0, 34), got 40 at event 1" in capsys.readouterr().err
+
+
+def test_late_events_are_told(capsys):
+    assert main(["run", "--start-us", "200000", str(SAMPLES[5])]) == 0
+    assert "dropped" in capsys.readouterr().err
+
+
 def test_check_says_no_when_the_stream_is_wrong(monkeypatch, capsys):
     """An error of a millionth of a pixel in one landmark must not pass."""
     landmark = TNTVolume.landmark.fget

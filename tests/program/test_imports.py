@@ -10,6 +10,7 @@ import async_tnt
 
 CODE = """
 import sys, time
+import numba, numpy, safetensors.numpy  # what they cost is not ours to change: 0.1 to 0.3 s
 started = time.process_time()  # other processes must not decide
 import async_tnt
 took = time.process_time() - started
@@ -23,7 +24,7 @@ def test_import_brings_no_torch_and_is_quick():
         out = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True).stdout.split()
         assert out[1:] == ["False", "False", "False"]
         times.append(float(out[0]))
-    assert min(times) < 0.5
+    assert min(times) < 0.15
 
 
 def test_kernels_import_nothing_of_the_package():
@@ -65,6 +66,19 @@ def test_warmup_tells_a_terminal_what_takes_so_long(monkeypatch, capsys):
 def test_warmup_says_how_long_it_took():
     assert 0 < async_tnt.warmup() < 60
     assert 0 < async_tnt.warmup(async_tnt.TNTConfig(grid=(20, 20))) < 60
+
+
+def test_processors_may_be_made_in_several_threads_at_once():
+    code = (
+        "import threading, async_tnt; failed = []\n"
+        "def make():\n"
+        "    try: async_tnt.Processor(async_tnt.TNTConfig(), classifier=len).push(([1], [1], [1], [1]))\n"
+        "    except Exception as error: failed.append(error)\n"
+        "threads = [threading.Thread(target=make) for _ in range(8)]\n"
+        "[t.start() for t in threads]; [t.join() for t in threads]; print(failed)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "[]\n", done.stdout + done.stderr
 
 
 def test_an_edited_constant_reaches_kernels_that_were_cached_before(tmp_path):

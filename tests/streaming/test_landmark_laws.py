@@ -61,7 +61,7 @@ def test_translated_stream_gives_the_identical_volume():
     shifted = events.copy()
     shifted["x"] += 3
     shifted["y"] -= 5
-    for landmark in ("running", "window"):
+    for landmark in ("running", "line", "window"):
         volumes = []
         for stream in (events, shifted):
             volume = TNTVolume(TNTConfig(window_us=WINDOW_US, t_max=T_MAX, landmark=landmark))

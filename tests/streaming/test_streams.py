@@ -88,7 +88,17 @@ def test_two_processors_side_by_side_do_not_touch_each_other():
 
 
 def test_decisions_keep_their_numbers_when_the_stream_goes_on():
-    decisions = list(stream([EVENTS], random_model(CONFIG)))
-    logits = [d.logits.copy() for d in decisions]
-    assert all(np.array_equal(d.logits, kept) for d, kept in zip(decisions, logits, strict=True))
-    assert len({kept.tobytes() for kept in logits}) == len(logits)
+    decisions, kept = [], []
+    for decision in stream([EVENTS], random_model(CONFIG)):
+        decisions.append(decision)
+        kept.append((decision.logits.copy(), decision.probabilities.copy()))
+    for decision, (logits, probabilities) in zip(decisions, kept, strict=True):
+        assert np.array_equal(decision.logits, logits) and np.array_equal(decision.probabilities, probabilities)
+    assert len({logits.tobytes() for logits, _ in kept}) == len(kept) == 4
+
+
+def test_mistakes_show_before_the_first_event():
+    with pytest.raises(FileNotFoundError, match="no model file digitz"):
+        stream([EVENTS], "digitz")
+    with pytest.raises(TypeError, match=r"`source` must yield events, got the path five.bin; open_recording"):
+        stream("five.bin", CONFIG, classifier=classifier)

@@ -1,5 +1,7 @@
 """Windows, counts and errors of TNTVolume."""
 
+import copy
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -180,7 +182,7 @@ def test_open_says_what_it_wants():
 
 
 def test_flow_needs_the_line():
-    with pytest.raises(ValueError, match="`flow` needs landmark=\"line\", got 'center'"):
+    with pytest.raises(ValueError, match="`flow` needs landmark=.line. and transform=.tnt., got landmark='center'"):
         _ = TNTVolume(CONFIG).flow
 
 
@@ -227,3 +229,13 @@ def test_landmark_is_the_centre_where_none_is_defined():
     volume = TNTVolume(CONFIG.replace(transform="none"))
     volume.update(events_of([0], [3], [4], [1]))
     assert volume.landmark == (16.5, 16.5)
+
+
+def test_a_shallow_copy_shares_nothing():
+    volume = TNTVolume(CONFIG)
+    volume.update(random_events(50, duration_us=900))
+    before, twin = volume.array.copy(), copy.copy(volume)
+    twin.update_one(950, 16, 16, 1)
+    assert np.array_equal(volume.array, before) and twin.n_events == 51
+    with pytest.raises(ValueError, match="read-only"):
+        twin.array[0, 0, 0] = 1

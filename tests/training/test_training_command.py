@@ -115,7 +115,7 @@ def test_a_folder_without_train_is_explained(nmnist, capsys):
 def test_without_torch_the_message_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(__import__("sys").modules, "torch", None)
     assert run("--smoke") == 2
-    assert "pip install 'async-tnt[train]'" in capsys.readouterr().err
+    assert "pip install '.[train]'" in capsys.readouterr().err
 
 
 def test_tnt_data_is_the_default_folder(nmnist, tmp_path, monkeypatch, capsys):
