@@ -49,9 +49,8 @@ def decide(
     """
     if logits.size != len(classes):
         raise ValueError(f"`classifier` must return {len(classes)} logits, one for each class, got {logits.size}")
-    if logits.size == 0 or not np.isfinite(logits).all():
-        raise ValueError(f"`classifier` must return finite logits, got {logits.tolist()}")
     probabilities = np.empty(logits.size)
-    softmax(logits, probabilities)
-    index = int(logits.argmax())
+    index = softmax(logits, probabilities) if logits.size else -1
+    if index < 0:
+        raise ValueError(f"`classifier` must return finite logits, got {logits.tolist()}")
     return Decision(classes[index], index, probabilities, logits, start_us, time_us, n_events, complete, trigger)

@@ -279,7 +279,9 @@ class Processor:
             self._n_decided = oldest.n_events
 
     def _decide(self, volume: TNTVolume, trigger: str, complete: bool = False) -> Decision:
-        logits = np.asarray(self.classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
+        logits = self.classifier(volume.array)
+        if not isinstance(self.classifier, CompiledClassifier):  # which returns them as they should be
+            logits = np.asarray(logits).astype(np.float32).reshape(-1)  # a copy
         classes = tuple(str(k) for k in range(logits.size)) if self.classes is None else self.classes
         start_us, n_events = volume.start_us, volume.n_events
         time_us = volume.newest_us if n_events else start_us

@@ -123,16 +123,25 @@ def _add_four_rows(values, weights, i0, i1, i2, i3, out):
 
 @compiled
 def softmax(logits, probabilities):
-    """probabilities[k] = exp(logits[k] - max) / sum, in float64."""
-    largest = logits[0]
+    """probabilities[k] = exp(logits[k] - max) / sum, in float64.
+
+    Returns
+    -------
+    int : the first class of the largest logit; -1, and nothing written, if a logit is not finite.
+    """
+    largest = 0
     for k in range(logits.size):
-        largest = max(largest, logits[k])
+        if not np.isfinite(logits[k]):
+            return -1
+        if logits[k] > logits[largest]:
+            largest = k
     total = 0.0
     for k in range(logits.size):
-        probabilities[k] = np.exp(np.float64(logits[k]) - np.float64(largest))
+        probabilities[k] = np.exp(np.float64(logits[k]) - np.float64(logits[largest]))
         total += probabilities[k]
     for k in range(logits.size):
         probabilities[k] /= total
+    return largest
 
 
 @compiled

@@ -120,7 +120,7 @@ def test_the_limits_themselves_are_allowed():
     assert TNTConfig(bins=1).shape == (1, 34, 34)
     assert TNTConfig(bins=1024).bins == 1024
     assert TNTConfig(window_us=1).window_us == 1
-    assert TNTConfig(window_us=24 * 3600 * 10**6).window_us == 24 * 3600 * 10**6
+    assert TNTConfig(window_us=3600 * 10**6).window_us == 3600 * 10**6
     assert TNTConfig(t_max=1e-6).t_max == 1e-6
     assert TNTConfig(t_max=1e6).t_max == 1e6
     assert TNTConfig(grid=(1023, 1022), bins=1024).channels == 1024  # 2,145,386,496 cells

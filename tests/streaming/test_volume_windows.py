@@ -182,7 +182,7 @@ def test_open_says_what_it_wants():
 
 
 def test_flow_needs_the_line():
-    with pytest.raises(ValueError, match="`flow` needs landmark=.line. and transform=.tnt., got landmark='center'"):
+    with pytest.raises(ValueError, match=r"`flow` needs landmark=.line. and transform=.tnt., got landmark='center'"):
         _ = TNTVolume(CONFIG).flow
 
 
