@@ -135,7 +135,7 @@ def _float32(name: str, values: Any) -> np.ndarray:
     if array.dtype.kind not in "fiu":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
     with np.errstate(over="ignore"):  # becomes inf, which `_check_weights` refuses
-        return np.ascontiguousarray(array, np.float32)
+        return np.ascontiguousarray(array, np.float32).copy()  # its own, whatever becomes of the given one
 
 
 def _check_weights(weights: Mapping[str, np.ndarray], config: TNTConfig, classes: tuple[str, ...]) -> None:

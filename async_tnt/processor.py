@@ -15,7 +15,7 @@ from .decision import Decision, decide
 from .events import Columns, EventDoor
 from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
 from .model import Model
-from .volume import UNOPENED, Counts, TNTVolume, checked_time
+from .volume import Counts, TNTVolume, checked_time
 
 Classifier = Callable[[np.ndarray], Any]
 NEVER = 1 << 62
@@ -253,7 +253,7 @@ class Processor:
     def fire(self) -> Decision:
         """Classify the open window as it stands. Changes nothing: no trigger, no window, no count.
 
-        Before the first event the window is empty (`events` is 0).
+        Before the first event, and after `finish`, the window is empty (`events` is 0).
         """
         return self._decide(self._oldest, "fire")
 
@@ -268,7 +268,7 @@ class Processor:
             volume = self._open[0]
             if volume.n_events:
                 decisions.append(self._decide(volume, "end"))
-            volume.set_limit(UNOPENED)
+            volume.close()
             self._free.append(self._open.popleft())
         return decisions
 

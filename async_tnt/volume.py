@@ -104,6 +104,12 @@ class TNTVolume:
             self._replay.close(self._buffer, self._array)
         self._empty(start_us, start_us + self.config.window_us)
 
+    def close(self) -> None:
+        """End the open window: the volume is empty until an event, or `open`, opens the next."""
+        if self._replay is not None:
+            self._replay.close(self._buffer, self._array)
+        self._empty(0, UNOPENED)
+
     def set_limit(self, limit_us: int) -> None:
         """Make `take` stop before events at or after `limit_us`, or at the window's end if that comes first."""
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)

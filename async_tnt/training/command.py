@@ -35,6 +35,7 @@ def main(args: argparse.Namespace) -> int:
         from tnt_reference import Classifier  # noqa: F401
     except ImportError as error:
         return _fail(f"training needs torch ({error}); install it with: pip install '.[train]'")
+    args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
     run_folder = args.run_folder or Path("runs") / args.out.stem
     try:
         return _train(args, run_folder)

@@ -137,9 +137,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     files.add_argument(
         "--out",
         type=Path,
-        default=Path("model.safetensors"),
         metavar="FILE",
-        help="the trained model (default: model.safetensors)",
+        help="the trained model (default: model.safetensors; with --smoke: smoke.safetensors)",
     )
     files.add_argument(
         "--run",
