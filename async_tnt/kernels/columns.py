@@ -120,6 +120,11 @@ def _in_range(t, x, y, p, n, sensor_w, sensor_h):
 @compiled
 def _unsign(p, n):
     """Polarity -1 (here 255) and +1 become 0 and 1; False if there are zeros beside, or other numbers."""
+    largest = p[0]
+    for i in range(n):
+        largest = max(largest, p[i])
+    if largest <= 1:  # nothing to do, told in the column's own type, without widening
+        return True
     zeros = 0
     minuses = 0
     ones = 0
