@@ -1,0 +1,38 @@
+"""What the tests of Processor share: a stream at given times, and decisions as comparable values."""
+
+import numpy as np
+
+from async_tnt import Processor, TNTConfig
+
+CONFIG = TNTConfig(window_us=1000, landmark="running", t_max=2.0)
+
+
+def total_and_size(volume):
+    """A classifier that shows what it saw."""
+    return [float(volume.sum()), float(np.abs(volume).sum())]
+
+
+def key(decision):
+    return (
+        decision.trigger, decision.window_start_us, decision.time_us, decision.events, decision.complete,
+        decision.label, decision.logits.tobytes(), decision.probabilities.tobytes(),
+    )  # fmt: skip
+
+
+def at(times):
+    """Events at these times, anywhere."""
+    n = len(times)
+    return times, [3 + k % 5 for k in range(n)], [4 + k % 3 for k in range(n)], [k % 2 for k in range(n)]
+
+
+def summary(decisions):
+    return [(d.trigger, d.window_start_us, d.time_us, d.events) for d in decisions]
+
+
+def run(events, size=0, config=CONFIG, **settings):
+    processor = Processor(config, classifier=total_and_size, **settings)
+    size = size or max(1, len(events))
+    decisions = []
+    for first in range(0, len(events), size):
+        decisions += processor.push(events[first : first + size])
+    return decisions + processor.finish(), processor
