@@ -24,9 +24,10 @@ def difference(a, b):
     return (a - b).abs().max().item()
 
 
-@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-5), (torch.float64, 1e-12)], ids=str)
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-6), (torch.float64, 1e-12)], ids=str)
 def test_convolution_is_equivariant_to_translation_away_from_the_border(dtype, tolerance):
-    """(L_t f) * phi = L_t (f * phi), stride 1 (Wang 2019; LeCun et al. 1998). Sums of 18 terms of size 1.
+    """(L_t f) * phi = L_t (f * phi), stride 1 (Wang 2019; LeCun et al. 1998). The tolerance is of the largest
+    value.
 
     In a 3 x 3 convolution padded with zeros the outermost pixels are not equivariant: they see the padding.
     """
@@ -39,7 +40,7 @@ def test_convolution_is_equivariant_to_translation_away_from_the_border(dtype, t
     got = of_moved[..., : 20 + t_y, t_x:]
     inner = (..., slice(1, -1), slice(1, -1))
     assert expected[inner].abs().max() > 5
-    assert difference(got[inner], expected[inner]) <= tolerance
+    assert difference(got[inner], expected[inner]) <= tolerance * expected.abs().max()
     assert difference(got, expected) > 1
 
 
@@ -60,13 +61,16 @@ def test_average_pooling_by_2_is_equivariant_to_even_translations_only():
 
 @pytest.mark.parametrize("r", TURNS)
 def test_a_turned_image_is_the_turned_convolution_with_the_filter_turned_back(r):
-    """(L_r f) * phi = L_r (f * L_r^-1 phi): Cohen and Welling 2016, arXiv:1602.07576; in Wang 2019."""
+    """(L_r f) * phi = L_r (f * L_r^-1 phi): Cohen and Welling 2016, arXiv:1602.07576; in Wang 2019.
+
+    With the filter not turned, or turned the wrong way, the two sides differ by more than 1.
+    """
     f, phi = random(1, 2, 15, 15), random(3, 2, 3, 3, seed=1)
     got = F.conv2d(turn(f, r), phi)
     assert difference(got, turn(F.conv2d(f, turn(phi, -r)), r)) < 1e-12
-    assert difference(got, turn(F.conv2d(f, turn(phi, r)), r)) < 1e-12 or r != 2  # half a turn is its own inverse
-    if r != 2:
-        assert difference(got, turn(F.conv2d(f, turn(phi, r)), r)) > 1  # the wrong way round
+    assert difference(got, turn(F.conv2d(f, phi), r)) > 1
+    if r != 2:  # half a turn is its own inverse
+        assert difference(got, turn(F.conv2d(f, turn(phi, r)), r)) > 1
 
 
 def test_convolution_is_not_equivariant_to_rotation():
@@ -130,6 +134,6 @@ def test_group_convolutions_on_p4_stay_equivariant_layer_after_layer(s):
 
     of_turned, of_f = network(turn(f, s)), network(f)
     assert of_f.shape == (4, 5, 9, 9) and of_f.abs().max() > 10
-    assert difference(of_turned, act(of_f, s)) < 1e-11 * 0.1
+    assert difference(of_turned, act(of_f, s)) < 1e-12
     assert difference(of_turned.amax((0, 2, 3)), of_f.amax((0, 2, 3))) < 1e-12
     assert difference(unshared(turn(f, s)), act(unshared(f), s)) > 1
