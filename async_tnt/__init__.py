@@ -16,6 +16,7 @@ from .decision import Decision
 from .events import EVENT_DTYPE
 from .model import Model, bundled_models, load_model
 from .processor import Processor
+from .regressor import CompiledRegressor
 from .replay import ReplayBufferFull
 from .streams import astream, stream
 from .volume import Counts, TNTVolume
@@ -26,6 +27,7 @@ __version__ = "0.1.0"
 __all__ = [
     "EVENT_DTYPE",
     "CompiledClassifier",
+    "CompiledRegressor",
     "Counts",
     "Decision",
     "Model",

@@ -16,6 +16,9 @@ COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(a
     "check": ("async_tnt.commands.check", "prove on recordings that the stream equals the batch reference"),
     "bench": ("async_tnt.bench", "measure time per event and time to decision, beside the batch way"),
     "train": ("async_tnt.training.command", "train a model on recordings (extra: train)"),
+    "table": ("async_tnt.table.command", "train and test the thesis' results table (extra: train)"),
+    "simulate": ("async_tnt.simulation.command", "make N-MOVING-MNIST: every digit of MNIST under 30 motions"),
+    "plot": ("async_tnt.figures.command", "draw events, volumes and decisions of a recording (extra: plot)"),
 }
 
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 from typing import Any
 
-LANDMARKS = ("center", "running", "line", "window")
+LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
 TRANSFORMS = ("tnt", "none")
 MAX_SIDE = 1 << 15
@@ -31,7 +31,8 @@ class TNTConfig:
         fewer events over the border early in the window.
     landmark : the point that events are normalized about: `center` of the grid, `running` centroid of the
         window's events so far, `line`: intercept of their running regression line, `window`: centroid of all
-        the window's events at the moment of reading (buffered and replayed there).
+        the window's events at the moment of reading (buffered and replayed there), `regressor`: what a network
+        makes of the raw event volume at the moment of reading (replayed, too).
     polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add), `split` (ON bins, then OFF bins).
     transform : `tnt`, or `none` for the plain event volume.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
@@ -109,6 +110,32 @@ class TNTConfig:
     def shape(self) -> tuple[int, int, int]:
         """(C, H, W), the shape of `TNTVolume.array`."""
         return self.channels, self.grid[1], self.grid[0]
+
+    @property
+    def needs_regressor(self) -> bool:
+        """Whether a landmark network has its say: without the transform, landmarks are ignored."""
+        return self.landmark == "regressor" and self.transform == "tnt"
+
+    @property
+    def needs_replay(self) -> bool:
+        """Whether the landmark is known only at the moment of reading, so that events are stored until then."""
+        return self.landmark in ("window", "regressor") and self.transform == "tnt"
+
+    def to_grid(self, x: float, y: float) -> tuple[float, float]:
+        """Sensor pixels to grid pixels, corner to corner; displacements and flows, too."""
+        gain_x, gain_y = self._gains
+        return x * gain_x, y * gain_y
+
+    def to_sensor(self, x: float, y: float) -> tuple[float, float]:
+        """The inverse of `to_grid`."""
+        gain_x, gain_y = self._gains
+        return x / gain_x, y / gain_y
+
+    @property
+    def _gains(self) -> tuple[float, float]:
+        """Grid pixels per sensor pixel: exactly 1 where both are of one size."""
+        (sensor_w, sensor_h), (width, height) = self.sensor, self.grid
+        return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""

@@ -17,6 +17,9 @@ from .config import TNTConfig
 
 FORMAT = "async_tnt 1"
 LAYERS = ("conv1", "conv2", "fc1", "fc2")
+REGRESSOR_LAYERS = ("regressor.conv1", "regressor.conv2", "regressor.conv3")
+HEATMAP = "regressor.heatmap.weight"  # no bias: the centroid would not feel it
+REGRESSOR_HINT = '; those of the regressor belong to landmark="regressor" with transform="tnt", and only to that'
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
@@ -27,7 +30,10 @@ class Model:
     ----------
     config : TNTConfig.
     weights : float32 arrays `conv1.weight` (F1, C, 3, 3), `conv2.weight` (F2, F1, 3, 3), `fc1.weight`
-        (F3, F2 * (H // 4) * (W // 4)), `fc2.weight` (n_classes, F3), and a `.bias` for each.
+        (F3, F2 * (H // 4) * (W // 4)), `fc2.weight` (n_classes, F3), and a `.bias` for each. With landmark
+        "regressor" (and transform "tnt"), and then only, its network, too: `regressor.conv1.weight`
+        (G1, C, 3, 3), `regressor.conv2.weight` (G2, G1, 3, 3), `regressor.conv3.weight` (G3, G2, 3, 3), a
+        `.bias` for each, and `regressor.heatmap.weight` (1, G3, 1, 1).
     classes : names, in the order of the network's outputs.
     record : how it was trained: data, seed, accuracy, what was tried.
 
@@ -140,27 +146,48 @@ def _float32(name: str, values: Any) -> np.ndarray:
 
 def _check_weights(weights: Mapping[str, np.ndarray], config: TNTConfig, classes: tuple[str, ...]) -> None:
     names = {f"{layer}.{kind}" for layer in LAYERS for kind in ("weight", "bias")}
+    if config.needs_regressor:
+        names |= {f"{layer}.{kind}" for layer in REGRESSOR_LAYERS for kind in ("weight", "bias")} | {HEATMAP}
     if set(weights) != names:
-        raise ValueError(f"`weights` must hold {', '.join(sorted(names))}, got {', '.join(sorted(weights))}")
+        wrong = set(weights) ^ names
+        hint = REGRESSOR_HINT if any(name.startswith("regressor.") for name in wrong) else ""
+        raise ValueError(f"`weights` must hold {', '.join(sorted(names))}, got {', '.join(sorted(weights))}{hint}")
     channels, height, width = config.shape
     if height < 4 or width < 4:
         raise ValueError(f"`grid` must be at least (4, 4) for two 2x2 poolings, got {config.grid}")
     if not classes:
         raise ValueError("`classes` must hold at least one name")
-    f1, f2 = weights["conv1.weight"].shape[0], weights["conv2.weight"].shape[0]
-    f3 = weights["fc1.weight"].shape[0]
-    if 0 in (f1, f2, f3):
-        raise ValueError(f"every layer must have at least one filter or unit, got widths ({f1}, {f2}, {f3})")
+    f1, f2, f3 = _widths(weights, ("conv1", "conv2", "fc1"))
     expected = {
         "conv1.weight": (f1, channels, 3, 3),
         "conv2.weight": (f2, f1, 3, 3),
         "fc1.weight": (f3, f2 * (height // 2 // 2) * (width // 2 // 2)),
         "fc2.weight": (len(classes), f3),
     }
+    if config.needs_regressor:
+        g1, g2, g3 = _widths(weights, REGRESSOR_LAYERS)
+        expected |= {
+            "regressor.conv1.weight": (g1, channels, 3, 3),
+            "regressor.conv2.weight": (g2, g1, 3, 3),
+            "regressor.conv3.weight": (g3, g2, 3, 3),
+            HEATMAP: (1, g3, 1, 1),
+        }
     for name, shape in expected.items():
+        _check_array(weights, name, shape)
         bias = name.replace("weight", "bias")
-        for key, want in ((name, shape), (bias, shape[:1])):
-            if weights[key].shape != want:
-                raise ValueError(f"`{key}` must have shape {want} here, got {weights[key].shape}")
-        if not (np.isfinite(weights[name]).all() and np.isfinite(weights[bias]).all()):
-            raise ValueError(f"`{name}` and its bias must be finite numbers")
+        if bias in names:
+            _check_array(weights, bias, shape[:1])
+        if not all(np.isfinite(weights[key]).all() for key in {name, bias} & names):
+            raise ValueError(f"`{name}`{' and its bias' if bias in names else ''} must be finite numbers")
+
+
+def _widths(weights: Mapping[str, np.ndarray], layers: tuple[str, ...]) -> tuple[int, ...]:
+    widths = tuple(weights[f"{layer}.weight"].shape[0] for layer in layers)
+    if 0 in widths:
+        raise ValueError(f"every layer must have at least one filter or unit, got widths {widths}")
+    return widths
+
+
+def _check_array(weights: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> None:
+    if weights[name].shape != shape:
+        raise ValueError(f"`{name}` must have shape {shape} here, got {weights[name].shape}")

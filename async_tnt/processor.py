@@ -14,7 +14,9 @@ from .config import TNTConfig
 from .decision import Decision, decide
 from .events import Columns, EventDoor
 from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
+from .landmark_at_read import Regressor
 from .model import Model
+from .regressor import CompiledRegressor
 from .volume import Counts, TNTVolume, checked_time
 
 Classifier = Callable[[np.ndarray], Any]
@@ -35,6 +37,8 @@ class Processor:
     classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during the call)
         to logits, finite ones; by default the model's own network, compiled. For a torch module `net`:
         `lambda volume: net(torch.tensor(volume)[None]).detach()`.
+    regressor : with landmark `regressor`, see `TNTVolume`; by default the model's own network, compiled. What it
+        raises is treated as the classifier's errors are, see `push`.
     classes : class names; by default the model's, or else "0", "1", ...
     start_us : start of the first window, in microseconds.
     hop_us : distance between the starts of windows, by default `window_us`. A smaller one gives overlapping
@@ -61,6 +65,7 @@ class Processor:
         model: Model | TNTConfig,
         *,
         classifier: Classifier | None = None,
+        regressor: Regressor | None = None,
         classes: Sequence[str] | None = None,
         start_us: int | None = None,
         hop_us: int | None = None,
@@ -73,6 +78,8 @@ class Processor:
             self.config = model.config
             classes = model.classes if classes is None else classes
             classifier = CompiledClassifier(model) if classifier is None else classifier
+            if regressor is None and model.config.needs_regressor:
+                regressor = CompiledRegressor(model)
         elif isinstance(model, TNTConfig):
             self.config = model
         else:
@@ -102,11 +109,13 @@ class Processor:
                 f"`hop_us` must be at least window_us / {MAX_OPEN_WINDOWS} = {-(-window_us // MAX_OPEN_WINDOWS)}, "
                 f"got {self._hop_us}: {n_volumes} windows would be open at once"
             )
-        self._volumes = [TNTVolume(self.config, replay_events=replay_events) for _ in range(n_volumes)]
+        self._volumes = [
+            TNTVolume(self.config, replay_events=replay_events, regressor=regressor) for _ in range(n_volumes)
+        ]
         # One event by itself goes straight to the volume where nothing else has to be looked after.
         direct = n_volumes == 1 and every_events is None and late == "accept"
         self._add = self._volumes[0].add if direct else _ask_the_door
-        self._may_warn = self.config.landmark == "window"
+        self._may_warn = self.config.needs_replay
         self.reset()
 
     def __repr__(self) -> str:

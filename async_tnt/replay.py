@@ -6,11 +6,13 @@ import warnings
 
 import numpy as np
 
+from .config import TNTConfig
 from .events import Columns, empty_columns
 from .kernels import state as S
 from .kernels.read import empty_volume
 from .kernels.store import store_events
 from .kernels.update import absorb
+from .landmark_at_read import LandmarkAtRead
 
 FIRST_CAPACITY = 4096
 UNCHANGED_BY_REPLAY = (S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE)
@@ -20,34 +22,52 @@ class ReplayBufferFull(UserWarning):
     """A window held more events than the replay buffer; the rest is missing from its volume."""
 
 
-class ReplayBuffer:
-    """The events of one window, at most `capacity` of them; memory grows with need up to that."""
+class Replay:
+    """The events of one window, and the replay of them about the landmark of that moment.
 
-    def __init__(self, capacity: int) -> None:
+    Parameters
+    ----------
+    capacity : how many events are stored at most; memory grows with need up to that.
+    landmark : who finds it.
+    """
+
+    def __init__(self, config: TNTConfig, capacity: int, landmark: LandmarkAtRead) -> None:
         if capacity < 1:
             raise ValueError(f"`replay_events` must be at least 1, got {capacity}")
         self.capacity = capacity
+        self._config = config
+        self._at_read = landmark
         self._columns = empty_columns(min(FIRST_CAPACITY, capacity))
         self.reset()
 
     def reset(self) -> None:
-        self.n = 0
+        """All counts zero; the next window is to be opened."""
         self.n_unstored = 0
         self._closed_kept = 0  # counts of closed windows; those of the open one change with every replay
         self._closed_tau_zero = 0
-        self._fresh = True
-        self._warned = False
         self._warning_due = False
+
+    def open(self, start_us: int) -> None:
+        """A window begins; its volume is empty."""
+        self.n = 0
+        self._landmark: tuple[float, float] | None = None  # as of the newest event, once somebody asked
+        self._is_replayed = True
+        self._warned = False
+        self._at_read.open(start_us)
 
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
         """Take events up to the window's end; returns the first one not taken."""
         if self.n + last - first > self._columns.t.size:
             taken = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
             self._grow(self.n + int(np.count_nonzero(taken)))
-        before = self._counted(buffer) - self.n
+        counted, n_before = self._counted(buffer), self.n
         first, self.n = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self.n)
-        self._fresh = False
-        missing = self._counted(buffer) - self.n - before
+        new = self._counted(buffer) - counted
+        if new:
+            self._at_read.see(self._columns, n_before, self.n)
+            self._landmark = None
+            self._is_replayed = False
+        missing = new - (self.n - n_before)
         if missing:
             self.n_unstored += missing
             self._warning_due = self._warning_due or not self._warned
@@ -62,29 +82,34 @@ class ReplayBuffer:
                 f"the replay buffer of {self.capacity} events is full; what exceeds it is missing from the "
                 "window's volume and counted as dropped_unstored (raise replay_events, or shorten window_us)",
                 ReplayBufferFull,
-                stacklevel=4,
+                stacklevel=5,
             )
 
+    def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
+        """The landmark (x, y) in grid pixels; found once, until new events come. Not for an empty window."""
+        if self._landmark is None:
+            self._landmark = self._at_read.find(buffer)
+        return self._landmark
+
     def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
-        """Bring a volume's cells and counts up to date: all stored events about the window's centroid.
+        """Bring a volume's cells and counts up to date: all stored events about the landmark.
 
         Parameters
         ----------
         buffer, array : the volume's, see `kernels.read.empty_volume`.
         """
-        if self._fresh:
+        if self._is_replayed:
             return
+        landmark = self.landmark(buffer)  # first: what a regressor raises must leave the volume as it was
         ints = buffer.view(np.int64)
         saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
         empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US])
         ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
-        if saved[S.N]:
-            buffer[S.FIXED_X] = saved[S.SUM_X] / saved[S.N]
-            buffer[S.FIXED_Y] = saved[S.SUM_Y] / saved[S.N]
+        buffer[S.FIXED_X], buffer[S.FIXED_Y] = self._config.to_sensor(*landmark)
         absorb(buffer, *self._columns[:4], 0, self.n)
         for slot, value in saved.items():
             ints[slot] = value
-        self._fresh = True
+        self._is_replayed = True
 
     def close(self, buffer: np.ndarray, array: np.ndarray) -> None:
         """The window is over: keep its final counts."""
@@ -92,8 +117,6 @@ class ReplayBuffer:
         ints = buffer.view(np.int64)
         self._closed_kept = int(ints[S.KEPT])
         self._closed_tau_zero = int(ints[S.TAU_ZERO])
-        self.n = 0
-        self._warned = False
 
     @staticmethod
     def _counted(buffer: np.ndarray) -> int:

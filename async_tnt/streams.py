@@ -20,7 +20,8 @@ def stream(
     Parameters
     ----------
     source : an iterable of packets, or of single events, in any form that `async_tnt.event_forms` lists.
-    model : a Model, its name or path, a TNTConfig (with `classifier=`), or a Processor that is to go on.
+    model : a Model, its name or path, a TNTConfig (with `classifier=`, and `regressor=` where its
+        landmark needs one), or a Processor that is to go on.
     settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`, `late`, ...
 
     Yields

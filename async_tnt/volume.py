@@ -13,7 +13,9 @@ from .events import Columns, EventDoor
 from .kernels import state as S
 from .kernels.read import copy_cells, empty_volume
 from .kernels.update import ABSORBED, REFUSED, absorb, absorb_one
-from .replay import ReplayBuffer
+from .landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
+from .new_state import new_state
+from .replay import Replay
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
 
@@ -35,7 +37,7 @@ class Counts:
     dropped_late: int = 0
     """Before the start of the open window, or late under late="drop"."""
     dropped_unstored: int = 0
-    """The replay buffer of landmark "window" was full."""
+    """The replay buffer of landmark "window" or "regressor" was full."""
 
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))
@@ -53,8 +55,18 @@ class TNTVolume:
     config : TNTConfig.
     late : `accept`, `drop` or `raise`: what to do with an event older than the newest seen. Events before the
         open window's start are always dropped and counted.
-    replay_events : with landmark `window` only: how many events of a window are stored for the replay. The
-        rest is counted as `dropped_unstored`, with one warning.
+    replay_events : with landmarks `window` and `regressor` only: how many events of a window are stored for the
+        replay. The rest is counted as `dropped_unstored`, with one warning; a regressor does not see it either.
+    regressor : with landmark `regressor`, and only with it: any callable from the window's raw volume (without
+        the transform: float32, shape (C, H, W), read-only, valid during the call) to a landmark (x, y) in grid
+        pixels, finite. A model's own: `CompiledRegressor(model)`. It is asked when `array`, `landmark` or
+        `counts` is read after new events, and when a window closes; what it raises passes through, and the
+        window stays as it was.
+
+    Raises
+    ------
+    ValueError, TypeError : a setting breaks its rule, or regressor and landmark do not go together. When read:
+        the regressor's answer is no finite (x, y).
 
     Examples
     --------
@@ -66,7 +78,15 @@ class TNTVolume:
     (np.float32(1.0), (16.5, 16.5))
     """
 
-    def __init__(self, config: TNTConfig, *, late: str = "accept", replay_events: int = 1 << 20) -> None:
+    def __init__(
+        self,
+        config: TNTConfig,
+        *,
+        late: str = "accept",
+        replay_events: int = 1 << 20,
+        regressor: Regressor | None = None,
+    ) -> None:
+        check_regressor(config, regressor)
         self.config = config
         self._door = EventDoor(config.sensor, late)
         self._buffer = new_state(config)
@@ -75,8 +95,12 @@ class TNTVolume:
         self._view = self._array.view()
         self._view.flags.writeable = False
         self._replay = None
-        if config.transform == "tnt" and config.landmark == "window":
-            self._replay = ReplayBuffer(replay_events)
+        if config.needs_replay:
+            landmark: LandmarkAtRead = WindowMean(config)
+            if regressor is not None:
+                raw = config.replace(transform="none", landmark="center")
+                landmark = RegressedLandmark(TNTVolume(raw), regressor)
+            self._replay = Replay(config, replay_events, landmark)
         self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
         self.reset()
 
@@ -121,6 +145,8 @@ class TNTVolume:
 
     def _empty(self, start_us: int, limit_us: int) -> None:
         empty_volume(self._buffer, self._array, start_us, limit_us)
+        if self._replay is not None:
+            self._replay.open(start_us)
 
     def update(self, events: Any) -> int:
         """Add a packet of events, in any form that `async_tnt.event_forms` lists.
@@ -133,7 +159,9 @@ class TNTVolume:
         ------
         ValueError, TypeError : the packet breaks a rule. Then none of it was added.
         """
-        columns = self._door(events)
+        return self._update(self._door(events))
+
+    def _update(self, columns: Columns) -> int:
         n = columns.n
         first = self.take(columns, 0, n)
         closed = 0
@@ -150,8 +178,9 @@ class TNTVolume:
             if type(t | x | y | p) is int and self._is_plain and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED:
                 return 0
         except (TypeError, OverflowError):
-            pass  # `update` says what is wrong
-        return self.update(([t], [x], [y], [p]))
+            pass  # the door says what is wrong
+        columns = self._door.one(t, x, y, p)
+        return self._update(self._door(([t], [x], [y], [p])) if columns is None else columns)
 
     def add(self, t: int, x: int, y: int, p: int) -> int:
         """`update_one` for who lays the windows himself: ABSORBED; AT_LIMIT if the event is right but at or past
@@ -211,6 +240,8 @@ class TNTVolume:
         center = (self.config.grid[0] - 1) / 2, (self.config.grid[1] - 1) / 2
         if n == 0 or self.config.landmark == "center" or self.config.transform == "none":
             return center
+        if self._replay is not None:
+            return self._replay.landmark(self._buffer)
         x = int(self._ints[S.SUM_X]) / n
         y = int(self._ints[S.SUM_Y]) / n
         if self.config.landmark == "line":
@@ -218,7 +249,7 @@ class TNTVolume:
             slope_x, slope_y = self._slopes()
             x -= slope_x * mean_f
             y -= slope_y * mean_f
-        return self._to_grid(x, y)
+        return self.config.to_grid(x, y)
 
     @property
     def flow(self) -> tuple[float, float]:
@@ -226,15 +257,11 @@ class TNTVolume:
         if self.config.landmark != "line" or self.config.transform != "tnt":
             got = f"landmark={self.config.landmark!r}, transform={self.config.transform!r}"
             raise ValueError(f'`flow` needs landmark="line" and transform="tnt", got {got}')
-        return self._to_grid(*self._slopes())
+        return self.config.to_grid(*self._slopes())
 
     def _slopes(self) -> tuple[float, float]:
         c_ff = float(self._buffer[S.C_FF]) + 1.0
         return float(self._buffer[S.C_XF]) / c_ff, float(self._buffer[S.C_YF]) / c_ff
-
-    def _to_grid(self, x: float, y: float) -> tuple[float, float]:
-        (sensor_w, sensor_h), (width, height) = self.config.sensor, self.config.grid
-        return x * (width - 1) / (sensor_w - 1), y * (height - 1) / (sensor_h - 1)
 
     @property
     def counts(self) -> Counts:
@@ -276,38 +303,3 @@ def checked_time(name: str, t_us: int) -> int:
     if not 0 <= t_us < 1 << 62:
         raise ValueError(f"`{name}` must be in [0, 2**62), got {t_us}")
     return int(t_us)
-
-
-def new_state(config: TNTConfig) -> np.ndarray:
-    """The buffer of a volume, its parameters set, no window open (see `kernels.state`)."""
-    (sensor_w, sensor_h), (width, height) = config.sensor, config.grid
-    plane = 2 * (width + 1) * (height + 1)
-    n_cells = config.channels * plane
-    log_size = max(64, n_cells // S.NUMBERS_PER_LOGGED)
-    buffer = np.zeros(S.CELLS + n_cells + log_size)
-    ints = buffer.view(np.int64)
-    gain_x, gain_y = (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
-    raw = config.transform == "none"
-    buffer[S.WINDOW_US] = config.window_us
-    buffer[S.BIN_SCALE] = (config.bins - 1) / config.window_us
-    buffer[S.SCALE_X] = gain_x * (1.0 if raw else config.window_us / config.t_max)
-    buffer[S.SCALE_Y] = gain_y * (1.0 if raw else config.window_us / config.t_max)
-    buffer[S.CENTER_X] = 0.0 if raw else (width - 1) / 2
-    buffer[S.CENTER_Y] = 0.0 if raw else (height - 1) / 2
-    buffer[S.MAX_U] = width - 1
-    buffer[S.MAX_V] = height - 1
-    buffer[S.SIGN_ON] = 1.0
-    buffer[S.SIGN_OFF] = -1.0 if config.polarity == "signed" else 1.0
-    buffer[S.FIXED_X] = (sensor_w - 1) / 2  # the grid's centre
-    buffer[S.FIXED_Y] = (sensor_h - 1) / 2
-    modes = {"center": S.MODE_FIXED, "window": S.MODE_FIXED, "running": S.MODE_RUNNING, "line": S.MODE_LINE}
-    mode = S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes[config.landmark]
-    ints[S.MODE] = S.MODE_RAW if raw else mode
-    ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
-    ints[S.ROW] = 2 * (width + 1)
-    ints[S.PLANE] = plane
-    ints[S.OFF_SHIFT] = plane * config.bins if config.polarity == "split" else 0
-    ints[S.LOG] = S.CELLS + n_cells
-    ints[S.BIN_LO], ints[S.BIN_HI] = S.NO_BIN, -1
-    ints[S.LOG_SIZE] = log_size
-    return buffer

@@ -8,10 +8,9 @@ import time
 
 import numpy as np
 
-from .classifier import CompiledClassifier
 from .config import TNTConfig
 from .events import EVENT_DTYPE
-from .model import Model
+from .model import HEATMAP, REGRESSOR_LAYERS, Model
 from .processor import Processor
 
 PATIENCE_S = 1.0  # silent until then
@@ -38,11 +37,11 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     try:
         events = np.zeros(2, EVENT_DTYPE)
         events["t"] = [0, 3]
-        for landmark in ("running", "window"):
+        for landmark in ("running", "window", "regressor"):
             config = TNTConfig(sensor=(8, 8), grid=(8, 8), window_us=10, landmark=landmark)
-            weights = _made_weights(config)
+            made = Model(config, _made_weights(config), ("a",))
             for late in ("accept", "drop"):
-                processor = Processor(config, classifier=CompiledClassifier(Model(config, weights, ("a",))), late=late)
+                processor = Processor(made, late=late)
                 processor.push(events)
                 processor.push(tuple(events[name].copy() for name in ("t", "x", "y", "p")))
                 processor.push_one(4, 1, 1, 1)
@@ -50,7 +49,8 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
         if isinstance(model, Model):
             Processor(model).fire()
         elif isinstance(model, TNTConfig):
-            Processor(model, classifier=lambda volume: [0.0]).fire()
+            regressor = (lambda volume: (0.0, 0.0)) if model.needs_regressor else None
+            Processor(model, classifier=lambda volume: [0.0], regressor=regressor).fire()
     finally:
         notice.cancel()
     return time.perf_counter() - started
@@ -69,6 +69,8 @@ def _made_weights(config: TNTConfig) -> dict[str, np.ndarray]:
         "fc1": (1, (height // 4) * (width // 4)),
         "fc2": (1, 1),
     }
+    if config.needs_regressor:
+        shapes |= dict.fromkeys(REGRESSOR_LAYERS, (1, 1, 3, 3)) | {"regressor.conv1": (1, channels, 3, 3)}
     weights = {f"{layer}.weight": np.zeros(shape, np.float32) for layer, shape in shapes.items()}
     biases = {f"{layer}.bias": np.zeros(shape[0], np.float32) for layer, shape in shapes.items()}
-    return weights | biases
+    return weights | biases | ({HEATMAP: np.zeros((1, 1, 1, 1), np.float32)} if config.needs_regressor else {})

@@ -26,8 +26,16 @@ def random_events(n: int, *, seed: int = 0, duration_us: int = 105_000, sensor=(
     )
 
 
-def random_model(config: TNTConfig = TNTConfig(), *, classes: int = 10, widths=(16, 32, 64), seed: int = 0) -> Model:  # noqa: B008
-    """A model with random weights of a sensible size."""
+def random_model(
+    config: TNTConfig = TNTConfig(),  # noqa: B008
+    *,
+    classes: int = 10,
+    widths=(16, 32, 64),
+    regressor_widths=(20, 20, 20),
+    sharpness: float = 2.0,
+    seed: int = 0,
+) -> Model:
+    """A model with random weights of a sensible size; with a landmark network where the configuration needs one."""
     rng = np.random.default_rng(seed)
     channels, height, width = config.shape
     shapes = {
@@ -41,7 +49,27 @@ def random_model(config: TNTConfig = TNTConfig(), *, classes: int = 10, widths=(
         bound = 1 / np.sqrt(np.prod(shape[1:]))
         weights[f"{layer}.weight"] = rng.uniform(-bound, bound, shape)
         weights[f"{layer}.bias"] = rng.uniform(-bound, bound, shape[0])
+    if config.needs_regressor:
+        weights |= _random_regressor(rng, channels, regressor_widths, sharpness)
     return Model(config, weights, tuple(f"class {k}" for k in range(classes)), {"made": True})
+
+
+def random_regressor_model(config: TNTConfig = TNTConfig(landmark="regressor"), **settings) -> Model:  # noqa: B008
+    """`random_model` with a landmark network that is far from its start: its heatmap has peaks where the events
+    are, and its landmark lies pixels away from the centre (with few events: where `sharpness` is large)."""
+    return random_model(config.replace(landmark="regressor", transform="tnt", remove_flow=False), **settings)
+
+
+def _random_regressor(rng: np.random.Generator, channels: int, widths, sharpness: float) -> dict[str, np.ndarray]:
+    weights, inputs = {}, channels
+    for layer, n_filters in zip(("conv1", "conv2", "conv3"), widths, strict=True):
+        # sized so that numbers neither die out nor explode from layer to layer
+        bound = np.sqrt(6 / (9 * inputs))
+        weights[f"regressor.{layer}.weight"] = rng.uniform(-bound, bound, (n_filters, inputs, 3, 3))
+        weights[f"regressor.{layer}.bias"] = rng.uniform(-0.1, 0.1, n_filters)
+        inputs = n_filters
+    weights["regressor.heatmap.weight"] = rng.uniform(-sharpness, sharpness, (1, inputs, 1, 1))
+    return weights
 
 
 @st.composite

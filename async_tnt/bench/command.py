@@ -40,7 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description, parser.epilog = DESCRIPTION, EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument(
-        "--landmark", choices=LANDMARKS, default="running", help="of the volumes timed by themselves (default: running)"
+        "--landmark",
+        choices=[name for name in LANDMARKS if name != "regressor"],  # which needs a trained network
+        default="running",
+        help="of the volumes timed by themselves (default: running)",
     )
     parser.add_argument(
         "--model",

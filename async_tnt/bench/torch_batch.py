@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from tnt_reference import Classifier
+from tnt_reference import Classifier, LandmarkRegressor
 
 from async_tnt import Model, TNTConfig
 
@@ -46,12 +46,20 @@ class TorchBatch:
         )[:, None]  # (8, 1); a single bin has no later neighbour, and gets nothing as one
         self._on_grid = [(width - 1) / (config.sensor[0] - 1), (height - 1) / (config.sensor[1] - 1)]
         self._centre = [(width - 1) / 2, (height - 1) / 2]
-        self.network = None
+        self.network = self._regressor = None
         if weights is not None:
+            parts: dict[str, dict[str, torch.Tensor]] = {"": {}, "regressor.": {}}
+            for name, w in weights.items():
+                prefix = "regressor." if name.startswith("regressor.") else ""
+                parts[prefix][name.removeprefix(prefix)] = torch.from_numpy(w.copy())
             widths = tuple(len(weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
             self.network = Classifier(config.channels, config.grid, classes, widths)  # type: ignore[arg-type]
-            self.network.load_state_dict({k: torch.from_numpy(w.copy()) for k, w in weights.items()})
+            self.network.load_state_dict(parts[""])
             self.network.eval()
+            if config.needs_regressor:
+                n_filters = len(weights["regressor.conv1.bias"])
+                self._regressor = LandmarkRegressor(config.channels, config.grid, n_filters).eval()
+                self._regressor.load_state_dict(parts["regressor."])
 
     @classmethod
     def of(cls, model: Model) -> TorchBatch:
@@ -70,7 +78,17 @@ class TorchBatch:
         u, v = x * self._on_grid[0], y * self._on_grid[1]
         keep = None
         if config.transform == "tnt":
-            (u, v), keep = self._transform(dt, u, v)
+            landmark = self._centre
+            if self._regressor is not None:
+                landmark = self._regressor(self._volume(dt, u, v, sign, None)[None])[0].float()
+            (u, v), keep = self._transform(dt, u, v, landmark)
+        return self._volume(dt, u, v, sign, keep)
+
+    def _volume(
+        self, dt: torch.Tensor, u: torch.Tensor, v: torch.Tensor, sign: torch.Tensor, keep: torch.Tensor | None
+    ) -> torch.Tensor:
+        """The volume of events at u, v; of those at the indices `keep`, where given."""
+        config = self.config
         if config.polarity != "signed":
             on, sign = sign > 0, torch.ones_like(sign)
         if keep is not None:
@@ -81,24 +99,24 @@ class TorchBatch:
         on = on if keep is None else on[keep]
         return torch.cat([self._splat(b[side], v[side], u[side], sign[side]) for side in (on, ~on)])
 
-    def _transform(self, dt: torch.Tensor, u: torch.Tensor, v: torch.Tensor) -> Any:
+    def _transform(self, dt: torch.Tensor, u: torch.Tensor, v: torch.Tensor, landmark: Any) -> Any:
         config = self.config
         tau = dt * (config.t_max / config.window_us)
         moved = []
         keep = tau > 0
         for side, (z, centre) in enumerate(zip((u, v), self._centre, strict=True)):
             last = config.grid[side] - 1
-            offset = self._offset(dt, z, centre) / tau + centre
+            offset = self._offset(dt, z, landmark[side]) / tau + centre
             clamped = offset.clamp(0, last)
             keep &= (offset - clamped).abs_() <= BORDER_TOLERANCE  # False for the nan of 0 / 0
             moved.append(clamped)
         return moved, keep.nonzero()[:, 0]  # indices, found once: four times faster than four masks
 
-    def _offset(self, dt: torch.Tensor, z: torch.Tensor, centre: float) -> torch.Tensor:
-        """One coordinate, relative to the landmark (and flow)."""
+    def _offset(self, dt: torch.Tensor, z: torch.Tensor, fixed: Any) -> torch.Tensor:
+        """One coordinate, relative to the landmark (and flow); `fixed` is that of `center` and `regressor`."""
         landmark = self.config.landmark
-        if landmark == "center":
-            return z - centre
+        if landmark in ("center", "regressor"):
+            return z - fixed
         if landmark == "window":
             return z - z.mean()
         n = torch.arange(1, len(z) + 1, dtype=torch.float64 if landmark == "line" else torch.float32)

@@ -99,9 +99,8 @@ def simulate(
         pixels.threshold_off * np.exp(pixels.mismatch * rng.standard_normal(shape)), MIN_THRESHOLD
     )
     reference = frames[0] - threshold_on + rng.random(shape) * (threshold_on + threshold_off)
-    signal = simulate_events(
-        frames, times, threshold_on, threshold_off, reference=reference, refractory_us=pixels.refractory_us
-    )
+    refractory_us = float(pixels.refractory_us)
+    signal = _as_events(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))
     return _sorted(np.concatenate([signal, _noise(shape, times, rng, pixels)]))
 
 
@@ -143,10 +142,7 @@ def simulate_events(
     level = _per_pixel("reference", frames[0] if reference is None else reference, shape)
     if not (math.isfinite(refractory_us) and refractory_us >= 0):
         raise ValueError(f"`refractory_us` must be finite and at least 0, got {refractory_us}")
-    t, x, y, p = pixel_events(frames, times, on, off, level, float(refractory_us))
-    events = np.empty(len(t), EVENT_DTYPE)
-    events["t"], events["x"], events["y"], events["p"] = t, x, y, p
-    return _sorted(events)
+    return _sorted(_as_events(pixel_events(frames, times, on, off, level, float(refractory_us))))
 
 
 @compiled
@@ -235,6 +231,12 @@ def _noise(shape: tuple[int, ...], times: np.ndarray, rng: np.random.Generator, 
     events["x"] = rng.integers(width, size=len(events))
     events["y"] = rng.integers(height, size=len(events))
     events["p"] = rng.random(len(events)) < pixels.noise_on_share
+    return events
+
+
+def _as_events(columns: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+    events = np.empty(len(columns[0]), EVENT_DTYPE)
+    events["t"], events["x"], events["y"], events["p"] = columns
     return events
 
 

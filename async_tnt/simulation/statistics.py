@@ -23,9 +23,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
-"""Where N-MNIST's recordings are cut into their three saccades; the few later events are left out."""
+from async_tnt.representations.saccades import SACCADE_CUTS_US
 
 UNITS = {
     "events per saccade": "",
@@ -34,6 +34,8 @@ UNITS = {
     "same-pixel interval, 5 %": "ms",
     "same-pixel interval, median": "ms",
     "ON share": "%",
+    "ON - OFF centroid, along the motion": "px",
+    "ON - OFF centroid, across the motion": "px",
     "ON - OFF centroid, saccade 1, x": "px",
     "ON - OFF centroid, saccade 1, y": "px",
     "ON - OFF centroid, saccade 2, x": "px",
@@ -48,6 +50,7 @@ def describe(
     *,
     sensor: tuple[int, int] = (34, 34),
     cuts_us: Sequence[int] = SACCADE_CUTS_US,
+    directions_deg: ArrayLike | None = None,
 ) -> dict[str, float]:
     """Describe recordings by a handful of numbers, each a mean over saccades, then over recordings.
 
@@ -61,6 +64,9 @@ def describe(
     recordings : structured arrays with fields t (us, in order), x, y, p; one, or several.
     sensor : (width, height) in pixels.
     cuts_us : saccades' borders, increasing, in microseconds.
+    directions_deg : direction of the motion in each saccade, 0 to the right and 90 downwards; shape (saccades,),
+        or (recordings, saccades) where recordings differ. Adds the centroids' difference along and across the
+        motion.
 
     Returns
     -------
@@ -73,7 +79,9 @@ def describe(
     n_events, n_active, n_on = [], [], []
     intervals = []
     offsets: list[list[tuple[float, float]]] = [[] for _ in range(n_saccades)]
-    for events in recordings:
+    turned: list[complex] = []
+    angles = None if directions_deg is None else np.radians(np.atleast_2d(directions_deg))
+    for i, events in enumerate(recordings):
         bounds = np.searchsorted(events["t"], cuts_us)
         for s in range(n_saccades):
             saccade = events[bounds[s] : bounds[s + 1]]
@@ -86,12 +94,11 @@ def describe(
             on = saccade["p"] == 1
             n_on.append(int(on.sum()))
             if on.any() and not on.all():
-                offsets[s].append(
-                    (
-                        saccade["x"][on].mean() - saccade["x"][~on].mean(),
-                        saccade["y"][on].mean() - saccade["y"][~on].mean(),
-                    )
-                )
+                dx = saccade["x"][on].mean() - saccade["x"][~on].mean()
+                dy = saccade["y"][on].mean() - saccade["y"][~on].mean()
+                offsets[s].append((dx, dy))
+                if angles is not None:
+                    turned.append(complex(dx, dy) * np.exp(-1j * angles[i if len(angles) > 1 else 0, s]))
     all_intervals = np.concatenate([np.zeros(0, np.int64), *intervals])
     result = {
         "events per saccade": _mean(n_events),
@@ -101,6 +108,9 @@ def describe(
         "same-pixel interval, median": _quantile(all_intervals, 0.5) * 1e-3,
         "ON share": 100.0 * _ratio(sum(n_on), sum(n_events)),
     }
+    if angles is not None:
+        result["ON - OFF centroid, along the motion"] = _mean([offset.real for offset in turned])
+        result["ON - OFF centroid, across the motion"] = _mean([offset.imag for offset in turned])
     for s in range(n_saccades):
         for axis, name in enumerate("xy"):
             result[f"ON - OFF centroid, saccade {s + 1}, {name}"] = _mean([offset[axis] for offset in offsets[s]])
@@ -108,14 +118,18 @@ def describe(
 
 
 def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
-    """A table of several descriptions: one column each under its title, one row per number."""
+    """A table of several descriptions: one column each under its title, one row per number; - where it lacks one."""
     names = list(dict.fromkeys(name for description in columns.values() for name in description))
     width = max((len(title) for title in columns), default=0) + 3
-    lines = [" " * 36 + "".join(f"{title:>{width}}" for title in columns)]
+    labels = {name: f"{name} [{UNITS[name]}]" if UNITS.get(name) else name for name in names}
+    margin = max([36, *map(len, labels.values())])
+    lines = [" " * margin + "".join(f"{title:>{width}}" for title in columns)]
     for name in names:
-        label = f"{name} [{UNITS[name]}]" if UNITS.get(name) else name
-        values = "".join(f"{description.get(name, float('nan')):{width}.2f}" for description in columns.values())
-        lines.append(f"{label:<36}{values}")
+        values = "".join(
+            f"{description[name]:{width}.2f}" if name in description else f"{'-':>{width}}"
+            for description in columns.values()
+        )
+        lines.append(f"{labels[name]:<{margin}}{values}")
     return "\n".join(lines)
 
 

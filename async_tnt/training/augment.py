@@ -68,6 +68,7 @@ class Augmentation:
     ----------
     start_ms : the window's start moves by up to so many milliseconds, either way.
     shift_px : by up to so many sensor pixels, in x and in y.
+    translate_px : and by a whole number of sensor pixels up to this, in x and in y (the thesis' augmentation).
     rotation_deg : up to so many degrees, either way.
     scale : up to this share larger or smaller.
     shear : x moves by up to this share of y.
@@ -77,6 +78,7 @@ class Augmentation:
 
     start_ms: float = 5.0
     shift_px: float = 1.5
+    translate_px: int = 0
     rotation_deg: float = 10.0
     scale: float = 0.1
     shear: float = 0.1
@@ -101,6 +103,8 @@ class Augmentation:
         angle = np.deg2rad(spread(self.rotation_deg))
         scale, shear = 1.0 + spread(self.scale), spread(self.shear)
         shift = np.stack([spread(self.shift_px), spread(self.shift_px)], axis=1)  # (n, 2)
+        if self.translate_px:
+            shift += rng.integers(-self.translate_px, self.translate_px + 1, (n, 2))
         keep = 1.0 - rng.uniform(0.0, self.drop, n)
         shortest = min(1e3 * self.partial_from_ms, config.window_us)
         until_us = np.rint(rng.uniform(shortest, config.window_us, n)).astype(np.int64)

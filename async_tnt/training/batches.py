@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.volume import TNTVolume
+from async_tnt.volume import new_state
 
 from .augment import Draws, unchanged
-from .gather import window_volumes
+from .gather import GIVEN, MEAN, OWN, landmark_gradients, window_volumes
 from .windows import Windows
 
 
@@ -25,17 +25,21 @@ class BatchVolumes:
 
     def __init__(self, config: TNTConfig) -> None:
         self.config = config
-        self._volumes: dict[tuple[int, int], TNTVolume] = {}
+        self._about = {"window": MEAN, "regressor": GIVEN}.get(config.landmark, OWN)
+        if config.transform == "none":
+            self._about = OWN
+        self._states: dict[tuple[int, int], np.ndarray] = {}
         self._scratch = _empty_columns(1 << 12)
         self._out = np.empty((0, *config.shape), np.float32)
 
-    def __call__(self, windows: Windows, draws: Draws | None = None) -> np.ndarray:
+    def __call__(self, windows: Windows, draws: Draws | None = None, landmarks: np.ndarray | None = None) -> np.ndarray:
         """The volumes of N windows.
 
         Parameters
         ----------
         windows : the windows.
         draws : what augmentation drew for them; None: as they are.
+        landmarks : with landmark `regressor` only: float64, shape (N, 2), (x, y) in grid pixels.
 
         Returns
         -------
@@ -43,31 +47,62 @@ class BatchVolumes:
         """
         n = len(windows)
         draws = unchanged(n, self.config) if draws is None else draws
-        volume = self._volume(draws.sensor)
+        if (landmarks is not None) != (self._about == GIVEN):
+            raise ValueError("`landmarks` must be given with landmark 'regressor', and with no other")
+        if n > len(self._out):
+            self._out = np.empty((n, *self.config.shape), np.float32)
+        out = self._out[:n]
+        window_volumes(
+            *self._arguments(windows, draws), self._about, self._to_sensor(landmarks, n, draws), self.config.bins, out
+        )
+        return out
+
+    def landmark_gradient(
+        self, windows: Windows, draws: Draws | None, landmarks: np.ndarray, gradient: np.ndarray
+    ) -> np.ndarray:
+        """dL/dl from dL/dV, where V is what this object makes of `windows`, `draws` and `landmarks`.
+
+        Parameters
+        ----------
+        landmarks : float64, shape (N, 2), (x, y) in grid pixels.
+        gradient : float32, shape (N, C, H, W): dL/dV.
+
+        Returns
+        -------
+        float64, shape (N, 2), per grid pixel.
+        """
+        n = len(windows)
+        draws = unchanged(n, self.config) if draws is None else draws
+        out = np.empty((n, 2))
+        gradient = np.ascontiguousarray(gradient, np.float32)
+        landmark_gradients(*self._arguments(windows, draws), self._to_sensor(landmarks, n, draws), gradient, out)
+        return out
+
+    def _arguments(self, windows: Windows, draws: Draws) -> tuple[np.ndarray, ...]:
+        """What both kernels take first."""
         recordings = windows.recordings
         first, last = recordings.offsets[windows.recording], recordings.offsets[windows.recording + 1]
         longest = int((last - first).max(initial=0))
         if longest > self._scratch[0].size:
             self._scratch = _empty_columns(2 * longest)
-        scratch = self._scratch
-        if n > len(self._out):
-            self._out = np.empty((n, *self.config.shape), np.float32)
-        out = self._out[:n]
         start_us = windows.start_us + draws.start_us
         limit_us = start_us + np.minimum(draws.until_us, self.config.window_us)
-        about_mean = self.config.transform == "tnt" and self.config.landmark == "window"
-        window_volumes(
-            volume._buffer, scratch[0], scratch[1], scratch[2], scratch[3],
-            recordings.t, recordings.x, recordings.y, recordings.p, first, last, start_us, limit_us,
-            draws.matrix, draws.keep, draws.seed, about_mean, self.config.bins, out,
+        return (
+            self._state(draws.sensor), *self._scratch, recordings.t, recordings.x, recordings.y, recordings.p,
+            first, last, start_us, limit_us, draws.matrix, draws.keep, draws.seed,
         )  # fmt: skip
-        return out
 
-    def _volume(self, sensor: tuple[int, int]) -> TNTVolume:
+    def _to_sensor(self, landmarks: np.ndarray | None, n: int, draws: Draws) -> np.ndarray:
+        if landmarks is None:
+            return np.zeros((n, 2))
+        return np.ascontiguousarray(landmarks * (np.array(draws.sensor) - 1) / (np.array(self.config.grid) - 1))
+
+    def _state(self, sensor: tuple[int, int]) -> np.ndarray:
         """The state that the kernels work in, with the parameters for events of this sensor."""
-        if sensor not in self._volumes:
-            self._volumes[sensor] = TNTVolume(self.config.replace(sensor=sensor))
-        return self._volumes[sensor]
+        if sensor not in self._states:
+            fixed = self.config.landmark if self._about == OWN else "center"  # its place is set for each window
+            self._states[sensor] = new_state(self.config.replace(sensor=sensor, landmark=fixed))
+        return self._states[sensor]
 
 
 def _empty_columns(n: int) -> tuple[np.ndarray, ...]:

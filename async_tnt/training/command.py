@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import platform
 import sys
 import time
@@ -15,11 +14,13 @@ from typing import Any
 import numba
 import numpy as np
 
+from async_tnt.commands.record import command_words, data_folder
 from async_tnt.config import TNTConfig
 from async_tnt.model import load_model
 
 from .augment import Augmentation
 from .options import add_arguments
+from .settings import TrainSettings
 from .simulated import read_samples, simulate_recordings
 from .windows import Recordings, Windows, lay_windows, no_progress, read_folder, split_recordings
 
@@ -54,8 +55,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
     from .curves import plot_curves
     from .evaluate import evaluate
-    from .networks import network_of
-    from .train import TrainSettings, train
+    from .networks import pipeline_of
+    from .train import train
 
     if args.threads is not None:
         torch.set_num_threads(args.threads)
@@ -66,14 +67,16 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     )  # fmt: skip
     settings = TrainSettings(
         epochs=min(args.epochs, 2) if args.smoke else args.epochs,
+        iterations=None if args.smoke else args.iterations,
         batch=args.batch,
         learning_rate=args.rate,
         seed=args.seed,
-        augmentation=None if args.no_augmentation else Augmentation(),
+        augmentation=None if args.no_augmentation else Augmentation(translate_px=args.translate),
+        precision=args.precision,
     )
     if not args.out.parent.is_dir():
         raise FileNotFoundError(f"no folder {args.out.parent} to write {args.out.name} to")
-    nmnist = None if args.smoke else _folder(args.nmnist, "nmnist", "--nmnist")
+    nmnist = None if args.smoke else data_folder(args.nmnist, "nmnist", "--nmnist")
     test_folder = None
     if args.test:
         if nmnist is None or not (nmnist / "Test").is_dir():
@@ -83,14 +86,15 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     print(f"{len(training)} windows to train on, {len(validation)} held out", file=sys.stderr)
 
     started = time.monotonic()
+    n_epochs = settings.n_epochs(len(training))
     first_epoch: list[float] = []
 
     def report(row: dict[str, float]) -> None:
         if not first_epoch:
             first_epoch.append(row["epoch"])
         done = row["epoch"] - first_epoch[0] + 1
-        left_s = (time.monotonic() - started) / done * (settings.epochs - row["epoch"])
-        text = f"epoch {row['epoch']:.0f}/{settings.epochs}  loss {row['loss']:.4f}"
+        left_s = (time.monotonic() - started) / done * (n_epochs - row["epoch"])
+        text = f"epoch {row['epoch']:.0f}/{n_epochs}  loss {row['loss']:.4f}"
         if "per_window" in row:
             text += f"  held out: {row['per_window']:.4f} by window, {row['per_recording']:.4f} by recording"
         print(f"{text}  ({_minutes(left_s)} left)", file=sys.stderr)
@@ -101,10 +105,11 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     model = result.best if args.keep == "best" else result.last
     summary: dict[str, Any] = {
         "data": data,
-        "command": _command(args),
+        "command": command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged")),
         "seed": args.seed,
-        "epochs": settings.epochs,
-        "kept": f"epoch {result.best_epoch if args.keep == 'best' else settings.epochs}",
+        "epochs": n_epochs,
+        "iterations": settings.n_iterations(len(training)),
+        "kept": f"epoch {result.best_epoch if args.keep == 'best' else n_epochs}",
         "versions": {
             "python": platform.python_version(),
             "numpy": np.__version__,
@@ -117,16 +122,16 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
             name: start.record[name] for name in ("command", "data", "epochs", "seed", "validation", "test",
                                                   "started_from") if name in start.record
         }  # fmt: skip
-    network = network_of(model)
+    pipeline = pipeline_of(model)
     if len(validation):
         print("evaluating on the held-out recordings", file=sys.stderr)
-        summary["validation"] = evaluate(network, config, validation, times_ms=TIMES_MS).to_dict()
+        summary["validation"] = evaluate(pipeline, validation, times_ms=TIMES_MS).to_dict()
     if test_folder is not None:
         recordings = read_folder(test_folder, skip_damaged=args.skip_damaged, progress=show_progress)
         print("evaluating on Test", file=sys.stderr)
         for name, first_event in (("test", False), ("test_windows_from_first_event", True)):
             windows = lay_windows(recordings, config.window_us, first_event=first_event)
-            summary[name] = evaluate(network, config, windows, times_ms=TIMES_MS).to_dict()
+            summary[name] = evaluate(pipeline, windows, times_ms=TIMES_MS).to_dict()
     for name, one in (("last", result.last), ("best", result.best)):
         one.save(run_folder / f"{name}.safetensors")
     type(model)(config, model.weights, model.classes, summary).save(args.out)
@@ -140,7 +145,7 @@ def _load(args: argparse.Namespace, nmnist: Path | None, config: TNTConfig) -> t
     if nmnist is None:
         windows = lay_windows(read_samples(), config.window_us)
         return windows, windows, {"source": "the ten bundled samples, for training and validation (smoke)"}
-    mnist = _folder(args.mnist, "mnist", "--mnist") if args.simulated else None
+    mnist = data_folder(args.mnist, "mnist", "--mnist") if args.simulated else None
     train_folder = nmnist / "Train"
     if not train_folder.is_dir():
         raise FileNotFoundError(
@@ -159,39 +164,14 @@ def _load(args: argparse.Namespace, nmnist: Path | None, config: TNTConfig) -> t
         "simulated_recordings": len(recordings) - len(real),
         "held_out_recordings": len(held_out),
     }
-    return (
-        lay_windows(recordings, config.window_us, which=learned),
-        lay_windows(recordings, config.window_us, which=held_out),
-        data,
-    )
+    if args.saccades != [1, 2, 3]:
+        data["saccades"] = args.saccades
 
+    def windows_of(which: np.ndarray) -> Windows:
+        windows = lay_windows(recordings, config.window_us, which=which)
+        return windows[np.isin(windows.start_us // config.window_us + 1, args.saccades)]
 
-def _folder(given: Path | None, name: str, option: str) -> Path:
-    """A data folder: as given, or in $TNT_DATA."""
-    folder = given
-    if folder is None:
-        root = os.environ.get("TNT_DATA")
-        if not root:
-            raise FileNotFoundError(f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/")
-        folder = Path(root) / name
-    if not folder.is_dir():
-        raise FileNotFoundError(f"no folder {folder}; give {option} FOLDER, or set TNT_DATA")
-    return folder
-
-
-def _command(args: argparse.Namespace) -> str:
-    """The command that trains this again, without the folders, which differ from machine to machine."""
-    parser = argparse.ArgumentParser(add_help=False)
-    add_arguments(parser)
-    words = ["async-tnt train"]
-    for action in parser._actions:
-        value = getattr(args, action.dest)
-        if action.type is Path or value == action.default or action.dest in ("json", "skip_damaged"):
-            continue
-        if action.dest == "start_from":
-            value = Path(value).name
-        words.append(action.option_strings[0] if value is True else f"{action.option_strings[0]} {value}")
-    return " ".join(words)
+    return windows_of(learned), windows_of(held_out), data
 
 
 def _print_summary(summary: dict[str, Any], args: argparse.Namespace) -> None:

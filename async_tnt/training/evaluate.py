@@ -7,12 +7,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
-
-from async_tnt.config import TNTConfig
 
 from .augment import unchanged
-from .batches import BatchVolumes
+from .pipelines import Pipeline
 from .windows import Windows
 
 BATCH = 256
@@ -50,33 +47,24 @@ class Evaluation:
         }
 
 
-def class_probabilities(
-    network: nn.Module, config: TNTConfig, windows: Windows, *, scale: np.ndarray | None = None,
-    until_us: int | None = None,
-) -> np.ndarray:  # fmt: skip
+def class_probabilities(pipeline: Pipeline, windows: Windows, *, until_us: int | None = None) -> np.ndarray:
     """Probability of each class for each window: float64, shape (N, n_classes).
 
     Parameters
     ----------
-    network : (N, C, H, W) -> logits.
-    scale : what each channel is multiplied with first, shape (C,); nothing by default.
     until_us : only the events of each window's first `until_us` microseconds; all by default.
     """
-    device = next(network.parameters()).device
-    factor = None if scale is None else torch.from_numpy(scale).to(device)[:, None, None]
-    volumes = BatchVolumes(config)
+    if len(windows) == 0:
+        raise ValueError("`windows` must hold at least one window, got none")
     parts = []
-    was_training = network.training
-    network.eval()
+    was_training = pipeline.training
+    pipeline.eval()
     with torch.no_grad():
         for first in range(0, len(windows), BATCH):
             some = windows[first : first + BATCH]
-            batch = torch.from_numpy(volumes(some, unchanged(len(some), config, until_us))).to(device)
-            logits = network(batch if factor is None else batch * factor)
+            logits = pipeline(some, None if until_us is None else unchanged(len(some), pipeline.config, until_us))
             parts.append(torch.softmax(logits.double(), dim=1).cpu().numpy())
-    network.train(was_training)
-    if not parts:
-        raise ValueError("`windows` must hold at least one window, got none")
+    pipeline.train(was_training)
     return np.concatenate(parts)
 
 
@@ -89,27 +77,23 @@ def accuracy_by_recording(probabilities: np.ndarray, windows: Windows) -> tuple[
     return float(right.mean()), len(recordings)
 
 
-def evaluate(
-    network: nn.Module, config: TNTConfig, windows: Windows, *, scale: np.ndarray | None = None,
-    times_ms: tuple[float, ...] = (),
-) -> Evaluation:  # fmt: skip
+def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...] = ()) -> Evaluation:
     """Classify all windows, complete and after each of `times_ms`.
 
     Parameters
     ----------
-    network, scale : as in `class_probabilities`.
     times_ms : milliseconds since the window's start. A window without any event by then is decided all the
         same, from the empty volume.
     """
     labels = windows.labels
-    complete = class_probabilities(network, config, windows, scale=scale)
+    complete = class_probabilities(pipeline, windows)
     decided = complete.argmax(1)
     confusion = np.zeros((complete.shape[1], complete.shape[1]), np.int64)
     np.add.at(confusion, (labels, decided), 1)
     per_recording, n_recordings = accuracy_by_recording(complete, windows)
     against_time = {}
     for ms in times_ms:
-        early = class_probabilities(network, config, windows, scale=scale, until_us=round(1e3 * ms))
+        early = class_probabilities(pipeline, windows, until_us=round(1e3 * ms))
         against_time[float(ms)] = float((early.argmax(1) == labels).mean())
     return Evaluation(
         float((decided == labels).mean()), per_recording, against_time, confusion, len(windows), n_recordings

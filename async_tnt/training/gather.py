@@ -1,19 +1,25 @@
-"""The compiled part of `batches`: choose and move each window's events, and make its volume."""
+"""The compiled part of `batches`: choose and move each window's events, and make its volume, or the gradient of
+a loss on its volume with respect to its landmark."""
 
 # mypy: disable-error-code="no-untyped-def"
 
 import numpy as np
 
 from async_tnt.kernels import state as S
-from async_tnt.kernels.jit import compiled
+from async_tnt.kernels.jit import compiled, inlined
+from async_tnt.kernels.landmark import displace_fixed
 from async_tnt.kernels.read import copy_cells, empty_volume
+from async_tnt.kernels.splat import grid_of, place_event
 from async_tnt.kernels.update import absorb
+
+OWN, MEAN, GIVEN = 0, 1, 2
+"""Landmark: the one of the volume's own mode; the centroid of the window's events; given for each window."""
 
 
 @compiled
 def window_volumes(
     buffer, scratch_t, scratch_x, scratch_y, scratch_p,
-    t, x, y, p, first, last, start_us, limit_us, matrix, keep, seed, about_mean, n_bins, out,
+    t, x, y, p, first, last, start_us, limit_us, matrix, keep, seed, about, landmarks, n_bins, out,
 ):  # fmt: skip
     """The volume of each window into `out`.
 
@@ -25,7 +31,8 @@ def window_volumes(
     first, last : int64, (N,). Each window's recording: its events `first <= i < last`.
     start_us, limit_us : int64, (N,). Each window.
     matrix, keep, seed : see `augment.Draws`.
-    about_mean : the landmark is the centroid of the window's events.
+    about : OWN, MEAN or GIVEN.
+    landmarks : float64, (N, 2). Each window's landmark in sensor pixels, where they are given.
     n_bins : B.
     out : float32, (N, C, H, W). Updated in place.
     """
@@ -40,7 +47,10 @@ def window_volumes(
         ints[S.LOST] = 1  # every volume goes to another array, whole
         ints[S.BIN_LO] = 0
         ints[S.BIN_HI] = n_bins - 1
-        if about_mean and n > 0:
+        if about == GIVEN:
+            buffer[S.FIXED_X] = landmarks[i, 0]
+            buffer[S.FIXED_Y] = landmarks[i, 1]
+        elif about == MEAN and n > 0:
             sum_x = 0
             sum_y = 0
             for k in range(n):
@@ -50,6 +60,79 @@ def window_volumes(
             buffer[S.FIXED_Y] = sum_y / n
         absorb(buffer, scratch_t, scratch_x, scratch_y, scratch_p, 0, n)
         copy_cells(buffer, out[i], n_bins)
+
+
+@compiled
+def landmark_gradients(
+    buffer, scratch_t, scratch_x, scratch_y, scratch_p,
+    t, x, y, p, first, last, start_us, limit_us, matrix, keep, seed, landmarks, gradient, out,
+):  # fmt: skip
+    """dL/dl of each window into `out`, from dL/dV: the chain rule through
+
+        V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)        u_i = (x_i - l_x) / tau_i + c_x
+
+        dL/dl_x = sum_i dL/du_i du_i/dl_x
+                = sum_i -1/tau_i sum_b,y,x dL/dV[b, y, x] s_i k(b - b_i) k(y - v_i) k'(x - u_i)
+
+    with k' = -1 at the left and +1 at the right neighbour. In one unit of length the landmark and u are grid
+    pixels, so that 1/tau_i = window_us / (t_max dt).
+
+    Parameters
+    ----------
+    landmarks : float64, (N, 2). Each window's landmark in sensor pixels.
+    gradient : float32, (N, C, H, W). dL/dV.
+    out : float64, (N, 2). dL/d(l_x, l_y), l in grid pixels. Overwritten.
+
+    The others are those of `window_volumes`.
+    """
+    ints = buffer.view(np.int64)
+    row = ints[S.ROW]
+    plane = ints[S.PLANE]
+    per_time = buffer[S.SCALE_X] * (ints[S.SENSOR_W] - 1) / buffer[S.MAX_U]  # window_us / t_max
+    for i in range(out.shape[0]):
+        n = _take_events(
+            scratch_t, scratch_x, scratch_y, scratch_p, t, x, y, p,
+            first[i], last[i], start_us[i], limit_us[i], matrix[i], keep[i], seed[i],
+            ints[S.SENSOR_W], ints[S.SENSOR_H],
+        )  # fmt: skip
+        grid = grid_of(buffer, ints)
+        total_x = 0.0
+        total_y = 0.0
+        for k in range(n):
+            dt = np.float64(scratch_t[k] - start_us[i])
+            num_x, num_y, den = displace_fixed(
+                np.int64(scratch_x[k]), np.int64(scratch_y[k]), dt, landmarks[i, 0], landmarks[i, 1]
+            )
+            corner, y_frac, x_frac, early, later, kept = place_event(grid, dt, scratch_p[k] > 0, num_x, num_y, den)
+            if not kept:
+                continue
+            place = np.int64(corner) - S.CELLS
+            bin_ = place // plane
+            y0 = (place - bin_ * plane) // row
+            x0 = (place - bin_ * plane - y0 * row) // 2
+            d_u = 0.0
+            d_v = 0.0
+            for later_bin in range(2):
+                share = later if later_bin else early
+                if share == 0.0:  # also at the last bin, which has no later one
+                    continue
+                g00 = _cell(gradient, i, bin_ + later_bin, y0, x0)
+                g01 = _cell(gradient, i, bin_ + later_bin, y0, x0 + 1)
+                g10 = _cell(gradient, i, bin_ + later_bin, y0 + 1, x0)
+                g11 = _cell(gradient, i, bin_ + later_bin, y0 + 1, x0 + 1)
+                d_u += share * ((1.0 - y_frac) * (g01 - g00) + y_frac * (g11 - g10))
+                d_v += share * ((1.0 - x_frac) * (g10 - g00) + x_frac * (g11 - g01))
+            total_x -= d_u * per_time / dt
+            total_y -= d_v * per_time / dt
+        out[i, 0] = total_x
+        out[i, 1] = total_y
+
+
+@inlined
+def _cell(gradient, i, b, y, x):
+    """dL/dV[b, y, x]; 0 one row or column beyond the grid, where nothing reads the volume."""
+    inside = (y < gradient.shape[2]) & (x < gradient.shape[3])
+    return np.float64(gradient[i, b, y, x]) if inside else 0.0
 
 
 @compiled

@@ -1,73 +1,79 @@
-"""The network in training, the scale of its input, and its way into a model file."""
+"""A trained pipeline's way into a model file, and a model's way back into torch."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
-from tnt_reference import Classifier
+from tnt_reference import Classifier, LandmarkRegressor
 
-from async_tnt.config import TNTConfig
 from async_tnt.model import Model
 
-from .batches import BatchVolumes
+from .pipelines import Pipeline, input_scales
 from .windows import Windows
 
-FLOOR = 1e-3  # of the largest channel scale: bins that are nearly always empty are not blown up
 
-
-def new_network(config: TNTConfig, n_classes: int, seed: int) -> Classifier:
-    """The thesis' classifier with PyTorch's initial weights, a function of the seed alone.
-
-    Torch's own generator is left as it was.
-    """
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return Classifier(config.channels, config.grid, n_classes)
-
-
-def channel_scale(config: TNTConfig, windows: Windows, n: int = 512) -> np.ndarray:
-    """1 / root mean square of each channel, over `n` windows spread evenly: float32, shape (C,).
-
-    Cells are mostly zero and late TNT bins, where all events crowd in the middle, are far larger than early
-    ones. A fixed factor per channel evens that out and is no part of the finished network: see `export`.
-    """
-    some = windows[np.unique(np.linspace(0, len(windows) - 1, min(n, len(windows))).astype(np.int64))]
-    volumes = BatchVolumes(config)(some)
-    mean_square = np.square(volumes, dtype=np.float64).mean(axis=(0, 2, 3))
-    mean_square = np.maximum(mean_square, FLOOR * mean_square.max())
-    return (1.0 / np.sqrt(np.maximum(mean_square, 1e-12))).astype(np.float32)
-
-
-def export(
-    network: Classifier,
-    scale: np.ndarray,
-    config: TNTConfig,
-    classes: tuple[str, ...],
-    record: Mapping[str, Any],
-) -> Model:
-    """The finished model: the first convolution absorbs the input's scale, so that it takes raw volumes.
+def export(pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, Any]) -> Model:
+    """The finished model: the first convolutions absorb their input's scale, so that they take raw volumes.
 
     conv1(scale * V) = sum_c w_c * (scale_c V_c) = sum_c (scale_c w_c) * V_c
     """
-    weights = {name: w.detach().cpu().numpy().copy() for name, w in network.state_dict().items()}
-    weights["conv1.weight"] *= scale[None, :, None, None]
-    return Model(config, weights, classes, record)
+    parts: dict[str, tuple[Any, torch.Tensor]]
+    parts = {"": (pipeline.classifier, pipeline.scale), "regressor.": (pipeline.regressor, pipeline.raw_scale)}
+    weights = {}
+    for prefix, (network, scale) in parts.items():
+        if network is None:
+            continue
+        for name, tensor in network.state_dict().items():
+            w = tensor.detach().cpu()
+            weights[prefix + name] = (w * scale.cpu()[None] if name == "conv1.weight" else w.clone()).numpy()
+    return Model(pipeline.config, weights, classes, record)
 
 
-def network_before_export(model: Model, scale: np.ndarray) -> Classifier:
-    """The inverse of `export`: a model's network for volumes that are multiplied by `scale`, to train it on."""
-    network = network_of(model)
+def pipeline_of(model: Model) -> Pipeline:
+    """A model in torch, from windows to logits, ready to classify."""
+    return Pipeline(model.config, network_of(model), regressor_of(model)).eval()
+
+
+def pipeline_before_export(model: Model, windows: Windows) -> Pipeline:
+    """The inverse of `export`: a model's pipeline, with input scales measured on `windows`, to train it on."""
+    scales = input_scales(model.config, windows)
+    pipeline = Pipeline(model.config, network_of(model), regressor_of(model), **scales)
+    network: Any
     with torch.no_grad():
-        network.conv1.weight /= torch.from_numpy(scale)[None, :, None, None]
-    return network
+        for network, scale in ((pipeline.classifier, pipeline.scale), (pipeline.regressor, pipeline.raw_scale)):
+            if network is not None:
+                network.conv1.weight /= scale[None]
+    return pipeline
 
 
 def network_of(model: Model) -> Classifier:
-    """A model's network in torch. It takes raw volumes."""
+    """A model's classifier in torch. It takes volumes as they are."""
     f1, f2, f3 = (len(model.weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
     network = Classifier(model.config.channels, model.config.grid, len(model.classes), (f1, f2, f3))
-    network.load_state_dict({name: torch.from_numpy(w.copy()) for name, w in model.weights.items()})
+    network.load_state_dict(
+        {name: torch.from_numpy(w.copy()) for name, w in model.weights.items() if not name.startswith("regressor.")}
+    )
+    return network.eval()
+
+
+def regressor_of(model: Model) -> LandmarkRegressor | None:
+    """A model's landmark regressor in torch, where it has one. It takes raw volumes as they are.
+
+    Raises
+    ------
+    ValueError : its convolutions have different widths, which the compiled regressor takes and this one does not.
+    """
+    if not model.config.needs_regressor:
+        return None
+    widths = {len(model.weights[f"regressor.conv{k}.bias"]) for k in (1, 2, 3)}
+    if len(widths) != 1:
+        raise ValueError(f"the regressor's convolutions must have the same width to be trained, got {sorted(widths)}")
+    network = LandmarkRegressor(model.config.channels, model.config.grid, widths.pop())
+    prefix = "regressor."
+    network.load_state_dict(
+        {name.removeprefix(prefix): torch.from_numpy(w.copy()) for name, w in model.weights.items()
+         if name.startswith(prefix)}
+    )  # fmt: skip
     return network.eval()

@@ -8,6 +8,8 @@ from pathlib import Path
 from async_tnt.commands.files import positive_int
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 
+from .settings import PRECISIONS
+
 DESCRIPTION = """\
 Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
 
@@ -21,6 +23,7 @@ examples:
   async-tnt train --smoke                          does everything work here? seconds, no data needed
   async-tnt train --nmnist N-MNIST --out mine.safetensors
   async-tnt train --nmnist N-MNIST --mnist MNIST --simulated 20000 --landmark line --t-max 2 --epochs 40
+  async-tnt train --nmnist N-MNIST --saccades 1 --landmark regressor --translate 4 --t-max 2 --iterations 60000
   async-tnt run --model mine.safetensors my.bin     use it
 """
 
@@ -50,6 +53,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="add N simulated recordings of other MNIST images (default: 0; about 5 ms each)",
     )
     data.add_argument(
+        "--saccades",
+        type=int,
+        nargs="+",
+        choices=(1, 2, 3),
+        default=[1, 2, 3],
+        help="train and validate on these of a recording's three saccades (default: 1 2 3)",
+    )
+    data.add_argument(
         "--validation",
         type=float,
         default=0.1,
@@ -75,7 +86,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--landmark",
         choices=LANDMARKS,
         default="running",
-        help="the point events are normalized about; `window` costs a replay at each decision (default: running)",
+        help="the point events are normalized about; `window` and `regressor` (a network of its own, trained along) "
+        "cost a replay at each decision (default: running)",
     )
     volume.add_argument(
         "--t-max",
@@ -97,6 +109,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     learning.add_argument(
         "--epochs", type=int, default=20, metavar="N", help="passes over the training windows (default: 20)"
     )
+    learning.add_argument(
+        "--iterations",
+        type=positive_int,
+        metavar="N",
+        help="steps of the optimizer, instead of --epochs (the thesis: 60000 of 64 windows each)",
+    )
     learning.add_argument("--batch", type=int, default=64, metavar="N", help="windows per step (default: 64)")
     learning.add_argument(
         "--rate",
@@ -111,6 +129,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=0,
         metavar="N",
         help="of weights, order, augmentation, split and simulation (default: 0)",
+    )
+    learning.add_argument(
+        "--precision",
+        choices=PRECISIONS,
+        default="float32",
+        help="of the networks' products (default: float32); bfloat16 is faster on hardware that has it",
+    )
+    learning.add_argument(
+        "--translate",
+        type=int,
+        default=0,
+        metavar="PX",
+        help="also move each window by a whole number of pixels, up to PX (default: 0; the thesis: 4, with "
+        "--landmark regressor)",
     )
     learning.add_argument("--no-augmentation", action="store_true", help="train on the windows as they are")
     learning.add_argument(

@@ -6,61 +6,28 @@ import json
 import math
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 from torch.nn import functional as F
 
 from async_tnt.config import TNTConfig
 from async_tnt.model import Model
 
-from .augment import Augmentation, Draws
-from .batches import BatchVolumes
+from .augment import Draws
 from .evaluate import accuracy_by_recording, class_probabilities
-from .networks import channel_scale, export, network_before_export, new_network
+from .networks import export, pipeline_before_export
+from .pipelines import Pipeline, new_pipeline
+from .settings import TrainSettings
 from .windows import CLASSES, Progress, Windows, no_progress
 
+FORMAT = 2  # of the checkpoint
 CHECKPOINT = "checkpoint.pt"
 HISTORY = "history.json"
-
-
-@dataclass(frozen=True)
-class TrainSettings:
-    """How to train. Where the thesis is silent (everywhere but the loss), the choices are ours.
-
-    Parameters
-    ----------
-    epochs : passes over the training windows.
-    batch : windows per step.
-    learning_rate : the highest; it rises over the first 5 % of the steps and falls along a cosine to 0.
-    weight_decay : of AdamW, on weights, not on biases.
-    label_smoothing : share of the target spread over all classes.
-    seed : of weights, order and augmentation.
-    augmentation : None trains on the windows as they are.
-    """
-
-    epochs: int = 10
-    batch: int = 64
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-2
-    label_smoothing: float = 0.05
-    seed: int = 0
-    augmentation: Augmentation | None = field(default_factory=Augmentation)
-
-    def __post_init__(self) -> None:
-        for name, low in (("epochs", 1), ("batch", 1), ("seed", 0)):
-            if getattr(self, name) < low:
-                raise ValueError(f"`{name}` must be at least {low}, got {getattr(self, name)}")
-        if not 0 < self.learning_rate < math.inf:
-            raise ValueError(f"`learning_rate` must be positive, got {self.learning_rate}")
-        if not 0 <= self.weight_decay < math.inf:
-            raise ValueError(f"`weight_decay` must be at least 0, got {self.weight_decay}")
-        if not 0 <= self.label_smoothing < 1:
-            raise ValueError(f"`label_smoothing` must be in [0, 1), got {self.label_smoothing}")
 
 
 @dataclass(frozen=True)
@@ -115,50 +82,54 @@ def train(
         )
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     run_folder.mkdir(parents=True, exist_ok=True)
-    scale = channel_scale(config, training)
-    network = (
-        new_network(config, len(CLASSES), settings.seed) if start is None else network_before_export(start, scale)
+    pipeline = (
+        new_pipeline(config, len(CLASSES), settings.seed, training)
+        if start is None
+        else pipeline_before_export(start, training)
     ).to(device)
-    placed: Any = network  # the stubs of `to` know no memory_format
+    placed: Any = pipeline  # the stubs of `to` know no memory_format
     placed.to(memory_format=torch.channels_last)  # a third faster
-    optimizer = _optimizer(network, settings)
+    optimizer = _optimizer(pipeline, settings)
     identity = _identity(config, settings, training, validation, start)
     state = _load_checkpoint(run_folder / CHECKPOINT, identity)
     history: list[dict[str, float]] = []
     best: dict[str, torch.Tensor] = {}
     best_epoch = 0
     if state is not None:
-        network.load_state_dict(state["network"])
+        pipeline.load_state_dict(state["pipeline"])
         optimizer.load_state_dict(state["optimizer"])
         history, best, best_epoch = state["history"], state["best"], state["best_epoch"]
 
     steps = math.ceil(len(training) / settings.batch)
-    volumes = BatchVolumes(config)
-    factor = torch.from_numpy(scale).to(device)[:, None, None]
-    for epoch in range(len(history), settings.epochs):
-        network.train()
-        total_loss, right = 0.0, 0
-        title = f"epoch {epoch + 1}/{settings.epochs}"
-        batches = progress(_batches(config, training, settings, epoch), title, steps)
-        for step, (windows, draws) in enumerate(batches):
-            _set_rate(optimizer, settings, epoch * steps + step, settings.epochs * steps)
-            batch = torch.from_numpy(volumes(windows, draws)).to(device) * factor
+    n_iterations = settings.n_iterations(len(training))
+    n_epochs = settings.n_epochs(len(training))
+    for epoch in range(len(history), n_epochs):
+        pipeline.train()
+        total_loss, right, seen = 0.0, 0, 0
+        here = min(steps, n_iterations - epoch * steps)
+        batches = islice(_batches(config, training, settings, epoch), here)
+        for step, (windows, draws) in enumerate(progress(batches, f"epoch {epoch + 1}/{n_epochs}", here)):
+            _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
             target = torch.from_numpy(windows.labels).to(device)
-            logits = network(batch.contiguous(memory_format=torch.channels_last))
+            with torch.autocast(device, torch.bfloat16, enabled=settings.precision == "bfloat16"):
+                logits = pipeline(windows, draws)
             loss = F.cross_entropy(logits, target, label_smoothing=settings.label_smoothing)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             optimizer.step()
             total_loss += loss.item() * len(windows)
             right += int((logits.argmax(1) == target).sum())
-        row = {"epoch": epoch + 1, "loss": total_loss / len(training), "training": right / len(training)}
-        row.update(_validate(network, config, validation, scale))
+            seen += len(windows)
+        row = {
+            "epoch": epoch + 1, "iterations": epoch * steps + here, "loss": total_loss / seen, "training": right / seen,
+        }  # fmt: skip
+        row.update(_validate(pipeline, validation))
         history.append(row)
         if row.get("per_window", 0.0) >= max((r.get("per_window", 0.0) for r in history), default=0.0):
             best_epoch = epoch + 1
-            best = {name: w.detach().clone() for name, w in network.state_dict().items()}
+            best = {name: w.detach().clone() for name, w in pipeline.state_dict().items()}
         checkpoint = {
-            "identity": identity, "network": network.state_dict(), "optimizer": optimizer.state_dict(),
+            "identity": identity, "pipeline": pipeline.state_dict(), "optimizer": optimizer.state_dict(),
             "history": history, "best": best, "best_epoch": best_epoch,
         }  # fmt: skip
         _replace(run_folder / CHECKPOINT, lambda part, c=checkpoint: torch.save(c, part))
@@ -166,9 +137,9 @@ def train(
         _replace(run_folder / HISTORY, lambda part, text=text: part.write_text(text, encoding="utf-8"))
         report(row)
 
-    last = export(network, scale, config, CLASSES, {})
-    network.load_state_dict(best)
-    return TrainResult(last, export(network, scale, config, CLASSES, {}), best_epoch, history)
+    last = export(pipeline, CLASSES, {})
+    pipeline.load_state_dict(best)
+    return TrainResult(last, export(pipeline, CLASSES, {}), best_epoch, history)
 
 
 def _batches(
@@ -182,10 +153,10 @@ def _batches(
         yield some, None if augmentation is None else augmentation.draw(len(some), config, rng)
 
 
-def _validate(network: nn.Module, config: TNTConfig, windows: Windows, scale: np.ndarray) -> dict[str, float]:
+def _validate(pipeline: Pipeline, windows: Windows) -> dict[str, float]:
     if len(windows) == 0:
         return {}
-    probabilities = class_probabilities(network, config, windows, scale=scale)
+    probabilities = class_probabilities(pipeline, windows)
     per_window = float((probabilities.argmax(1) == windows.labels).mean())
     log_likelihood = np.log(probabilities[np.arange(len(windows)), windows.labels] + 1e-12)
     return {
@@ -195,9 +166,9 @@ def _validate(network: nn.Module, config: TNTConfig, windows: Windows, scale: np
     }
 
 
-def _optimizer(network: nn.Module, settings: TrainSettings) -> torch.optim.Optimizer:
-    weights = [w for w in network.parameters() if w.ndim > 1]
-    biases = [w for w in network.parameters() if w.ndim == 1]
+def _optimizer(pipeline: Pipeline, settings: TrainSettings) -> torch.optim.Optimizer:
+    weights = [w for w in pipeline.parameters() if w.ndim > 1]
+    biases = [w for w in pipeline.parameters() if w.ndim == 1]
     groups: list[dict[str, Any]] = [{"params": weights}, {"params": biases, "weight_decay": 0.0}]
     return torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
 
@@ -224,6 +195,7 @@ def _identity(
         data = zlib.crc32(np.ascontiguousarray(getattr(training.recordings, name)[::997]).tobytes(), data)
     return json.dumps(
         {
+            "format": FORMAT,
             "config": config.to_dict(),
             "settings": asdict(settings),
             "training_windows": len(training),
@@ -251,7 +223,9 @@ def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
         if found[part].get(name) != wanted[part].get(name)
     )
     differ += [
-        name for name in ("training_windows", "validation_windows", "data", "start") if found.get(name) != wanted[name]
+        name
+        for name in ("format", "training_windows", "validation_windows", "data", "start")
+        if found.get(name) != wanted[name]
     ]
     if differ:
         raise ValueError(

@@ -2,11 +2,14 @@
 
 Nothing here imports anything of `async_tnt`, or shares code with it: the two are held against each other.
 Start with `volume.py` (the event volume), then `transform.py` and `landmarks.py` (the Temporal
-Normalization Transform), then `networks.py`.
+Normalization Transform), then `networks.py`. Apart from them: `images.py`, `motion.py`, `saccades.py`.
 """
 
+from .images import count_image, count_timestamp_image
 from .landmarks import fitted_flow, landmark
+from .motion import move_by_flow
 from .networks import Classifier, LandmarkRegressor, Pipeline
+from .saccades import find_pauses, segment_index
 from .transform import TNTCoordinates, tnt_coordinates
 from .volume import event_volume, tnt_volume
 
@@ -15,9 +18,14 @@ __all__ = [
     "LandmarkRegressor",
     "Pipeline",
     "TNTCoordinates",
+    "count_image",
+    "count_timestamp_image",
     "event_volume",
+    "find_pauses",
     "fitted_flow",
     "landmark",
+    "move_by_flow",
+    "segment_index",
     "tnt_coordinates",
     "tnt_volume",
 ]

@@ -9,7 +9,7 @@ import pytest
 from made import random_events, random_model
 
 from async_tnt import TNTConfig, TNTVolume
-from async_tnt.cli import main
+from async_tnt.cli import COMMANDS, main
 from async_tnt.recordings import sample_recordings, write_nmnist
 
 SAMPLES = sample_recordings()
@@ -81,7 +81,7 @@ def test_bad_usage_exits_with_2(argv, capsys):
     assert "usage: async-tnt" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["run", "check", "bench", "train"])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_teaches(command, capsys):
     with pytest.raises(SystemExit) as stopped:
         main([command, "--help"])

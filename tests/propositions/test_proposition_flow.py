@@ -8,7 +8,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from made import events_of
-from tnt_reference import Classifier, event_volume, tnt_coordinates, tnt_volume
+from tnt_reference import Classifier, event_volume, move_by_flow, tnt_coordinates, tnt_volume
 
 from async_tnt import TNTConfig, TNTVolume
 
@@ -104,7 +104,7 @@ def test_proposition_2_event_by_event(fixed, flow):
     settings = dict(start_us=0, window_us=WINDOW_US, sensor=SENSOR, grid=SENSOR, t_max=T_MAX, landmark=fixed)
     still = tnt_coordinates(t, x, y, **settings)
     f = t.double() / WINDOW_US
-    moved = tnt_coordinates(t, x + flow[0] * f, y + flow[1] * f, **settings)
+    moved = tnt_coordinates(t, *move_by_flow(t, x, y, flow, start_us=0, window_us=WINDOW_US), **settings)
     both = still.kept & moved.kept
     assert both.sum() > 300
     for got, v in ((moved.u - still.u, flow[0]), (moved.v - still.v, flow[1])):

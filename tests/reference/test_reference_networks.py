@@ -200,6 +200,60 @@ def test_pipeline_gradient_is_the_derivative():
     assert torch.autograd.gradcheck(logits, (bias.detach().clone().requires_grad_(),), eps=1e-7, atol=1e-5)
 
 
+def lively():
+    """A pipeline with larger weights: of the default ones, derivatives are as small as a check of them is coarse."""
+    pipeline = with_regressor(torch.float64)
+    with torch.no_grad():
+        for weight in pipeline.classifier.parameters():
+            weight *= 5
+    return pipeline
+
+
+def test_after_one_step_the_gradient_reaches_the_regressors_first_layer_and_is_right():
+    """From the start with a zero 1x1 convolution: through landmark, transform, volume and classifier, in float64."""
+    pipeline = lively()
+    optimizer = torch.optim.Adam(pipeline.regressor.parameters(), lr=0.5)
+    first, last = pipeline.regressor.conv1.weight, pipeline.regressor.heatmap.weight
+
+    def first_gradients():
+        loss = torch.nn.functional.cross_entropy(pipeline(*window())[None], torch.tensor([2]))
+        return torch.autograd.grad(loss, (first, last))
+
+    at_first = first_gradients()
+    assert at_first[0].abs().max() == 0 and at_first[1].abs().max() > 1e-3
+    last.grad = at_first[1]
+    optimizer.step()
+    assert first_gradients()[0].abs().max() > 1e-3
+
+    def logits(weight):
+        return torch.func.functional_call(pipeline, {"regressor.conv1.weight": weight}, window())
+
+    weight = first.detach().clone().requires_grad_()
+    assert torch.autograd.gradcheck(logits, (weight,), eps=1e-7, atol=1e-6, rtol=1e-4)
+
+
+def test_pipeline_gradient_reaches_the_events():
+    """Real-valued events act on the logits in two ways: by their own place, and by the landmark drawn from them."""
+    pipeline = lively()
+    torch.nn.init.normal_(pipeline.regressor.heatmap.weight)
+    g = torch.Generator().manual_seed(3)
+    t, x, y = (torch.rand(9, generator=g, dtype=torch.float64) * span + low
+               for low, span in ((3_000, 2_800), (2, 7), (2, 6)))  # fmt: skip
+    p = torch.randint(0, 2, (9,), generator=g)
+    columns = tuple(column.requires_grad_() for column in (t, x, y))
+
+    def logits(t, x, y):
+        return pipeline(t, x, y, p, 1_000)
+
+    assert torch.autograd.gradcheck(logits, columns, atol=1e-6, rtol=1e-4)
+    both = torch.autograd.grad(logits(*columns)[0], x)[0]
+    fixed = pipeline.regressor(pipeline.raw_volume(t, x, y, p, 1_000)).detach()
+    volume = tnt_volume(t, x, y, p, start_us=1_000, window_us=5_000, sensor=(12, 10), grid=(12, 10), bins=5,
+                        t_max=2.0, landmark=fixed, dtype=torch.float64)  # fmt: skip
+    by_place = torch.autograd.grad(pipeline.classifier(volume)[0], x)[0]
+    assert by_place.abs().max() > 1e-2 and (both - by_place).abs().max() > 1e-4
+
+
 @pytest.mark.parametrize("name", [*NAMES, "regressor"])
 def test_batch_equals_one_by_one_and_may_hold_empty_windows(name):
     pipeline = with_regressor() if name == "regressor" else Pipeline(

@@ -39,6 +39,18 @@ def test_numbers_by_hand():
     assert np.isnan(numbers["ON - OFF centroid, saccade 3, x"])
 
 
+def test_centroids_along_and_across_the_motion_by_hand():
+    # saccade 1: ON - OFF = (-2, -4), 2: (0, 0). Along 90 degrees, downwards, is -4; across is 180 degrees, to the left
+    numbers = describe(BY_HAND, directions_deg=[90, 0, 0])
+    assert numbers["ON - OFF centroid, along the motion"] == pytest.approx((-4 + 0) / 2)
+    assert numbers["ON - OFF centroid, across the motion"] == pytest.approx((2 + 0) / 2)
+    # the same recording twice, the second time as if it had moved to the left (180 degrees)
+    both = describe([BY_HAND, BY_HAND], cuts_us=(0, 105_000), directions_deg=[[90], [180]])
+    assert both["ON - OFF centroid, along the motion"] == pytest.approx((-4 + 2) / 2)
+    assert both["ON - OFF centroid, across the motion"] == pytest.approx((2 + 4) / 2)
+    assert "ON - OFF centroid, along the motion" not in describe(BY_HAND)
+
+
 def test_several_recordings_are_averaged():
     twice = describe([BY_HAND, BY_HAND], sensor=(10, 10))
     expected = describe(BY_HAND, sensor=(10, 10))
@@ -60,7 +72,7 @@ def test_table_has_a_row_per_number_and_a_column_per_description():
     head, on_share, active = table.splitlines()
     assert head.split() == ["real", "simulated"]
     assert on_share.split()[-2:] == ["49.80", "49.13"] and "[%]" in on_share
-    assert active.split()[-2:] == ["26.00", "nan"]
+    assert active.split()[-2:] == ["26.00", "-"]
 
 
 @pytest.mark.skipif(

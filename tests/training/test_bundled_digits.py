@@ -7,7 +7,7 @@ torch = pytest.importorskip("torch")
 
 from async_tnt.model import load_model  # noqa: E402
 from async_tnt.training.evaluate import class_probabilities, evaluate  # noqa: E402
-from async_tnt.training.networks import network_of  # noqa: E402
+from async_tnt.training.networks import pipeline_of  # noqa: E402
 from async_tnt.training.simulated import read_samples  # noqa: E402
 from async_tnt.training.windows import lay_windows, read_folder  # noqa: E402
 
@@ -23,7 +23,7 @@ def model():
 def test_every_window_of_every_sample_is_classified_right(model, first_event):
     windows = lay_windows(read_samples(), model.config.window_us, first_event=first_event)
     assert len(windows) == 30
-    decided = class_probabilities(network_of(model), model.config, windows).argmax(1)
+    decided = class_probabilities(pipeline_of(model), windows).argmax(1)
     np.testing.assert_array_equal(decided, windows.labels)
 
 
@@ -46,7 +46,7 @@ def test_the_record_says_what_was_done(model):
 def test_accuracy_on_real_recordings(model, first_event, data):
     recordings = read_folder(data / "nmnist" / "Test", per_digit=PER_DIGIT)
     windows = lay_windows(recordings, model.config.window_us, first_event=first_event)
-    found = evaluate(network_of(model), model.config, windows)
+    found = evaluate(pipeline_of(model), windows)
     assert found.n_recordings == 400 and found.n_windows >= 1_195
     assert found.per_window >= 0.98
     assert found.per_recording >= 0.985

@@ -13,8 +13,10 @@ from async_tnt.model import load_model  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.evaluate import evaluate  # noqa: E402
-from async_tnt.training.networks import channel_scale, export, network_of, new_network  # noqa: E402
-from async_tnt.training.train import CHECKPOINT, TrainSettings, train  # noqa: E402
+from async_tnt.training.networks import export, network_of  # noqa: E402
+from async_tnt.training.pipelines import Pipeline, channel_scale, new_pipeline  # noqa: E402
+from async_tnt.training.settings import TrainSettings  # noqa: E402
+from async_tnt.training.train import CHECKPOINT, train  # noqa: E402
 from async_tnt.training.windows import CLASSES, Recordings, lay_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
@@ -103,15 +105,14 @@ def test_a_run_folder_of_other_settings_or_data_is_refused(windows, tmp_path):
 
 def test_the_exported_network_takes_raw_volumes(windows, tmp_path):
     """conv1 absorbs the scale: logits are those of the scaled input, and survive the file."""
-    network = new_network(CONFIG, len(CLASSES), seed=1).eval()
-    scale = channel_scale(CONFIG, windows)
+    pipeline = new_pipeline(CONFIG, len(CLASSES), 1, windows).eval()
     volumes = torch.from_numpy(BatchVolumes(CONFIG)(windows[:5]).copy())
     with torch.no_grad():
-        scaled = network(volumes * torch.from_numpy(scale)[:, None, None])
-        export(network, scale, CONFIG, CLASSES, {"seed": 1}).save(tmp_path / "m.safetensors")
+        scaled = pipeline(windows[:5])
+        export(pipeline, CLASSES, {"seed": 1}).save(tmp_path / "m.safetensors")
         model = load_model(tmp_path / "m.safetensors")
         raw = network_of(model)(volumes)
-        unscaled = network(volumes)
+        unscaled = pipeline.classifier(volumes)
     torch.testing.assert_close(raw, scaled, atol=1e-5, rtol=1e-4)
     assert (scaled - unscaled).abs().max() > 1e-3
     assert model.record == {"seed": 1}
@@ -126,14 +127,39 @@ def test_the_scale_makes_each_channel_even(windows):
     assert raw.max() / raw.min() > 5
 
 
-def test_the_first_weights_depend_on_the_seed_alone():
+def test_the_first_weights_depend_on_the_seed_alone(windows):
     state = torch.get_rng_state()
-    first, torch_after = new_network(CONFIG, 10, seed=3), torch.get_rng_state()
+    first, torch_after = new_pipeline(CONFIG, 10, 3, windows).classifier, torch.get_rng_state()
     torch.manual_seed(99)
-    again, other = new_network(CONFIG, 10, seed=3), new_network(CONFIG, 10, seed=4)
+    again, other = (new_pipeline(CONFIG, 10, seed, windows).classifier for seed in (3, 4))
     assert torch.equal(state, torch_after)
     assert torch.equal(first.fc1.weight, again.fc1.weight)
     assert not torch.equal(first.fc1.weight, other.fc1.weight)
+
+
+def test_iterations_end_the_training_within_an_epoch(windows, tmp_path):
+    """72 windows, 16 at a time, are 5 steps; 7 steps are an epoch and 2 steps of the next."""
+    settings = TrainSettings(epochs=50, iterations=7, batch=16)
+    assert settings.n_epochs(len(windows)) == 2
+    steps = []
+
+    def count(items, title, total):
+        for item in items:
+            steps.append(title)
+            yield item
+
+    result = train(CONFIG, windows, windows[:6], settings, tmp_path, progress=count)
+    assert steps == ["epoch 1/2"] * 5 + ["epoch 2/2"] * 2
+    assert [row["iterations"] for row in result.history] == [5, 7]
+
+
+def test_products_in_16_bits_learn_as_well(windows, tmp_path):
+    settings = TrainSettings(epochs=3, batch=8, augmentation=None, precision="bfloat16")
+    result = train(CONFIG, windows, bars(8, seed=1), settings, tmp_path)
+    assert result.history[-1]["per_window"] == 1.0
+    assert all(w.dtype == np.float32 for w in result.last.weights.values())
+    exact = train(CONFIG, windows, windows[:0], TrainSettings(epochs=3, batch=8, augmentation=None), tmp_path / "32")
+    assert not weights_equal(result.last, exact.last)
 
 
 def test_no_windows_are_refused(windows, tmp_path):
@@ -145,6 +171,8 @@ def test_no_windows_are_refused(windows, tmp_path):
     ("name", "value", "text"),
     [
         ("epochs", 0, "at least 1, got 0"),
+        ("iterations", 0, "at least 1, got 0"),
+        ("precision", "float16", "one of float32, bfloat16, got 'float16'"),
         ("learning_rate", 0.0, "positive, got 0.0"),
         ("label_smoothing", 1.0, r"in \[0, 1\), got 1.0"),
     ],
@@ -177,7 +205,7 @@ def test_evaluation_by_hand():
 
     recordings = Recordings.from_events([recording((1, 1), (1, 1), (9, 0)), recording((3, 0), (3, 0), (3, 0))], [1, 0])
     config = TNTConfig(transform="none")
-    found = evaluate(CountsOn(), config, lay_windows(recordings, 105_000), times_ms=(10, 100))
+    found = evaluate(Pipeline(config, CountsOn()), lay_windows(recordings, 105_000), times_ms=(10, 100))
     assert found.per_window == pytest.approx(5 / 6)
     np.testing.assert_array_equal(found.confusion, [[3, 0], [1, 2]])
     assert (found.n_windows, found.n_recordings) == (6, 2)

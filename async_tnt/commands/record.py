@@ -1,0 +1,55 @@
+"""What the commands share that read data sets and keep a record of what they did."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+
+def data_folder(given: Path | None, name: str, option: str) -> Path:
+    """A data folder: as given, or `name` in $TNT_DATA.
+
+    Raises
+    ------
+    FileNotFoundError : neither, or no such folder.
+    """
+    folder = given
+    if folder is None:
+        root = os.environ.get("TNT_DATA")
+        if not root:
+            raise FileNotFoundError(f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/")
+        folder = Path(root) / name
+    if not folder.is_dir():
+        raise FileNotFoundError(f"no folder {folder}; give {option} FOLDER, or set TNT_DATA")
+    return folder
+
+
+def command_words(
+    program: str,
+    args: argparse.Namespace,
+    add_arguments: Callable[[argparse.ArgumentParser], None],
+    *,
+    leave_out: Collection[str] = (),
+) -> str:
+    """The command that does this again, without the paths, which differ from machine to machine.
+
+    Parameters
+    ----------
+    program : such as "async-tnt train".
+    args, add_arguments : what was given, and what adds the options that it was parsed by.
+    leave_out : options that do not change the result, by their name in `args`.
+    """
+    parser = argparse.ArgumentParser(add_help=False)
+    add_arguments(parser)
+    words = [program]
+    for action in parser._actions:
+        value = getattr(args, action.dest)
+        if action.type is Path or value == action.default or action.dest in leave_out:
+            continue
+        if action.dest == "start_from":
+            value = Path(value).name
+        text = " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+        words.append(action.option_strings[0] if value is True else f"{action.option_strings[0]} {text}")
+    return " ".join(words)

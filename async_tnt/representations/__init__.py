@@ -1,0 +1,24 @@
+"""What else events are turned into: images, events moved by a flow, one piece for each saccade.
+
+    count_image             events per pixel and polarity
+    count_timestamp_image   the same, and when each pixel last fired
+    move_by_flow            the motion model: events moved by constant optical flow; `undo_flow` moves them back
+    segment                 a recording cut at given times; `split_saccades` at N-MNIST's, `find_pauses` finds some
+
+The event volume and the Temporal Normalization Transform are `async_tnt.TNTVolume`.
+"""
+
+from .images import count_image, count_timestamp_image
+from .motion import move_by_flow, undo_flow
+from .saccades import SACCADE_CUTS_US, find_pauses, segment, split_saccades
+
+__all__ = [
+    "SACCADE_CUTS_US",
+    "count_image",
+    "count_timestamp_image",
+    "find_pauses",
+    "move_by_flow",
+    "segment",
+    "split_saccades",
+    "undo_flow",
+]

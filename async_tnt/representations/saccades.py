@@ -1,0 +1,122 @@
+"""Cut a recording into pieces: at given times, at N-MNIST's three saccades, or where nothing happens for a while."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..config import MAX_SIDE
+from ..events import as_events
+from ..volume import checked_time
+
+SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
+"""Where N-MNIST's saccades begin, and where the third ends, in microseconds (Orchard et al. 2015)."""
+
+_ANY_SENSOR = (MAX_SIDE, MAX_SIDE)  # where a pixel is does not matter here
+
+
+def segment(events: Any, cuts_us: Sequence[int]) -> list[np.ndarray]:
+    """Cut events at given times.
+
+        piece k = {i : cuts_us[k - 1] <= t_i < cuts_us[k]}
+
+    with no bound before the first piece and none after the last. So an event exactly at a cut begins the piece
+    after it, and no event is lost: of K cuts come K + 1 pieces, empty ones included. In each piece events keep
+    their order; if their times never run backwards, the pieces end to end are the input.
+
+    Parameters
+    ----------
+    events : in any form that `async_tnt.event_forms` lists, on any sensor.
+    cuts_us : increasing times in microseconds, on the events' own clock.
+
+    Returns
+    -------
+    list of K + 1 structured arrays of `async_tnt.EVENT_DTYPE`, copies.
+
+    Raises
+    ------
+    ValueError, TypeError : the events break a rule, or the cuts do not increase.
+
+    References
+    ----------
+    Wang 2019, arXiv:1911.12801, which separates saccades by a threshold on time.
+
+    Examples
+    --------
+    >>> events = ([5, 9, 10, 31], [1, 1, 1, 1], [2, 2, 2, 2], [0, 1, 0, 1])  # t, x, y, p
+    >>> [piece["t"].tolist() for piece in segment(events, [10, 20, 30])]
+    [[5, 9], [10], [], [31]]
+    """
+    cuts = [checked_time("cuts_us", cut) for cut in cuts_us]
+    for k in range(1, len(cuts)):
+        if cuts[k] <= cuts[k - 1]:
+            raise ValueError(f"`cuts_us` must increase, got {cuts[k]} after {cuts[k - 1]}")
+    packed = as_events(events, _ANY_SENSOR)
+    t = packed["t"]
+    if np.all(t[1:] >= t[:-1]):
+        return np.split(packed, np.searchsorted(t, cuts))  # left: an event at a cut lies behind it
+    piece = np.searchsorted(cuts, t, side="right")  # cuts at or before t
+    return [packed[piece == k] for k in range(len(cuts) + 1)]
+
+
+def split_saccades(events: Any, *, start_us: int = 0) -> list[np.ndarray]:
+    """Cut a recording of N-MNIST, or one like it, into its three saccades and the rest.
+
+    Parameters
+    ----------
+    events : in any form that `async_tnt.event_forms` lists.
+    start_us : time of the recording's beginning. N-MNIST's clock begins at 0, which need not be the first event.
+
+    Returns
+    -------
+    list of four structured arrays, together all the events: [0, 105), [105, 210) and [210, 315) ms after
+    `start_us`, and what comes later. Events before `start_us` belong to the first.
+
+    References
+    ----------
+    Orchard, Jayawant, Cohen, Thakor 2015, Frontiers in Neuroscience 9:437, for the three saccades.
+
+    Examples
+    --------
+    >>> events = ([0, 104_999, 105_000, 320_000], [1, 1, 1, 1], [2, 2, 2, 2], [0, 1, 0, 1])
+    >>> first, second, third, rest = split_saccades(events)
+    >>> len(first), len(second), len(third), len(rest)
+    (2, 1, 0, 1)
+    """
+    start_us = checked_time("start_us", start_us)
+    return segment(events, [start_us + cut for cut in SACCADE_CUTS_US[1:]])
+
+
+def find_pauses(events: Any, gap_us: int) -> list[int]:
+    """Where to cut a recording of unknown course: after each pause of at least `gap_us` without any event.
+
+        cuts = {t_i : t_i - t_(i-1) >= gap_us}        times in order
+
+    One event of noise ends a pause, so this is for filtered recordings, or for a `gap_us` far below the sensor's
+    mean time between noise events. The saccades of N-MNIST cannot be found so: there events never stop between two of
+    them (docs/representations.md).
+
+    Parameters
+    ----------
+    events : in any form that `async_tnt.event_forms` lists, on any sensor; in any order.
+    gap_us : in microseconds, at least 1.
+
+    Returns
+    -------
+    list of int, increasing: the time of the first event after each pause, for `segment`.
+
+    Examples
+    --------
+    >>> events = ([5, 9, 50, 51, 99], [1] * 5, [2] * 5, [0] * 5)  # t, x, y, p
+    >>> find_pauses(events, gap_us=30)
+    [50, 99]
+    >>> [len(piece) for piece in segment(events, find_pauses(events, gap_us=30))]
+    [2, 2, 1]
+    """
+    if checked_time("gap_us", gap_us) < 1:
+        raise ValueError(f"`gap_us` must be at least 1, got {gap_us}")
+    t = np.sort(as_events(events, _ANY_SENSOR)["t"])
+    after = t[1:][np.diff(t) >= gap_us]
+    return [int(cut) for cut in after]

@@ -1,0 +1,112 @@
+"""The motions of N-MOVING-MNIST: 10 directions x 3 distances, the same for every digit.
+
+The thesis moves each digit of MNIST in 30 ways, but names neither the directions nor the magnitudes. Ours are
+directions of 0, 36, ... 324 degrees (0 to the right, 90 downwards: y grows downwards) and distances of 3, 5
+and 8 pixels in one window of 105 ms, 29 to 76 px/s. N-MNIST's own saccades cover about 5 px in such a window.
+Each motion is a straight line that passes the centre at half time: digits of all motions cover the same
+place, and a network cannot tell a motion by where the digit is on average.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from async_tnt.simulation.trajectories import ConstantVelocity, Saccade, Saccades, Trajectory, nmnist_saccades
+
+KINDS = ("constant", "bell", "nmnist")
+DIRECTIONS_DEG = tuple(range(0, 360, 36))
+DISTANCES_PX = (3, 5, 8)
+WINDOW_US = 105_000
+NMNIST_US = 308_000
+FLOW_STEP_US = 3_500
+"""Time between two samples of a flow that changes; divides both `WINDOW_US` and `NMNIST_US`."""
+
+NMNIST_SENSOR = (34, 34)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One motion of the set.
+
+    Attributes
+    ----------
+    kind : "constant" velocity; "bell", the same displacement with the bell-shaped speed of a saccade (minimum
+        jerk: at rest at both ends, 15/8 of its mean speed halfway); or "nmnist", N-MNIST's three saccades.
+    index : place in `motions_of(kind)`; part of every recording's seed.
+    name : such as "036deg-5px"; names sort like indices.
+    direction_deg, distance_px : direction and length of the displacement; None for "nmnist".
+    """
+
+    kind: str
+    index: int
+    name: str
+    direction_deg: int | None
+    distance_px: int | None
+
+    @property
+    def duration_us(self) -> int:
+        """How long a recording of this motion lasts, in microseconds."""
+        return NMNIST_US if self.kind == "nmnist" else WINDOW_US
+
+    @property
+    def flow_times_us(self) -> np.ndarray:
+        """Times to sample the optical flow at, int64, shape (K,): half time alone where the flow is constant."""
+        if self.kind == "constant":
+            return np.array([self.duration_us // 2], np.int64)
+        return np.arange(0, self.duration_us + 1, FLOW_STEP_US, dtype=np.int64)
+
+    def trajectory(
+        self,
+        rng: np.random.Generator,
+        *,
+        image: tuple[int, int] = (28, 28),
+        sensor: tuple[int, int] = NMNIST_SENSOR,
+    ) -> Trajectory:
+        """The displacement over time.
+
+        Parameters
+        ----------
+        rng : draws the delays of N-MNIST's saccades; the other kinds leave it alone.
+        image, sensor : sizes (width, height) in pixels. At half time the image lies in the sensor's centre.
+            N-MNIST's path, which was measured on its 34 x 34 pixels, is moved along with the centre.
+        """
+        centre = ((sensor[0] - image[0]) / 2, (sensor[1] - image[1]) / 2)
+        if self.kind == "nmnist":
+            saccades = nmnist_saccades(rng)
+            start = (saccades.start[0] + (centre[0] - 3.0), saccades.start[1] + (centre[1] - 3.0))
+            return dataclasses.replace(saccades, start=start)
+        assert self.direction_deg is not None and self.distance_px is not None  # for mypy: only "nmnist" has none
+        if self.kind == "constant":
+            speed = self.distance_px / (self.duration_us * 1e-6)
+            return ConstantVelocity.towards(self.direction_deg, speed, centre=centre, duration_us=self.duration_us)
+        angle = math.radians(self.direction_deg)
+        dx, dy = self.distance_px * math.cos(angle), self.distance_px * math.sin(angle)
+        start = (centre[0] - dx / 2, centre[1] - dy / 2)
+        return Saccades(start, (Saccade(0, self.duration_us, dx, dy),), self.duration_us)
+
+
+def motions_of(kind: str = "constant") -> tuple[Motion, ...]:
+    """All motions of a kind, by index: 30 of "constant" and of "bell", direction by direction, one of "nmnist".
+
+    Raises
+    ------
+    ValueError : unknown kind.
+
+    Example
+    -------
+    >>> [motion.name for motion in motions_of()][:4]
+    ['000deg-3px', '000deg-5px', '000deg-8px', '036deg-3px']
+    """
+    if kind not in KINDS:
+        raise ValueError(f"`kind` of motion must be one of {', '.join(map(repr, KINDS))}, got {kind!r}")
+    if kind == "nmnist":
+        return (Motion(kind, 0, "nmnist", None, None),)
+    pairs = [(direction, distance) for direction in DIRECTIONS_DEG for distance in DISTANCES_PX]
+    return tuple(
+        Motion(kind, index, f"{direction:03}deg-{distance}px", direction, distance)
+        for index, (direction, distance) in enumerate(pairs)
+    )

@@ -1,0 +1,208 @@
+"""N-MOVING-MNIST: MNIST's digits, each simulated under every motion.
+
+The thesis' set is not published, and its motions are not named; `motions` says what ours are. A set is a
+folder of shards, each with up to `recordings_per_shard` neighbouring images under one motion, and `set.json`,
+which says how they were made and is written first. Every recording has a random generator of its own, seeded
+by (seed, index of the motion, index of the image): how the work was cut, shared out or interrupted changes
+nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import async_tnt
+from async_tnt.progress import progress
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.simulation.motions import NMNIST_SENSOR, Motion, motions_of
+from async_tnt.simulation.scene import Scene
+from async_tnt.simulation.set_manifest import MovingMnist, made_otherwise, read_manifest, write_manifest
+from async_tnt.simulation.shards import open_shard, write_shard
+from async_tnt.simulation.simulator import PixelModel
+from async_tnt.simulation.workers import available_cores, run_all
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One shard to make: neighbouring images under one motion."""
+
+    path: Path
+    motion: Motion
+    first: int
+    images: np.ndarray
+    labels: np.ndarray
+    seed: int
+    scene: Scene
+    pixels: PixelModel
+    frame_us: float
+    sensor: tuple[int, int]
+    metadata: dict[str, Any]
+
+
+def build(
+    mnist_folder: str | os.PathLike[str],
+    out_folder: str | os.PathLike[str],
+    *,
+    split: str = "test",
+    kind: str = "constant",
+    digits: int | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    recordings_per_shard: int = 1_000,
+    scene: Scene | None = None,
+    pixels: PixelModel | None = None,
+    frame_us: float = 1_000.0,
+    sensor: tuple[int, int] = NMNIST_SENSOR,
+) -> MovingMnist:
+    """Simulate the set, or what is missing of it; shows a progress bar.
+
+    Shards that are there and made alike are kept, damaged ones made anew; so an interrupted build goes on
+    when called again. The same arguments give the same files, however many workers there are.
+
+    Parameters
+    ----------
+    mnist_folder : folder with MNIST's IDX files. out_folder : made if missing.
+    split : "train" or "test". digits : the first so many images; all by default.
+    kind : of motion: "constant" (30 motions), "bell" (30) or "nmnist" (1).
+    workers : processes; all cores by default. A script that asks for more than one needs the usual
+        `if __name__ == "__main__":`.
+    scene, pixels, frame_us, sensor : as in `simulate_digit`.
+
+    Raises
+    ------
+    ValueError : an argument out of its range, damaged MNIST files, or a folder with shards made otherwise.
+    OSError : MNIST missing, or the folder cannot be written.
+    """
+    _check_at_least("seed", seed, 0)
+    _check_at_least("digits", digits, 1)
+    _check_at_least("workers", workers, 1)
+    _check_at_least("recordings_per_shard", recordings_per_shard, 1)
+    scene, pixels = scene or Scene(), pixels or PixelModel()
+    moving = motions_of(kind)
+    images, labels = load_mnist(mnist_folder, split)
+    if digits is not None and digits > len(images):
+        raise ValueError(f"`digits` must be at most {len(images)}, the images of split {split!r}, got {digits}")
+    images, labels = images[:digits], labels[:digits]
+    shared = {
+        "split": split,
+        "seed": int(seed),
+        "sensor": [int(n) for n in sensor],
+        "simulator": {
+            "pixels": dataclasses.asdict(pixels),
+            "scene": dataclasses.asdict(scene),
+            "frame_us": float(frame_us),
+        },
+        "package_version": async_tnt.__version__,
+    }
+    parameters = {
+        "kind": kind,
+        "digits": len(images),
+        **shared,
+        "recordings_per_shard": int(recordings_per_shard),
+        "mnist_sha256": hashlib.sha256(images.tobytes() + labels.tobytes()).hexdigest(),
+    }
+    folder = Path(out_folder)
+    jobs = [
+        _Job(
+            folder / f"{motion.name}_{first:05}.safetensors", motion, first,
+            images[first : first + recordings_per_shard], labels[first : first + recordings_per_shard],
+            seed, scene, pixels, frame_us, sensor,
+            {"motion": dataclasses.asdict(motion), **shared},
+        )
+        for motion in moving for first in range(0, len(images), recordings_per_shard)
+    ]  # fmt: skip
+    made = MovingMnist(folder, tuple(job.path for job in jobs), moving, parameters)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_manifest(made)
+    with progress(len(made), "simulating") as bar:
+        to_do = []
+        for job in jobs:
+            if _is_there(job):
+                bar.update(len(job.images))
+            else:
+                to_do.append(job)
+        with contextlib.closing(run_all(_make_shard, to_do, workers or available_cores())) as results:
+            for n_recordings in results:
+                bar.update(n_recordings)
+    for part in folder.glob("*.safetensors.*.part"):  # of processes that were killed
+        part.unlink(missing_ok=True)
+    return made
+
+
+def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) -> MovingMnist:
+    """Open a set that `build` or `async-tnt simulate` made.
+
+    Parameters
+    ----------
+    folder : with `set.json` and the shards.
+    allow_incomplete : True bears missing shards and counts them in `missing`.
+
+    Raises
+    ------
+    ValueError : incomplete, with the command that goes on; or no set, or a damaged `set.json`.
+    OSError : missing or not readable.
+    """
+    folder = Path(folder)
+    made = read_manifest(folder)
+    missing = sum(not path.is_file() for path in made.shards)
+    if missing and not allow_incomplete:
+        p = made.parameters
+        raise ValueError(
+            f"{folder}: {missing} of {len(made.shards)} shards are missing. Go on with: async-tnt simulate "
+            f"--mnist MNIST --out {folder} --split {p['split']} --motions {p['kind']} --digits {p['digits']} "
+            f"--seed {p['seed']}"
+        )
+    return dataclasses.replace(made, missing=missing)
+
+
+def _check_at_least(name: str, number: int | None, least: int) -> None:
+    if number is not None and number < least:
+        raise ValueError(f"`{name}` must be at least {least}, got {number}")
+
+
+def _make_shard(job: _Job) -> int:
+    """Simulate and write one shard; returns its number of recordings."""
+    duration_us, times_us = job.motion.duration_us, job.motion.flow_times_us
+    recordings, flow = [], np.empty((len(job.images), len(times_us), 2))
+    height, width = job.images.shape[1:]
+    for i, image in enumerate(job.images):
+        rng = np.random.default_rng((job.seed, job.motion.index, job.first + i))
+        trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.sensor)
+        flow[i] = np.stack(trajectory.flow(times_us), axis=1)
+        events = simulate_digit(
+            image, rng, trajectory=trajectory, scene=job.scene, pixels=job.pixels, sensor=job.sensor,
+            frame_us=job.frame_us,
+        )  # fmt: skip
+        # The last half microsecond rounds up to `duration_us`, where the next window would begin.
+        recordings.append(events[events["t"] < duration_us])
+    write_shard(
+        job.path, recordings, labels=job.labels, image=job.first + np.arange(len(job.images)), flow=flow,
+        flow_times_us=times_us, sensor=job.sensor, duration_us=duration_us, metadata=job.metadata,
+    )  # fmt: skip
+    return len(recordings)
+
+
+def _is_there(job: _Job) -> bool:
+    """Whether the shard is there and sound; one made otherwise is an error."""
+    if not job.path.exists():
+        return False
+    try:
+        shard = open_shard(job.path)
+    except ValueError:
+        return False  # damaged: made anew
+    for name, expected in job.metadata.items():
+        if shard.metadata.get(name) != expected:
+            raise made_otherwise(job.path, name, shard.metadata.get(name), expected)
+    expected_image = job.first + np.arange(len(job.images))
+    if not (np.array_equal(shard.image, expected_image) and np.array_equal(shard.labels, job.labels)):
+        raise made_otherwise(job.path, "images", "other images", f"{job.first} to {expected_image[-1]}")
+    return True

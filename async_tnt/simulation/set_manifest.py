@@ -1,0 +1,128 @@
+"""What a set of moving digits is made of: `set.json` beside its shards.
+
+format, version   "async_tnt.moving_mnist", 1
+parameters        all that decides the content: split, kind of motion, digits, seed, sensor, simulator,
+                  recordings_per_shard, package_version, and a checksum of the images and labels
+motions           by index
+shards            names of the files, motion by motion, and by image within each
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from async_tnt.simulation.motions import Motion, motions_of
+from async_tnt.simulation.shards import Shard, open_shard
+
+MANIFEST = "set.json"
+FORMAT = "async_tnt.moving_mnist"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class MovingMnist:
+    """A set on disk. Made by `build` and `open_set`.
+
+    Attributes
+    ----------
+    folder : where it lies.
+    shards : the files, motion by motion, and by image within each.
+    motions : the motions, by index.
+    parameters : all that decides the set's content: split, kind, digits, seed, simulator, MNIST's checksum ...
+    missing : how many of `shards` are not there (yet); 0 unless `open_set` was told to bear it.
+    """
+
+    folder: Path
+    shards: tuple[Path, ...]
+    motions: tuple[Motion, ...]
+    parameters: dict[str, Any]
+    missing: int = 0
+
+    @property
+    def sensor(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        width, height = self.parameters["sensor"]
+        return width, height
+
+    def __len__(self) -> int:
+        """Recordings in the complete set."""
+        return len(self.motions) * self.parameters["digits"]
+
+    def __iter__(self) -> Iterator[Shard]:
+        """Open one shard after the other, without those that are missing."""
+        return (open_shard(path) for path in self.shards if path.exists())
+
+    def locate(self, motion: int, image: int) -> tuple[Path, int]:
+        """The shard that holds the recording of an image under a motion, and its place there.
+
+        Raises
+        ------
+        IndexError : no such motion or image in the set.
+        """
+        digits, step = self.parameters["digits"], self.parameters["recordings_per_shard"]
+        if not (0 <= motion < len(self.motions) and 0 <= image < digits):
+            raise IndexError(f"motion must be in [0, {len(self.motions)}) and image in [0, {digits}), got "
+                             f"{motion} and {image}: {self.folder}")  # fmt: skip
+        return self.shards[motion * -(-digits // step) + image // step], image % step
+
+
+def made_otherwise(path: Path, name: str, there: object, asked: object) -> ValueError:
+    return ValueError(
+        f"{path}: made with other parameters: {name} {there!r} there, {asked!r} asked for. Give the same, or "
+        "another folder"
+    )
+
+
+def write_manifest(made: MovingMnist) -> None:
+    path = made.folder / MANIFEST
+    if path.exists():
+        there = read_manifest(made.folder).parameters
+        for name in sorted(there | made.parameters):
+            if there.get(name) != made.parameters.get(name):
+                raise made_otherwise(path, name, there.get(name), made.parameters.get(name))
+        return
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "parameters": made.parameters,
+        "motions": [dataclasses.asdict(motion) for motion in made.motions],
+        "shards": [path.name for path in made.shards],
+    }
+    part = path.with_name(f"{MANIFEST}.{os.getpid()}.part")
+    part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def read_manifest(folder: Path) -> MovingMnist:
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder}: no {MANIFEST} there; expected a folder that async-tnt simulate made")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if (content["format"], content["version"]) != (FORMAT, VERSION):
+            raise ValueError(f"expected {FORMAT} version {VERSION}, got {content['format']} {content['version']}")
+        parameters: Mapping[str, Any] = content["parameters"]
+        moving = tuple(Motion(**motion) for motion in content["motions"])
+        names = [str(name) for name in content["shards"]]
+        if any(Path(name).name != name for name in names):
+            raise ValueError("shards must be plain names of files in this folder")
+        counts = parameters["digits"], parameters["recordings_per_shard"], parameters["seed"]
+        width, height = parameters["sensor"]
+        if not all(type(n) is int for n in (*counts, width, height)):
+            raise ValueError(f"expected whole numbers, got {counts} and {parameters['sensor']}")
+        expected = len(moving) * -(-parameters["digits"] // parameters["recordings_per_shard"])
+        if moving != motions_of(parameters["kind"]) or len(names) != expected:
+            raise ValueError(f"expected the motions of kind {parameters['kind']!r} and {expected} shards")
+        absent = [name for name in ("split", "simulator") if name not in parameters]
+        if absent:
+            raise ValueError(f"no {' and no '.join(absent)} among its parameters")
+    except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else error
+        raise ValueError(f"{path}: damaged, or no set of this release: {what}") from None
+    return MovingMnist(folder, tuple(folder / name for name in names), moving, dict(parameters))

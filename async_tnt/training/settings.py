@@ -1,0 +1,62 @@
+"""How to train."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from .augment import Augmentation
+
+PRECISIONS = ("float32", "bfloat16")
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """How to train. Where the thesis is silent (everywhere but the loss), the choices are ours.
+
+    Parameters
+    ----------
+    epochs : passes over the training windows.
+    iterations : steps of the optimizer, which then end the training, and not `epochs`; the last epoch may be
+        cut short. The thesis has 60,000, with a batch of 64.
+    batch : windows per step.
+    learning_rate : the highest; it rises over the first 5 % of the steps and falls along a cosine to 0.
+    weight_decay : of AdamW, on weights, not on biases.
+    label_smoothing : share of the target spread over all classes.
+    seed : of weights, order and augmentation.
+    augmentation : None trains on the windows as they are.
+    precision : "float32", or "bfloat16": the networks' products in 16 bits, the weights in 32. Half the time or
+        less where the hardware has such products (AMX, AVX512-BF16, GPUs), no gain elsewhere.
+    """
+
+    epochs: int = 10
+    iterations: int | None = None
+    batch: int = 64
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    label_smoothing: float = 0.05
+    seed: int = 0
+    augmentation: Augmentation | None = field(default_factory=Augmentation)
+    precision: str = "float32"
+
+    def __post_init__(self) -> None:
+        for name, low in (("epochs", 1), ("iterations", 1), ("batch", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if value is not None and value < low:
+                raise ValueError(f"`{name}` must be at least {low}, got {value}")
+        if self.precision not in PRECISIONS:
+            raise ValueError(f"`precision` must be one of {', '.join(PRECISIONS)}, got {self.precision!r}")
+        if not 0 < self.learning_rate < math.inf:
+            raise ValueError(f"`learning_rate` must be positive, got {self.learning_rate}")
+        if not 0 <= self.weight_decay < math.inf:
+            raise ValueError(f"`weight_decay` must be at least 0, got {self.weight_decay}")
+        if not 0 <= self.label_smoothing < 1:
+            raise ValueError(f"`label_smoothing` must be in [0, 1), got {self.label_smoothing}")
+
+    def n_epochs(self, n_windows: int) -> int:
+        """Passes over so many training windows, the last one perhaps cut short."""
+        return math.ceil(self.n_iterations(n_windows) / math.ceil(n_windows / self.batch))
+
+    def n_iterations(self, n_windows: int) -> int:
+        """Steps in all, for so many training windows."""
+        return self.iterations or self.epochs * math.ceil(n_windows / self.batch)

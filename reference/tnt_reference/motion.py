@@ -1,0 +1,47 @@
+"""The motion model: constant optical flow as a group that acts on events."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from .coordinates import window_fraction
+from .window import Column, as_column, check_same_length, whole_number
+
+
+def move_by_flow(
+    t: Column, x: Column, y: Column, flow: Sequence[float] | torch.Tensor, *, start_us: int, window_us: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """L_v (x, y, t) = (x + v_x f, y + v_y f, t)        f = (t - start_us) / window_us
+
+    Parameters
+    ----------
+    t : (N,) integer microseconds, or float64.
+    x, y : (N,) pixels, whole or not.
+    flow : v = (v_x, v_y) in pixels per window; a tensor that requires a gradient gets one, as do t, x and y.
+    start_us, window_us : where f is 0, and how much later it is 1.
+
+    Returns
+    -------
+    x, y : (N,) float64. `L_-v` is the inverse.
+
+    References
+    ----------
+    Wang 2019, arXiv:1911.12801.
+
+    Example
+    -------
+    >>> x, y = move_by_flow([0, 50, 100], [7, 7, 7], [3, 3, 3], (8.0, -2.0), start_us=0, window_us=100)
+    >>> x.tolist(), y.tolist()
+    ([7.0, 11.0, 15.0], [3.0, 2.0, 1.0])
+    """
+    if whole_number("window_us", window_us) <= 0:
+        raise ValueError(f"`window_us` must be positive, got {window_us}")
+    times, xs, ys = as_column("t", t), as_column("x", x), as_column("y", y)
+    check_same_length(t=times, x=xs, y=ys)
+    v = torch.as_tensor(flow, dtype=torch.float64)
+    if v.shape != (2,):
+        raise ValueError(f"`flow` must be (v_x, v_y), got shape {tuple(v.shape)}")
+    f = window_fraction((times - whole_number("start_us", start_us)).double(), window_us)  # (N,)
+    return xs.double() + v[0] * f, ys.double() + v[1] * f

@@ -1,0 +1,219 @@
+"""Translation: a landmark that moves along takes it away altogether (Proposition 3 of Wang 2019, arXiv:1911.12801).
+
+    TNT(e + a, l + a) = TNT(e, l)        since u_i = (x_i + a - (l + a)) / tau_i + c
+
+A landmark l(e) that events define must be equivariant for it: l(e + a) = l(e) + a. Centroids and fitted lines are;
+so is the centroid of what a convolution draws, if its heatmap has nothing outside the object.
+"""
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made import events_of, nasty_streams
+from tnt_reference import LandmarkRegressor, event_volume, tnt_coordinates, tnt_volume
+
+from async_tnt import TNTConfig, TNTVolume
+from async_tnt.kernels import state as S
+
+WINDOW_US, SENSOR = 800, (34, 34)
+
+
+def streamed(events, config):
+    volume = TNTVolume(config)
+    volume.open(0)
+    volume.update(events)
+    return volume
+
+
+def cells(volume):
+    """The sums themselves, float64: rounded to float32, they would be equal too easily."""
+    return volume._buffer[S.CELLS : volume._ints[S.LOG]]
+
+
+def shifted(events, a):
+    moved = events.copy()
+    moved["x"] += a[0]
+    moved["y"] += a[1]
+    return moved
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_proposition_3_in_the_stream_to_the_last_bit(data):
+    """`running` and `line`, whole pixels: n x - S_x, of which all else is made, is the same integer for x + a.
+
+    On a grid of another size than the sensor's as well.
+    """
+    config = TNTConfig(
+        window_us=WINDOW_US, grid=data.draw(st.sampled_from([(34, 34), (20, 27)])),
+        landmark=data.draw(st.sampled_from(["running", "line"])), t_max=data.draw(st.sampled_from([1.0, 2.0, 8.0])),
+        polarity=data.draw(st.sampled_from(["signed", "unsigned", "split"])),
+    )  # fmt: skip
+    if config.landmark == "line":
+        config = config.replace(remove_flow=data.draw(st.booleans()))
+    events = data.draw(nasty_streams((20, 14), WINDOW_US, 0))
+    a = data.draw(st.integers(0, 14)), data.draw(st.integers(0, 20))
+    here, there = streamed(events, config), streamed(shifted(events, a), config)
+    assert cells(there).tobytes() == cells(here).tobytes()
+    assert there.array.tobytes() == here.array.tobytes()
+    assert there.counts == here.counts
+    if len(events):
+        step = np.multiply(a, np.subtract(config.grid, 1) / np.subtract(SENSOR, 1))
+        assert np.subtract(there.landmark, here.landmark) == pytest.approx(step, abs=1e-12)
+
+
+def a_digit(n=1_000, seed=0):
+    """Events of an object 12 px across that moves 6 px right, in the upper left of the sensor."""
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.integers(100, WINDOW_US, n))
+    x, y = rng.integers(1, 13, n) + np.rint(6 * t / WINDOW_US).astype(int), rng.integers(2, 14, n)
+    return events_of(t, x, y, rng.integers(0, 2, n))
+
+
+@pytest.mark.parametrize("n", [1_000, 1_024])
+def test_proposition_3_about_the_centroid_of_the_window(n):
+    """To the last bit where the mean is exact (n a power of two), else to rounding: 1e-12 of the largest cell."""
+    config = TNTConfig(window_us=WINDOW_US, t_max=2.0, landmark="window")
+    here, there = (streamed(events, config) for events in (a_digit(n), shifted(a_digit(n), (13, 17))))
+    for volume in (here, there):
+        assert np.abs(volume.array).max() > 2  # the events are replayed at the read
+    here, there = cells(here), cells(there)
+    assert np.abs(there - here).max() <= (0 if n == 1_024 else 1e-12 * np.abs(here).max())
+
+
+def test_about_a_fixed_point_the_volume_of_a_translated_stream_is_another():
+    """`center` stays, so event i goes a / tau_i: neither identical nor a translation. The best whole translation leaves
+    differences of more than half of the largest cell; without the transform, a translation by a is exact."""
+    here, there = (
+        {name: streamed(events, TNTConfig(window_us=WINDOW_US, t_max=2.0, polarity="unsigned", **how)).array
+         for name, how in (("tnt", dict(landmark="center")), ("raw", dict(landmark="center", transform="none")))}
+        for events in (a_digit(), shifted(a_digit(), (9, 9)))
+    )  # fmt: skip
+    best = min(np.abs(there["tnt"] - np.roll(here["tnt"], by, (1, 2))).max()
+               for by in np.ndindex(19, 19)) / here["tnt"].max()  # fmt: skip
+    assert best > 0.5
+    np.testing.assert_array_equal(there["raw"], np.roll(here["raw"], (9, 9), (1, 2)))
+
+
+# -- fractions of a pixel: the reference --------------------------------------------------------------------------
+
+AT = dict(start_us=0, window_us=WINDOW_US, sensor=(57, 57), grid=(57, 57))
+
+
+def real_valued(n=500, seed=1):
+    """Events of an object about 10 px across, anywhere between pixels; (t, x, y, p)."""
+    g = torch.Generator().manual_seed(seed)
+    t = torch.randint(100, WINDOW_US + 1, (n,), generator=g).sort().values
+    x, y = torch.rand(2, n, generator=g, dtype=torch.float64) * 10 + 12
+    return t, x, y, torch.randint(0, 2, (n,), generator=g)
+
+
+TRANSLATIONS = [(17.0, -9.0), (0.3, 21.7), (1 / 3, -9.125)]
+
+
+@pytest.mark.parametrize("a", TRANSLATIONS, ids=str)
+@pytest.mark.parametrize("landmark", ["running", "line", "window", "line, flow removed", "a point", "a point an event"])
+def test_proposition_3_for_any_translation(landmark, a):
+    """Coordinates and volumes to 1e-12; a given landmark is translated with the stream, the others go by themselves."""
+    t, x, y, p = real_valued()
+    options = dict(AT, t_max=2.0, remove_flow=landmark == "line, flow removed")
+    a_x, a_y = a
+    here = there = landmark.removesuffix(", flow removed")
+    if landmark.startswith("a point"):
+        here = (
+            torch.stack([x.roll(3) + 0.7, y.flip(0)], 1) if landmark == "a point an event" else torch.tensor([16.2, 17])
+        )
+        there = here.double() + torch.tensor(a, dtype=torch.float64)
+    one, other = (
+        tnt_coordinates(t, *xy, **options, landmark=about)
+        for xy, about in (((x, y), here), ((x + a_x, y + a_y), there))
+    )
+    assert one.kept.sum() > 300 and torch.equal(one.kept, other.kept)
+    for got, expected in ((other.u, one.u), (other.v, one.v)):
+        assert (got - expected).abs().max() < 1e-12
+    one, other = (
+        tnt_volume(t, *xy, p, **options, landmark=about, dtype=torch.float64)
+        for xy, about in (((x, y), here), ((x + a_x, y + a_y), there))
+    )
+    assert one.abs().max() > 1 and (other - one).abs().max() < 1e-12
+
+
+# -- a landmark that a convolution finds --------------------------------------------------------------------------
+
+
+def centroid(heatmap):
+    """(H, W), non-negative -> (x, y)."""
+    x, y = torch.arange(heatmap.shape[1]).double(), torch.arange(heatmap.shape[0]).double()
+    return torch.stack([(heatmap.sum(0) * x).sum(), (heatmap.sum(1) * y).sum()]) / heatmap.sum()
+
+
+def random_filters(*shape, seed):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def drawn_by_a_network(volume):
+    """Two convolutions without bias, ReLU after each: where nothing is near, the heatmap is 0."""
+    a = F.conv2d(volume, random_filters(6, 9, 3, 3, seed=2), padding=1).relu()
+    return F.conv2d(a, random_filters(1, 6, 3, 3, seed=3), padding=1).relu()[0]
+
+
+def drawn_by_one_filter(volume):
+    """A lopsided blur of all events. Linear, so that its centroid is the events' centroid and a constant."""
+    blur = torch.tensor([[0, 1, 2], [1, 5, 3], [0, 1, 1]], dtype=torch.float64)
+    return F.conv2d(volume.sum(0)[None], blur[None, None], padding=1)[0]
+
+
+@pytest.mark.parametrize(("draw", "polarity", "translations"), [
+    (drawn_by_a_network, "signed", [(17, -9), (-10, 21)]),
+    (drawn_by_one_filter, "unsigned", TRANSLATIONS),
+], ids=["network", "filter"])  # fmt: skip
+def test_proposition_3_about_what_a_convolution_finds(draw, polarity, translations):
+    """l(e) = the centroid of (V(e) * phi): l(e + a) = l(e) + a to 1e-12, hence the same volume to 1e-12.
+
+    Whole pixels, as a convolution and ReLU ask for; with one linear filter fractions of pixels as well, as splatting
+    keeps the centroid. The object and the filters' reach stay in the image.
+    """
+    t, x, y, p = real_valued()
+    options = dict(AT, polarity=polarity, dtype=torch.float64)
+
+    def found(x, y):
+        return centroid(draw(event_volume(t, x, y, p, **options)))
+
+    def transformed(x, y):
+        return tnt_volume(t, x, y, p, **options, t_max=2.0, landmark=found(x, y))
+
+    landmark, volume = found(x, y), transformed(x, y)
+    assert (landmark - 28).abs().max() > 5  # not the centre
+    assert volume.abs().max() > 1
+    for a in translations:
+        moved = x + a[0], y + a[1]
+        assert (found(*moved) - landmark - torch.tensor(a, dtype=torch.float64)).abs().max() < 1e-12
+        assert (transformed(*moved) - volume).abs().max() < 1e-12
+        about_the_same = tnt_volume(t, *moved, p, **options, t_max=2.0, landmark=landmark)
+        assert (about_the_same - volume).abs().max() > 1  # it is the landmark's doing
+
+
+def test_the_softmax_of_the_regressor_follows_as_far_as_its_mass_lies_on_the_object():
+    """`LandmarkRegressor` takes h = exp(...) > 0 everywhere: empty cells hold mass that stays where it is.
+
+    So it follows a translation by 16 px not at all with its starting weights, by a part with small ones, and
+    by all of it, to 1e-6 px, where the object's cells outweigh the 57 x 57 others.
+    """
+    torch.manual_seed(0)
+    network = LandmarkRegressor(9, (57, 57), n_filters=4).double().requires_grad_(False)
+    for convolution in (network.conv1, network.conv2, network.conv3):
+        convolution.bias.zero_()
+        convolution.weight.abs_()
+    t, x, y, p = real_valued()
+    volumes = [event_volume(t, x + a, y, p, **AT, polarity="unsigned", dtype=torch.float64) for a in (0, 16)]
+    follows = []
+    for weight in (0.0, 0.05, 10.0):
+        network.heatmap.weight.fill_(weight)
+        here, there = (network(volume) for volume in volumes)
+        follows.append((there - here)[0].item() / 16)
+    assert follows[0] == 0
+    assert 0.05 < follows[1] < 0.95
+    assert follows[2] == pytest.approx(1, abs=1e-6 / 16)

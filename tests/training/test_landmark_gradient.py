@@ -1,0 +1,144 @@
+"""The landmark regressor learns through the kernels' volumes: their gradient is the reference's, and reaches it."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import tnt_reference  # noqa: E402
+from made import random_events  # noqa: E402
+
+from async_tnt.config import TNTConfig  # noqa: E402
+from async_tnt.model import load_model  # noqa: E402
+from async_tnt.training.augment import FINE, Augmentation, unchanged  # noqa: E402
+from async_tnt.training.batches import BatchVolumes  # noqa: E402
+from async_tnt.training.networks import export, pipeline_before_export, pipeline_of, regressor_of  # noqa: E402
+from async_tnt.training.pipelines import Pipeline, new_pipeline  # noqa: E402
+from async_tnt.training.settings import TrainSettings  # noqa: E402
+from async_tnt.training.train import train  # noqa: E402
+from async_tnt.training.windows import CLASSES, Recordings, lay_windows  # noqa: E402
+
+CONFIG = TNTConfig(landmark="regressor", t_max=2.0)
+LANDMARKS = np.array([[15.2, 17.9], [3.1, 30.2], [16.5, 16.5]])
+
+
+def windows_of(config, n=600, seed=0):
+    events = [random_events(n, seed=seed + k, sensor=config.sensor) for k in range(3)]
+    return lay_windows(Recordings.from_events(events, [0, 1, 2]), config.window_us, duration_us=config.window_us)
+
+
+def columns(windows, i):
+    r = windows.recordings
+    where = slice(r.offsets[windows.recording[i]], r.offsets[windows.recording[i] + 1])
+    return [getattr(r, name)[where].astype(np.int64) for name in "txyp"]
+
+
+def reference_settings(config):
+    return dict(window_us=config.window_us, sensor=config.sensor, grid=config.grid, bins=config.bins,
+                t_max=config.t_max, polarity=config.polarity)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"polarity": "split"}, {"polarity": "unsigned", "t_max": 8.0}, {"sensor": (64, 40), "bins": 1},
+     {"grid": (20, 28), "bins": 5}],
+    ids=str,
+)  # fmt: skip
+def test_gradient_of_the_kernels_equals_the_references(changes):
+    config = CONFIG.replace(**changes)
+    windows, batches = windows_of(config), BatchVolumes(config)
+    at = torch.tensor(LANDMARKS, requires_grad=True)
+    expected = torch.stack(
+        [
+            tnt_reference.tnt_volume(*columns(windows, i), start_us=0, **reference_settings(config), landmark=at[i],
+                                     dtype=torch.float64)
+            for i in range(3)
+        ]
+    )  # fmt: skip
+    slope = np.random.default_rng(1).standard_normal(expected.shape).astype(np.float32)
+    (expected * torch.from_numpy(slope).double()).sum().backward()
+    assert at.grad.abs().min() > 0.1
+    np.testing.assert_allclose(batches(windows, None, LANDMARKS), expected.detach(), atol=1e-5)
+    got = batches.landmark_gradient(windows, None, LANDMARKS, slope)
+    np.testing.assert_allclose(got, at.grad, rtol=1e-9, atol=1e-9)
+
+
+def test_gradient_on_the_fine_sensor_of_augmentation_is_the_same():
+    """Events moved nowhere, on a sensor with finer pixels: the landmark is in grid pixels all the same."""
+    config, n = CONFIG, 3
+    windows, batches = windows_of(config), BatchVolumes(config)
+    nothing = Augmentation(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0)
+    draws = nothing.draw(n, config, np.random.default_rng(0))
+    assert draws.sensor == (33 * FINE + 1, 33 * FINE + 1)
+    slope = np.random.default_rng(1).standard_normal((n, *config.shape)).astype(np.float32)
+    np.testing.assert_allclose(
+        batches.landmark_gradient(windows, draws, LANDMARKS, slope),
+        batches.landmark_gradient(windows, unchanged(n, config), LANDMARKS, slope), rtol=1e-9,
+    )  # fmt: skip
+
+
+def trained_pipeline(windows, steps=3):
+    pipeline = new_pipeline(CONFIG, 3, 0, windows)
+    optimizer = torch.optim.Adam(pipeline.parameters(), lr=0.03)
+    gradients = []
+    for _ in range(steps):
+        loss = torch.nn.functional.cross_entropy(pipeline(windows), torch.from_numpy(windows.labels))
+        optimizer.zero_grad()
+        loss.backward()
+        gradients.append({name: float(w.grad.abs().max()) for name, w in pipeline.regressor.named_parameters()})
+        optimizer.step()
+    return pipeline, gradients
+
+
+def test_the_first_landmark_is_the_centre_and_the_loss_reaches_every_layer():
+    windows = windows_of(CONFIG)
+    assert new_pipeline(CONFIG, 3, 0, windows).landmarks(windows).tolist() == [[16.5, 16.5]] * 3
+    pipeline, gradients = trained_pipeline(windows)
+    assert gradients[0]["heatmap.weight"] > 0 and gradients[0]["conv1.weight"] == 0  # it starts from zero
+    assert min(gradients[1].values()) > 0
+    assert (pipeline.landmarks(windows) - 16.5).abs().max() > 0.05
+
+
+def test_the_exported_pipeline_equals_the_references():
+    """Scales absorbed, through a model and back: the logits are those of the torch pipeline on the events."""
+    windows = windows_of(CONFIG)
+    pipeline, _ = trained_pipeline(windows)
+    model = export(pipeline, ("a", "b", "c"), {})
+    reference = tnt_reference.Pipeline(
+        pipeline_of(model).classifier, **reference_settings(CONFIG), landmark="regressor", regressor=regressor_of(model)
+    )
+    with torch.no_grad():
+        expected = pipeline(windows)
+        batch = reference.batch([(*columns(windows, i), 0) for i in range(3)])
+        for got in (pipeline_of(model)(windows), pipeline_before_export(model, windows)(windows), batch):
+            torch.testing.assert_close(got, expected, atol=1e-4, rtol=1e-4)
+
+
+def test_training_saves_resumes_and_loads(tmp_path):
+    windows = windows_of(CONFIG)
+    settings = TrainSettings(iterations=2, batch=3, augmentation=Augmentation(translate_px=4))
+    result = train(CONFIG, windows, windows, settings, tmp_path / "run")
+    result.last.save(tmp_path / "m.safetensors")
+    model = load_model(tmp_path / "m.safetensors")
+    assert model.classes == CLASSES and model.weights["regressor.heatmap.weight"].shape == (1, 20, 1, 1)
+    assert np.abs(model.weights["regressor.heatmap.weight"]).max() > 0
+    again = train(CONFIG, windows, windows, settings, tmp_path / "run")
+    assert all(np.array_equal(w, again.last.weights[name]) for name, w in model.weights.items())
+
+
+def test_a_regressor_and_its_landmark_go_together():
+    classifier = tnt_reference.Classifier()
+    with pytest.raises(ValueError, match="landmark 'regressor' and a `regressor` network go together: got landmark"):
+        Pipeline(CONFIG, classifier)
+    with pytest.raises(ValueError, match="only landmark 'regressor' has landmarks of its own, got 'running'"):
+        Pipeline(TNTConfig(), classifier).landmarks(windows_of(CONFIG))
+    with pytest.raises(ValueError, match="`landmarks` must be given with landmark 'regressor', and with no other"):
+        BatchVolumes(CONFIG)(windows_of(CONFIG))
+
+
+@pytest.mark.parametrize("pixels", [1, 4])
+def test_translations_are_whole_pixels_up_to_the_limit(pixels):
+    nothing = dict(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0)
+    draws = Augmentation(**nothing, translate_px=pixels).draw(500, CONFIG, np.random.default_rng(0))
+    moved = draws.matrix[:, :, 2] / FINE
+    assert set(np.unique(np.round(moved, 9))) == set(range(-pixels, pixels + 1))
