@@ -17,7 +17,7 @@ from .windows import Windows
 def export(pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, Any]) -> Model:
     """The finished model: the first convolutions absorb their input's scale, so that they take raw volumes.
 
-    conv1(scale * V) = sum_c w_c * (scale_c V_c) = sum_c (scale_c w_c) * V_c
+    conv1(scale V) = w * (scale V) = (scale w) * V
     """
     parts: dict[str, tuple[Any, torch.Tensor]]
     parts = {"": (pipeline.classifier, pipeline.scale), "regressor.": (pipeline.regressor, pipeline.raw_scale)}
@@ -27,7 +27,7 @@ def export(pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, An
             continue
         for name, tensor in network.state_dict().items():
             w = tensor.detach().cpu()
-            weights[prefix + name] = (w * scale.cpu()[None] if name == "conv1.weight" else w.clone()).numpy()
+            weights[prefix + name] = (w * scale.cpu() if name == "conv1.weight" else w.clone()).numpy()
     return Model(pipeline.config, weights, classes, record)
 
 
@@ -44,7 +44,7 @@ def pipeline_before_export(model: Model, windows: Windows) -> Pipeline:
     with torch.no_grad():
         for network, scale in ((pipeline.classifier, pipeline.scale), (pipeline.regressor, pipeline.raw_scale)):
             if network is not None:
-                network.conv1.weight /= scale[None]
+                network.conv1.weight /= scale
     return pipeline
 
 

@@ -54,8 +54,8 @@ def test_too_few_events_are_bad_usage():
 def test_resident_memory_sees_what_is_allocated():
     resident_mb = load("memory").resident_mb
     before = resident_mb()
-    block = np.ones(32 << 20, np.uint8)
-    assert 24 < resident_mb() - before < 40
+    block = np.ones(64 << 20, np.uint8)  # more than malloc ever takes from memory it has
+    assert 50 < resident_mb() - before < 80
     del block
 
 
