@@ -18,7 +18,7 @@ from async_tnt.simulation.motions import KINDS
 from async_tnt.simulation.moving_mnist import build
 from async_tnt.simulation.set_manifest import MovingMnist
 from async_tnt.simulation.statistics import side_by_side
-from async_tnt.simulation.workers import available_cores
+from async_tnt.workers import available_cores
 
 DESCRIPTION = """\
 Simulate N-MOVING-MNIST: every digit of MNIST before an event camera of 34 x 34 pixels, under each of 30

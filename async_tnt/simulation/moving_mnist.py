@@ -28,7 +28,7 @@ from async_tnt.simulation.scene import Scene
 from async_tnt.simulation.set_manifest import MovingMnist, made_otherwise, read_manifest, write_manifest
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
-from async_tnt.simulation.workers import available_cores, run_all
+from async_tnt.workers import available_cores, run_all
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ import numpy as np
 
 from async_tnt.commands.files import positive_int
 from async_tnt.commands.record import command_words, data_folder
-from async_tnt.simulation.workers import available_cores
 from async_tnt.training.settings import PRECISIONS, TrainSettings
+from async_tnt.workers import available_cores
 
 from .rows import ROWS, TRAINED_ON
 
@@ -103,11 +103,11 @@ def main(args: argparse.Namespace) -> int:
         from tnt_reference import Classifier  # noqa: F401
     except ImportError as error:
         raise ImportError(f"the table needs torch ({error}); install it with: pip install '.[train]'") from None
+    from .all_runs import do_runs
     from .data import RealFolder
     from .report import markdown_table, motions_table, text_table
     from .results import aggregate
     from .run import Run
-    from .workers import do_runs
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
     if args.smoke:

@@ -12,6 +12,7 @@ import numpy as np
 
 from async_tnt.model import Model
 from async_tnt.simulation.moving_mnist import open_set
+from async_tnt.training.curves import plot_curves
 from async_tnt.training.evaluate import class_probabilities
 from async_tnt.training.networks import pipeline_of
 from async_tnt.training.pipelines import Pipeline
@@ -67,7 +68,8 @@ def do_run(
     ----------
     simulated : a set of `async-tnt simulate`.
     settings : seed and augmentation are the run's and its row's, whatever these say.
-    folder : holds `<run>/checkpoint.pt`, `<run>/model.safetensors` and, when done, `<run>/result.json`.
+    folder : holds a folder for each run: its checkpoint, its history as JSON and, when done, its model, its result
+        as JSON and, with matplotlib, its learning curves.
 
     Raises
     ------
@@ -99,6 +101,7 @@ def do_run(
         "row": run.row, "trained_on": run.trained_on, "seed": run.seed, "columns": columns, "tested_on": tested_on,
         "validation": {name: at_the_end[name] for name in ("per_window", "validation_loss") if name in at_the_end},
     }  # fmt: skip
+    plot_curves(trained.history, folder / "curves.png")
     Model(row.config, trained.last.weights, trained.last.classes, result).save(folder / "model.safetensors")
     part = finished.with_name(finished.name + ".part")
     part.write_text(json.dumps(result, indent=1), encoding="utf-8")

@@ -11,7 +11,7 @@ import pytest
 
 from async_tnt.simulation import ConstantVelocity, Scene, load_mnist, motions_of, open_set, open_shard, simulate_digit
 from async_tnt.simulation.moving_mnist import build
-from async_tnt.simulation.workers import available_cores, run_all
+from async_tnt.workers import available_cores, run_all
 
 QUICK = {"digits": 5, "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
 

@@ -8,8 +8,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from small_sets import write_small_nmnist  # noqa: E402
+
 from async_tnt.model import load_model  # noqa: E402
-from async_tnt.recordings import read_nmnist, sample_recordings, write_nmnist  # noqa: E402
 from async_tnt.training import command  # noqa: E402
 
 
@@ -22,16 +23,7 @@ def run(*words):
 @pytest.fixture
 def nmnist(tmp_path):
     """The ten samples as a small data set of the official layout: 3 of each digit in Train, 1 in Test."""
-    folder = tmp_path / "N-MNIST"
-    for digit, path in sample_recordings().items():
-        events = read_nmnist(path)
-        for split, n in (("Train", 3), ("Test", 1)):
-            (folder / split / str(digit)).mkdir(parents=True)
-            for k in range(n):
-                moved = events.copy()
-                moved["x"] = np.minimum(moved["x"] + k, 33)
-                write_nmnist(folder / split / str(digit) / f"{k + 1:05d}.bin", moved)
-    return folder
+    return write_small_nmnist(tmp_path / "N-MNIST", n_train=3, first_number=1)
 
 
 def test_smoke_needs_no_data(tmp_path, monkeypatch, capsys):

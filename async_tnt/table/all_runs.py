@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.progress import progress
-from async_tnt.simulation.workers import run_all
 from async_tnt.training.settings import TrainSettings
+from async_tnt.workers import run_all
 
 from .data import RealFolder
 from .run import Run, do_run
