@@ -61,6 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mnist", type=Path, metavar="FOLDER",
         help="MNIST's IDX files, to make that set from (default: $TNT_DATA/mnist)",
     )  # fmt: skip
+    data.add_argument(
+        "--skip-damaged", action="store_true",
+        help="leave damaged recordings out, with a warning each, instead of stopping",
+    )  # fmt: skip
     what = parser.add_argument_group("what to train")
     what.add_argument("--rows", nargs="+", choices=list(ROWS), default=list(ROWS), help="default: all five")
     what.add_argument(
@@ -115,7 +119,7 @@ def main(args: argparse.Namespace) -> int:
     per_digit = 8 if args.smoke else None
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     # Read once here, so that a missing or damaged file is told before anything is trained.
-    real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit)
+    real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit, args.skip_damaged)
     data = real.read()
     args.out.mkdir(parents=True, exist_ok=True)
     simulated = args.simulated or _simulate(args, args.out / "simulated")
@@ -129,7 +133,7 @@ def main(args: argparse.Namespace) -> int:
     record = {
         "command": command_words(
             "async-tnt table --nmnist N-MNIST --simulated MOVING-MNIST", args, add_arguments,
-            leave_out=("json", "workers"),
+            leave_out=("json", "workers", "skip_damaged"),
         ),
         "data": {**data.description, "simulated": simulated_description},
         "rows": {

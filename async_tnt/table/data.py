@@ -47,11 +47,13 @@ class RealFolder:
     folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
     validation : share of the training recordings that is held out.
     per_digit : only the first so many recordings of each digit, in either folder; None for all.
+    skip_damaged : leave damaged recordings out, with a warning each, instead of stopping.
     """
 
     folder: Path
     validation: float = 0.1
     per_digit: int | None = None
+    skip_damaged: bool = False
 
     def read(self) -> RealData:
         """Read both folders; a second time in the same process gives the same object.
@@ -71,8 +73,10 @@ def _read(real: RealFolder) -> RealData:
             raise FileNotFoundError(
                 f"no folder {name} in {real.folder}; expected N-MNIST's Train/<digit>/*.bin and Test/<digit>/*.bin"
             )
-    train = read_folder(real.folder / "Train", per_digit=real.per_digit)
-    test = read_folder(real.folder / "Test", per_digit=real.per_digit)
+    train, test = (
+        read_folder(real.folder / name, per_digit=real.per_digit, skip_damaged=real.skip_damaged)
+        for name in ("Train", "Test")
+    )
     learned, held_out = split_recordings(train, real.validation, np.random.default_rng(VALIDATION_SEED))
     official = (len(train), len(test)) == OFFICIAL
     return RealData(

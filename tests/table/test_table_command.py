@@ -1,6 +1,7 @@
 """`async-tnt table`: from folders to the table, resumed, and its messages."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -134,6 +135,21 @@ def test_a_set_without_unseen_images_is_refused(small_nmnist, small_mnist, tmp_p
             (folder / split / path.parent.name / f"{60_001 + k}.bin").symlink_to(path)
     assert table("--smoke", "--nmnist", folder, "--mnist", small_mnist, "--workers", 1, "--out", tmp_path) == 2
     assert "all of its 20 images are shown by training recordings" in capsys.readouterr().err
+
+
+def test_damaged_recordings_are_told_and_may_be_left_out(small_nmnist, small_set, tmp_path, capsys):
+    folder = tmp_path / "nmnist"
+    shutil.copytree(small_nmnist, folder)
+    damaged = next(folder.glob("Train/3/*.bin"))
+    damaged.write_bytes(damaged.read_bytes()[:-2])
+    words = ["--nmnist", folder, "--simulated", small_set, "--rows", "baseline", "--trained-on", "1", "--seeds", 0,
+             "--iterations", 1, "--workers", 1, "--out", tmp_path / "out"]  # fmt: skip
+    assert table(*words) == 2
+    printed = capsys.readouterr().err
+    assert damaged.name in printed and "--skip-damaged" in printed and printed.count("\n") == 1
+    with pytest.warns(UserWarning, match=rf"left out: .*{damaged.name}"):
+        assert table(*words, "--skip-damaged") == 0
+    assert "39 recordings to train on" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("words", [["--rows", "best"], ["--seeds", "-1"], ["--iterations", "0"], ["--precision", "8"]])
