@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
 import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from async_tnt.bench.timing import machine
 from async_tnt.commands.files import positive_int
 from async_tnt.commands.record import command_words, data_folder
 from async_tnt.training.settings import PRECISIONS, TrainSettings
@@ -142,7 +140,7 @@ def main(args: argparse.Namespace) -> int:
         },
         "settings": {"iterations": args.iterations, "batch": args.batch, "precision": args.precision},
         "seeds": args.seeds,
-        "versions": {"python": platform.python_version(), "numpy": np.__version__, "torch": torch.__version__},
+        "machine": machine("torch"),
         "table": table,
         "validation": {
             Run(r["row"], r["trained_on"], r["seed"]).name: r["validation"] for r in results
