@@ -35,9 +35,11 @@ from .volume import TNTVolume
 
 PACKET_SIZES = (1, 2, 7, 100, 0)  # 0: everything at once
 VOLUME_BOUND = 1e-6  # of the largest cell
+CANCELLED = 1e-9  # events: where all cells are below it, opposite events cancelled and left their rounding
 LANDMARK_BOUND = 1e-9  # pixels
 LOGIT_BOUND = 1e-4
-REGRESSED_LANDMARK_BOUND = 1e-4
+REGRESSED_CANCELLED = 1e-9  # events: where all cells are below it, opposite events cancelled and left their rounding
+LANDMARK_BOUND = 1e-4
 REGRESSED_VOLUME_BOUND = 1e-2  # what a landmark at its bound may do: at TNT time tau an event moves by 1e-4 / tau
 
 
@@ -169,7 +171,7 @@ class _RegressedPrefix:
 
 def _difference(volume: np.ndarray, reference: np.ndarray, rim: int = 0) -> float:
     """The largest difference, without `rim` rows and columns on each side, as a share of the largest cell."""
-    largest = max(float(np.abs(reference).max()), float(np.abs(volume).max()), 1e-30)
+    largest = max(float(np.abs(reference).max()), float(np.abs(volume).max()), CANCELLED)
     height, width = volume.shape[-2:]
     inner = np.abs(volume - reference)[:, rim : height - rim, rim : width - rim]
     return float(inner.max()) / largest

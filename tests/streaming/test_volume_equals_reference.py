@@ -54,7 +54,8 @@ def kept_by_reference(events, config, start_us):
 
 def assert_equals_reference(volume, events, config, start_us):
     expected = reference(events, config, start_us)
-    assert np.abs(volume.array - expected).max() <= 1e-6 * max(np.abs(expected).max(), 1e-30)
+    # 1e-9 events: a volume below that has cancelled, and its rounding (1e-15 at most) is left
+    assert np.abs(volume.array - expected).max() <= 1e-6 * max(np.abs(expected).max(), 1e-9)
     assert volume.counts.kept == kept_by_reference(events, config, start_us)
     if config.transform == "tnt" and events.size:
         where = {"start_us": start_us, "window_us": config.window_us, "sensor": config.sensor, "grid": config.grid}
