@@ -38,8 +38,7 @@ VOLUME_BOUND = 1e-6  # of the largest cell
 CANCELLED = 1e-9  # events: where all cells are below it, opposite events cancelled and left their rounding
 LANDMARK_BOUND = 1e-9  # pixels
 LOGIT_BOUND = 1e-4
-REGRESSED_CANCELLED = 1e-9  # events: where all cells are below it, opposite events cancelled and left their rounding
-LANDMARK_BOUND = 1e-4
+REGRESSED_LANDMARK_BOUND = 1e-4
 REGRESSED_VOLUME_BOUND = 1e-2  # what a landmark at its bound may do: at TNT time tau an event moves by 1e-4 / tau
 
 
