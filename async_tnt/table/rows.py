@@ -9,7 +9,7 @@ trained on one motion must see no other. Random translations are given to TNT+re
 
 References
 ----------
-Wang 2019, arXiv:1911.12801, the table of N-MNIST and N-MOVING-MNIST: the numbers in `THESIS`. "1/train" we read as:
+Wang 2019, arXiv:1911.12801, the table of N-MNIST and N-MOVING-MNIST: the numbers in `Row.thesis`. "1/train" we read as:
 trained on the first motion, tested on all three motions of the training digits.
 """
 
