@@ -19,6 +19,7 @@ from .processor import Processor
 from .regressor import CompiledRegressor
 from .replay import ReplayBufferFull
 from .streams import astream, stream
+from .triggers import LeakyIntegrator
 from .volume import Counts, TNTVolume
 from .warmup import warmup
 
@@ -30,6 +31,7 @@ __all__ = [
     "CompiledRegressor",
     "Counts",
     "Decision",
+    "LeakyIntegrator",
     "Model",
     "Processor",
     "ReplayBufferFull",

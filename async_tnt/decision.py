@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-
-from .kernels.network import softmax
 
 
 @dataclass(frozen=True, slots=True, eq=False)  # arrays have no truth value to compare by
@@ -28,9 +26,10 @@ class Decision:
     events: int
     """Events in the window so far."""
     complete: bool
-    """Whether the window is closed: no event can come any more."""
+    """Whether the window is closed: nothing more will be said of it."""
     trigger: str
-    """Why it fired: `window` (closed), `every_us`, `every_events`, `fire` (on demand), `end` (of the stream)."""
+    """Why it fired: `window` (closed), `every_us`, `every_events`, `activity`, `confidence` (and closed the window),
+    `fire` (on demand), `end` (of the stream)."""
 
     @property
     def probability(self) -> float:
@@ -38,19 +37,19 @@ class Decision:
         return float(self.probabilities[self.index])
 
 
-def decide(
-    logits: np.ndarray, classes: Sequence[str], start_us: int, time_us: int, n_events: int, complete: bool, trigger: str
-) -> Decision:
-    """A Decision from the logits (float32, shape (n_classes,)) of a window.
+def check_logits(logits: np.ndarray, index: int, n_classes: int) -> None:
+    """Raise unless there is one finite logit for each class.
 
-    Raises
-    ------
-    ValueError : there is not one finite logit for each class.
+    Parameters
+    ----------
+    logits : float32, shape (n,). index : what `softmax` says of them.
     """
-    if logits.size != len(classes):
-        raise ValueError(f"`classifier` must return {len(classes)} logits, one for each class, got {logits.size}")
-    probabilities = np.empty(logits.size)
-    index = softmax(logits, probabilities) if logits.size else -1
+    if logits.size != n_classes:
+        raise ValueError(f"`classifier` must return {n_classes} logits, one for each class, got {logits.size}")
     if index < 0:
         raise ValueError(f"`classifier` must return finite logits, got {logits.tolist()}")
-    return Decision(classes[index], index, probabilities, logits, start_us, time_us, n_events, complete, trigger)
+
+
+def new_decision(*values: Any) -> Decision:
+    """`Decision(*values)`."""
+    return Decision(*values)

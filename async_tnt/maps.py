@@ -1,4 +1,4 @@
-"""A network's weights and feature maps, laid out as the kernels read them (see `kernels.network`)."""
+"""The landmark network's weights and feature maps, laid out as the kernels read them (see `kernels.convolve`)."""
 
 from __future__ import annotations
 

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from .config import TNTConfig
 from .kernels import state as S
+
+_epochs = itertools.count(1)
+
+
+def next_epoch() -> int:
+    """A number for a window's EPOCH that no other one in this process has."""
+    return next(_epochs)
 
 
 def new_state(config: TNTConfig) -> np.ndarray:
@@ -13,7 +22,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     (sensor_w, sensor_h), (width, height) = config.sensor, config.grid
     plane = 2 * (width + 1) * (height + 1)
     n_cells = config.channels * plane
-    log_size = max(64, n_cells // S.NUMBERS_PER_LOGGED)
+    log_size = 1 << (max(S.BLOCK, n_cells // S.NUMBERS_PER_LOGGED) - 1).bit_length()
     buffer = np.zeros(S.CELLS + n_cells + log_size)
     ints = buffer.view(np.int64)
     gain_x, gain_y = config.to_grid(1.0, 1.0)

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Sequence
-from itertools import islice
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from .classifier import CompiledClassifier
 from .config import TNTConfig
-from .decision import Decision, decide
+from .decider import Classifier, Decider
+from .decision import Decision
 from .events import Columns, EventDoor
+from .kernels.state import NEVER_US
 from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
 from .landmark_at_read import Regressor
 from .model import Model
+from .open_windows import OpenWindows
 from .regressor import CompiledRegressor
-from .volume import Counts, TNTVolume, checked_time
-
-Classifier = Callable[[np.ndarray], Any]
-NEVER = 1 << 62
-MAX_OPEN_WINDOWS = 256
+from .triggers import LeakyIntegrator, Triggers
+from .volume import Counts, checked_time
 
 
 class Processor:
@@ -35,8 +33,8 @@ class Processor:
     ----------
     model : a Model, or a TNTConfig together with `classifier`.
     classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during the call)
-        to logits, finite ones; by default the model's own network, compiled. For a torch module `net`:
-        `lambda volume: net(torch.tensor(volume)[None]).detach()`.
+        to logits, finite ones; by default the model's own network, compiled, which computes only what has changed
+        since the last decision. Others are in `async_tnt.engines`.
     regressor : with landmark `regressor`, see `TNTVolume`; by default the model's own network, compiled. What it
         raises is treated as the classifier's errors are, see `push`.
     classes : class names; by default the model's, or else "0", "1", ...
@@ -47,9 +45,16 @@ class Processor:
         The decision falls when the first event at or after that moment shows that it has come. With overlapping
         windows: at those moments of a window at which it is the oldest.
     every_events : decide also after every so many events of the window.
+    confidence : close the window early, with a last decision, as soon as the likeliest class has this probability.
+        It is looked for at every decision that the other triggers make, and where there is none, after every event.
+        The window's remaining events are counted as `dropped_decided`.
+    activity : a `LeakyIntegrator`: decide also when much happens in little time.
     late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen. Events before
         every open window are always dropped and counted.
     replay_events : see `TNTVolume`.
+
+    The triggers `every_us`, `every_events`, `confidence` and `activity` are attributes, too, and may be changed at
+    any time; so may `classifier`.
 
     Examples
     --------
@@ -71,6 +76,8 @@ class Processor:
         hop_us: int | None = None,
         every_us: int | None = None,
         every_events: int | None = None,
+        confidence: float | None = None,
+        activity: LeakyIntegrator | None = None,
         late: str = "accept",
         replay_events: int = 1 << 20,
     ) -> None:
@@ -88,53 +95,93 @@ class Processor:
             )
         if classifier is None:
             raise TypeError("`classifier` is missing: a TNTConfig alone cannot decide; pass a Model or a callable")
-        if not callable(classifier):
-            raise TypeError(f"`classifier` must be callable, got {type(classifier).__name__}")
-        window_us = self.config.window_us
-        self._hop_us = window_us if hop_us is None else _positive("hop_us", hop_us)
-        if self._hop_us > window_us:
-            raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {hop_us}")
-        self._every_us = None if every_us is None else _positive("every_us", every_us)
-        self._every_events = None if every_events is None else _positive("every_events", every_events)
-        start_us = None if start_us is None else checked_time("start_us", start_us)
         if isinstance(classes, str):
             raise TypeError(f"`classes` must be a sequence of names, got the single string {classes!r}")
-        self.classifier = classifier
-        self.classes = None if classes is None else tuple(classes)
+        self._decider = Decider(self.config, classifier, classes)
+        start_us = None if start_us is None else checked_time("start_us", start_us)
         self._start_us = start_us
         self._door = EventDoor(self.config.sensor, late)
-        n_volumes = -(-window_us // self._hop_us)
-        if n_volumes > MAX_OPEN_WINDOWS:
-            raise ValueError(
-                f"`hop_us` must be at least window_us / {MAX_OPEN_WINDOWS} = {-(-window_us // MAX_OPEN_WINDOWS)}, "
-                f"got {self._hop_us}: {n_volumes} windows would be open at once"
-            )
-        self._volumes = [
-            TNTVolume(self.config, replay_events=replay_events, regressor=regressor) for _ in range(n_volumes)
-        ]
-        # One event by itself goes straight to the volume where nothing else has to be looked after.
-        direct = n_volumes == 1 and every_events is None and late == "accept"
-        self._add = self._volumes[0].add if direct else _ask_the_door
-        self._may_warn = self.config.needs_replay
+        self._windows = OpenWindows(self.config, hop_us, start_us, replay_events, regressor)
+        self._triggers = Triggers()
+        self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
         self.reset()
 
     def __repr__(self) -> str:
-        return f"Processor({self.config}, {len(self._open)} open windows, {self.counts.received} events received)"
+        return f"Processor({self.config}, {len(self._windows)} open windows, {self.counts.received} events received)"
 
     def reset(self) -> None:
         """Forget the stream: no window open, all counts zero. Classifier and settings stay."""
         self._door.reset()
-        for volume in self._volumes:
-            volume.reset()
-        self._open: deque[TNTVolume] = deque()  # oldest first
-        self._free = list(self._volumes)
-        self._next_start_us: int | None = self._start_us  # of the next window to be opened; None: at the first event
-        self._trigger_us = NEVER  # next time trigger of the oldest window
+        self._windows.reset()
+        self._triggers.forget()
+        self._trigger_us = NEVER_US  # next time trigger of the oldest window
         self._n_decided = 0  # events of the oldest window at its last triggered decision
-        self._n_received = 0
-        self._n_late = 0
+        self._choose_ways()
         if self._start_us is not None:
             self._open_windows(self._start_us)
+
+    # -- settings that may change ------------------------------------------------------------------------
+
+    @property
+    def classifier(self) -> Classifier:
+        """From a volume to logits. Another one takes over with the next decision."""
+        return self._decider.classifier
+
+    @classifier.setter
+    def classifier(self, classifier: Classifier) -> None:
+        self._decider.classifier = classifier
+
+    @property
+    def classes(self) -> tuple[str, ...] | None:
+        """Class names; where nobody named them, known from the first decision on."""
+        return self._decider.classes
+
+    @property
+    def every_us(self) -> int | None:
+        return self._triggers.every_us
+
+    @every_us.setter
+    def every_us(self, every_us: int | None) -> None:
+        self._set(every_us=every_us)
+
+    @property
+    def every_events(self) -> int | None:
+        return self._triggers.every_events
+
+    @every_events.setter
+    def every_events(self, every_events: int | None) -> None:
+        self._set(every_events=every_events)
+
+    @property
+    def confidence(self) -> float | None:
+        return self._triggers.confidence
+
+    @confidence.setter
+    def confidence(self, confidence: float | None) -> None:
+        self._set(confidence=confidence)
+
+    @property
+    def activity(self) -> LeakyIntegrator | None:
+        return self._triggers.activity
+
+    @activity.setter
+    def activity(self, activity: LeakyIntegrator | None) -> None:
+        self._set(activity=activity)
+
+    def _set(self, **settings: Any) -> None:
+        self._triggers.set(**settings)
+        self._choose_ways()
+        if len(self._windows):
+            oldest = self._windows.oldest
+            self._set_trigger(max(oldest.start_us, oldest.newest_us))
+            self._windows.limit(self._trigger_us)
+
+    def _choose_ways(self) -> None:
+        """Take the shortest way for an event that the settings allow."""
+        plain = not self._triggers.look_at_events
+        # One event by itself goes straight to the volume where nothing else has to be looked after.
+        direct = plain and not self._windows.overlap and self._door.late == "accept"
+        self._add = self._windows.oldest.add if direct else _ask_the_door
 
     # -- events in ---------------------------------------------------------------------------------------
 
@@ -166,7 +213,7 @@ class Processor:
             return []
         if answer == AT_LIMIT:
             decisions: list[Decision] = []
-            if self._open:
+            if len(self._windows):
                 self._advance(t, decisions)
             else:
                 self._open_windows(t)
@@ -178,84 +225,71 @@ class Processor:
     def _push(self, columns: Columns) -> list[Decision]:
         decisions: list[Decision] = []
         n = columns.n
-        if n and not self._open:
-            self._open_windows(int(columns.t[0]))
         first = 0
         while first < n:
-            last = n
-            if self._every_events is not None:
-                last = min(n, first + self._every_events - self._open[0].n_events % self._every_events)
-            taken = self._take(columns, first, last)
-            if self._every_events is not None and taken > first:
-                self._fire_if_new("every_events", decisions, self._open[0].n_events % self._every_events == 0)
-            if taken < last:
-                self._advance(int(columns.t[taken]), decisions)
-            first = taken
-        if self._may_warn:
-            for volume in self._volumes:
+            if not len(self._windows):
+                self._open_windows(int(columns.t[first]))
+            if self._triggers.look_at_events:
+                first, new = self._decider.take(self._windows, self._triggers, columns, first, n)
+                self._note(new, self._windows.oldest.newest_us, decisions)
+            else:
+                first = self._windows.take(columns, first, n)
+            if first < n and len(self._windows):
+                self._advance(int(columns.t[first]), decisions)
+        if self.config.needs_replay:
+            for volume in self._windows.volumes:
                 volume.warn()
         return decisions
 
-    def _take(self, columns: Columns, first: int, last: int) -> int:
-        """Add events to all open windows up to the next moment when something has to happen."""
-        oldest = self._open[0]
-        if len(self._volumes) == 1:  # it counts for itself
-            return oldest.take(columns, first, last)
-        late = oldest.n_late
-        taken = oldest.take(columns, first, last)
-        self._n_late += oldest.n_late - late
-        self._n_received += taken - first
-        for volume in islice(self._open, 1, None):
-            volume.take(columns, first, taken)
-        return taken
+    # -- as time passes ----------------------------------------------------------------------------------
 
     def _advance(self, t_us: int, decisions: list[Decision]) -> None:
         """Let time pass to `t_us`: trip triggers, close windows and open new ones on the way."""
-        window_us = self.config.window_us
-        while self._open:
-            end_us = self._open[0].start_us + window_us
+        windows = self._windows
+        while len(windows):
+            end_us = windows.oldest_end_us
             if self._trigger_us <= t_us and self._trigger_us < end_us:
-                self._fire_if_new("every_us", decisions)
+                new = []
+                if windows.oldest.n_events > self._n_decided:
+                    new.append(self._decider.decide(windows.oldest, "every_us", level=self.confidence))
                 self._set_trigger(min(t_us, end_us))
+                self._note(new, t_us, decisions)
             elif end_us <= t_us:
-                volume = self._open[0]
-                if volume.n_events:  # first: should the classifier raise, the window stays open
-                    decisions.append(self._decide(volume, "window", complete=True))
-                self._free.append(self._open.popleft())
+                if windows.oldest.n_events:  # first: should the classifier raise, the window stays open
+                    decisions.append(self._decider.decide(windows.oldest, "window", complete=True))
+                windows.drop_oldest()
                 self._n_decided = 0
                 self._set_trigger(end_us)
             else:
                 break
         self._open_windows(t_us)
 
+    def _note(self, new: list[Decision], now_us: int, decisions: list[Decision]) -> None:
+        """Take over decisions of the oldest window: after a complete one it is over."""
+        if not new:
+            return
+        decisions += new
+        self._n_decided = new[-1].events
+        if new[-1].complete:
+            self._windows.drop_oldest(decided=True)
+            self._n_decided = 0
+            self._set_trigger(now_us)
+            if len(self._windows):
+                self._windows.limit(self._trigger_us)
+
     def _open_windows(self, t_us: int) -> None:
-        """Open every window on the grid that holds `t_us` and is not open yet; skip the empty ones between."""
-        if self._next_start_us is None:
-            self._next_start_us = t_us
-        window_us, hop_us = self.config.window_us, self._hop_us
-        start_us = self._next_start_us
-        if start_us + window_us <= t_us:
-            start_us += ((t_us - window_us - start_us) // hop_us + 1) * hop_us
-        while start_us <= t_us or not self._open:
-            volume = self._free.pop()
-            volume.open(start_us)
-            self._open.append(volume)
-            if len(self._open) == 1:
-                self._n_decided = 0
-                self._set_trigger(max(t_us, start_us))
-            start_us += hop_us
-        self._next_start_us = start_us
-        oldest_end_us = self._open[0].start_us + window_us
-        limit_us = min(oldest_end_us, start_us, self._trigger_us)
-        for volume in self._open:
-            volume.set_limit(limit_us)
+        """Open what is due at `t_us`."""
+        if self._windows.open_until(t_us):
+            self._n_decided = 0
+            self._set_trigger(max(t_us, self._windows.oldest.start_us))
+        self._windows.limit(self._trigger_us)
 
     def _set_trigger(self, now_us: int) -> None:
         """The oldest window's next time trigger after `now_us`."""
-        self._trigger_us = NEVER
-        if self._every_us is not None and self._open:
-            start_us = self._open[0].start_us
-            self._trigger_us = start_us + ((now_us - start_us) // self._every_us + 1) * self._every_us
+        self._trigger_us = NEVER_US
+        if self.every_us is not None and len(self._windows):
+            start_us = self._windows.oldest.start_us
+            self._trigger_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
 
     # -- decisions out -----------------------------------------------------------------------------------
 
@@ -264,7 +298,7 @@ class Processor:
 
         Before the first event, and after `finish`, the window is empty (`events` is 0).
         """
-        return self._decide(self._oldest, "fire")
+        return self._decider.decide(self._windows.oldest, "fire")
 
     def finish(self) -> list[Decision]:
         """The stream is over: classify the windows that are still open and hold events, and close them.
@@ -273,69 +307,29 @@ class Processor:
         later windows: those before the next window's start are late.
         """
         decisions = []
-        while self._open:
-            volume = self._open[0]
-            if volume.n_events:
-                decisions.append(self._decide(volume, "end"))
-            volume.close()
-            self._free.append(self._open.popleft())
+        while len(self._windows):
+            if self._windows.oldest.n_events:
+                decisions.append(self._decider.decide(self._windows.oldest, "end"))
+            self._windows.close_oldest()
         return decisions
-
-    def _fire_if_new(self, trigger: str, decisions: list[Decision], due: bool = True) -> None:
-        oldest = self._open[0]
-        if due and oldest.n_events > self._n_decided:
-            decisions.append(self._decide(oldest, trigger))
-            self._n_decided = oldest.n_events
-
-    def _decide(self, volume: TNTVolume, trigger: str, complete: bool = False) -> Decision:
-        logits = self.classifier(volume.array)
-        if not isinstance(self.classifier, CompiledClassifier):  # which returns them as they should be
-            logits = np.asarray(logits).astype(np.float32).reshape(-1)  # a copy
-        classes = tuple(str(k) for k in range(logits.size)) if self.classes is None else self.classes
-        start_us, n_events = volume.start_us, volume.n_events
-        time_us = volume.newest_us if n_events else start_us
-        decision = decide(logits, classes, start_us, time_us, n_events, complete, trigger)
-        self.classes = classes  # from the first answer on, where nobody named them
-        return decision
 
     # -- looking in --------------------------------------------------------------------------------------
 
-    @property
-    def _oldest(self) -> TNTVolume:
-        return self._open[0] if self._open else self._volumes[0]
-
     def volume(self) -> np.ndarray:
         """The (oldest) open window's volume as it stands: float32, shape (C, H, W), read-only; copy to keep."""
-        return self._oldest.array
+        return self._windows.oldest.array
 
     @property
     def landmark(self) -> tuple[float, float]:
         """The (oldest) open window's landmark (x, y), in grid pixels."""
-        return self._oldest.landmark
+        return self._windows.oldest.landmark
 
     @property
     def counts(self) -> Counts:
-        """What became of the events, see `Counts`. Where windows overlap, `received` and `dropped_late` count
-        an event once, the others once in every window it belongs to."""
-        total = sum((volume.counts for volume in self._volumes), Counts())
-        if len(self._volumes) == 1:
-            received, late = total.received, total.dropped_late
-        else:
-            received, late = self._n_received, self._n_late
-        dropped = self._door.n_dropped
-        return Counts(
-            received + dropped, total.kept, total.dropped_outside, total.dropped_tau_zero, late + dropped,
-            total.dropped_unstored,
-        )  # fmt: skip
+        """What became of the events, see `Counts`. Where windows overlap, `received`, `dropped_late` and
+        `dropped_decided` count an event once, the others once in every window it belongs to."""
+        return self._windows.counts(self._door.n_dropped)
 
 
 def _ask_the_door(t: int, x: int, y: int, p: int) -> int:
     return REFUSED
-
-
-def _positive(name: str, value: int) -> int:
-    if not hasattr(value, "__index__") or isinstance(value, bool):
-        raise TypeError(f"`{name}` must be a whole number, got {value!r}")
-    if value < 1:
-        raise ValueError(f"`{name}` must be at least 1, got {value}")
-    return int(value)

@@ -13,9 +13,11 @@ from .kernels.read import empty_volume
 from .kernels.store import store_events
 from .kernels.update import absorb
 from .landmark_at_read import LandmarkAtRead
+from .new_state import next_epoch
 
 FIRST_CAPACITY = 4096
-UNCHANGED_BY_REPLAY = (S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE)
+UNCHANGED_BY_REPLAY = (S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE,
+                       S.DECIDED_US, S.DECIDED)  # fmt: skip
 
 
 class ReplayBufferFull(UserWarning):
@@ -103,7 +105,7 @@ class Replay:
         landmark = self.landmark(buffer)  # first: what a regressor raises must leave the volume as it was
         ints = buffer.view(np.int64)
         saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
-        empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US])
+        empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US], next_epoch())
         ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
         buffer[S.FIXED_X], buffer[S.FIXED_Y] = self._config.to_sensor(*landmark)
         absorb(buffer, *self._columns[:4], 0, self.n)

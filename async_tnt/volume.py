@@ -14,7 +14,7 @@ from .kernels import state as S
 from .kernels.read import copy_cells, empty_volume
 from .kernels.update import ABSORBED, REFUSED, absorb, absorb_one
 from .landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
-from .new_state import new_state
+from .new_state import new_state, next_epoch
 from .replay import Replay
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
@@ -25,7 +25,7 @@ class Counts:
     """What became of the events since the volume was made or reset.
 
     Every event received is kept or in exactly one of the dropped ones (where windows do not overlap):
-    received = kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_unstored.
+    received = kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_unstored + dropped_decided.
     """
 
     received: int = 0
@@ -38,6 +38,8 @@ class Counts:
     """Before the start of the open window, or late under late="drop"."""
     dropped_unstored: int = 0
     """The replay buffer of landmark "window" or "regressor" was full."""
+    dropped_decided: int = 0
+    """Its window had been closed before its end, with a decision that was sure enough."""
 
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))
@@ -110,6 +112,7 @@ class TNTVolume:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._ints = self._buffer.view(np.int64)  # views again, and not copies of what they showed
+        self._ints[S.EPOCH] = next_epoch()  # from now on its events are its own
         self._view = self._array.view()
         self._view.flags.writeable = False
 
@@ -138,13 +141,17 @@ class TNTVolume:
         """Make `take` stop before events at or after `limit_us`, or at the window's end if that comes first."""
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
+    def set_decided(self, from_us: int) -> None:
+        """Count events from this time on, up to the open window's start, as `dropped_decided` instead of late."""
+        self._ints[S.DECIDED_US] = from_us
+
     def warn(self) -> None:
         """Give the warnings that the last packet made due."""
         if self._replay is not None:
             self._replay.warn()
 
     def _empty(self, start_us: int, limit_us: int) -> None:
-        empty_volume(self._buffer, self._array, start_us, limit_us)
+        empty_volume(self._buffer, self._array, start_us, limit_us, next_epoch())
         if self._replay is not None:
             self._replay.open(start_us)
 
@@ -211,7 +218,7 @@ class TNTVolume:
     def reset(self) -> None:
         """Back to the state after construction: no window open, all counts zero."""
         self._door.reset()
-        for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO):
+        for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED):
             self._ints[slot] = 0
         if self._replay is not None:
             self._replay.reset()
@@ -226,11 +233,21 @@ class TNTVolume:
         A read-only view of one and the same memory: brought up to date by each access to this property, and
         by nothing else. Copy it to keep it.
         """
+        buffer = self.state()
+        if self._ints[S.N_LOG] > self._ints[S.N_READ]:
+            copy_cells(buffer, self._array, self.config.bins)
+        return self._view
+
+    def state(self) -> np.ndarray:
+        """The numbers of the open window as the kernels lay them out (`kernels.state`), up to date, to be read only."""
         if self._replay is not None:
             self._replay.run(self._buffer, self._array)
-        if self._ints[S.N_LOG] > self._ints[S.N_READ] or self._ints[S.LOST]:
-            copy_cells(self._buffer, self._array, self.config.bins)
-        return self._view
+        return self._buffer
+
+    @property
+    def buffer(self) -> np.ndarray:
+        """The same as it stands, not replayed, for who adds events to it himself."""
+        return self._buffer
 
     @property
     def landmark(self) -> tuple[float, float]:
@@ -272,8 +289,9 @@ class TNTVolume:
             unstored = self._replay.n_unstored
         received, kept, late, tau_zero = (int(self._ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO))
         dropped = self._door.n_dropped
-        outside = received - kept - late - tau_zero - unstored
-        return Counts(received + dropped, kept, outside, tau_zero, late + dropped, unstored)
+        decided = self.n_decided
+        outside = received - kept - late - tau_zero - unstored - decided
+        return Counts(received + dropped, kept, outside, tau_zero, late + dropped, unstored, decided)
 
     @property
     def n_events(self) -> int:
@@ -284,6 +302,11 @@ class TNTVolume:
     def n_late(self) -> int:
         """Events dropped because they came before the start of their open window."""
         return int(self._ints[S.LATE])
+
+    @property
+    def n_decided(self) -> int:
+        """Events dropped because their window had been closed early."""
+        return int(self._ints[S.DECIDED])
 
     @property
     def start_us(self) -> int:

@@ -18,7 +18,7 @@ from ..kernels import state as S
 from ..kernels.read import empty_volume
 from ..kernels.splat import BORDER_TOLERANCE
 from ..kernels.update import absorb
-from ..new_state import new_state
+from ..new_state import new_state, next_epoch
 
 
 class Coordinates(NamedTuple):
@@ -72,7 +72,7 @@ def transformed(
         )
     columns = EventDoor(config.sensor)(events)
     buffer = new_state(config)
-    empty_volume(buffer, np.zeros(config.shape, np.float32), start_us, start_us + config.window_us)
+    empty_volume(buffer, np.zeros(config.shape, np.float32), start_us, start_us + config.window_us, next_epoch())
     if landmark is not None:
         buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*landmark)
 

@@ -3,14 +3,14 @@
     e = sum_f w[f] ReLU(conv3(...))[f]          the heatmap's exponent, (H, W), float32 as in torch
     l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])          in grid pixels, float64
 
-Its convolutions are the classifier's, see `network`: maps in one long row with a frame of zeros.
+Its convolutions are the those of `convolve`: maps in one long row with a frame of zeros.
 """
 
 import numpy as np
 
+from .convolve import convolve, frame
 from .fma import fma
 from .jit import compiled
-from .network import convolve, frame
 
 
 @compiled

@@ -31,10 +31,19 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     Numba refuses to decorate a function for its cache where neither the package's folder nor the user's cache
     folder is writable (NUMBA_CACHE_DIR names another); then every process compiles anew.
     """
+    return _compiled(function)
+
+
+def compiled_without_gil(function: Callable[..., Any]) -> Callable[..., Any]:
+    """`compiled`, and other Python threads run meanwhile: for work that takes longer than handing the lock over."""
+    return _compiled(function, nogil=True)
+
+
+def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     try:
-        kernel = _strict(cache=True)(function)
+        kernel = _strict(cache=True, **options)(function)
     except RuntimeError:
-        return _strict()(function)
+        return _strict(**options)(function)
     # Numba looks only at the file of the function itself: after an edit of a formula that is compiled into it
     # from elsewhere, it would go on serving the old code. So every cached kernel depends on all files here.
     cache_file: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)

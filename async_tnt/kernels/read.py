@@ -7,23 +7,25 @@ from .jit import compiled, inlined
 
 
 @compiled
-def empty_volume(buffer, array, start_us, limit_us):
+def empty_volume(buffer, array, start_us, limit_us, epoch):
     """Open a window: no events, all cells and the array zero. Counters go on.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
     array : float32, shape (C, H, W). Updated in place.
+    epoch : int. A number that no window had before.
     """
     ints = buffer.view(np.int64)
     first = ints[S.LOG]
-    if ints[S.WIPE] or ints[S.N_LOG] * S.NUMBERS_PER_EMPTIED > first - S.CELLS:
+    n_log = ints[S.N_LOG]
+    if n_log > ints[S.LOG_SIZE] or n_log * S.NUMBERS_PER_EMPTIED > first - S.CELLS:
         for i in range(S.CELLS, first):
             buffer[i] = 0.0
         array[:] = 0.0
     else:
         row = ints[S.ROW]
-        for k in range(first, first + ints[S.N_LOG]):
+        for k in range(first, first + n_log):
             for place in (ints[k], ints[k] + row):
                 buffer[place] = 0.0
                 buffer[place + 1] = 0.0
@@ -32,7 +34,7 @@ def empty_volume(buffer, array, start_us, limit_us):
         for k in range(first, first + ints[S.N_READ]):  # now that all cells are zero
             _copy_around(buffer, ints, ints[k], array)
     ints[S.N_LOG] = 0
-    ints[S.WIPE] = 0
+    ints[S.EPOCH] = epoch
     _note_read(ints)
     buffer[S.C_XF] = 0.0
     buffer[S.C_YF] = 0.0
@@ -44,6 +46,7 @@ def empty_volume(buffer, array, start_us, limit_us):
     ints[S.SUM_Y] = 0
     ints[S.SUM_T] = 0
     ints[S.NEWEST_US] = -1
+    ints[S.DECIDED_US] = S.NEVER_US
 
 
 @compiled
@@ -58,20 +61,17 @@ def copy_cells(buffer, array, n_intervals):
     """
     ints = buffer.view(np.int64)
     n_changed = ints[S.N_LOG] - ints[S.N_READ]
-    if ints[S.LOST] or n_changed * S.NUMBERS_PER_LOGGED > array.size:
+    if n_changed > ints[S.LOG_SIZE] or n_changed * S.NUMBERS_PER_LOGGED > array.size:
         _copy_bins(buffer, ints, array, n_intervals)
     else:
-        for k in range(ints[S.LOG] + ints[S.N_READ], ints[S.LOG] + ints[S.N_LOG]):
-            _copy_around(buffer, ints, ints[k], array)
-    if ints[S.WIPE]:  # the log serves reads only until the next window
-        ints[S.N_LOG] = 0
+        for k in range(ints[S.N_READ], ints[S.N_LOG]):
+            _copy_around(buffer, ints, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))], array)
     _note_read(ints)
 
 
 @inlined
 def _note_read(ints):
     ints[S.N_READ] = ints[S.N_LOG]
-    ints[S.LOST] = 0
     ints[S.BIN_LO] = S.NO_BIN
     ints[S.BIN_HI] = -1
 

@@ -13,8 +13,10 @@ more than the grid spare every event a test at the border: its share out there i
 because a volume is promised to 1e-6 of its largest cell even after thousands of opposite events cancelled in
 it, which float32 sums would lose; `read.copy_cells` rounds to float32 once, when somebody looks.
 
-The log holds the corner of every event in the window, so that reading and emptying a large volume cost what
-changed in it and not what it measures. It ends where working through it would cost more than everything.
+The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and
+emptying a large volume cost what changed in it and not what it measures. It is as long as it pays: working
+through more would cost more than everything. Whoever reads the cells keeps its own count of the corners it has
+seen, and the EPOCH in which it counted: a number that no other window of this process ever gets.
 """
 
 # buffer: parameters of the volume
@@ -42,7 +44,7 @@ ROW = 19  # numbers in a row of cells: 2 (W + 1)
 PLANE = 20  # numbers in an interval: 2 (H + 1) (W + 1)
 OFF_SHIFT = 21  # numbers between an ON cell and its OFF twin ("split"), else 0
 LOG = 22  # where the log begins
-LOG_SIZE = 23
+LOG_SIZE = 23  # a power of two, at least BLOCK
 # ints: the open window
 START_US = 24
 LIMIT_US = 25  # absorb no event at or after this time
@@ -57,12 +59,14 @@ KEPT = 32
 LATE = 33
 TAU_ZERO = 34
 # ints: what changed
-N_LOG = 35  # corners in the log
-N_READ = 36  # of them known to the last read
-LOST = 37  # 1: since the last read more changed than the log holds
-WIPE = 38  # 1: since the window opened more changed than the log holds
-BIN_LO = 39  # intervals that changed since the last read; BIN_HI < BIN_LO: none
-BIN_HI = 40
+EPOCH = 35  # of the open window
+N_LOG = 36  # corners logged since the window opened
+N_READ = 37  # of them known to the array that people see
+BIN_LO = 38  # intervals that changed since the array was read; BIN_HI < BIN_LO: none
+BIN_HI = 39
+# ints: of windows that were closed before their end
+DECIDED_US = 40  # late events from then on belong to one
+DECIDED = 41  # how many, since the volume was made
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 BLOCK = 336  # so that all rows together (27 kB) and an interval's cells share the first-level cache
@@ -85,6 +89,8 @@ MODE_LINE = 3
 MODE_LINE_FLOW_REMOVED = 4
 
 NO_BIN = 1 << 30
+NEVER_US = 1 << 62
+UNREAD = -(1 << 40)  # N_READ of an array that has to be read whole
 # Working through one logged event, here and there in memory, costs as much as so many numbers in order:
 NUMBERS_PER_LOGGED = 32  # at a read
 NUMBERS_PER_EMPTIED = 100  # when a window is emptied

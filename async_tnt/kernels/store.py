@@ -4,6 +4,7 @@ import numpy as np
 
 from . import state as S
 from .jit import compiled
+from .update import count_late
 
 
 @compiled
@@ -26,7 +27,7 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
     while first < last and t[first] < ints[S.LIMIT_US]:
         ints[S.RECEIVED] += 1
         if t[first] < ints[S.START_US]:
-            ints[S.LATE] += 1
+            count_late(ints, t[first])
         else:
             ints[S.N] += 1
             ints[S.SUM_X] += x[first]

@@ -73,7 +73,7 @@ def _absorb_event(buffer, ints, t, x, y, p):
     ints[S.RECEIVED] += 1
     dt = t - ints[S.START_US]
     if dt < 0:
-        ints[S.LATE] += 1
+        count_late(ints, t)
         return
     ints[S.N] += 1
     ints[S.SUM_X] += x
@@ -97,10 +97,18 @@ def _absorb_event(buffer, ints, t, x, y, p):
     ints[S.KEPT] += keep
     ints[S.TAU_ZERO] += den == 0.0
     _mark_bins(ints, grid, dt, dt)
-    if _log_has_room(ints, 1):
-        ints[ints[S.LOG] + ints[S.N_LOG]] = corner
-        ints[S.N_LOG] += 1
+    ints[ints[S.LOG] + (ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1))] = corner
+    ints[S.N_LOG] += 1
     add_event(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, early, later)
+
+
+@inlined
+def count_late(ints, t):
+    """Count an event before the open window."""
+    if t >= ints[S.DECIDED_US]:
+        ints[S.DECIDED] += 1
+    else:
+        ints[S.LATE] += 1
 
 
 @compiled
@@ -145,11 +153,14 @@ def _place(buffer, ints, t, p, m):
         )
         n_kept += keep
     ints[S.KEPT] += n_kept
-    if _log_has_room(ints, m):
-        end = ints[S.LOG] + ints[S.N_LOG]
-        for i in range(m):
-            ints[end + i] = corners[i]
-        ints[S.N_LOG] += m
+    # the log is a ring: first up to its end, then from its beginning
+    at = ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1)
+    m_to_end = min(m, ints[S.LOG_SIZE] - at)
+    for i in range(m_to_end):
+        ints[ints[S.LOG] + at + i] = corners[i]
+    for i in range(m_to_end, m):
+        ints[ints[S.LOG] + i - m_to_end] = corners[i]
+    ints[S.N_LOG] += m
 
 
 @compiled
@@ -170,13 +181,3 @@ def _mark_bins(ints, grid, oldest_dt, newest_dt):
     """Note which intervals events between two times may change, for the next read."""
     ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(np.float64(oldest_dt) * grid.bin_scale))
     ints[S.BIN_HI] = max(ints[S.BIN_HI], np.int64(np.float64(newest_dt) * grid.bin_scale))
-
-
-@inlined
-def _log_has_room(ints, m):
-    """Whether m more corners fit into the log; if not, takes note that it is incomplete."""
-    if ints[S.N_LOG] + m <= ints[S.LOG_SIZE]:
-        return True
-    ints[S.LOST] = 1
-    ints[S.WIPE] = 1
-    return False

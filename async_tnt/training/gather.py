@@ -43,8 +43,8 @@ def window_volumes(
             first[i], last[i], start_us[i], limit_us[i], matrix[i], keep[i], seed[i],
             ints[S.SENSOR_W], ints[S.SENSOR_H],
         )  # fmt: skip
-        empty_volume(buffer, out[i], start_us[i], limit_us[i])
-        ints[S.LOST] = 1  # every volume goes to another array, whole
+        empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)  # nobody asks for its epoch
+        ints[S.N_READ] = S.UNREAD  # every volume goes to another array, whole
         ints[S.BIN_LO] = 0
         ints[S.BIN_HI] = n_bins - 1
         if about == GIVEN:

@@ -59,7 +59,7 @@ def test_one_filter_by_hand():
 
 def test_convolution_taps_are_not_flipped():
     """One tap left of the middle: out[y, x] = in[y, x - 1], zero beyond the border."""
-    from async_tnt.kernels.network import convolve, frame
+    from async_tnt.kernels.convolve import convolve, frame
 
     volume = np.arange(1, 13, dtype=np.float32).reshape(1, 3, 4)
     framed = np.zeros((1, 32 + 2 * 6 + 2), np.float32)

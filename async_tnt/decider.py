@@ -1,0 +1,151 @@
+"""Decider: asks the classifier, and makes decisions of its answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from .classifier import CompiledClassifier
+from .config import TNTConfig
+from .decision import Decision, check_logits, new_decision
+from .events import Columns
+from .kernels import trigger as T
+from .kernels.classify import CLOSE, FULL, NOT_FINITE, NOTED, classify_stretch, softmax
+from .open_windows import OpenWindows
+from .triggers import Triggers
+from .volume import TNTVolume
+
+Classifier = Callable[[np.ndarray], Any]
+WHY = {T.BY_EVENTS: "every_events", T.BY_ACTIVITY: "activity", T.BY_CONFIDENCE: "confidence"}
+ROWS = 256  # decisions made in one compiled call, at most
+
+
+class Decider:
+    """A classifier and its class names.
+
+    Parameters
+    ----------
+    config : TNTConfig of the volumes to come.
+    classifier, classes : see `Processor`.
+    """
+
+    def __init__(self, config: TNTConfig, classifier: Classifier, classes: Sequence[str] | None) -> None:
+        self._config = config
+        self._classes = None if classes is None else tuple(classes)
+        self.classifier = classifier
+
+    @property
+    def classifier(self) -> Classifier:
+        return self._classifier
+
+    @classifier.setter
+    def classifier(self, classifier: Classifier) -> None:
+        if not callable(classifier):
+            raise TypeError(f"`classifier` must be callable, got {type(classifier).__name__}")
+        compiled = classifier if type(classifier) is CompiledClassifier else None  # a subclass may do otherwise
+        if compiled is not None and compiled.shape != self._config.shape:
+            shape = compiled.shape
+            raise ValueError(f"`classifier` must take volumes of shape {self._config.shape}, got one for {shape}")
+        self._classifier, self._compiled = classifier, compiled
+
+    @property
+    def classes(self) -> tuple[str, ...] | None:
+        """As named, or else known from the first answer on."""
+        return self._classes
+
+    def decide(self, volume: TNTVolume, trigger: str, complete: bool = False, level: float | None = None) -> Decision:
+        """What the classifier says of a volume's open window.
+
+        level : of confidence. Where the likeliest class has this probability, the decision is complete, and its
+            trigger `confidence`.
+
+        Raises
+        ------
+        ValueError : there is not one finite logit for each class. What the classifier raises passes through.
+        """
+        if self._compiled is not None:
+            index, logits, probabilities = self._compiled.answer(volume)
+        else:
+            logits = np.asarray(self._classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
+            probabilities = np.empty(logits.size)
+            index = softmax(logits, probabilities) if logits.size else -1
+        classes = self._classes_for(logits, index)
+        if level is not None and probabilities[index] >= level:
+            trigger, complete = "confidence", True
+        n_events, start_us = volume.n_events, volume.start_us
+        time_us = volume.newest_us if n_events else start_us
+        return new_decision(
+            classes[index], index, probabilities, logits, start_us, time_us, n_events, complete, trigger
+        )
+
+    def take(
+        self, windows: OpenWindows, triggers: Triggers, columns: Columns, first: int, last: int
+    ) -> tuple[int, list[Decision]]:
+        """Add events to all open windows and decide where a trigger that looks at each event makes that due, up to
+        the moment when something else has to happen.
+
+        Returns
+        -------
+        taken : int. The first event not added.
+        decisions : list. The last one is complete if it reached the level of confidence: its window is to be closed.
+        """
+        if self._compiled is not None and not self._config.needs_replay:
+            return self._take_compiled(self._compiled, windows, triggers, columns, first, last)
+        oldest = windows.oldest
+        n_before = oldest.n_events
+        stop, fires = T.next_stop(triggers.state, oldest.buffer, columns.t, first, last)
+        taken = windows.take(columns, first, stop)
+        n_events = oldest.n_events
+        trigger = "activity" if fires else ""
+        if triggers.every_events is not None and n_events % triggers.every_events == 0:
+            trigger = "every_events"
+        if n_events == n_before or not (trigger or triggers.each_event):
+            return taken, []
+        decision = self.decide(oldest, trigger, level=triggers.confidence)
+        return taken, [decision] if decision.trigger else []
+
+    def _take_compiled(
+        self, classifier: CompiledClassifier, windows: OpenWindows, triggers: Triggers, columns: Columns,
+        first: int, last: int,
+    ) -> tuple[int, list[Decision]]:  # fmt: skip
+        """The same in compiled code, from decision to decision, with the GIL released."""
+        oldest = windows.oldest
+        before = oldest.n_late, oldest.n_decided
+        decisions: list[Decision] = []
+        taken, end = first, FULL
+        while end == FULL:
+            n_rows = min(ROWS, (last - taken) // (triggers.every_events or 1) + 1)
+            if triggers.every_events is None or triggers.activity is not None:
+                n_rows = min(ROWS, last - taken)
+            logits = np.empty((n_rows, classifier.n_classes), np.float32)
+            probabilities = np.empty(logits.shape)
+            notes = np.empty((n_rows, NOTED), np.int64)
+            taken, n, end = classify_stretch(
+                oldest.buffer, *columns[:4], taken, last, triggers.state, *classifier.network,
+                logits, probabilities, notes,
+            )  # fmt: skip
+            if n:
+                classes = self._classes_for(logits[0], 0)
+                start_us = oldest.start_us
+                for k, (n_events, time_us, why, index) in enumerate(notes[:n].tolist()):
+                    decisions.append(
+                        new_decision(
+                            classes[index], index, probabilities[k], logits[k], start_us, time_us, n_events,
+                            why == T.BY_CONFIDENCE, WHY[why],
+                        )
+                    )  # fmt: skip
+        if windows.overlap:
+            windows.note_taken(columns, first, taken, before)
+        if end == NOT_FINITE:
+            check_logits(logits[n], -1, classifier.n_classes)
+        assert end != CLOSE or decisions[-1].complete
+        return taken, decisions
+
+    def _classes_for(self, logits: np.ndarray, index: int) -> tuple[str, ...]:
+        classes = tuple(str(k) for k in range(logits.size)) if self._classes is None else self._classes
+        if index < 0 or logits.size != len(classes):
+            check_logits(logits, index, len(classes))
+        self._classes = classes  # from the first answer on, where nobody named them
+        return classes

@@ -1,0 +1,68 @@
+"""When to decide, event by event: the triggers that look at each event, and where their numbers lie.
+
+Like a volume's `state`, one flat float64 buffer seen twice: as `trigger`, and as `ints`, the same memory as int64.
+"""
+
+import numpy as np
+
+from . import state as S
+from .jit import compiled
+
+# trigger
+LEVEL = 0  # confidence: a class probability that closes the window; inf: none
+THRESHOLD = 1  # activity: fires at this potential; inf: never
+LEAK_US = 2  # the potential's time constant
+CHARGE = 3  # what each event adds
+POTENTIAL = 4
+# ints
+EVERY_EVENTS = 5  # 0: not by number
+EACH = 6  # 1: look at every event, since nothing else says when to look for confidence
+CHARGED_US = 7  # newest time that the potential has leaked to
+SIZE = 8
+
+NOT_DUE, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE = 0, 1, 2, 3
+
+
+@compiled
+def next_stop(trigger, buffer, t, first, last):
+    """How far events may be taken until one of them may be due for a decision.
+
+    The potential of the leaky integrate-and-fire trigger is that after event i, at time t_i,
+
+        v_i = v_{i-1} exp(-max(0, t_i - t') / leak_us) + charge        t': the newest time before; fires, and is
+                                                                       0 again, where v_i >= threshold
+
+    Parameters
+    ----------
+    trigger : float64, see above. The potential is updated for the events up to the stop.
+    buffer : float64, the `state` of the volume that will take them; late events and those past its limit do not
+        charge.
+    t, first, last : the events `first <= i < last`.
+
+    Returns
+    -------
+    stop : int. Take the events before it, and then look whether a decision is due.
+    fires : bool. Whether activity makes it due there.
+    """
+    ints = trigger.view(np.int64)
+    volume = buffer.view(np.int64)
+    stop = last
+    if ints[EVERY_EVENTS] > 0:
+        stop = min(stop, first + ints[EVERY_EVENTS] - volume[S.N] % ints[EVERY_EVENTS])
+    if ints[EACH] != 0:
+        stop = min(stop, first + 1)
+    if trigger[THRESHOLD] < np.inf:
+        for i in range(first, stop):
+            if t[i] >= volume[S.LIMIT_US]:
+                return i, False
+            if t[i] < volume[S.START_US]:
+                continue
+            passed_us = t[i] - ints[CHARGED_US]
+            if passed_us > 0:
+                trigger[POTENTIAL] *= np.exp(-np.float64(passed_us) / trigger[LEAK_US])
+                ints[CHARGED_US] = t[i]
+            trigger[POTENTIAL] += trigger[CHARGE]
+            if trigger[POTENTIAL] >= trigger[THRESHOLD]:
+                trigger[POTENTIAL] = 0.0
+                return i + 1, True
+    return stop, False

@@ -1,0 +1,142 @@
+"""Which windows of a stream are open: one after the other, or overlapping, each with a volume of its own."""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import islice
+
+from .config import TNTConfig
+from .events import Columns
+from .landmark_at_read import Regressor
+from .triggers import positive_int
+from .volume import Counts, TNTVolume
+
+MAX_OPEN_WINDOWS = 256
+
+
+class OpenWindows:
+    """The open windows of a stream, oldest first.
+
+    Parameters
+    ----------
+    config, replay_events, regressor : see `TNTVolume`.
+    hop_us : distance between the starts of windows; at most window_us, its default.
+    start_us : start of the first window; None: at the first event.
+    """
+
+    def __init__(
+        self, config: TNTConfig, hop_us: int | None, start_us: int | None, replay_events: int,
+        regressor: Regressor | None,
+    ) -> None:  # fmt: skip
+        self._window_us = window_us = config.window_us
+        self._hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
+        if self._hop_us > window_us:
+            raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {hop_us}")
+        n_volumes = -(-window_us // self._hop_us)
+        if n_volumes > MAX_OPEN_WINDOWS:
+            raise ValueError(
+                f"`hop_us` must be at least window_us / {MAX_OPEN_WINDOWS} = {-(-window_us // MAX_OPEN_WINDOWS)}, "
+                f"got {self._hop_us}: {n_volumes} windows would be open at once"
+            )
+        self._start_us = start_us
+        self.volumes = [TNTVolume(config, replay_events=replay_events, regressor=regressor) for _ in range(n_volumes)]
+        self.reset()
+
+    def reset(self) -> None:
+        """No window open, all counts zero."""
+        for volume in self.volumes:
+            volume.reset()
+        self._open: deque[TNTVolume] = deque()
+        self._free = list(self.volumes)
+        self._next_start_us: int | None = self._start_us  # of the next window to be opened; None: at the first event
+        self._decided_us: int | None = None  # start of the window before, where it was closed early
+        self._n_received = 0
+        self._n_late = 0
+        self._n_decided = 0
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    @property
+    def overlap(self) -> bool:
+        return len(self.volumes) > 1
+
+    @property
+    def oldest(self) -> TNTVolume:
+        """The oldest open window; an empty one where none is open."""
+        return self._open[0] if self._open else self.volumes[0]
+
+    @property
+    def oldest_end_us(self) -> int:
+        return self.oldest.start_us + self._window_us
+
+    def take(self, columns: Columns, first: int, last: int) -> int:
+        """Add events to all open windows, up to the limit; returns the first one not added."""
+        oldest = self._open[0]
+        if not self.overlap:  # it counts for itself
+            return oldest.take(columns, first, last)
+        before = oldest.n_late, oldest.n_decided
+        taken = oldest.take(columns, first, last)
+        self.note_taken(columns, first, taken, before)
+        return taken
+
+    def note_taken(self, columns: Columns, first: int, taken: int, before: tuple[int, int]) -> None:
+        """Where windows overlap: the oldest took these events; count them, and add them to the others.
+
+        before : its `n_late` and `n_decided` before.
+        """
+        oldest = self._open[0]
+        self._n_late += oldest.n_late - before[0]
+        self._n_decided += oldest.n_decided - before[1]
+        self._n_received += taken - first
+        for volume in islice(self._open, 1, None):
+            volume.take(columns, first, taken)
+
+    def open_until(self, t_us: int) -> bool:
+        """Open every window on the grid that holds `t_us` and is not open yet, skipping the empty ones between; one
+        at least is open then. Returns whether there is a new oldest one."""
+        was_empty = not self._open
+        if self._next_start_us is None:
+            self._next_start_us = t_us
+        start_us = self._next_start_us
+        if start_us + self._window_us <= t_us:
+            start_us += ((t_us - self._window_us - start_us) // self._hop_us + 1) * self._hop_us
+        while start_us <= t_us or not self._open:
+            volume = self._free.pop()
+            volume.open(start_us)
+            if self._decided_us is not None:
+                volume.set_decided(self._decided_us)
+            self._open.append(volume)
+            start_us += self._hop_us
+        self._next_start_us = start_us
+        return was_empty
+
+    def limit(self, trigger_us: int) -> None:
+        """Make `take` stop where something has to happen: a window ends or begins, or the time `trigger_us`."""
+        assert self._next_start_us is not None
+        limit_us = min(self.oldest_end_us, self._next_start_us, trigger_us)
+        for volume in self._open:
+            volume.set_limit(limit_us)
+
+    def drop_oldest(self, decided: bool = False) -> None:
+        """The oldest window is over; `decided`: before its end, so that events may still come for it."""
+        volume = self._open.popleft()
+        self._decided_us = volume.start_us if decided else None
+        self._free.append(volume)
+
+    def close_oldest(self) -> None:
+        """The oldest window is over, and its volume empty at once."""
+        self.oldest.close()
+        self.drop_oldest()
+
+    def counts(self, n_dropped_at_door: int) -> Counts:
+        """What became of the events. Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an
+        event once, the others once in every window it belongs to."""
+        total = sum((volume.counts for volume in self.volumes), Counts())
+        received, late, decided = total.received, total.dropped_late, total.dropped_decided
+        if self.overlap:
+            received, late, decided = self._n_received, self._n_late, self._n_decided
+        return Counts(
+            received + n_dropped_at_door, total.kept, total.dropped_outside, total.dropped_tau_zero,
+            late + n_dropped_at_door, total.dropped_unstored, decided,
+        )  # fmt: skip

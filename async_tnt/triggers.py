@@ -1,0 +1,127 @@
+"""When a processor decides besides at the end of a window: settings, checked, and as the kernels read them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import numpy as np
+
+from .kernels import trigger as T
+
+
+@dataclass(frozen=True)
+class LeakyIntegrator:
+    """A leaky integrate-and-fire trigger: it fires when much happens in little time.
+
+    Each event of the window adds `charge` to a potential, which leaks away with time; where it reaches
+    `threshold`, the trigger fires and the potential is zero again:
+
+        v <- v exp(-dt / leak_us) + charge
+
+    A steady rate of r events per microsecond holds the potential at r leak_us charge: below the threshold it
+    never fires, above it the more often, the busier the scene.
+
+    Parameters
+    ----------
+    threshold : potential at which it fires.
+    leak_us : time constant in microseconds; math.inf for no leak, which is `every_events` across windows.
+    charge : of each event.
+    """
+
+    threshold: float
+    leak_us: float
+    charge: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("threshold", "leak_us", "charge"):
+            value = getattr(self, name)
+            _check_number(name, value)
+            if not value > 0 or (value == math.inf and name != "leak_us"):
+                raise ValueError(f"`{name}` must be a positive number, got {value}")
+
+
+class Triggers:
+    """The triggers of one processor, with what they remember of the stream."""
+
+    def __init__(self) -> None:
+        self.every_us: int | None = None
+        self.state = np.zeros(T.SIZE)
+        self._ints = self.state.view(np.int64)
+        self.every_events: int | None = None
+        self.confidence: float | None = None
+        self.activity: LeakyIntegrator | None = None
+        self.set()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._ints = self.state.view(np.int64)  # a view again, and not a copy
+
+    def set(self, **settings: Any) -> None:
+        """Change some of `every_us`, `every_events`, `confidence`, `activity`; None switches one off.
+
+        Raises
+        ------
+        ValueError, TypeError : a value breaks its rule. Then nothing changes.
+        """
+        for name, value in settings.items():
+            settings[name] = None if value is None else _CHECKS[name](name, value)
+        restarts = settings.get("activity", self.activity) != self.activity
+        vars(self).update(settings)
+        self.state[T.LEVEL] = math.inf if self.confidence is None else self.confidence
+        activity = self.activity
+        self.state[T.THRESHOLD] = math.inf if activity is None else activity.threshold
+        if activity is not None:
+            self.state[T.LEAK_US], self.state[T.CHARGE] = activity.leak_us, activity.charge
+        self._ints[T.EVERY_EVENTS] = self.every_events or 0
+        others = (self.every_us, self.every_events, self.activity)
+        self._ints[T.EACH] = self.confidence is not None and others == (None, None, None)
+        if restarts:
+            self.forget()
+
+    def forget(self) -> None:
+        """The stream begins anew: no potential."""
+        self.state[T.POTENTIAL] = 0.0
+        self._ints[T.CHARGED_US] = 0
+
+    @property
+    def each_event(self) -> bool:
+        """Whether confidence is looked for after every event, as nothing else says when."""
+        return bool(self._ints[T.EACH])
+
+    @property
+    def look_at_events(self) -> bool:
+        """Whether any single event may make a decision due."""
+        return bool(self._ints[T.EVERY_EVENTS] or self._ints[T.EACH] or self.activity is not None)
+
+
+def positive_int(name: str, value: Any) -> int:
+    """A whole number of at least 1, as Python's int."""
+    if not hasattr(value, "__index__") or isinstance(value, bool):
+        raise TypeError(f"`{name}` must be a whole number, got {value!r}")
+    if value < 1:
+        raise ValueError(f"`{name}` must be at least 1, got {value}")
+    return int(value)
+
+
+def _level(name: str, value: Any) -> float:
+    _check_number(name, value)
+    if not 0 < value <= 1:
+        raise ValueError(f"`{name}` must be a probability in (0, 1], got {value}")
+    return float(value)
+
+
+def _integrator(name: str, value: Any) -> LeakyIntegrator:
+    if not isinstance(value, LeakyIntegrator):
+        raise TypeError(f"`{name}` must be a LeakyIntegrator(threshold, leak_us), got {value!r}")
+    return value
+
+
+def _check_number(name: str, value: Any) -> None:
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise TypeError(f"`{name}` must be a number, got {value!r}")
+
+
+_CHECKS = {"every_us": positive_int, "every_events": positive_int, "confidence": _level, "activity": _integrator}
