@@ -13,6 +13,7 @@ from .commands.files import complain
 
 COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)
     "run": ("async_tnt.commands.run", "stream recordings through a model and print its decisions"),
+    "export": ("async_tnt.commands.export", "write a model's networks to ONNX files, checked (extra: onnx)"),
     "check": ("async_tnt.commands.check", "prove on recordings that the stream equals the batch reference"),
     "bench": ("async_tnt.bench", "measure time per event and time to decision, beside the batch way"),
     "train": ("async_tnt.training.command", "train a model on recordings (extra: train)"),

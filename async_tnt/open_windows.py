@@ -118,16 +118,20 @@ class OpenWindows:
         for volume in self._open:
             volume.set_limit(limit_us)
 
-    def drop_oldest(self, decided: bool = False) -> None:
-        """The oldest window is over; `decided`: before its end, so that events may still come for it."""
-        volume = self._open.popleft()
-        self._decided_us = volume.start_us if decided else None
-        self._free.append(volume)
+    def drop_oldest(self) -> None:
+        """The oldest window is over; its volume is free for the next one to be opened."""
+        self._free.append(self._open.popleft())
+        self._decided_us = None
 
-    def close_oldest(self) -> None:
-        """The oldest window is over, and its volume empty at once."""
+    def close_oldest(self, decided: bool = False) -> None:
+        """The oldest window is over, and its volume empty at once, for events may come before the next one is opened.
+
+        decided : it is over before its end. Events that still come for it are counted as such.
+        """
+        start_us = self.oldest.start_us
         self.oldest.close()
         self.drop_oldest()
+        self._decided_us = start_us if decided else None
 
     def counts(self, n_dropped_at_door: int) -> Counts:
         """What became of the events. Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an

@@ -178,10 +178,10 @@ class Processor:
 
     def _choose_ways(self) -> None:
         """Take the shortest way for an event that the settings allow."""
-        plain = not self._triggers.look_at_events
         # One event by itself goes straight to the volume where nothing else has to be looked after.
-        direct = plain and not self._windows.overlap and self._door.late == "accept"
+        direct = not self._windows.overlap and self._door.late == "accept" and self.activity is None
         self._add = self._windows.oldest.add if direct else _ask_the_door
+        self._look_at_events = self._triggers.look_at_events
 
     # -- events in ---------------------------------------------------------------------------------------
 
@@ -208,16 +208,20 @@ class Processor:
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
         """Take one event: microseconds, pixels, polarity 0/1 or -1/+1. Otherwise as `push`."""
+        if self._look_at_events:
+            n_before = self._windows.oldest.n_events
         answer = self._add(t, x, y, p)
-        if answer == ABSORBED:
-            return []
+        decisions: list[Decision] = []
         if answer == AT_LIMIT:
-            decisions: list[Decision] = []
             if len(self._windows):
                 self._advance(t, decisions)
             else:
                 self._open_windows(t)
-            self._add(t, x, y, p)
+            n_before = self._windows.oldest.n_events
+            answer = self._add(t, x, y, p)
+        if answer == ABSORBED:
+            if self._look_at_events and self._windows.oldest.n_events > n_before:  # else it was late
+                self._decide_if_due(decisions)
             return decisions
         columns = self._door.one(t, x, y, p)
         return self._push(self._door(([t], [x], [y], [p])) if columns is None else columns)
@@ -229,7 +233,7 @@ class Processor:
         while first < n:
             if not len(self._windows):
                 self._open_windows(int(columns.t[first]))
-            if self._triggers.look_at_events:
+            if self._look_at_events:
                 first, new = self._decider.take(self._windows, self._triggers, columns, first, n)
                 self._note(new, self._windows.oldest.newest_us, decisions)
             else:
@@ -240,6 +244,15 @@ class Processor:
             for volume in self._windows.volumes:
                 volume.warn()
         return decisions
+
+    def _decide_if_due(self, decisions: list[Decision]) -> None:
+        """What `Decider.take` does, after one event that went straight to the volume."""
+        oldest = self._windows.oldest
+        trigger = "every_events" if self.every_events and oldest.n_events % self.every_events == 0 else ""
+        if trigger or self._triggers.each_event:
+            decision = self._decider.decide(oldest, trigger, level=self.confidence)
+            if decision.trigger:
+                self._note([decision], oldest.newest_us, decisions)
 
     # -- as time passes ----------------------------------------------------------------------------------
 
@@ -271,7 +284,7 @@ class Processor:
         decisions += new
         self._n_decided = new[-1].events
         if new[-1].complete:
-            self._windows.drop_oldest(decided=True)
+            self._windows.close_oldest(decided=True)
             self._n_decided = 0
             self._set_trigger(now_us)
             if len(self._windows):

@@ -37,9 +37,11 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     try:
         events = np.zeros(2, EVENT_DTYPE)
         events["t"] = [0, 3]
+        # with `window` and `regressor` a decision per event is not made in compiled code, but as for other classifiers
         for landmark in ("running", "window", "regressor"):
             config = TNTConfig(sensor=(8, 8), grid=(8, 8), window_us=10, landmark=landmark)
             made = Model(config, _made_weights(config), ("a",))
+            Processor(made, every_events=1).push(events)
             for late in ("accept", "drop"):
                 processor = Processor(made, late=late)
                 processor.push(events)

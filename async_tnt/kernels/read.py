@@ -108,8 +108,11 @@ def _copy_around(buffer, ints, corner, array):
     y0 = (corner - S.CELLS - b0 * plane) // row
     x0 = (corner - S.CELLS - b0 * plane - y0 * row) // 2
     for b in range(b0, min(b0 + 2, n_bins)):
+        is_first = b == 0 or b == n_intervals  # nothing comes from a bin before
         for y in range(y0, min(y0 + 2, height)):
-            for x in range(x0, min(x0 + 2, width)):
-                early = S.CELLS + b * plane + y * row + 2 * x
-                late = buffer[early - plane + 1] if b % n_intervals > 0 else 0.0
-                array[b, y, x] = buffer[early] + late
+            early = np.uint64(S.CELLS + b * plane + y * row + 2 * x0)
+            late = early - np.uint64(plane) + np.uint64(1)
+            for k in range(min(2, width - x0)):
+                x = np.uint64(k)
+                late_share = 0.0 if is_first else buffer[late + x + x]
+                array[np.uint64(b), np.uint64(y), np.uint64(x0) + x] = buffer[early + x + x] + late_share
