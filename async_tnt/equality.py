@@ -2,7 +2,8 @@
 
 (a) the streamed volume is bit for bit the same however the stream was cut into packets;
 (b) at every prefix it equals the batch reference, to 1e-6 of its largest cell, the landmark to 1e-9 px;
-(c) logits equal the reference pipeline's to 1e-4, and the class is the same.
+(c) logits equal the reference pipeline's to 1e-4, and the class is the same;
+(d) a decision after every event, for which only what changed is computed, has the bits of the whole network's.
 
 With landmark "regressor" the landmark itself comes from float32 convolutions. There (b) is 1e-4 px for the landmark,
 1e-6 of the largest cell for the volume about the stream's landmark, and 1e-2 for the volume about the reference's own.
@@ -98,7 +99,7 @@ def check_recording(
     for name, config in configurations(model.config).items():
         comparisons += _check_config(events, name, config, model, prefixes, start_us, packet_sizes)
         on_progress()
-    comparisons += _check_network(events, model, start_us)
+    comparisons += _check_network(events, model, prefixes, start_us)
     on_progress()
     return comparisons
 
@@ -180,17 +181,32 @@ def _distance(landmark: tuple[float, float], reference: tuple[float, float]) -> 
     return float(np.abs(np.subtract(landmark, reference)).max())
 
 
-def _check_network(events: np.ndarray, model: Model, start_us: int | None) -> list[Comparison]:
+def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None) -> list[Comparison]:
+    """Promises (c) and (d): a decision after each event, in packets, looked at where prefixes end."""
+    renewed = Comparison("bits that depend on earlier decisions", "the model", 0.0)
     logits = Comparison("logits against reference", "the model", LOGIT_BOUND)
     classes = Comparison("classes that differ", "the model", 0.0)
-    network, pipeline = CompiledClassifier(model), reference_pipeline(model)
-    regressor = CompiledRegressor(model) if model.config.needs_regressor else None
-    for start, volume in closed_volumes(events, model.config, 0, start_us, regressor):
-        ours = network(volume)
-        theirs = pipeline(_events_of_window(events, start, model.config.window_us), start)
-        logits.add(float(np.abs(ours - theirs).max()))
-        classes.add(float(ours.argmax() != theirs.argmax()))
-    return [logits, classes]
+    config, dense, pipeline = model.config, CompiledClassifier(model), reference_pipeline(model)
+    regressor = CompiledRegressor(model) if config.needs_regressor else None
+    renewing = CompiledClassifier(model)  # through all windows
+    for start, _ in closed_volumes(events, config, 0, start_us, regressor):
+        inside = _events_of_window(events, start, config.window_us)
+        # with a landmark that is found at each read, a decision after each event is as slow as the window is long
+        every = None if config.needs_replay else 1
+        processor = Processor(model, classifier=renewing, start_us=start, every_events=every)
+        before = 0
+        for n in _spread(inside.size, prefixes):
+            decisions = processor.push(inside[before:n])
+            before = n
+            ours = decisions[-1].logits if every else processor.fire().logits
+            whole = dense(processor.volume())
+            theirs = pipeline(inside[:n], start)
+            renewed.add(float(np.count_nonzero(ours.view(np.uint32) != whole.view(np.uint32))))
+            logits.add(float(np.abs(ours - theirs).max()))
+            second, first = np.sort(theirs)[-2:] if theirs.size > 1 else (-np.inf, theirs[0])
+            if first - second > 2 * LOGIT_BOUND:  # else either class keeps promise (c)
+                classes.add(float(ours.argmax() != theirs.argmax()))
+    return [renewed, logits, classes]
 
 
 def closed_volumes(

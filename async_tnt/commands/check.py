@@ -17,6 +17,7 @@ DESCRIPTION = f"""Hold the stream against the batch reference (torch) on recordi
   packets of {", ".join(str(size) for size in PACKET_SIZES[:-1])} and all events give the same volume, bit for bit
   the volume equals the reference's to 1e-6 of its largest cell, the landmark to 1e-9 pixels, at prefixes
   the model's logits equal the reference pipeline's to 1e-4, with the same class
+  a decision after every event, refreshed from the one before, has the bits of the whole network's
 
 A model with landmark "regressor" is held under that landmark, too. There the landmark comes from float32 convolutions
 and may differ by 1e-4 pixels; the volume equals the reference's to 1e-6 about the same landmark, and to 1e-2 about the

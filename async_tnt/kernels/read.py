@@ -78,23 +78,26 @@ def _note_read(ints):
 
 @compiled
 def _copy_bins(buffer, ints, array, n_intervals):
-    """`copy_cells` for all cells of the bins that changed."""
+    """`copy_cells` for all cells of the bins that changed.
+
+    Row by row of the image through all bins: a row of cells, of which one bin takes the early shares and the next
+    bin the late ones, then comes from memory once.
+    """
     n_bins, height, width = array.shape
     row = ints[S.ROW]
     plane = ints[S.PLANE]
-    for b in range(n_bins):
-        if b % n_intervals < ints[S.BIN_LO] or b % n_intervals > ints[S.BIN_HI] + 1:
-            continue
-        for y in range(height):
-            early = np.uint64(S.CELLS + b * plane + y * row)
-            late = early - np.uint64(plane) + np.uint64(1)
-            if b % n_intervals > 0:
-                for x in range(width):
-                    i = np.uint64(x) + np.uint64(x)
-                    array[b, y, x] = buffer[early + i] + buffer[late + i]
-            else:
-                for x in range(width):
-                    array[b, y, x] = buffer[early + np.uint64(x) + np.uint64(x)]
+    for y in range(height):
+        for first in range(0, n_bins, n_intervals):  # twice with OFF bins
+            for b in range(first + ints[S.BIN_LO], min(first + ints[S.BIN_HI] + 2, first + n_intervals)):
+                early = np.uint64(S.CELLS + b * plane + y * row)
+                late = early - np.uint64(plane) + np.uint64(1)
+                if b > first:
+                    for x in range(width):
+                        i = np.uint64(x) + np.uint64(x)
+                        array[b, y, x] = buffer[early + i] + buffer[late + i]
+                else:
+                    for x in range(width):
+                        array[b, y, x] = buffer[early + np.uint64(x) + np.uint64(x)]
 
 
 @inlined
