@@ -9,10 +9,10 @@ import numpy as np
 
 from .classifier import CompiledClassifier
 from .config import TNTConfig
-from .decision import Decision, check_logits, new_decision
+from .decision import Decision, check_logits
 from .events import Columns
 from .kernels import trigger as T
-from .kernels.classify import CLOSE, FULL, NOT_FINITE, NOTED, classify_stretch, softmax
+from .kernels.classify import FULL, NOT_FINITE, NOTED, classify_stretch, softmax
 from .open_windows import OpenWindows
 from .triggers import Triggers
 from .volume import TNTVolume
@@ -76,9 +76,7 @@ class Decider:
             trigger, complete = "confidence", True
         n_events, start_us = volume.n_events, volume.start_us
         time_us = volume.newest_us if n_events else start_us
-        return new_decision(
-            classes[index], index, probabilities, logits, start_us, time_us, n_events, complete, trigger
-        )
+        return Decision(classes[index], index, probabilities, logits, start_us, time_us, n_events, complete, trigger)
 
     def take(
         self, windows: OpenWindows, triggers: Triggers, columns: Columns, first: int, last: int
@@ -113,35 +111,33 @@ class Decider:
         """The same in compiled code, from decision to decision, with the GIL released."""
         oldest = windows.oldest
         before = oldest.n_late, oldest.n_decided
-        decisions: list[Decision] = []
+        made = []
         taken, end = first, FULL
         while end == FULL:
-            n_rows = min(ROWS, (last - taken) // (triggers.every_events or 1) + 1)
-            if triggers.every_events is None or triggers.activity is not None:
-                n_rows = min(ROWS, last - taken)
-            logits = np.empty((n_rows, classifier.n_classes), np.float32)
+            n_rows = last - taken
+            if triggers.activity is None and triggers.every_events is not None:
+                n_rows = n_rows // triggers.every_events + 1
+            logits = np.empty((min(ROWS, n_rows), classifier.n_classes), np.float32)
             probabilities = np.empty(logits.shape)
-            notes = np.empty((n_rows, NOTED), np.int64)
+            notes = np.empty((len(logits), NOTED), np.int64)
             taken, n, end = classify_stretch(
                 oldest.buffer, *columns[:4], taken, last, triggers.state, *classifier.network,
                 logits, probabilities, notes,
             )  # fmt: skip
-            if n:
-                classes = self._classes_for(logits[0], 0)
-                start_us = oldest.start_us
-                for k, (n_events, time_us, why, index) in enumerate(notes[:n].tolist()):
-                    decisions.append(
-                        new_decision(
-                            classes[index], index, probabilities[k], logits[k], start_us, time_us, n_events,
-                            why == T.BY_CONFIDENCE, WHY[why],
-                        )
-                    )  # fmt: skip
+            made.append((notes[:n].tolist(), probabilities, logits))
         if windows.overlap:
             windows.note_taken(columns, first, taken, before)
         if end == NOT_FINITE:
             check_logits(logits[n], -1, classifier.n_classes)
-        assert end != CLOSE or decisions[-1].complete
-        return taken, decisions
+        classes, start_us = self._classes_for(logits[0], 0), oldest.start_us
+        return taken, [
+            Decision(
+                classes[index], index, chunk_probabilities[k], chunk_logits[k], start_us, time_us, n_events,
+                why == T.BY_CONFIDENCE, WHY[why],
+            )
+            for rows, chunk_probabilities, chunk_logits in made
+            for k, (n_events, time_us, why, index) in enumerate(rows)
+        ]  # fmt: skip
 
     def _classes_for(self, logits: np.ndarray, index: int) -> tuple[str, ...]:
         classes = tuple(str(k) for k in range(logits.size)) if self._classes is None else self._classes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -48,8 +47,3 @@ def check_logits(logits: np.ndarray, index: int, n_classes: int) -> None:
         raise ValueError(f"`classifier` must return {n_classes} logits, one for each class, got {logits.size}")
     if index < 0:
         raise ValueError(f"`classifier` must return finite logits, got {logits.tolist()}")
-
-
-def new_decision(*values: Any) -> Decision:
-    """`Decision(*values)`."""
-    return Decision(*values)
