@@ -6,13 +6,24 @@ import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Protocol
 
+from ..config import TNTConfig
 from ..events import as_events
 from ..model import Model, bundled_models, load_model
 from ..recordings import READERS, Recording, open_recording, sample_recordings
 
 
-def add_files(parser: argparse.ArgumentParser) -> None:
+class HasConfig(Protocol):
+    """A Model, or an engine that runs one."""
+
+    @property
+    def config(self) -> TNTConfig: ...
+
+
+def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False) -> None:
+    """FILE and --model; `onnx`: which may also be an .onnx file."""
+    kinds = ", a .safetensors file, or an .onnx file of `async-tnt export`" if onnx else " or a .safetensors file"
     parser.add_argument(
         "files",
         nargs="*",
@@ -24,7 +35,7 @@ def add_files(parser: argparse.ArgumentParser) -> None:
         "--model",
         default="digits",
         metavar="NAME|FILE",
-        help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file (default: %(default)s)",
+        help=f"a bundled model ({', '.join(bundled_models())}){kinds} (default: %(default)s)",
     )
 
 
@@ -41,7 +52,7 @@ def paths_of(args: argparse.Namespace) -> list[Path]:
     return args.files or list(sample_recordings().values())
 
 
-def open_all(paths: list[Path], model: Model) -> Iterator[Recording]:
+def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:
     """Open recordings one after the other, complaining about those that do not fit the model."""
     for path in paths:
         recording = open_recording(path)
@@ -59,6 +70,11 @@ def open_all(paths: list[Path], model: Model) -> Iterator[Recording]:
 
 
 def model_of(args: argparse.Namespace) -> Model:
+    if Path(args.model).suffix.lower() == ".onnx":
+        raise ValueError(
+            f"{args.model}: an .onnx file can only be run (async-tnt run --model); here a bundled model "
+            f"({', '.join(bundled_models())}) or a .safetensors file is needed"
+        )
     return load_model(args.model)
 
 

@@ -12,11 +12,11 @@ from typing import TextIO
 import numpy as np
 
 from ..decision import Decision
-from ..model import Model
+from ..engines.choice import ENGINES, Engine, choose_engine
 from ..processor import Processor
 from ..recordings import Recording
 from ..warmup import warmup
-from .files import add_files, add_start, complain, model_of, open_all, paths_of, positive_int
+from .files import add_files, add_start, complain, open_all, paths_of, positive_int
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: when it fell, for which
 window, the label and its probability, and the microseconds from the last event to the decision. A line
@@ -25,12 +25,17 @@ for each recording follows: the class of the highest mean probability over its c
   async-tnt run                              the ten bundled samples
   async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
   async-tnt run --json | jq .label           one JSON object a line for each decision
+  async-tnt run --engine onnx                the same network by onnxruntime (extra `onnx`), or torch
+  async-tnt run --model digits.onnx          a file that `async-tnt export` wrote, by onnxruntime
+
+Engines differ in the last digits of the probabilities and in the microseconds to a decision, not in the windows or the
+events that count.
 """
 HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} {'events':>7} {'us':>7}  why"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_files(parser)
+    add_files(parser, onnx=True)
     add_start(parser)
     parser.add_argument("--every-us", type=positive_int, metavar="US", help="decide also every US microseconds")
     parser.add_argument("--every-events", type=positive_int, metavar="N", help="decide also every N events")
@@ -42,24 +47,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--late", choices=("accept", "drop", "raise"), default="accept",
         help="what to do with an event older than the newest one (default: %(default)s)",
     )  # fmt: skip
+    parser.add_argument(
+        "--engine", choices=ENGINES,
+        help="what runs the model's networks (default: compiled; onnx for an .onnx file, which runs by nothing else)",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
 
 
 def main(args: argparse.Namespace) -> int:
-    model = model_of(args)
-    processor = Processor(
-        model, start_us=args.start_us, hop_us=args.hop_us, every_us=args.every_us, every_events=args.every_events,
+    engine = choose_engine(args.model, args.engine)
+    processor = engine.processor(
+        start_us=args.start_us, hop_us=args.hop_us, every_us=args.every_us, every_events=args.every_events,
         late=args.late,
     )  # fmt: skip
-    warmup(model)
+    warmup(engine.model)
+    processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
     failed = False
     header = "" if args.json else HEADER + "\n"
     for path in paths_of(args):
         try:
-            (recording,) = open_all([path], model)
+            (recording,) = open_all([path], engine)
             print(end=header)
             header = ""
-            _run(recording, processor, model, args.json, sys.stdout)
+            _run(recording, processor, engine, args.json, sys.stdout)
         except BrokenPipeError:
             raise
         except (OSError, ValueError) as error:
@@ -68,7 +78,7 @@ def main(args: argparse.Namespace) -> int:
     return 2 if failed else 0
 
 
-def _run(recording: Recording, processor: Processor, model: Model, as_json: bool, out: TextIO) -> None:
+def _run(recording: Recording, processor: Processor, engine: Engine, as_json: bool, out: TextIO) -> None:
     processor.reset()
     closed = []
     for decision, latency_us in timed_decisions(recording, processor):
@@ -79,7 +89,7 @@ def _run(recording: Recording, processor: Processor, model: Model, as_json: bool
         mean = np.mean(closed, axis=0)
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
-        print(f"{recording.path.name}: {model.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
+        print(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
     late = processor.counts.dropped_late
     if late:
         complain(

@@ -1,0 +1,101 @@
+"""async-tnt export: a model's networks as ONNX files."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from ..model import Model, bundled_models
+from .files import complain, model_of
+
+DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
+(1, C, H, W); output `logits`, float32, (1, n_classes). The file also holds configuration, classes and training
+record, so that `async-tnt run --model FILE.onnx` and `async_tnt.engines.OnnxClassifier` know how events become its
+volume. A model with landmark "regressor" has a second network, which goes into FILE.regressor.onnx: input `volume`
+without the transform, output `landmark`, float64, (1, 2), the (x, y) in grid pixels.
+
+Before the files get their names, onnxruntime runs them on windows of the bundled samples (or of made streams, where
+the model is for another sensor): logits must agree with the compiled network's to 1e-4 (of the largest logit, where
+that is above 1), landmarks to 1e-4 pixels, and every class must be the same.
+
+  async-tnt export digits --out digits.onnx         a bundled model
+  async-tnt export mine.safetensors --out mine.onnx --json
+  async-tnt run --model digits.onnx                 run it by onnxruntime
+
+Needs onnx and onnxruntime (extra `onnx`). Exit code 0 if the files are written, 1 if they do not agree and nothing is
+written, 2 for bad usage or bad input.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "model", metavar="MODEL", help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
+    )
+    parser.add_argument("--out", required=True, type=Path, metavar="FILE.onnx", help="where to; replaced if there")
+    parser.add_argument("--json", action="store_true", help="one JSON object with files and differences")
+
+
+def main(args: argparse.Namespace) -> int:
+    from ..engines.agreement import compare_engines
+    from ..engines.choice import is_onnx, regressor_path
+    from ..engines.onnx_export import regressor_to_onnx, to_onnx
+    from ..engines.onnx_network import OnnxClassifier, OnnxRegressor
+
+    out: Path = args.out
+    if not is_onnx(out):
+        raise ValueError(f"--out must end in .onnx, got {out}")
+    if not out.parent.is_dir() or out.is_dir():
+        raise ValueError(f"--out must be a file in a folder that is there, got {out}")
+    model = model_of(args)
+    try:
+        import onnx  # noqa: F401
+        import onnxruntime
+    except ImportError as error:
+        complain(f"export writes with onnx and checks with onnxruntime: pip install '.[onnx]' ({error})")
+        return 2
+    contents = {out: to_onnx(model).SerializeToString()}
+    if model.config.needs_regressor:
+        contents[regressor_path(out)] = regressor_to_onnx(model).SerializeToString()
+    parts = {path: path.with_name(path.name + ".part") for path in contents}
+    try:
+        for path, content in contents.items():
+            parts[path].write_bytes(content)
+        # from the files, and not from memory: what is checked is what stays
+        regressor = OnnxRegressor(parts[regressor_path(out)]) if model.config.needs_regressor else None
+        agreement = compare_engines(model, OnnxClassifier(parts[out]), regressor)
+        if agreement.holds:
+            for path, part in parts.items():
+                part.replace(path)
+    finally:
+        for part in parts.values():
+            part.unlink(missing_ok=True)
+    report = {
+        "model": args.model,
+        "agrees": agreement.holds,
+        "files": {str(path): len(content) for path, content in contents.items()} if agreement.holds else {},
+        "windows": agreement.logits.n,
+        "recordings": agreement.recordings,
+        "largest_logit_difference": agreement.plain_logits.worst,
+        "classes_that_differ": agreement.n_differ,
+        "largest_landmark_difference_px": agreement.landmarks.worst if agreement.landmarks.n else None,
+        "onnxruntime": onnxruntime.__version__,
+    }
+    print(json.dumps(report)) if args.json else _print(report, model)
+    return 0 if agreement.holds else 1
+
+
+def _print(report: dict[str, Any], model: Model) -> None:
+    gives = (f"logits (1, {len(model.classes)})", "landmark (1, 2)")
+    for (path, n_bytes), what in zip(report["files"].items(), gives, strict=False):
+        print(f"{path} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> {what}")
+    landmark = report["largest_landmark_difference_px"]
+    print(
+        f"onnxruntime {report['onnxruntime']} against the compiled network, {report['windows']} windows of "
+        f"{report['recordings']}: logits within {report['largest_logit_difference']:.2g}, "
+        + ("" if landmark is None else f"landmarks within {landmark:.2g} px, ")
+        + f"{report['classes_that_differ'] or 'no'} classes differ"
+    )
+    if not report["agrees"]:
+        print("they do NOT agree: nothing is written")

@@ -1,0 +1,140 @@
+"""TorchClassifier: modules, scripts, exported programs and functions."""
+
+import sys
+
+import numpy as np
+import pytest
+import torch
+from made import random_events
+
+from async_tnt import Processor, TNTConfig
+from async_tnt.engines import TorchClassifier
+
+VOLUME = np.random.default_rng(0).normal(size=(2, 6, 5)).astype(np.float32)
+VOLUME.flags.writeable = False
+
+
+@pytest.fixture(autouse=True)
+def _one_thread():
+    yield
+    torch.set_num_threads(1)
+
+
+def module(*layers):
+    torch.manual_seed(0)
+    return torch.nn.Sequential(*layers, torch.nn.Flatten(), torch.nn.Linear(60, 3))
+
+
+def expected(net, volume=VOLUME):
+    with torch.no_grad():
+        return net(torch.tensor(volume)[None])[0].numpy()
+
+
+def test_a_module_gets_a_batch_of_one_and_gives_numpy():
+    net = module()
+    logits = TorchClassifier(net)(VOLUME)
+    assert type(logits) is np.ndarray and logits.dtype == np.float32 and logits.shape == (3,)
+    assert np.array_equal(logits, expected(net))
+    assert logits.flags.writeable and logits.base is None
+
+
+def test_eval_and_inference_mode():
+    seen = []
+
+    class Watching(torch.nn.Module):
+        def forward(self, volume):
+            seen.append((self.training, torch.is_inference_mode_enabled(), tuple(volume.shape), volume.dtype))
+            return volume.sum().reshape(1, 1)
+
+    net = torch.nn.Sequential(Watching(), torch.nn.Dropout(0.9)).train()
+    classify = TorchClassifier(net)
+    assert np.isclose(classify(VOLUME), VOLUME.sum(), atol=1e-4).all()
+    assert seen == [(False, True, (1, 2, 6, 5), torch.float32)] and not net.training
+    assert not torch.is_inference_mode_enabled()
+
+
+def test_what_works_in_place_or_keeps_its_input_does_not_touch_the_window():
+    kept = []
+
+    def greedy(volume):
+        kept.append(volume)
+        return volume.mul_(-1).flatten(1)[:, :3]
+
+    config = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=2, window_us=1000, landmark="center", t_max=1.0)
+    processor = Processor(config, classifier=TorchClassifier(greedy))
+    processor.push(random_events(300, sensor=(5, 6), duration_us=900))
+    before = processor.volume().copy()
+    assert before.any()
+    processor.fire()
+    assert np.array_equal(processor.volume(), before)
+    first = kept[0].clone()
+    processor.push(random_events(300, sensor=(5, 6), duration_us=900, start_us=90, seed=1))
+    processor.fire()
+    assert torch.equal(kept[0], first) and not torch.equal(kept[1], first)
+
+
+def test_a_module_of_another_type_than_float32():
+    for dtype, atol in ((torch.float64, 1e-6), (torch.bfloat16, 0.1), (torch.float16, 0.01)):
+        net = module()
+        reference = expected(net)
+        logits = TorchClassifier(net.to(dtype))(VOLUME)
+        assert logits.dtype == np.float32 and np.allclose(logits, reference, atol=atol)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_torchscript_and_exported_programs():
+    net = module(torch.nn.ReLU(), torch.nn.Dropout(0.5)).eval()
+    example = torch.zeros(1, 2, 6, 5)
+    scripted = torch.jit.trace(net, example)
+    program = torch.export.export(net, (example,))
+    for other in (scripted, program, program.module(), lambda volume: net(volume)[0]):
+        assert np.allclose(TorchClassifier(other)(VOLUME), expected(net), atol=1e-6)
+
+
+def test_any_float_volume():
+    net = module()
+    for volume in (VOLUME.astype(np.float64), np.asfortranarray(VOLUME), VOLUME[:, ::-1, :]):
+        assert np.allclose(TorchClassifier(net)(volume), expected(net, volume.astype(np.float32).copy()), atol=1e-6)
+
+
+def test_threads_are_torchs():
+    for threads in (2, 1):
+        TorchClassifier(module(), threads=threads)
+        assert torch.get_num_threads() == threads
+    torch.set_num_threads(2)
+    TorchClassifier(module(), threads=None)
+    assert torch.get_num_threads() == 2
+
+
+@pytest.mark.parametrize(
+    "answer, error, message",
+    [
+        (lambda v: v, ValueError, r"must return logits \(1, n_classes\), got shape \(1, 2, 6, 5\)"),
+        (lambda v: v[:, :0], ValueError, r"must return logits \(1, n_classes\), got shape \(1, 0, 6, 5\)"),
+        (lambda v: (v.flatten(1), 1), TypeError, "must return a tensor of logits, got tuple"),
+        (lambda v: v.sum().item(), TypeError, "must return a tensor of logits, got float"),
+    ],
+)
+def test_wrong_answers(answer, error, message):
+    with pytest.raises(error, match=f"^the module {message}$"):
+        TorchClassifier(answer)(VOLUME)
+
+
+@pytest.mark.parametrize(
+    "settings, error, message",
+    [
+        ({"threads": 0}, ValueError, "`threads` must be at least 1, got 0"),
+        ({"threads": 1.5}, TypeError, r"`threads` must be a whole number or None, got 1\.5"),
+        ({"threads": True}, TypeError, "`threads` must be a whole number or None, got True"),
+        ({"module": 5}, TypeError, "`module` must be callable, got int"),
+    ],
+)
+def test_wrong_settings(settings, error, message):
+    with pytest.raises(error, match=f"^{message}$"):
+        TorchClassifier(**{"module": len, **settings})
+
+
+def test_without_torch(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(ImportError, match=r"^torch modules need torch: pip install '\.\[reference\]' \(.*\)$"):
+        TorchClassifier(len)
