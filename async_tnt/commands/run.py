@@ -17,6 +17,7 @@ from ..processor import Processor
 from ..recordings import Recording
 from ..warmup import warmup
 from .files import add_files, add_start, complain, open_all, paths_of, positive_int
+from .trigger_options import add_triggers, triggers_of
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: when it fell, for which
 window, the label and its probability, and the microseconds from the last event to the decision. A line
@@ -24,6 +25,8 @@ for each recording follows: the class of the highest mean probability over its c
 
   async-tnt run                              the ten bundled samples
   async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
+  async-tnt run --confidence 0.95            decide each window as soon as that is sure
+  async-tnt run --activity 60:4000           decide when 60 events come within some 4 ms
   async-tnt run --json | jq .label           one JSON object a line for each decision
   async-tnt run --engine onnx                the same network by onnxruntime (extra `onnx`), or torch
   async-tnt run --model digits.onnx          a file that `async-tnt export` wrote, by onnxruntime
@@ -37,8 +40,7 @@ HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'pr
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_files(parser, onnx=True)
     add_start(parser)
-    parser.add_argument("--every-us", type=positive_int, metavar="US", help="decide also every US microseconds")
-    parser.add_argument("--every-events", type=positive_int, metavar="N", help="decide also every N events")
+    add_triggers(parser)
     parser.add_argument(
         "--hop-us", type=positive_int, metavar="US",
         help="distance between the starts of windows; smaller than a window: they overlap",
@@ -57,8 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     engine = choose_engine(args.model, args.engine)
     processor = engine.processor(
-        start_us=args.start_us, hop_us=args.hop_us, every_us=args.every_us, every_events=args.every_events,
-        late=args.late,
+        start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args)
     )  # fmt: skip
     warmup(engine.model)
     processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
@@ -83,7 +84,7 @@ def _run(recording: Recording, processor: Processor, engine: Engine, as_json: bo
     closed = []
     for decision, latency_us in timed_decisions(recording, processor):
         print((json_line if as_json else text_line)(recording, decision, latency_us), file=out, flush=True)
-        if decision.trigger in ("window", "end"):
+        if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
     if closed and not as_json:
         mean = np.mean(closed, axis=0)
