@@ -5,6 +5,9 @@ import re
 from pathlib import Path
 
 import pytest
+from small_sets import write_small_mnist
+
+from async_tnt.cli import main
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NEEDS = {"engines.md": ("onnx", "onnxruntime")}
@@ -13,7 +16,11 @@ N_EXAMPLES = {"engines.md": 20, "representations.md": 25}  # at least, so that a
 
 
 @pytest.mark.parametrize("page", [page for page in SNIPPETS if SNIPPETS[page]], ids=lambda page: page.name)
-def test_snippets_run_and_print_what_the_page_shows(page):
+def test_snippets_run_and_print_what_the_page_shows(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if page.name == "simulation.md":  # its snippet reads a set that is there
+        (tmp_path / "mnist").mkdir()
+        assert main(["simulate", "--mnist", str(write_small_mnist(tmp_path / "mnist", 8)), "--out", "moving"]) == 0
     for package in NEEDS.get(page.name, ()):
         pytest.importorskip(package, reason=f"{package} is not installed (extra `onnx`)")
     session, report, n_examples = {"__name__": "__main__"}, [], 0
