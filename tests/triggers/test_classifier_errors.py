@@ -1,0 +1,113 @@
+"""A classifier that fails in the middle of a packet: what of it is taken, and that the stream goes on."""
+
+import numpy as np
+import pytest
+from deciding import CONFIG, at, key, summary, total_and_size
+from made import random_events, random_model
+
+from async_tnt import CompiledClassifier, LeakyIntegrator, Processor
+
+SETTINGS = [
+    {"every_events": 3}, {"every_events": 1, "hop_us": 300}, {"activity": LeakyIntegrator(2.5, 100.0)},
+    {"every_us": 70}, {"every_us": 70, "confidence": 0.999, "hop_us": 400}, {},
+]  # fmt: skip
+
+
+class Troubled:
+    """Fails at its n-th answers."""
+
+    def __init__(self, *fails: int) -> None:
+        self.fails, self.asked = fails, 0
+
+    def __call__(self, volume: np.ndarray) -> list[float]:
+        self.asked += 1
+        if self.asked in self.fails:
+            raise RuntimeError("out of memory")
+        return total_and_size(volume)
+
+
+def push_all(processor: Processor, events: np.ndarray) -> tuple[list, int]:
+    """All in one packet; after an error what is left of it. Decisions and how many errors there were."""
+    decisions, first, errors = [], processor.counts.received, 0
+    begin = first
+    while first - begin < len(events):
+        try:
+            decisions += processor.push(events[first - begin :])
+        except RuntimeError:
+            errors += 1
+        first = processor.counts.received
+    return decisions, errors
+
+
+@pytest.mark.parametrize("settings", SETTINGS, ids=str)
+def test_no_event_is_lost_or_taken_twice(settings):
+    events = random_events(300, seed=3, duration_us=4000)
+    quiet = Processor(CONFIG, classifier=total_and_size, **settings)
+    quiet.push(events)
+    troubled = Processor(CONFIG, classifier=Troubled(2, 3, 4), **settings)
+    _, errors = push_all(troubled, events)
+    assert errors == 3
+    assert troubled.counts.received == quiet.counts.received == 300
+    if "confidence" not in settings:
+        assert troubled.counts == quiet.counts
+    assert [key(d) for d in troubled.finish()] == [key(d) for d in quiet.finish()]
+
+
+@pytest.mark.parametrize("late", ["drop", "raise"])
+@pytest.mark.xfail(strict=True, reason="the door has seen the whole packet: what is left of it is late for it")
+def test_the_rest_of_a_packet_may_be_pushed_again(late):
+    processor = Processor(CONFIG, classifier=Troubled(1), every_events=1, late=late)
+    with pytest.raises(RuntimeError):
+        processor.push(at([0, 1, 2, 3]))
+    assert processor.counts.received == 1
+    assert [d.time_us for d in processor.push(at([1, 2, 3]))] == [1, 2, 3]
+    assert processor.counts.dropped_late == 0
+
+
+@pytest.mark.parametrize("settings", [{"every_events": 2}, {"activity": LeakyIntegrator(2.0, 1e9)}], ids=str)
+@pytest.mark.xfail(strict=True, reason="the event is taken, and the potential spent: nothing knows that it was due")
+def test_the_next_push_tries_a_decision_again_that_an_event_made_due(settings):
+    """As `push` promises, and as it is for windows and `every_us`."""
+    processor = Processor(CONFIG, classifier=Troubled(1), **settings)
+    with pytest.raises(RuntimeError):
+        processor.push(at([0, 0]))
+    assert summary(processor.push(at([1])))[0][2:] == (0, 2)
+
+
+@pytest.mark.parametrize("hop_us", [None, 500])
+@pytest.mark.xfail(strict=True, reason="told only after a whole stretch of events was taken and decided")
+def test_a_wrong_number_of_classes_is_told_at_the_first_decision(hop_us):
+    """As on the general path, which takes one event here."""
+    model = random_model(CONFIG, classes=3)
+    processor = Processor(model, classes=["a", "b"], every_events=1, hop_us=hop_us)
+    with pytest.raises(ValueError, match="`classifier` must return 2 logits, one for each class, got 3"):
+        processor.push(random_events(20, duration_us=900))
+    assert processor.counts.received == 1
+
+
+@pytest.mark.parametrize("way", ["general", "compiled"])
+def test_another_classifier_may_take_over_after_an_error(way):
+    """One with another number of classes than those named is refused; the right one goes on with the same window."""
+    wrong, right = (CompiledClassifier(random_model(CONFIG, classes=n)) for n in (3, 2))
+    if way == "general":
+        wrong, right = (lambda volume, network=network: network(volume) for network in (wrong, right))
+    processor = Processor(CONFIG, classifier=wrong, classes=["a", "b"], every_us=100)
+    processor.push(at([0, 10]))
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"^`classifier` must return 2 logits, one for each class, got 3$"):
+            processor.push(at([150]))
+    processor.classifier = right
+    assert summary(processor.push(at([150]))) == [("every_us", 0, 10, 2)]
+
+
+def test_a_compiled_classifier_for_other_volumes_is_refused_at_once():
+    processor = Processor(random_model(CONFIG), every_events=1)
+    other = CompiledClassifier(random_model(CONFIG.replace(bins=3)))
+    before = processor.classifier
+    with pytest.raises(
+        ValueError, match=r"^`classifier` must take volumes of shape \(9, 34, 34\), got one for \(3, 34, 34\)$"
+    ):
+        processor.classifier = other
+    with pytest.raises(TypeError, match=r"^`classifier` must be callable, got int$"):
+        processor.classifier = 5
+    assert processor.classifier is before and len(processor.push(at([0, 1]))) == 2
