@@ -14,8 +14,13 @@ from async_tnt import warmup
 from async_tnt.config import LANDMARKS
 from async_tnt.recordings import open_recording, sample_recordings
 
-from .latency import WorkDiffers, bench_latency, bench_model, bench_stream, made_recording
+from .contenders import dense_networks, left_out
+from .every_event import bench_every_event
+from .latency import bench_latency, bench_model, bench_stream
+from .moments import NEW_EVENTS, bench_recordings, made_recording, windows_of
+from .network import bench_network
 from .timing import Progress, is_installed, machine, one_thread
+from .turns import WorkDiffers
 from .volumes import GRIDS, PACKETS, bench_volume
 
 DESCRIPTION = """\
@@ -24,7 +29,11 @@ and how long after the last event the decision is there. Where torch is installe
 made the batch way (the window's whole volume anew, then torch's network), in the same run, in turns with ours;
 first it is checked that both give the same volumes and the same classes.
 
-One thread. Events are made by a seeded generator; latency is measured on a bundled recording.
+Then the network by itself, 1 to 1300 events after the decision before (ours computes what has changed), and a
+Processor that decides after every event, beside onnxruntime, OpenVINO and torch where they are installed, and where
+their logits are the same. benchmarks/decisions.py has more of that.
+
+One thread. Events are made by a seeded generator; decisions are measured on bundled recordings.
 """
 EPILOG = """\
 examples:
@@ -33,6 +42,22 @@ examples:
   async-tnt bench --landmark line     the other landmarks cost as much or more
 """
 NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for the batch way)"
+PACKAGES = ("torch", "onnxruntime", "openvino")
+TITLES = {
+    "ours": "the Processor's own network",
+    "incremental": "CompiledClassifier.refresh",
+    "dense": "CompiledClassifier(array)",
+    "onnxruntime_run": "onnxruntime, run",
+    "onnxruntime_binding": "onnxruntime, io binding",
+    "openvino": "OpenVINO",
+    "torch": "torch",
+}
+FULL: dict[str, Any] = {
+    "rounds": 31, "moments": 1000, "blocks": 10, "decisions_a_block": 50, "recordings": 3, "events": None
+}  # fmt: skip
+QUICK: dict[str, Any] = {
+    "rounds": 5, "moments": 120, "blocks": 2, "decisions_a_block": 10, "recordings": 1, "events": 300
+}  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +88,7 @@ def main(args: argparse.Namespace) -> int:
         print(f"async-tnt bench: {error}", file=sys.stderr)
         return 2
     with_torch = is_installed("torch", "tnt_reference")
-    progress = Progress(len(GRIDS) + 3)
+    progress = Progress(len(GRIDS) + len(NEW_EVENTS) + 4)
     progress.step("compiling")
     warmup(model)
     try:
@@ -80,7 +105,8 @@ def _measure(
     args: argparse.Namespace, model: Any, model_name: str, with_torch: bool, progress: Progress
 ) -> dict[str, Any]:
     rng = np.random.default_rng(args.seed)
-    rounds = 5 if args.quick else 31  # many short ones: another process interrupts few of them
+    sizes = QUICK if args.quick else FULL
+    rounds = sizes["rounds"]  # many short ones: another process interrupts few of them
     volumes = []
     for grid in GRIDS:
         progress.step(f"volume, {grid[0]} x {grid[1]}")
@@ -92,20 +118,34 @@ def _measure(
     progress.step("recording through a Processor")
     stream = bench_stream(model, events, rounds=rounds, with_torch=with_torch)
     progress.step("latency of decisions")
-    decisions = bench_latency(model, events, moments=120 if args.quick else 1000, with_torch=with_torch)
+    decisions = bench_latency(model, events, moments=sizes["moments"], with_torch=with_torch)
+    recordings = bench_recordings(model, args.seed)
+    windows = [window for r in recordings for window in windows_of(r, model.config.window_us)]
+    networks, of_network = dense_networks(model), {}
+    for n_new in NEW_EVENTS:
+        progress.step(f"the network, {n_new} new events")
+        of_network[str(n_new)] = bench_network(
+            model, networks, windows, n_new, blocks=sizes["blocks"], size=sizes["decisions_a_block"]
+        )
+    progress.step("a decision after every event")
+    rates = bench_every_event(
+        model, networks, recordings[: sizes["recordings"]], rounds=sizes["recordings"], n_events=sizes["events"]
+    )
     return {
-        "machine": machine("torch"),
-        "settings": {"quick": args.quick, "seed": args.seed, "rounds": rounds, "threads": 1, "batch": with_torch},
+        "machine": machine(*PACKAGES),
+        "settings": {"quick": args.quick, "seed": args.seed, "threads": 1, "batch": with_torch, **sizes},
         "model": {"name": model_name, "config": model.config.to_dict(), "classes": len(model.classes)},
         "volume": volumes,
-        "processor": {"stream": stream, "latency": decisions},
+        "processor": {"stream": stream, "latency": decisions, "every_event": rates},
+        "network": of_network,
+        "left_out": left_out(),
     }
 
 
 def table(report: dict[str, Any]) -> Iterator[str]:
     """The report as lines to be read."""
     about, settings = report["machine"], report["settings"]
-    packages = ("python", "async_tnt", "numpy", "numba", "torch")
+    packages = ("python", "async_tnt", "numpy", "numba", *PACKAGES)
     versions = ", ".join(f"{name} {about[name]}" for name in packages if about[name])
     yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}; one thread"
     yield f"processor time, medians of {settings['rounds']} rounds in turns, quartiles in brackets"
@@ -145,11 +185,35 @@ def table(report: dict[str, Any]) -> Iterator[str]:
         yield f"checked: same classes, same volumes (at most {worst['volume']:.0e} of the largest cell apart)"
     else:
         yield NO_TORCH
+    yield from _decisions(report)
+
+
+def _decisions(report: dict[str, Any]) -> Iterator[str]:
+    """The network by itself, and a Processor that decides after every event."""
+    rows, size = report["network"], report["settings"]["decisions_a_block"]
+    yield ""
+    yield f"the network by itself, each in blocks of {size} decisions: us by the wall clock"
+    yield f"{'new events since the decision before':28}" + "".join(f"{int(n):>20,}" for n in rows)
+    first = next(iter(rows.values()))["in_blocks"]["us"]
+    for name in first:
+        figures = [row["in_blocks"]["us"][name] for row in rows.values()]
+        yield f"{TITLES[name]:36}" + "".join(f"{_spread(figure):>20}" for figure in figures)
+    worst = max(row[mode]["largest_difference"] for row in rows.values() for mode in row)
+    yield f"checked: the same logits (at most {worst:.0e} apart)"
+    yield ""
+    yield "a decision after every event, recordings in packets: decisions a second, us each"
+    for name, row in report["processor"]["every_event"].items():
+        yield f"{TITLES[name]:36}{row['a_second']:>12,.0f}" + _row([row["us"]])
+    for name, why in report["left_out"].items():
+        yield f"{TITLES[name]}: {why}"
+
+
+def _spread(figure: dict[str, float]) -> str:
+    return f"{_short(figure['median'])} [{_short(figure['q1'])}, {_short(figure['q3'])}]"
 
 
 def _row(figures: list[dict[str, float]]) -> str:
-    cells = (f"{_short(f['median'])} [{_short(f['q1'])}, {_short(f['q3'])}]" for f in figures)
-    return "".join(f"{cell:>24}" for cell in cells)
+    return "".join(f"{_spread(figure):>24}" for figure in figures)
 
 
 def _short(value: float) -> str:

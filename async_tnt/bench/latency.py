@@ -9,17 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt import EVENT_DTYPE, Model, Processor, TNTConfig, bundled_models, load_model
+from async_tnt import Model, Processor, TNTConfig, bundled_models, load_model
 
 from .timing import interleave, latency, no_collector, spread, work_clock
+from .turns import WorkDiffers
 from .volumes import PACKETS
 
 TOLERANCE = 1e-4
 """Largest difference of a cell, in parts of the largest cell, and of a logit, in parts of the largest logit."""
-
-
-class WorkDiffers(Exception):
-    """The two ways did not compute the same: a comparison of their times would mean nothing."""
 
 
 def bench_model(name_or_path: str | None, landmark: str, seed: int) -> tuple[Model, str]:
@@ -233,13 +230,3 @@ def _batch_windows(model: Model, events: np.ndarray) -> Callable[[], float]:
         ours = [decision.index for decision in decisions]
         raise WorkDiffers(f"the windows' classes must be the same, got {ours} and {labels}")
     return run
-
-
-def made_recording(rng: np.random.Generator, config: TNTConfig, n: int) -> np.ndarray:
-    """A made stream over three windows, for a model of another sensor than the bundled samples'."""
-    events = np.empty(n, EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(0, 3 * config.window_us, n))
-    events["x"] = rng.integers(0, config.sensor[0], n)
-    events["y"] = rng.integers(0, config.sensor[1], n)
-    events["p"] = rng.integers(0, 2, n)
-    return events

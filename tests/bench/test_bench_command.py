@@ -15,7 +15,9 @@ import pytest
 
 from async_tnt import Model, TNTConfig
 from async_tnt.bench import add_arguments, latency, main
-from async_tnt.bench.command import table
+from async_tnt.bench.command import TITLES, table
+from async_tnt.bench.contenders import WORK as ENGINES
+from async_tnt.bench.moments import made_recording
 from async_tnt.bench.timing import Progress, interleave, spread
 
 WAYS = {"single"} | {f"packet_{n}_{form}" for n in (10, 100, 1300) for form in ("structured", "columns")}
@@ -61,6 +63,21 @@ def test_quick_json_is_one_object_with_every_figure(report):
     assert report["processor"]["stream"]["windows"] == 3
 
 
+def test_decisions_are_reported_beside_every_engine_that_is_installed(report):
+    engines = set(ENGINES) - set(report["left_out"])
+    assert list(report["network"]) == ["1", "10", "100", "1300"]
+    for row in report["network"].values():
+        for way in ("call_by_call", "in_blocks"):
+            assert set(row[way]["us"]) == engines and row[way]["largest_difference"] < 1e-4
+            assert all(0 < figure["median"] <= figure["p99"] for figure in row[way]["us"].values())
+    every_event = report["processor"]["every_event"]
+    assert set(every_event) == {"ours"} | engines - {"incremental"}
+    for name, row in every_event.items():
+        assert row["a_second"] == pytest.approx(1e6 / row["us"]["median"])
+        assert name == "ours" or row["ratio"]["median"] > 0
+    assert every_event["dense"]["ratio"]["median"] > 2  # what refreshing spares
+
+
 @needs_torch
 def test_batch_way_is_timed_and_makes_the_same_volumes(report):
     assert report["settings"]["batch"] is True
@@ -77,6 +94,26 @@ def test_the_table_shows_every_figure(report):
         assert title in text
     assert f"{report['volume'][1]['ns_per_event']['single']['median']:,.0f}" in text
     assert "batch / stream" in text or "torch is not installed" in text
+    for name in report["network"]["1"]["in_blocks"]["us"]:
+        assert TITLES[name] in text
+    assert f"{report['processor']['every_event']['ours']['a_second']:,.0f}" in text
+    assert "checked: the same logits (at most" in text
+
+
+def test_an_engine_of_other_logits_is_refused(small_grids, monkeypatch, capsys):
+    from async_tnt.bench import contenders
+
+    right = contenders.MAKERS["dense"]
+
+    def wrong(model):
+        network = right(model)
+        return lambda volume: 1.001 * network(volume)
+
+    monkeypatch.setitem(contenders.MAKERS, "dense", wrong)
+    assert main(parse("--quick")) == 1
+    captured = capsys.readouterr()
+    assert "all must give the same logits within 0.0001, got incremental and dense 1.0e-03 apart" in captured.err
+    assert captured.out == ""
 
 
 @needs_torch
@@ -92,11 +129,14 @@ def test_different_work_is_not_timed_but_refused(small_grids, monkeypatch, capsy
 
 
 def test_without_torch_it_says_so_and_times_ours(small_grids, monkeypatch, capsys):
-    monkeypatch.setattr("async_tnt.bench.command.is_installed", lambda *packages: False)
+    for module in ("command", "contenders"):
+        monkeypatch.setattr(f"async_tnt.bench.{module}.is_installed", lambda *packages: not packages)
     assert main(parse("--quick")) == 0
     text = capsys.readouterr().out
     assert "torch is not installed: only our own times" in text
     assert "packets of 1300, columns" in text and "batch: " not in text and "batch way, torch" not in text
+    assert "onnxruntime, run: onnx and onnxruntime are not installed" in text
+    assert "CompiledClassifier.refresh" in text and "CompiledClassifier(array)" in text
 
 
 def test_the_bench_package_does_not_import_torch():
@@ -128,7 +168,7 @@ def test_any_model_is_timed_on_a_made_stream(settings):
     weights = {f"{k}.weight": rng.normal(0, 0.2, s).astype(np.float32) for k, s in shapes.items()}
     weights |= {f"{k}.bias": rng.normal(0, 0.2, s[0]).astype(np.float32) for k, s in shapes.items()}
     model = Model(config, weights, ("a", "b", "c"))
-    events = latency.made_recording(rng, config, 2000)
+    events = made_recording(rng, config, 2000)
     decisions = latency.bench_latency(model, events, moments=30, with_torch=True)
     assert 0 < decisions["largest_difference"]["volume"] < 1e-4
     stream = latency.bench_stream(model, events, rounds=1, with_torch=True)
@@ -175,7 +215,7 @@ def test_the_batch_way_is_the_reference(settings, grid):
     from async_tnt.bench.torch_batch import TorchBatch, as_tensors
 
     config = TNTConfig(grid=grid, window_us=20_000, **settings)
-    events = latency.made_recording(np.random.default_rng(5), config, 3000)
+    events = made_recording(np.random.default_rng(5), config, 3000)
     events = events[events["t"] < 20_000]
     assert len(events) > 900
     at = {"start_us": 0, "window_us": 20_000, "sensor": (34, 34), "grid": grid, "bins": config.bins}

@@ -7,21 +7,12 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="benchmarks/ is not part of an installed package")
-
-
-def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"benchmark_{name}", FOLDER / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def run_memory(*words: str) -> subprocess.CompletedProcess[str]:
@@ -51,8 +42,8 @@ def test_too_few_events_are_bad_usage():
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read from /proc")
-def test_resident_memory_sees_what_is_allocated():
-    resident_mb = load("memory").resident_mb
+def test_resident_memory_sees_what_is_allocated(load_benchmark):
+    resident_mb = load_benchmark("memory").resident_mb
     before = resident_mb()
     block = np.ones(64 << 20, np.uint8)  # more than malloc ever takes from memory it has
     assert 50 < resident_mb() - before < 80
@@ -60,9 +51,9 @@ def test_resident_memory_sees_what_is_allocated():
 
 
 @pytest.fixture(scope="module")
-def peers_report(tmp_path_factory):
+def peers_report(tmp_path_factory, load_benchmark):
     path = tmp_path_factory.mktemp("peers") / "peers.json"
-    assert load("peers").main(["--quick", "--json", str(path)]) == 0
+    assert load_benchmark("peers").main(["--quick", "--json", str(path)]) == 0
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -86,9 +77,9 @@ def test_a_peer_that_is_installed_is_compared(peers_report, package, row):
         assert result["largest_difference"][row] < 1e-4
 
 
-def test_unequal_volumes_stop_the_comparison(monkeypatch):
+def test_unequal_volumes_stop_the_comparison(monkeypatch, load_benchmark):
     pytest.importorskip("torch", reason="torch is not installed")
-    peers = load("peers")
+    peers = load_benchmark("peers")
     right = peers.dsec_volume
     monkeypatch.setattr(peers, "dsec_volume", lambda *columns: right(*columns) * 1.01)
     with pytest.raises(RuntimeError, match=r"must make the same volume as ours .*'dsec_torch': 0\.01"):

@@ -1,0 +1,183 @@
+"""How long a decision takes: ours by what has changed, and the same decision by onnxruntime, OpenVINO, torch, eventcv.
+
+    python benchmarks/decisions.py [--quick] [--json FILE] [--picture FILE]
+
+One process, one thread each, warm, in turns, on the windows of the bundled recordings; before anything is timed, all
+must give the same logits within 1e-4. Decisions are timed twice: contenders alternate from call to call (each finds
+the caches full of the others), and they decide in blocks (each has them to itself). Compare within one of these only.
+Rows whose package is not installed are left out, and why is said:
+`pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+if __name__ == "__main__":  # before any library reads them
+    os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", RAYON_NUM_THREADS="1")
+
+from async_tnt import load_model, warmup
+from async_tnt.bench import contenders, end_to_end, starts
+from async_tnt.bench.every_event import bench_every_event, bench_singles
+from async_tnt.bench.moments import NEW_EVENTS, bench_recordings, windows_of
+from async_tnt.bench.network import bench_network, bench_on_noise, fastest
+from async_tnt.bench.timing import Progress, is_installed, machine, one_thread
+from async_tnt.bench.touched import bench_touched
+from async_tnt.bench.turns import WorkDiffers
+
+MODEL = "digits"
+PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
+FULL = {"blocks": 40, "decisions_a_block": 50, "rounds": 10, "single_decisions": 100_000, "starts": 5}
+QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "single_decisions": 2_000, "starts": 1}
+MODES = {"call_by_call": "contenders alternate from call to call", "in_blocks": "each decides in blocks of {} calls"}
+
+
+def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
+    """Everything, as one JSON object.
+
+    Raises
+    ------
+    WorkDiffers : contenders do not agree. Then nothing is reported.
+    """
+    model = load_model(MODEL)
+    progress = Progress(1 + len(NEW_EVENTS) + 1 + len(NEW_EVENTS) + 3 + settings["starts"] + 1)
+    progress.step("compiling")
+    warmup(model)
+    recordings = bench_recordings(model)
+    windows = [window for events in recordings for window in windows_of(events, model.config.window_us)]
+    counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
+    with one_thread(is_installed("torch")):
+        networks = contenders.dense_networks(model)
+        network = {}
+        for n_new in NEW_EVENTS:
+            progress.step(f"the network alone, new events: {n_new}")
+            network[str(n_new)] = bench_network(model, networks, windows, n_new, **counts)
+        progress.step("the network alone, random numbers")
+        network["random"] = bench_on_noise(model, networks, **counts)
+        way = fastest(contenders.ONNXRUNTIME, network)
+        whole = {}
+        for n_new in NEW_EVENTS:
+            progress.step(f"from packet to decision, new events: {n_new}")
+            whole[str(n_new)] = end_to_end.bench_end_to_end(model, way, windows, n_new, **counts)
+        progress.step("a decision after every event")
+        others = {name: f for name, f in networks.items() if name not in contenders.ONNXRUNTIME or name == way}
+        n_events = 500 if quick else None
+        rates = bench_every_event(model, others, recordings, rounds=settings["rounds"], n_events=n_events)
+        progress.step("single decisions")
+        singles = bench_singles(model, recordings, n_decisions=settings["single_decisions"])
+    progress.step("what new events touch")
+    touched = bench_touched(model, windows, moments=40 if quick else 1000)
+    started = starts.bench_starts(
+        model, rounds=settings["starts"], cold=not quick, each=lambda: progress.step("fresh processes")
+    )
+    return {
+        "machine": machine(*PACKAGES),
+        "settings": {"quick": quick, "threads": 1, **settings, "onnxruntime_way": way},
+        "model": {"name": MODEL, "config": model.config.to_dict(), "events": sum(map(len, recordings)),
+                  "windows": len(windows)},
+        "work": {"network": contenders.WORK, "end_to_end": end_to_end.WORK, "starts": starts.WORK},
+        "network": network,
+        "end_to_end": whole,
+        "every_event": {"packets": rates, "singles": singles},
+        "touched": touched,
+        "starts": started,
+        "left_out": {"network": contenders.left_out(), "end_to_end": end_to_end.left_out(),
+                     "starts": starts.left_out(cold=not quick)},
+    }  # fmt: skip
+
+
+def lines(report: dict[str, Any]) -> Iterator[str]:
+    """The report as text."""
+    about, settings = report["machine"], report["settings"]
+    packages = ("python", "async_tnt", "numpy", "numba", *PACKAGES)
+    yield (f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}, one thread; "
+           + ", ".join(f"{name} {about[name]}" for name in packages if about[name]))  # fmt: skip
+    titles = {"network": "The network alone", "end_to_end": "From a packet of new events to the decision"}
+    for part, title in titles.items():
+        for mode, words in MODES.items():
+            words = words.format(settings["decisions_a_block"])
+            yield ""
+            yield f"{title}, us: median [quartiles], p99, times ours; {words}"
+            yield from _turns(report[part], mode)
+    yield ""
+    yield "A decision after every event, recordings in packets: us of processor time, decisions a second, times ours"
+    for name, row in report["every_event"]["packets"].items():
+        ratio = f"{row['ratio']['median']:8.1f}" if "ratio" in row else ""
+        yield f"  {name:22}{_cell(row['us']):>26}{row['a_second']:>12,.0f}{ratio}"
+    yield ""
+    yield f"Single decisions, push_one, {settings['single_decisions']:,} each: us"
+    for name, row in report["every_event"]["singles"].items():
+        yield (f"  {name:22}{_cell(row):>26}  p99 {row['p99']:.1f}  p99.9 {row['p999']:.1f}  max {row['max']:.0f}  "
+               f"p99 / median {row['p99_over_median']:.1f}")  # fmt: skip
+    yield ""
+    yield "What new events touch, means: places of each map computed; multiplications; weights read"
+    for name, row in report["touched"].items():
+        layers = ", ".join(f"{k} {v:.1f}" for k, v in row["reached"].items())
+        yield f"  {name:6}{row['multiplications']:>12,.0f}{row['weight_bytes'] / 1e3:>8.0f} kB   {layers}"
+    yield ""
+    yield f"Fresh processes, medians of {settings['starts']}: seconds"
+    for name, row in report["starts"].items():
+        yield f"  {name:22}" + ", ".join(f"{step} {taken['median']:.3f}" for step, taken in row.items())
+    yield ""
+    yield "What each row does:"
+    for part, rows in report["work"].items():
+        for name, words in rows.items():
+            why = report["left_out"][part].get(name)
+            yield f"  {name:22}" + (f"left out: {why}" if why else words)
+
+
+def _turns(rows: dict[str, Any], mode: str) -> Iterator[str]:
+    for name, row in rows.items():
+        yield "  volumes of random numbers" if name == "random" else f"  {name} new event{'s' if name != '1' else ''}"
+        for contender, us in row[mode]["us"].items():
+            ratio = row[mode]["ratio"].get(contender)
+            yield f"    {contender:20}{_cell(us):>26}{us['p99']:>9.1f}" + (f"{ratio['median']:9.2f}" if ratio else "")
+
+
+def _cell(figure: dict[str, float]) -> str:
+    return f"{figure['median']:,.1f} [{figure['q1']:,.1f}, {figure['q3']:,.1f}]"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run, print, and write JSON and the picture if asked. Returns 1 if contenders do not agree."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
+    parser.add_argument("--from", dest="source", type=Path, metavar="FILE",
+                        help="take the figures from such a JSON file instead of measuring")  # fmt: skip
+    parser.add_argument("--quick", action="store_true", help="few rounds: does it all run?")
+    args = parser.parse_args(argv)
+    try:
+        if args.picture:
+            from async_tnt.figures.style import check_out
+
+            check_out(args.picture)
+        if args.source:
+            report = json.loads(args.source.read_text(encoding="utf-8"))
+        else:
+            report = measure(QUICK if args.quick else FULL, args.quick)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    except WorkDiffers as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 1
+    print("\n".join(lines(report)))
+    if args.json:
+        args.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    if args.picture:
+        from async_tnt.bench.decision_picture import draw_decisions
+        from async_tnt.figures.style import save, styled
+
+        with styled():
+            save(draw_decisions(report), args.picture, dpi=100)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
