@@ -9,7 +9,7 @@ import numpy as np
 
 from .classifier import CompiledClassifier
 from .config import TNTConfig
-from .decision import Decision, check_logits
+from .decision import Decision
 from .events import Columns
 from .kernels import trigger as T
 from .kernels.classify import FULL, NOT_FINITE, NOTED, classify_stretch, softmax
@@ -71,7 +71,9 @@ class Decider:
             logits = np.asarray(self._classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
             probabilities = np.empty(logits.size)
             index = softmax(logits, probabilities) if logits.size else -1
-        classes = self._classes_for(logits, index)
+        classes = self._classes_for(logits.size)
+        if index < 0:
+            raise _not_finite(logits)
         if level is not None and probabilities[index] >= level:
             trigger, complete = "confidence", True
         n_events, start_us = volume.n_events, volume.start_us
@@ -109,6 +111,7 @@ class Decider:
         first: int, last: int,
     ) -> tuple[int, list[Decision]]:  # fmt: skip
         """The same in compiled code, from decision to decision, with the GIL released."""
+        classes = self._classes_for(classifier.n_classes)
         oldest = windows.oldest
         before = oldest.n_late, oldest.n_decided
         made = []
@@ -128,8 +131,8 @@ class Decider:
         if windows.overlap:
             windows.note_taken(columns, first, taken, before)
         if end == NOT_FINITE:
-            check_logits(logits[n], -1, classifier.n_classes)
-        classes, start_us = self._classes_for(logits[0], 0), oldest.start_us
+            raise _not_finite(logits[n])
+        start_us = oldest.start_us
         return taken, [
             Decision(
                 classes[index], index, chunk_probabilities[k], chunk_logits[k], start_us, time_us, n_events,
@@ -139,9 +142,15 @@ class Decider:
             for k, (n_events, time_us, why, index) in enumerate(rows)
         ]  # fmt: skip
 
-    def _classes_for(self, logits: np.ndarray, index: int) -> tuple[str, ...]:
-        classes = tuple(str(k) for k in range(logits.size)) if self._classes is None else self._classes
-        if index < 0 or logits.size != len(classes):
-            check_logits(logits, index, len(classes))
-        self._classes = classes  # from the first answer on, where nobody named them
-        return classes
+    def _classes_for(self, n: int) -> tuple[str, ...]:
+        """The names of n classes, from the first answer on where nobody named them."""
+        if self._classes is None and n:
+            self._classes = tuple(str(k) for k in range(n))
+        if self._classes is None or n != len(self._classes):
+            n_named = len(self._classes or ())
+            raise ValueError(f"`classifier` must return {n_named} logits, one for each class, got {n}")
+        return self._classes
+
+
+def _not_finite(logits: np.ndarray) -> ValueError:
+    return ValueError(f"`classifier` must return finite logits, got {logits.tolist()}")

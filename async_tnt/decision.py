@@ -34,16 +34,3 @@ class Decision:
     def probability(self) -> float:
         """Probability of the likeliest class."""
         return float(self.probabilities[self.index])
-
-
-def check_logits(logits: np.ndarray, index: int, n_classes: int) -> None:
-    """Raise unless there is one finite logit for each class.
-
-    Parameters
-    ----------
-    logits : float32, shape (n,). index : what `softmax` says of them.
-    """
-    if logits.size != n_classes:
-        raise ValueError(f"`classifier` must return {n_classes} logits, one for each class, got {logits.size}")
-    if index < 0:
-        raise ValueError(f"`classifier` must return finite logits, got {logits.tolist()}")

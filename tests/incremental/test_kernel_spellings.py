@@ -109,6 +109,25 @@ def test_tile_1_by_hand():
         assert not np.delete(cells, 1, axis=1).any()
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_tiles_pass_on_what_is_no_number(value):
+    """max(nan, 0) is nan here, as in torch."""
+    inputs, weights = numbers(3000, 12), numbers(3000, 13)
+    inputs[FIRST + 2 * ROW_1 + 2 * PITCH_1 + 3] = value  # row 2, channel 2, pixel 3
+    found = []
+    for run in (_run_1_plain, _run_1_registers):
+        found.append(np.zeros(FIRST_OUT + tile.CELLS_1 * tile.FILTERS_1, np.float32))
+        run(inputs, np.arange(N_CHANNELS), N_CHANNELS, weights, 2000, found[-1])
+    assert np.array_equal(*found, equal_nan=True) and np.isfinite(found[0]).any()
+    assert not np.isfinite(found[0]).all()
+    inputs[FIRST + 2 * 80 + 16 + 3] = value  # row 2, pixel 1, channel 3
+    found = []
+    for run in (_run_2_plain, _run_2_registers):
+        found.append(np.zeros(FIRST_OUT + tile.CELLS_2 * tile.FILTERS_2, np.float32))
+        run(inputs, 80, 16, 5, weights, found[-1])
+    assert np.array_equal(*found, equal_nan=True) and not np.isfinite(found[0]).all()
+
+
 @njit
 def _occupied_plain(inputs, first, row):
     return tile._occupied_checked(inputs, first, row)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from deciding import key
+from incremental.float32 import forward
 from made import events_of, random_model
 
 from async_tnt import CompiledClassifier, LeakyIntegrator, Model, Processor, TNTConfig, TNTVolume
@@ -41,6 +42,24 @@ def test_the_numbers_do_overflow(kind):
     volume.update_one(100, *LOUD, 0)  # and go back: nothing of it is left
     assert network.refresh(volume).tobytes() == CompiledClassifier(model)(volume.array).tobytes()
     assert np.isfinite(network.refresh(volume)).all()
+
+
+def test_a_relu_does_not_swallow_what_is_no_number():
+    """An infinity in the first map, weighed with 0 in the second: that is nan, and stays it up to the logits."""
+    weights = {name: w.copy() for name, w in overflowing("inf").weights.items()}
+    weights["conv1.weight"][0, 0, 1, 1] = 3e38
+    for name in ("conv2.weight", "fc1.weight", "fc2.weight"):
+        weights[name][:] = 0
+    model = Model(CONFIG, weights, ("a", "b"))
+    for every in (None, 1):
+        processor = Processor(model, every_events=every)
+        assert len(processor.push(([5, 6], [7, 7], [7, 0], [1, 1]))) == (2 if every else 0)
+        with pytest.raises(ValueError, match=FINITE):  # two events at one pixel: 6e38
+            processor.push_one(7, *LOUD, 1)
+            processor.fire()
+        assert np.isnan(CompiledClassifier(model)(processor.volume())).all()
+        with np.errstate(all="ignore"):
+            assert np.isnan(forward(model.weights, processor.volume())).all()
 
 
 def processors(kind: str, **settings) -> list[Processor]:

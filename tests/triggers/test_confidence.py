@@ -154,11 +154,19 @@ def test_level_one_needs_certainty():
     assert summary(processor.push(at(0, 1, 2, 3))) == [("confidence", 0, 2, 3, True)]
 
 
-def test_level_of_the_only_class_is_reached_at_once():
-    processor = Processor(CONFIG, classifier=lambda volume: [0.0], confidence=1.0)
-    assert summary(processor.push(at(0, 1, 1000))) == [
-        ("confidence", 0, 0, 1, True), ("confidence", 1000, 1000, 1, True),
-    ]  # fmt: skip
+@pytest.mark.parametrize("way", ["callable", "compiled"])
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("n_classes, probability", [(1, 1.0), (2, 0.5), (4, 0.25)])
+def test_a_level_that_is_just_reached(way, single, n_classes, probability):
+    """Classes that are all alike: exactly 1 / n each."""
+    model = random_model(CONFIG, classes=n_classes, widths=(1, 1, 1))
+    alike = {name: np.zeros_like(w) for name, w in model.weights.items()}
+    compiled = CompiledClassifier(Model(CONFIG, alike, model.classes))
+    classifier = compiled if way == "compiled" else lambda volume: [0.0] * n_classes
+    for confidence, closes in ((probability, True), (min(1.0, np.nextafter(probability, 2)), n_classes == 1)):
+        processor = Processor(CONFIG, classifier=classifier, confidence=confidence)
+        decisions = processor.push_one(0, 1, 1, 1) if single else processor.push(at(0))
+        assert summary(decisions) == ([("confidence", 0, 0, 1, True)] if closes else [])
 
 
 def test_overlapping_windows_go_on_by_themselves(classifier):
