@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections import deque
 from itertools import islice
 
+import numpy as np
+
 from .config import TNTConfig
 from .events import Columns
 from .landmark_at_read import Regressor
+from .snapshot import Arrays, part, under
 from .triggers import positive_int
 from .volume import Counts, TNTVolume
 
@@ -29,14 +32,14 @@ class OpenWindows:
         regressor: Regressor | None,
     ) -> None:  # fmt: skip
         self._window_us = window_us = config.window_us
-        self._hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
-        if self._hop_us > window_us:
+        self.hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
+        if self.hop_us > window_us:
             raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {hop_us}")
-        n_volumes = -(-window_us // self._hop_us)
+        n_volumes = -(-window_us // self.hop_us)
         if n_volumes > MAX_OPEN_WINDOWS:
             raise ValueError(
                 f"`hop_us` must be at least window_us / {MAX_OPEN_WINDOWS} = {-(-window_us // MAX_OPEN_WINDOWS)}, "
-                f"got {self._hop_us}: {n_volumes} windows would be open at once"
+                f"got {self.hop_us}: {n_volumes} windows would be open at once"
             )
         self._start_us = start_us
         self.volumes = [TNTVolume(config, replay_events=replay_events, regressor=regressor) for _ in range(n_volumes)]
@@ -100,14 +103,14 @@ class OpenWindows:
             self._next_start_us = t_us
         start_us = self._next_start_us
         if start_us + self._window_us <= t_us:
-            start_us += ((t_us - self._window_us - start_us) // self._hop_us + 1) * self._hop_us
+            start_us += ((t_us - self._window_us - start_us) // self.hop_us + 1) * self.hop_us
         while start_us <= t_us or not self._open:
             volume = self._free.pop()
             volume.open(start_us)
             if self._decided_us is not None:
                 volume.set_decided(self._decided_us)
             self._open.append(volume)
-            start_us += self._hop_us
+            start_us += self.hop_us
         self._next_start_us = start_us
         return was_empty
 
@@ -132,6 +135,30 @@ class OpenWindows:
         self.oldest.close()
         self.drop_oldest()
         self._decided_us = start_us if decided else None
+
+    def snapshot(self) -> Arrays:
+        """All volumes, which of them are open, and the counts."""
+        number = {id(volume): k for k, volume in enumerate(self.volumes)}
+        order = [number[id(volume)] for volume in (*self._open, *self._free)]
+        times = [-1 if us is None else us for us in (self._next_start_us, self._decided_us)]
+        counts = [len(self._open), *times, self._n_received, self._n_late, self._n_decided]
+        arrays = {"order": np.array(order, np.int64), "counts": np.array(counts, np.int64)}
+        for k, volume in enumerate(self.volumes):
+            arrays |= under(str(k), volume.snapshot())
+        return arrays
+
+    def restore(self, arrays: Arrays) -> None:
+        """The inverse."""
+        order, counts = arrays["order"].tolist(), arrays["counts"].tolist()
+        if sorted(order) != list(range(len(self.volumes))) or len(counts) != 6 or not 0 <= counts[0] <= len(order):
+            raise ValueError(f"it has {len(order)} volumes, here there are {len(self.volumes)} (hop_us)")
+        for k, volume in enumerate(self.volumes):
+            volume.restore(part(str(k), arrays))
+        n_open, next_start_us, decided_us, self._n_received, self._n_late, self._n_decided = counts
+        self._open = deque(self.volumes[k] for k in order[:n_open])
+        self._free = [self.volumes[k] for k in order[n_open:]]
+        self._next_start_us = None if next_start_us < 0 else next_start_us
+        self._decided_us = None if decided_us < 0 else decided_us
 
     def counts(self, n_dropped_at_door: int) -> Counts:
         """What became of the events. Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an

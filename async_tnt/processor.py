@@ -18,8 +18,14 @@ from .landmark_at_read import Regressor
 from .model import Model
 from .open_windows import OpenWindows
 from .regressor import CompiledRegressor
+from .snapshot import from_bytes, to_bytes
 from .triggers import LeakyIntegrator, Triggers
 from .volume import Counts, checked_time
+
+
+def _trigger(name: str) -> property:
+    """A trigger's setting, which may be changed while the stream runs."""
+    return property(lambda self: getattr(self._triggers, name), lambda self, value: self._set(**{name: value}))
 
 
 class Processor:
@@ -136,37 +142,10 @@ class Processor:
         """Class names; where nobody named them, known from the first decision on."""
         return self._decider.classes
 
-    @property
-    def every_us(self) -> int | None:
-        return self._triggers.every_us
-
-    @every_us.setter
-    def every_us(self, every_us: int | None) -> None:
-        self._set(every_us=every_us)
-
-    @property
-    def every_events(self) -> int | None:
-        return self._triggers.every_events
-
-    @every_events.setter
-    def every_events(self, every_events: int | None) -> None:
-        self._set(every_events=every_events)
-
-    @property
-    def confidence(self) -> float | None:
-        return self._triggers.confidence
-
-    @confidence.setter
-    def confidence(self, confidence: float | None) -> None:
-        self._set(confidence=confidence)
-
-    @property
-    def activity(self) -> LeakyIntegrator | None:
-        return self._triggers.activity
-
-    @activity.setter
-    def activity(self, activity: LeakyIntegrator | None) -> None:
-        self._set(activity=activity)
+    every_us = _trigger("every_us")
+    every_events = _trigger("every_events")
+    confidence = _trigger("confidence")
+    activity = _trigger("activity")
 
     def _set(self, **settings: Any) -> None:
         self._triggers.set(**settings)
@@ -305,6 +284,49 @@ class Processor:
         if self.every_us is not None and len(self._windows):
             start_us = self._windows.oldest.start_us
             self._trigger_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
+
+    # -- stop here, go on there --------------------------------------------------------------------------
+
+    def save_state(self) -> bytes:
+        """What the stream has left in this processor: open windows, counts, triggers.
+
+        Another one with the same configuration and settings, in this process or in another, goes on from there after
+        `restore_state`, with the same volumes and decisions, bit for bit. The classifier is not in it.
+        """
+        arrays = self._windows.snapshot()
+        own = (self._trigger_us, self._n_decided, self._door.newest_us, self._door.n_dropped)
+        arrays |= {"processor": np.array(own, np.int64), "triggers": self._triggers.state}
+        return to_bytes(arrays, {"fixed": self._fixed_settings(), "triggers": self._triggers.settings()})
+
+    def restore_state(self, state: bytes) -> None:
+        """Go on where `save_state` was called. The triggers are set as they were there.
+
+        Raises
+        ------
+        ValueError : damaged, or of a processor of other settings; the message names them. This one is then reset, or
+            as it was before.
+        """
+        arrays, about = from_bytes(state)
+        here = self._fixed_settings()
+        wrong = [f"{name} = {about['fixed'].get(name)}" for name in here if about["fixed"].get(name) != here[name]]
+        if wrong:
+            raise ValueError(f"`state` is of another processor, with {', '.join(wrong)}; here {here}")
+        activity = about["triggers"]["activity"]
+        triggers = about["triggers"] | {"activity": None if activity is None else LeakyIntegrator(**activity)}
+        try:
+            self._windows.restore(arrays)
+            self._triggers.set(**triggers)
+            self._triggers.state[:] = arrays["triggers"]
+            numbers = (int(k) for k in arrays["processor"])
+            self._trigger_us, self._n_decided, self._door.newest_us, self._door.n_dropped = numbers
+        except (KeyError, ValueError) as error:
+            self.reset()
+            raise ValueError(f"`state` cannot be restored here: {error}") from None
+        self._choose_ways()
+
+    def _fixed_settings(self) -> dict[str, Any]:
+        return {"config": self.config.to_dict(), "hop_us": self._windows.hop_us, "start_us": self._start_us,
+                "late": self._door.late}  # fmt: skip
 
     # -- decisions out -----------------------------------------------------------------------------------
 

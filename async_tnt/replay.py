@@ -14,6 +14,7 @@ from .kernels.store import store_events
 from .kernels.update import absorb
 from .landmark_at_read import LandmarkAtRead
 from .new_state import next_epoch
+from .snapshot import Arrays, part, under
 
 FIRST_CAPACITY = 4096
 UNCHANGED_BY_REPLAY = (S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE,
@@ -119,6 +120,29 @@ class Replay:
         ints = buffer.view(np.int64)
         self._closed_kept = int(ints[S.KEPT])
         self._closed_tau_zero = int(ints[S.TAU_ZERO])
+
+    def snapshot(self) -> Arrays:
+        """The stored events, and the counts of closed windows."""
+        counts = self.n_unstored, self._closed_kept, self._closed_tau_zero, self._warned, self._warning_due
+        stored = {f"stored_{name}": column[: self.n] for name, column in zip("txyp", self._columns[:4], strict=True)}
+        return {"counts": np.array(counts, np.int64), **stored, **under("landmark", self._at_read.snapshot())}
+
+    def restore(self, arrays: Arrays) -> None:
+        """The inverse; replayed at the next read."""
+        columns = [arrays[f"stored_{name}"] for name in "txyp"]
+        n = len(columns[0])
+        if any(c.shape != (n,) or c.dtype != own.dtype for c, own in zip(columns, self._columns[:4], strict=True)):
+            raise ValueError("its stored events are no columns of one length")
+        if n > self.capacity:
+            raise ValueError(f"it stores {n} events, but `replay_events` is {self.capacity}")
+        self._grow(n)
+        for column, stored in zip(self._columns[:4], columns, strict=True):
+            column[:n] = stored
+        self.n = n
+        self.n_unstored, self._closed_kept, self._closed_tau_zero = (int(k) for k in arrays["counts"][:3])
+        self._warned, self._warning_due = (bool(k) for k in arrays["counts"][3:5])
+        self._landmark, self._is_replayed = None, n == 0
+        self._at_read.restore(part("landmark", arrays))
 
     @staticmethod
     def _counted(buffer: np.ndarray) -> int:

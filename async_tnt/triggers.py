@@ -86,6 +86,12 @@ class Triggers:
         self.state[T.POTENTIAL] = 0.0
         self._ints[T.CHARGED_US] = 0
 
+    def settings(self) -> dict[str, Any]:
+        """As JSON can say them."""
+        activity = None if self.activity is None else vars(self.activity)
+        return {"every_us": self.every_us, "every_events": self.every_events, "confidence": self.confidence,
+                "activity": activity}  # fmt: skip
+
     @property
     def each_event(self) -> bool:
         """Whether confidence is looked for after every event, as nothing else says when."""

@@ -16,6 +16,7 @@ from .kernels.update import ABSORBED, REFUSED, absorb, absorb_one
 from .landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
 from .new_state import new_state, next_epoch
 from .replay import Replay
+from .snapshot import Arrays, buffer_arrays, part, restore_buffer, under
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
 
@@ -223,6 +224,18 @@ class TNTVolume:
         if self._replay is not None:
             self._replay.reset()
         self._empty(0, UNOPENED)
+
+    def snapshot(self) -> Arrays:
+        """The open window and the counts, as arrays that `restore` takes."""
+        arrays = buffer_arrays(self._buffer, with_cells=self._replay is None)
+        return arrays if self._replay is None else arrays | under("replay", self._replay.snapshot())
+
+    def restore(self, arrays: Arrays) -> None:
+        """Go on where a volume of the same configuration gave a `snapshot`."""
+        self.reset()
+        restore_buffer(self._buffer, arrays, self.config.bins)
+        if self._replay is not None:
+            self._replay.restore(part("replay", arrays))
 
     # -- what came of them -------------------------------------------------------------------------------
 
