@@ -144,11 +144,12 @@ class Decider:
 
     def _classes_for(self, n: int) -> tuple[str, ...]:
         """The names of n classes, from the first answer on where nobody named them."""
-        if self._classes is None and n:
+        if n == 0:
+            raise ValueError("`classifier` must return logits, got none")
+        if self._classes is None:
             self._classes = tuple(str(k) for k in range(n))
-        if self._classes is None or n != len(self._classes):
-            n_named = len(self._classes or ())
-            raise ValueError(f"`classifier` must return {n_named} logits, one for each class, got {n}")
+        if n != len(self._classes):
+            raise ValueError(f"`classifier` must return {len(self._classes)} logits, one for each class, got {n}")
         return self._classes
 
 

@@ -181,7 +181,7 @@ class Processor:
         What the classifier raises passes through. Then the events before that decision are taken and the rest of
         the packet is not (though `late="drop"` and `"raise"` have seen it: pushed again, what is older than its newest
         event is late). The end of a window, and `every_us`, are tried again at the next push; a decision that one event
-        made due has been missed.
+        made due has been missed, and those that this packet had brought before are lost.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)

@@ -42,6 +42,7 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
             config = TNTConfig(sensor=(8, 8), grid=(8, 8), window_us=10, landmark=landmark)
             made = Model(config, _made_weights(config), ("a",))
             Processor(made, every_events=1).push(events)
+            Processor(made, classifier=lambda volume: [0.0], every_events=1).push(events)
             for late in ("accept", "drop"):
                 processor = Processor(made, late=late)
                 processor.push(events)

@@ -181,6 +181,18 @@ def test_overlapping_windows_go_on_by_themselves(classifier):
     assert summary(processor.finish()) == [("end", 800, 1500, 2, False), ("end", 1200, 1500, 1, False)]
 
 
+@pytest.mark.parametrize("single", [False, True])
+def test_the_next_windows_moments_count_from_its_own_start(classifier, single):
+    """The first window would speak at 900 next; the one that follows it does at 500 + 300."""
+    processor = Processor(CONFIG, classifier=classifier, confidence=0.95, every_events=3, every_us=300, hop_us=500)
+    times = (0, 510, 650, 850)
+    decisions = [d for t in times for d in processor.push(at(t))] if single else processor.push(at(*times))
+    assert summary(decisions) == [
+        ("every_us", 0, 0, 1, False), ("every_us", 0, 510, 2, False), ("confidence", 0, 650, 3, True),
+        ("every_us", 500, 650, 2, False), ("confidence", 500, 850, 3, True),
+    ]  # fmt: skip
+
+
 triggers = st.sampled_from([{}, {"every_events": 1}, {"every_events": 3}, {"every_us": 90},
                             {"activity": LeakyIntegrator(2.5, 300.0)}])  # fmt: skip
 

@@ -1,12 +1,15 @@
 """Settings of triggers: what is refused, with which words, and that nothing changes then."""
 
+import copy
 import math
+import pickle
 import re
 from fractions import Fraction
 
 import numpy as np
 import pytest
 from deciding import CONFIG, at, key, total_and_size
+from made import random_model
 
 from async_tnt import LeakyIntegrator, Processor
 
@@ -108,6 +111,24 @@ def test_numbers_of_any_kind():
     events = at(list(range(0, 4000, 7)))
     decisions = [key(d) for d in processor.push(events)]
     assert decisions == [key(d) for d in plain.push(events)] and len(decisions) > 5
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+@pytest.mark.parametrize("way", ["callable", "compiled"])
+def test_settings_of_a_copy_are_its_own(way, duplicate):
+    """And changed they come into force, also in what compiled code reads of them."""
+    given = {"classifier": total_and_size} if way == "callable" else {}
+    original = Processor(CONFIG if given else random_model(CONFIG), every_events=3, activity=ACTIVITY, **given)
+    original.push(at([0, 1]))
+    other = duplicate(original)
+    other.every_events, other.activity = 2, None
+    assert (original.every_events, original.activity) == (3, ACTIVITY)
+    assert [(d.trigger, d.events) for d in other.push(at([2, 3, 4, 5]))] == [("every_events", 4), ("every_events", 6)]
+    assert original.push(at([2, 3, 4, 5]))[0].events == 3
+    other.every_events = None
+    assert other.push(at([6, 7, 8, 9])) == []
+    other.confidence = 1e-9  # looked for at every event, as nothing else is left
+    assert [(d.trigger, d.events) for d in other.push(at([10, 11]))] == [("confidence", 11)]
 
 
 def test_none_switches_each_off():

@@ -1,0 +1,59 @@
+"""run --live: the small view in the terminal."""
+
+import io
+import sys
+
+import pytest
+from made import random_events, random_model
+
+from async_tnt import Counts, Processor, TNTConfig
+from async_tnt.commands.live_view import MOST_CLASSES, LiveView
+
+CONFIG = TNTConfig(window_us=1000)
+
+
+def drawn(classes, push, width=100):
+    rich_console = pytest.importorskip("rich.console", reason="rich is not installed (extra `view`)")
+    console = rich_console.Console(file=io.StringIO(), force_terminal=True, width=width, color_system=None)
+    with LiveView(classes, "a recording", console) as view:
+        push(view)
+    last = console.file.getvalue().split("a recording")[-1]
+    return [line.rstrip() for line in last.splitlines() if line.strip("\x1b[?25hK \n")]
+
+
+def test_it_shows_the_newest_decision():
+    model = random_model(CONFIG, classes=3)
+    processor = Processor(model, every_events=20)
+    decisions = processor.push(random_events(100, duration_us=900))
+
+    def push(view):
+        view.show(decisions[:2], 50.0, Counts(received=40, kept=30))
+        view.show(decisions[2:], 70.0, processor.counts)
+        view.show([], 1.0, processor.counts)
+
+    lines = drawn(model.classes, push)
+    for name, p, line in zip(model.classes, decisions[-1].probabilities, lines, strict=False):
+        assert line.startswith(name) and line.endswith(f"{p:.2f}")
+    assert lines[3].startswith(f"{decisions[-1].label} at 0.001 s, every_events; ")
+    assert lines[3].endswith("60 us to a decision")
+    assert f"({processor.counts.received - processor.counts.kept} of 100 dropped)" in lines[3]
+
+
+def test_before_the_first_decision():
+    lines = drawn(["a", "b"], lambda view: view.show([], 1.0, Counts(received=1234)))
+    assert lines[:1] == ["no decision yet, 1,234 events"]
+
+
+def test_of_many_classes_the_likeliest_are_shown():
+    model = random_model(CONFIG, classes=40)
+    decision = Processor(model).fire()
+    lines = drawn(model.classes, lambda view: view.show([decision], 9.0, Counts()))
+    shown = [line.split("  ")[0].split(" █")[0].strip() for line in lines[:MOST_CLASSES]]
+    best = sorted(sorted(range(40), key=lambda k: -decision.probabilities[k])[:MOST_CLASSES])
+    assert [" ".join(name.split()[:2]) for name in shown] == [model.classes[k] for k in best]
+
+
+def test_without_rich_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rich.live", None)
+    with pytest.raises(ImportError, match=r"run --live draws with rich: pip install '\.\[view\]'"):
+        LiveView(["a"], "b")
