@@ -12,7 +12,7 @@ from async_tnt.commands.live_view import MOST_CLASSES, LiveView
 CONFIG = TNTConfig(window_us=1000)
 
 
-def drawn(classes, push, width=100):
+def drawn(classes, push, width=160):
     rich_console = pytest.importorskip("rich.console", reason="rich is not installed (extra `view`)")
     console = rich_console.Console(file=io.StringIO(), force_terminal=True, width=width, color_system=None)
     with LiveView(classes, "a recording", console) as view:
