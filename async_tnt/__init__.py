@@ -17,11 +17,12 @@ from .events import EVENT_DTYPE
 from .model import Model, bundled_models, load_model
 from .processor import Processor
 from .regressor import CompiledRegressor
-from .replay import ReplayBufferFull
+from .sources import replay
 from .streams import astream, stream
 from .triggers import LeakyIntegrator
 from .volume import Counts, TNTVolume
 from .warmup import warmup
+from .window_replay import ReplayBufferFull
 
 __version__ = "0.1.0"
 
@@ -41,6 +42,7 @@ __all__ = [
     "bundled_models",
     "load_model",
     "recordings",
+    "replay",
     "stream",
     "warmup",
 ]

@@ -15,10 +15,13 @@ COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(a
     "run": ("async_tnt.commands.run", "stream recordings through a model and print its decisions"),
     "export": ("async_tnt.commands.export", "write a model's networks to ONNX files, checked (extra: onnx)"),
     "check": ("async_tnt.commands.check", "prove on recordings that the stream equals the batch reference"),
+    "send": ("async_tnt.commands.send", "send recordings over the network at their own pace, as UDP datagrams"),
     "bench": ("async_tnt.bench", "measure time per event and time to decision, beside the batch way"),
     "train": ("async_tnt.training.command", "train a model on recordings (extra: train)"),
+    "evaluate": ("async_tnt.commands.evaluate", "say how well a model classifies a folder of held-out recordings"),
     "table": ("async_tnt.table.command", "train and test the thesis' results table (extra: train)"),
     "simulate": ("async_tnt.simulation.command", "make N-MOVING-MNIST: every digit of MNIST under 30 motions"),
+    "mask": ("async_tnt.commands.mask", "find the hot pixels of recordings, for PixelFilter to leave out"),
     "plot": ("async_tnt.figures.command", "draw events, volumes and decisions of a recording (extra: plot)"),
 }
 

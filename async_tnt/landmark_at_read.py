@@ -1,6 +1,6 @@
 """Landmarks that are known only at the moment of reading: the window's mean, a network's answer.
 
-A `replay.Replay` asks one of them where to replay a window's events about.
+A `window_replay.Replay` asks one of them where to replay a window's events about.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ from .kernels.read import copy_cells, empty_volume
 from .kernels.update import ABSORBED, REFUSED, absorb, absorb_one
 from .landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
 from .new_state import new_state, next_epoch
-from .replay import Replay
 from .snapshot import Arrays, buffer_arrays, part, restore_buffer, under
+from .window_replay import Replay
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
 

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from ..config import TNTConfig
 from ..events import as_events
@@ -21,15 +21,16 @@ class HasConfig(Protocol):
     def config(self) -> TNTConfig: ...
 
 
-def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False) -> None:
-    """FILE and --model; `onnx`: which may also be an .onnx file."""
+def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False, streams: bool = False) -> None:
+    """FILE and --model; `onnx`: which may also be an .onnx file; `streams`: FILE may also be udp://HOST:PORT."""
+    sources = "udp://HOST:PORT, or " if streams else ""
     kinds = ", a .safetensors file, or an .onnx file of `async-tnt export`" if onnx else " or a .safetensors file"
     parser.add_argument(
         "files",
         nargs="*",
         metavar="FILE",
-        type=Path,
-        help=f"recordings ({', '.join(sorted(READERS))}); the ten bundled samples by default",
+        type=_file_or_stream if streams else Path,
+        help=f"{sources}recordings ({', '.join(sorted(READERS))}); the ten bundled samples by default",
     )
     parser.add_argument(
         "--model",
@@ -37,6 +38,10 @@ def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False) -> None:
         metavar="NAME|FILE",
         help=f"a bundled model ({', '.join(bundled_models())}){kinds} (default: %(default)s)",
     )
+
+
+def _file_or_stream(text: str) -> Path | str:
+    return text if "://" in text else Path(text)
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +53,7 @@ def add_start(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def paths_of(args: argparse.Namespace) -> list[Path]:
+def paths_of(args: argparse.Namespace) -> list[Any]:
     return args.files or list(sample_recordings().values())
 
 

@@ -7,6 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TextIO
 
 import numpy as np
@@ -15,8 +16,11 @@ from ..decision import Decision
 from ..engines.choice import ENGINES, Engine, choose_engine
 from ..processor import Processor
 from ..recordings import Recording
+from ..sources import replay
 from ..warmup import warmup
 from .files import add_files, add_start, complain, open_all, paths_of, positive_int
+from .live_view import LiveView
+from .run_source import run_source
 from .trigger_options import add_triggers, triggers_of
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: when it fell, for which
@@ -27,7 +31,9 @@ for each recording follows: the class of the highest mean probability over its c
   async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
   async-tnt run --confidence 0.95            decide each window as soon as that is sure
   async-tnt run --activity 60:4000           decide when 60 events come within some 4 ms
+  async-tnt run udp://127.0.0.1:3333         events from the network, until Ctrl-C
   async-tnt run --json | jq .label           one JSON object a line for each decision
+  async-tnt run a.bin --live --speed 0.2     watch it, at a fifth of its pace (extra `view`)
   async-tnt run --engine onnx                the same network by onnxruntime (extra `onnx`), or torch
   async-tnt run --model digits.onnx          a file that `async-tnt export` wrote, by onnxruntime
 
@@ -38,7 +44,7 @@ HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'pr
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_files(parser, onnx=True)
+    add_files(parser, onnx=True, streams=True)
     add_start(parser)
     add_triggers(parser)
     parser.add_argument(
@@ -53,24 +59,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--engine", choices=ENGINES,
         help="what runs the model's networks (default: compiled; onnx for an .onnx file, which runs by nothing else)",
     )  # fmt: skip
+    parser.add_argument(
+        "--live", action="store_true",
+        help="a small view in the terminal, at the recording's pace: label, probabilities, rates (extra `view`)",
+    )  # fmt: skip
+    parser.add_argument("--speed", type=_speed, metavar="S", help="of --live: 2 is twice as fast (default: 1)")
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
 
 
 def main(args: argparse.Namespace) -> int:
+    if args.live and args.json:
+        raise ValueError("--live draws for people and --json writes for programs: give one of them")
+    if args.speed is not None and not args.live:
+        raise ValueError("--speed belongs to --live; without it a recording is streamed as fast as it can be")
     engine = choose_engine(args.model, args.engine)
     processor = engine.processor(
         start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args)
     )  # fmt: skip
     warmup(engine.model)
     processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
+    show = json_line if args.json else text_line
     failed = False
-    header = "" if args.json else HEADER + "\n"
+    header = "" if args.json or args.live else HEADER + "\n"
     for path in paths_of(args):
         try:
+            if isinstance(path, str):
+                if run_source(path, processor, engine, show, args.live):
+                    return 130
+                continue
             (recording,) = open_all([path], engine)
             print(end=header)
             header = ""
-            _run(recording, processor, engine, args.json, sys.stdout)
+            if args.live:
+                _watch(recording, processor, engine, args.speed or 1.0)
+            else:
+                _run(recording, processor, engine, args.json, sys.stdout)
         except BrokenPipeError:
             raise
         except (OSError, ValueError) as error:
@@ -83,7 +106,7 @@ def _run(recording: Recording, processor: Processor, engine: Engine, as_json: bo
     processor.reset()
     closed = []
     for decision, latency_us in timed_decisions(recording, processor):
-        print((json_line if as_json else text_line)(recording, decision, latency_us), file=out, flush=True)
+        print((json_line if as_json else text_line)(str(recording.path), decision, latency_us), file=out, flush=True)
         if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
     if closed and not as_json:
@@ -98,6 +121,30 @@ def _run(recording: Recording, processor: Processor, engine: Engine, as_json: bo
         )
     if not closed:
         raise ValueError(f"{recording.path}: no event in any window, nothing to decide")
+
+
+def _watch(recording: Recording, processor: Processor, engine: Engine, speed: float) -> None:
+    """Draw the stream at the recording's pace; a decision each 20 ms, where no trigger says when."""
+    processor.reset()
+    triggers = (processor.every_us, processor.every_events, processor.confidence, processor.activity)
+    if triggers == (None, None, None, None):
+        processor.every_us = 20_000
+    with LiveView(engine.classes, recording.path.name) as view:
+        for packet in replay(recording, speed):
+            handed_over = time.perf_counter_ns()
+            decisions = processor.push(packet)
+            view.show(decisions, (time.perf_counter_ns() - handed_over) / 1e3, processor.counts)
+        view.show(processor.finish(), 0.0, processor.counts)
+
+
+def _speed(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"must be a positive number, got {text!r}")
+    return value
 
 
 def timed_decisions(recording: Recording, processor: Processor) -> Iterator[tuple[Decision, float]]:
@@ -118,19 +165,19 @@ def timed_decisions(recording: Recording, processor: Processor) -> Iterator[tupl
         yield decision, latency_us
 
 
-def text_line(recording: Recording, decision: Decision, latency_us: float) -> str:
+def text_line(name: str, decision: Decision, latency_us: float) -> str:
     start_ms = decision.window_start_us / 1e3
     window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
     return (
-        f"{recording.path.name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
+        f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
         f"{decision.probability:>5.3f} {decision.events:>7} {latency_us:>7.1f}  {decision.trigger}"
     )
 
 
-def json_line(recording: Recording, decision: Decision, latency_us: float) -> str:
+def json_line(name: str, decision: Decision, latency_us: float) -> str:
     return json.dumps(
         {
-            "recording": str(recording.path),
+            "recording": name,
             "time_us": decision.time_us,
             "window_start_us": decision.window_start_us,
             "label": decision.label,

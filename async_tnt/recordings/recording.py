@@ -3,86 +3,219 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
-from async_tnt.recordings.nmnist import SENSOR, read_nmnist
-from async_tnt.recordings.numpy_files import read_npy, read_npz
+from async_tnt.events import EVENT_DTYPE, LATE_POLICIES
+from async_tnt.recordings.damage import Damage, DamagedRecording
+from async_tnt.recordings.formats import READERS
+from async_tnt.recordings.source import ArraySource, Sensor, Source
 
-Reader = Callable[[Path], tuple[np.ndarray, tuple[int, int] | None]]
+
+@dataclass
+class _Totals:
+    """What one pass over the file has counted."""
+
+    n_events: int = 0
+    n_unsorted: int = 0
+    earliest_us: int | None = None
+    newest_us: int = -1
+
+    @property
+    def duration_us(self) -> int:
+        return 0 if self.earliest_us is None else self.newest_us - self.earliest_us
 
 
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
     Iterating yields packets lazily, and afresh each time: copies, so that what is done to a packet stays
-    there.
+    there. Formats that can be long (all but `.bin`, `.npy` and `.npz`) are read block by block, so that memory
+    does not grow with the file. `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over such a file,
+    unless one was made before.
     """
 
-    def __init__(self, path: Path, events: np.ndarray, sensor: tuple[int, int] | None, packet_events: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        source: Source | np.ndarray,
+        sensor: Sensor | None,
+        packet_events: int,
+        *,
+        strict: bool = False,
+        unsorted: str = "accept",
+    ) -> None:
         self.path = path
         self.sensor = sensor
         self.packet_events = packet_events
-        self._events = events
+        self.strict = strict
+        self.unsorted = unsorted
+        self._source = ArraySource(source, sensor) if isinstance(source, np.ndarray) else source
+        self._totals: _Totals | None = None
+        self._has_warned = False
 
     @property
     def n_events(self) -> int:
-        """Events in the recording."""
-        return len(self._events)
+        """Events in the recording, up to the damage if there is any, without those that `unsorted` drops."""
+        return self._counted().n_events
+
+    @property
+    def n_unsorted(self) -> int:
+        """Events older than one before them in the file, whether they were accepted or dropped."""
+        return self._counted().n_unsorted
 
     @property
     def duration_us(self) -> int:
         """Time from the earliest to the latest event, in microseconds; 0 for fewer than two events."""
-        if len(self._events) == 0:
-            return 0
-        return int(self._events["t"].max() - self._events["t"].min())
+        return self._counted().duration_us
 
     def read(self) -> np.ndarray:
         """All events at once: a structured array of `EVENT_DTYPE`, the caller's to change."""
-        return self._events.copy()
+        blocks = list(self._blocks())
+        return np.concatenate(blocks) if blocks else np.empty(0, EVENT_DTYPE)
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        for start in range(0, len(self._events), self.packet_events):
-            yield self._events[start : start + self.packet_events].copy()
+        waiting: list[np.ndarray] = []  # less than a packet, from the blocks before
+        n_waiting = 0
+        for block in self._blocks():
+            start = 0
+            if n_waiting:
+                start = min(self.packet_events - n_waiting, len(block))
+                waiting.append(block[:start])
+                n_waiting += start
+                if n_waiting < self.packet_events:
+                    continue
+                yield np.concatenate(waiting)
+            n_whole = (len(block) - start) // self.packet_events
+            for _ in range(n_whole):
+                yield block[start : start + self.packet_events].copy()
+                start += self.packet_events
+            waiting, n_waiting = [block[start:]], len(block) - start
+        if n_waiting:
+            yield np.concatenate(waiting)
 
     def __len__(self) -> int:
         """Packets in the recording."""
-        return -(-len(self._events) // self.packet_events)
+        return -(-self.n_events // self.packet_events)
 
     def __repr__(self) -> str:
-        return (
-            f"Recording({str(self.path)!r}, {self.n_events} events, {self.duration_us} us, "
-            f"sensor {self.sensor}, packets of {self.packet_events})"
-        )
+        if self._totals is None and not isinstance(self._source, ArraySource):
+            counted = "not read yet"  # a repr must not read gigabytes
+        else:
+            counted = f"{self.n_events} events, {self.duration_us} us"
+        return f"Recording({str(self.path)!r}, {counted}, sensor {self.sensor}, packets of {self.packet_events})"
+
+    def _counted(self) -> _Totals:
+        if self._totals is None:
+            for _ in self._blocks():
+                pass
+        assert self._totals is not None  # for mypy: a whole pass sets it
+        return self._totals
+
+    def _blocks(self) -> Iterator[np.ndarray]:
+        """One pass: the source's blocks, checked and counted, with the policy for unsorted events applied."""
+        totals = _Totals()
+        blocks = self._source.blocks()
+        n_read = 0
+        while True:
+            damage = None
+            try:
+                block = next(blocks, None)
+            except Damage as found:
+                block, damage = None, found.reason
+            if block is not None:
+                good, damage = _on_sensor(block, self.sensor, n_read)
+                n_read += len(good)
+                block = self._sorted(good, totals)
+                if len(block):
+                    yield block
+            if damage is not None:
+                self._tell(damage, n_read, totals.newest_us)
+            if block is None or damage is not None:
+                break
+        self._totals = totals
+
+    def _sorted(self, block: np.ndarray, totals: _Totals) -> np.ndarray:
+        if len(block) == 0:
+            return block
+        t_us = block["t"]
+        newest = np.maximum.accumulate(np.concatenate(([totals.newest_us], t_us)))
+        late = t_us < newest[:-1]
+        n_late = int(np.count_nonzero(late))
+        if n_late:
+            if self.unsorted == "raise":
+                i = int(np.argmax(late))
+                raise ValueError(
+                    f'{self.path}: times must not run backwards (unsorted="raise"), got {t_us[i]} after {newest[i]} us '
+                    f'at event {totals.n_events + i}; unsorted="accept" takes such events, "drop" leaves them out'
+                )
+            if self.unsorted == "drop":
+                block = block[~late]
+        totals.n_unsorted += n_late
+        totals.n_events += len(block)
+        totals.newest_us = int(newest[-1])
+        if len(block):
+            earliest = int(block["t"].min())
+            totals.earliest_us = earliest if totals.earliest_us is None else min(totals.earliest_us, earliest)
+        return block
+
+    def _tell(self, damage: str, n_read: int, newest_us: int) -> None:
+        text = f"{self.path}: damaged recording: {damage}"
+        if self.strict:
+            raise ValueError(f"{text}. Fetch the file again, or pass strict=False for the {n_read} events before.")
+        if not self._has_warned:
+            self._has_warned = True
+            until = f", up to {newest_us} us" if n_read else ""
+            warnings.warn(f"{text}. Keeping the {n_read} events before{until}.", DamagedRecording, stacklevel=4)
 
 
-def _read_bin(path: Path) -> tuple[np.ndarray, tuple[int, int]]:
-    return read_nmnist(path), SENSOR
+def _on_sensor(block: np.ndarray, sensor: Sensor | None, n_before: int) -> tuple[np.ndarray, str | None]:
+    """The events before the first one off the sensor, and what is said of it."""
+    if sensor is None:
+        return block, None
+    off = (block["x"] >= sensor[0]) | (block["y"] >= sensor[1])
+    if not off.any():
+        return block, None
+    i = int(np.argmax(off))
+    x, y = block["x"][i], block["y"][i]
+    return block[:i], f"event {n_before + i} at x = {x}, y = {y} is off the {sensor[0]} x {sensor[1]} sensor"
 
 
-READERS: dict[str, Reader] = {".bin": _read_bin, ".npy": read_npy, ".npz": read_npz}
-"""Suffix, in lower case -> function that reads such a file: (events, sensor or None)."""
+def open_recording(
+    path: str | os.PathLike[str],
+    packet_events: int = 1000,
+    *,
+    strict: bool = False,
+    unsorted: str = "accept",
+) -> Recording:
+    """Open a recording; its suffix says the format (`READERS`), its first bytes say which of several.
 
-
-def open_recording(path: str | os.PathLike[str], packet_events: int = 1000) -> Recording:
-    """Open a recording; its suffix says the format (`READERS`).
+    See docs/formats.md for what each format knows of its sensor and time.
 
     Parameters
     ----------
-    path : file to read: `.bin` (N-MNIST), `.npy` or `.npz`.
+    path : file to read.
     packet_events : events per packet when iterating; the last packet has what is left.
+    strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning; True raises
+        a ValueError when the reading gets there. Either way a file of which nothing can be understood, and a
+        damaged `.bin`, `.npy` or `.npz`, is refused here, with a ValueError.
+    unsorted : what to do with events older than one before them: "accept", "drop" them, or "raise" a
+        ValueError when the reading gets there. `Recording.n_unsorted` counts them.
 
     Returns
     -------
-    `Recording`: iterable of packets, with `sensor`, `duration_us`, `path`, `n_events` and `read()`.
+    `Recording`: iterable of packets, with `sensor`, `duration_us`, `path`, `n_events`, `n_unsorted` and `read()`.
 
     Raises
     ------
-    ValueError : unknown suffix, damaged file, or `packet_events` below 1.
+    ValueError : unknown suffix, damaged file, unknown policy, or `packet_events` below 1.
     OSError : missing or not readable.
+    ImportError : the format needs an extra that is not installed; names it.
 
     Example
     -------
@@ -95,11 +228,14 @@ def open_recording(path: str | os.PathLike[str], packet_events: int = 1000) -> R
     path = Path(path)
     if packet_events < 1:
         raise ValueError(f"`packet_events` must be at least 1, got {packet_events}")
+    if unsorted not in LATE_POLICIES:
+        raise ValueError(f"`unsorted` must be one of {', '.join(LATE_POLICIES)}, got {unsorted!r}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
-    events, sensor = reader(path)
-    return Recording(path, events, sensor, int(packet_events))
+    found = reader(path)
+    source = found if isinstance(found, Source) else ArraySource(*found)
+    return Recording(path, source, source.sensor, int(packet_events), strict=strict, unsorted=unsorted)
 
 
 def sample_recordings() -> dict[int, Path]:

@@ -9,8 +9,8 @@ A window is moved in time and on the sensor, thinned, and sometimes cut short:
     partial    the window ends early, so that decisions before its end are practised
 
 Places after a rotation are no whole pixels. Rounding them would comb the volume, so augmented events lie on a
-sensor `FINE` times finer, whose corners are those of the real one; the grid, which is mapped from corner to
-corner, does not notice.
+sensor `FINE` times finer (see `fineness`), whose corners are those of the real one; the grid, which is mapped
+from corner to corner, does not notice.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
+from async_tnt.config import MAX_SIDE, TNTConfig
 
 FINE = 32
 
@@ -44,6 +44,17 @@ class Draws:
     keep: np.ndarray
     seed: np.ndarray
     sensor: tuple[int, int]
+
+
+def fineness(sensor: tuple[int, int]) -> int:
+    """How many times finer augmented events lie: `FINE`, or as many as a sensor of over 1024 pixels leaves room for.
+
+    Examples
+    --------
+    >>> fineness((34, 34)), fineness((1280, 720))
+    (32, 25)
+    """
+    return max(1, min(FINE, (MAX_SIDE - 1) // (max(sensor) - 1)))
 
 
 def unchanged(n: int, config: TNTConfig, until_us: int | None = None) -> Draws:
@@ -93,6 +104,18 @@ class Augmentation:
             if not 0 <= value <= limit:
                 raise ValueError(f"`{name}` must be in [0, {limit}], got {value}")
 
+    @classmethod
+    def for_sensor(cls, config: TNTConfig, *, translate_px: int = 0) -> Augmentation:
+        """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, in proportion to another sensor and window."""
+        larger = (min(config.sensor) - 1) / 33
+        longer = config.window_us / 105_000
+        return cls(
+            start_ms=cls.start_ms * longer,
+            shift_px=cls.shift_px * larger,
+            translate_px=translate_px,
+            partial_from_ms=cls.partial_from_ms * longer,
+        )
+
     def draw(self, n: int, config: TNTConfig, rng: np.random.Generator) -> Draws:
         """Draw for `n` windows."""
 
@@ -117,5 +140,6 @@ class Augmentation:
         matrix[:, 1, 0], matrix[:, 1, 1] = sin, sin * shear + cos
         center = (np.array(config.sensor) - 1) / 2
         matrix[:, :, 2] = center + shift - matrix[:, :, :2] @ center
-        sensor = ((config.sensor[0] - 1) * FINE + 1, (config.sensor[1] - 1) * FINE + 1)
-        return Draws(start_us, until_us, FINE * matrix, keep, seed, sensor)
+        fine = fineness(config.sensor)
+        sensor = ((config.sensor[0] - 1) * fine + 1, (config.sensor[1] - 1) * fine + 1)
+        return Draws(start_us, until_us, fine * matrix, keep, seed, sensor)

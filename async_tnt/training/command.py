@@ -1,4 +1,4 @@
-"""`async-tnt train`: train a classifier on N-MNIST's recordings, simulated ones, or both."""
+"""`async-tnt train`: train a classifier on one's own classes, or on N-MNIST's recordings, simulated ones, or both."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ import numpy as np
 
 from async_tnt.commands.record import command_words, data_folder
 from async_tnt.config import TNTConfig
+from async_tnt.datasets.scores import Scores
 from async_tnt.model import load_model
 
+from . import own_run
 from .augment import Augmentation
 from .options import add_arguments
 from .settings import TrainSettings
 from .simulated import read_samples, simulate_recordings
-from .windows import Recordings, Windows, lay_windows, no_progress, read_folder, split_recordings
+from .windows import CLASSES, Recordings, Windows, lay_windows, no_progress, read_folder, split_recordings
 
 __all__ = ["add_arguments", "main"]
 
@@ -58,6 +60,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from .networks import pipeline_of
     from .train import train
 
+    own_run.check_options(args)
     if args.threads is not None:
         torch.set_num_threads(args.threads)
     start = load_model(args.start_from) if args.start_from else None
@@ -65,51 +68,68 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         bins=args.bins, t_max=args.t_max, landmark=args.landmark, polarity=args.polarity,
         transform=args.transform, remove_flow=args.remove_flow,
     )  # fmt: skip
-    settings = TrainSettings(
-        epochs=min(args.epochs, 2) if args.smoke else args.epochs,
-        iterations=None if args.smoke else args.iterations,
-        batch=args.batch,
-        learning_rate=args.rate,
-        seed=args.seed,
-        augmentation=None if args.no_augmentation else Augmentation(translate_px=args.translate),
-        precision=args.precision,
-    )
     if not args.out.parent.is_dir():
         raise FileNotFoundError(f"no folder {args.out.parent} to write {args.out.name} to")
-    nmnist = None if args.smoke else data_folder(args.nmnist, "nmnist", "--nmnist")
+    own: own_run.OwnData | None = None
     test_folder = None
-    if args.test:
-        if nmnist is None or not (nmnist / "Test").is_dir():
-            raise FileNotFoundError(f"--test needs N-MNIST's folder Test, not found in {nmnist}")
-        test_folder = nmnist / "Test"
-    training, validation, data = _load(args, nmnist, config)
+    if args.dataset is not None:
+        if args.test and not (args.dataset / "Test").is_dir():
+            raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
+        own = own_run.load(args, config, start, show_progress)
+        config, training, validation, data = own.config, own.training, own.validation, own.words
+        settings = own_run.settings_of(args, config, len(training), len(validation))
+    else:
+        settings = _settings(args)
+        nmnist = None if args.smoke else data_folder(args.nmnist, "nmnist", "--nmnist")
+        if args.test:
+            if nmnist is None or not (nmnist / "Test").is_dir():
+                raise FileNotFoundError(f"--test needs N-MNIST's folder Test, not found in {nmnist}")
+            test_folder = nmnist / "Test"
+        training, validation, data = _load(args, nmnist, config)
+    classes = CLASSES if own is None else own.classes
     print(f"{len(training)} windows to train on, {len(validation)} held out", file=sys.stderr)
 
     started = time.monotonic()
     n_epochs = settings.n_epochs(len(training))
     first_epoch: list[float] = []
+    warm: list[float] = []
+    said_at = -1.0
 
     def report(row: dict[str, float]) -> None:
+        nonlocal said_at
         if not first_epoch:
             first_epoch.append(row["epoch"])
-        done = row["epoch"] - first_epoch[0] + 1
-        left_s = (time.monotonic() - started) / done * (n_epochs - row["epoch"])
+            warm.append(time.monotonic())
+        if row["epoch"] < n_epochs and 0 <= said_at > time.monotonic() - 1.0:
+            return  # hundreds of short epochs need no line each
+        said_at = time.monotonic()
+        done = row["epoch"] - first_epoch[0]  # after the first, which may have waited for the compiler
+        per_epoch = (time.monotonic() - warm[0]) / done if done else warm[0] - started
+        left_s = per_epoch * (n_epochs - row["epoch"])
         text = f"epoch {row['epoch']:.0f}/{n_epochs}  loss {row['loss']:.4f}"
         if "per_window" in row:
             text += f"  held out: {row['per_window']:.4f} by window, {row['per_recording']:.4f} by recording"
         print(f"{text}  ({_minutes(left_s)} left)", file=sys.stderr)
 
     result = train(
-        config, training, validation, settings, run_folder, start=start, progress=show_progress, report=report
-    )
-    model = result.best if args.keep == "best" else result.last
+        config, training, validation, settings, run_folder, classes=classes, start=start, progress=show_progress,
+        report=report,
+    )  # fmt: skip
+    keep = args.keep or ("last" if settings.patience is None else "best")
+    model = result.best if keep == "best" else result.last
+    n_trained = len(result.history)
+    if n_trained < n_epochs:
+        print(
+            f"stopped: no lower validation loss for {settings.patience} epochs; the best was epoch {result.best_epoch}",
+            file=sys.stderr,
+        )
     summary: dict[str, Any] = {
         "data": data,
         "command": command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged")),
         "seed": args.seed,
-        "epochs": n_epochs,
-        "iterations": settings.n_iterations(len(training)),
-        "kept": f"epoch {result.best_epoch if args.keep == 'best' else n_epochs}",
+        "epochs": n_trained,
+        "iterations": int(result.history[-1]["iterations"]),
+        "kept": f"epoch {result.best_epoch if keep == 'best' else n_trained}",
         "versions": {
             "python": platform.python_version(),
             "numpy": np.__version__,
@@ -123,9 +143,17 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
                                                   "started_from") if name in start.record
         }  # fmt: skip
     pipeline = pipeline_of(model)
+    scores = None
+    times_ms = TIMES_MS if own is None else tuple(config.window_us * k / 1e4 for k in range(1, 11))
     if len(validation):
         print("evaluating on the held-out recordings", file=sys.stderr)
-        summary["validation"] = evaluate(pipeline, validation, times_ms=TIMES_MS).to_dict()
+        found = evaluate(pipeline, validation, times_ms=times_ms)
+        summary["validation"] = found.to_dict()
+        scores = Scores(classes, found.recording_confusion, found.confusion)
+    if own is not None and args.test:
+        print("evaluating on Test", file=sys.stderr)
+        windows = own_run.load_test(args, config, classes, show_progress)
+        summary["test"] = evaluate(pipeline, windows, times_ms=times_ms).to_dict()
     if test_folder is not None:
         recordings = read_folder(test_folder, skip_damaged=args.skip_damaged, progress=show_progress)
         print("evaluating on Test", file=sys.stderr)
@@ -136,8 +164,25 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         one.save(run_folder / f"{name}.safetensors")
     type(model)(config, model.weights, model.classes, summary).save(args.out)
     plot_curves(result.history, run_folder / "curves.png")
-    _print_summary(summary, args)
+    written = [args.out]
+    if own is not None:
+        written += own_run.write_beside(args.out, scores, result.history, summary, own.held_out)
+    _print_summary(summary, args, written)
     return 0
+
+
+def _settings(args: argparse.Namespace) -> TrainSettings:
+    epochs = 20 if args.epochs is None else args.epochs
+    return TrainSettings(
+        epochs=min(epochs, 2) if args.smoke else epochs,
+        iterations=None if args.smoke else args.iterations,
+        batch=64 if args.batch is None else args.batch,
+        learning_rate=args.rate,
+        seed=args.seed,
+        augmentation=None if args.no_augmentation else Augmentation(translate_px=args.translate),
+        precision=args.precision,
+        patience=args.patience or None,
+    )
 
 
 def _load(args: argparse.Namespace, nmnist: Path | None, config: TNTConfig) -> tuple[Windows, Windows, dict[str, Any]]:
@@ -152,7 +197,8 @@ def _load(args: argparse.Namespace, nmnist: Path | None, config: TNTConfig) -> t
             f"no folder Train in {nmnist}; --nmnist must be the folder with N-MNIST's Train/<digit>/*.bin"
         )
     real = read_folder(train_folder, skip_damaged=args.skip_damaged, progress=show_progress)
-    learned, held_out = split_recordings(real, args.validation, np.random.default_rng(args.seed))
+    share = 0.1 if args.validation is None else args.validation
+    learned, held_out = split_recordings(real, share, np.random.default_rng(args.seed))
     recordings: Recordings = real
     if mnist is not None:
         recordings = real + simulate_recordings(mnist, args.simulated, args.seed, progress=show_progress)
@@ -174,7 +220,7 @@ def _load(args: argparse.Namespace, nmnist: Path | None, config: TNTConfig) -> t
     return windows_of(learned), windows_of(held_out), data
 
 
-def _print_summary(summary: dict[str, Any], args: argparse.Namespace) -> None:
+def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: list[Path]) -> None:
     if args.json:
         print(json.dumps({"out": str(args.out), **summary}))
         return
@@ -186,7 +232,7 @@ def _print_summary(summary: dict[str, Any], args: argparse.Namespace) -> None:
                 f"{title}: {found['per_window']:.4f} of {found['windows']} windows, "
                 f"{found['per_recording']:.4f} of {found['recordings']} recordings right"
             )
-    print(f"wrote {args.out}")
+    print(f"wrote {', '.join(map(str, written))}")
 
 
 def show_progress(items: Iterable[Any], title: str, total: int) -> Iterator[Any]:

@@ -25,6 +25,7 @@ class Evaluation:
     per_recording : share of recordings right by the mean of their windows' probabilities.
     against_time : milliseconds since the window's start -> share of windows right by the events until then.
     confusion : (n_classes, n_classes), windows by true class (row) and decided class (column).
+    recording_confusion : the same of recordings.
     n_windows, n_recordings : how many.
     """
 
@@ -32,6 +33,7 @@ class Evaluation:
     per_recording: float
     against_time: dict[float, float]
     confusion: np.ndarray
+    recording_confusion: np.ndarray
     n_windows: int
     n_recordings: int
 
@@ -70,11 +72,19 @@ def class_probabilities(pipeline: Pipeline, windows: Windows, *, until_us: int |
 
 def accuracy_by_recording(probabilities: np.ndarray, windows: Windows) -> tuple[float, int]:
     """Share of recordings right by the mean of their windows' probabilities, and how many recordings."""
+    confusion = confusion_by_recording(probabilities, windows)
+    n_recordings = int(confusion.sum())
+    return float(np.trace(confusion) / n_recordings), n_recordings
+
+
+def confusion_by_recording(probabilities: np.ndarray, windows: Windows) -> np.ndarray:
+    """Recordings by true class (row) and the class of their windows' mean probability (column)."""
     recordings, place = np.unique(windows.recording, return_inverse=True)
     total = np.zeros((len(recordings), probabilities.shape[1]))
     np.add.at(total, place, probabilities)
-    right = total.argmax(1) == windows.recordings.labels[recordings]
-    return float(right.mean()), len(recordings)
+    confusion = np.zeros((probabilities.shape[1], probabilities.shape[1]), np.int64)
+    np.add.at(confusion, (windows.recordings.labels[recordings], total.argmax(1)), 1)
+    return confusion
 
 
 def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...] = ()) -> Evaluation:
@@ -91,10 +101,17 @@ def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...
     confusion = np.zeros((complete.shape[1], complete.shape[1]), np.int64)
     np.add.at(confusion, (labels, decided), 1)
     per_recording, n_recordings = accuracy_by_recording(complete, windows)
+    by_recording = confusion_by_recording(complete, windows)
     against_time = {}
     for ms in times_ms:
         early = class_probabilities(pipeline, windows, until_us=round(1e3 * ms))
         against_time[float(ms)] = float((early.argmax(1) == labels).mean())
     return Evaluation(
-        float((decided == labels).mean()), per_recording, against_time, confusion, len(windows), n_recordings
+        float((decided == labels).mean()),
+        per_recording,
+        against_time,
+        confusion,
+        by_recording,
+        len(windows),
+        n_recordings,
     )

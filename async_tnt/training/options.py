@@ -7,19 +7,30 @@ from pathlib import Path
 
 from async_tnt.commands.files import positive_int
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
+from async_tnt.datasets.sizes import size_text
 
 from .settings import PRECISIONS
 
 DESCRIPTION = """\
 Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
 
-Recordings are read from the folder of N-MNIST and, with --simulated, made from MNIST's images. Each epoch
-sees every window a little moved, turned and thinned, so that no two epochs are alike. A share of the real
+With DATASET, on one's own classes: a folder with a folder of recordings for each class, named as the class is, of any
+sensor and in any format that `async-tnt run` reads. Windows are laid end to end from each recording's first event; a
+shorter recording is one partial window. Every epoch shows each class equally often, however many recordings it has.
+Training stops when the loss on the held-out recordings no longer falls, and the model of its best epoch is kept. Beside
+the model (m.safetensors) it writes m.json, m.confusion.png and m.curves.png, with the accuracy on held-out recordings.
+
+With --nmnist, on N-MNIST's digits and, with --simulated, on recordings made from MNIST's images.
+
+Each epoch sees every window a little moved, turned and thinned, so that no two epochs are alike. A share of the real
 recordings is held out and only looked at, after each epoch. Checkpoints go into the run folder: stop with
 Ctrl-C, give the same command again, and the training goes on to the very same weights.
 """
 EPILOG = """\
 examples:
+  async-tnt train gestures --out gestures.safetensors          gestures/wave/*.npz, gestures/clap/*.npz, ...
+  async-tnt train gestures --sensor 346x260 --grid 44x33 --window-us 200000 --landmark center
+  async-tnt evaluate gestures.safetensors held_out             how good is it on recordings it never saw?
   async-tnt train --smoke                          does everything work here? seconds, no data needed
   async-tnt train --nmnist N-MNIST --out mine.safetensors
   async-tnt train --nmnist N-MNIST --mnist MNIST --simulated 20000 --landmark line --t-max 2 --epochs 40
@@ -33,6 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description, parser.epilog = DESCRIPTION, EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     data = parser.add_argument_group("data")
+    data.add_argument(
+        "dataset",
+        nargs="?",
+        type=Path,
+        metavar="DATASET",
+        help="folder with <class name>/<recordings>, or with Train/<class name>/<recordings> (and Test/...)",
+    )
     data.add_argument(
         "--nmnist",
         type=Path,
@@ -63,9 +81,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument(
         "--validation",
         type=float,
-        default=0.1,
         metavar="SHARE",
-        help="share of the real recordings held out to watch the training (default: 0.1)",
+        help="share of each class's real recordings held out to watch the training (default: 0.1; with DATASET 0.2, "
+        "and at least one)",
     )
     data.add_argument(
         "--skip-damaged",
@@ -75,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument(
         "--test",
         action="store_true",
-        help="at the end, also classify N-MNIST's Test folder and write the accuracy into the "
+        help="at the end, also classify the folder Test and write the accuracy into the "
         "model's record; do this once, after all choices are made",
     )
     volume = parser.add_argument_group("volume (what the network sees)")
@@ -105,9 +123,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     volume.add_argument("--remove-flow", action="store_true", help="subtract the fitted flow (with --landmark line)")
     volume.add_argument("--bins", type=int, default=9, metavar="B", help="time bins (default: 9)")
+    volume.add_argument(
+        "--sensor", type=size_text, metavar="WxH", help="with DATASET: the camera's pixels, where recordings are silent"
+    )
+    volume.add_argument(
+        "--grid", type=size_text, metavar="WxH", help="with DATASET: the volume's pixels (default: 34x34)"
+    )
+    volume.add_argument(
+        "--window-us",
+        type=positive_int,
+        metavar="US",
+        help="with DATASET: length of a window, in microseconds (default: 105000)",
+    )
     learning = parser.add_argument_group("training")
     learning.add_argument(
-        "--epochs", type=int, default=20, metavar="N", help="passes over the training windows (default: 20)"
+        "--epochs",
+        type=int,
+        metavar="N",
+        help="passes over the training windows (default: 20; with DATASET at least 20, and 1500 steps)",
+    )
+    learning.add_argument(
+        "--patience",
+        type=int,
+        metavar="N",
+        help="stop when the validation loss has not fallen for so many epochs; 0 never does (default: 0; with DATASET "
+        "a fifth of the epochs)",
     )
     learning.add_argument(
         "--iterations",
@@ -115,7 +155,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="steps of the optimizer, instead of --epochs (the thesis: 60000 of 64 windows each)",
     )
-    learning.add_argument("--batch", type=int, default=64, metavar="N", help="windows per step (default: 64)")
+    learning.add_argument(
+        "--batch",
+        type=int,
+        metavar="N",
+        help="windows per step (default: 64; with DATASET fewer, down to 8, where there are few windows)",
+    )
     learning.add_argument(
         "--rate",
         type=float,
@@ -148,9 +193,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     learning.add_argument(
         "--keep",
         choices=("last", "best"),
-        default="last",
         help="the weights to write: after the last epoch, or after the one that validates "
-        "best (default: last; both are in the run folder)",
+        "best (default: last; where patience ends the training, best; both are in the run folder)",
     )
     learning.add_argument(
         "--threads", type=positive_int, metavar="N", help="torch's threads; another number gives slightly other weights"

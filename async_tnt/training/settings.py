@@ -27,6 +27,10 @@ class TrainSettings:
     augmentation : None trains on the windows as they are.
     precision : "float32", or "bfloat16": the networks' products in 16 bits, the weights in 32. Half the time or
         less where the hardware has such products (AMX, AVX512-BF16, GPUs), no gain elsewhere.
+    balance : each epoch shows every class equally often, and validation counts every class alike; else windows
+        count, and with them the classes that have more.
+    patience : stop when the validation loss has not fallen for so many epochs; the best epoch is then the one of
+        the lowest validation loss. None trains to the end; the best epoch is then the one of most windows right.
     """
 
     epochs: int = 10
@@ -38,9 +42,11 @@ class TrainSettings:
     seed: int = 0
     augmentation: Augmentation | None = field(default_factory=Augmentation)
     precision: str = "float32"
+    balance: bool = False
+    patience: int | None = None
 
     def __post_init__(self) -> None:
-        for name, low in (("epochs", 1), ("iterations", 1), ("batch", 1), ("seed", 0)):
+        for name, low in (("epochs", 1), ("iterations", 1), ("batch", 1), ("seed", 0), ("patience", 1)):
             value = getattr(self, name)
             if value is not None and value < low:
                 raise ValueError(f"`{name}` must be at least {low}, got {value}")

@@ -47,6 +47,7 @@ def train(
     settings: TrainSettings,
     run_folder: Path,
     *,
+    classes: tuple[str, ...] = CLASSES,
     start: Model | None = None,
     progress: Progress = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
@@ -61,8 +62,10 @@ def train(
     ----------
     config : how events become volumes.
     training : windows to learn from.
-    validation : windows that choose the best epoch (the later of equals); may be empty: then it is the last.
+    validation : windows that choose the best epoch (the later of equals); may be empty: then it is the last, and
+        no patience runs out.
     run_folder : for checkpoint and history; made if missing.
+    classes : names, one for each label from 0 on.
     start : a model to train on from; None starts with random weights.
     progress : shows each epoch's steps.
     report : called with the history's new row after each epoch, when its checkpoint is written.
@@ -75,22 +78,25 @@ def train(
     """
     if len(training) == 0:
         raise ValueError("`training` must hold at least one window, got none")
-    if start is not None and (start.config, start.classes) != (config, CLASSES):
+    for windows in (training, validation):
+        if len(windows) and not 0 <= windows.labels.min() <= windows.labels.max() < len(classes):
+            raise ValueError(f"labels must be in [0, {len(classes)}), one for each class, got {windows.labels.max()}")
+    if start is not None and (start.config, start.classes) != (config, classes):
         raise ValueError(
-            f"`start` must have the configuration and classes of this training, got {start.config} and "
-            f"classes {', '.join(start.classes)}"
+            f"`start` must have the configuration and classes of this training (classes {', '.join(classes)}), "
+            f"got {start.config} and classes {', '.join(start.classes)}"
         )
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     run_folder.mkdir(parents=True, exist_ok=True)
     pipeline = (
-        new_pipeline(config, len(CLASSES), settings.seed, training)
+        new_pipeline(config, len(classes), settings.seed, training)
         if start is None
         else pipeline_before_export(start, training)
     ).to(device)
     placed: Any = pipeline  # the stubs of `to` know no memory_format
     placed.to(memory_format=torch.channels_last)  # a third faster
     optimizer = _optimizer(pipeline, settings)
-    identity = _identity(config, settings, training, validation, start)
+    identity = _identity(config, settings, training, validation, start, classes)
     state = _load_checkpoint(run_folder / CHECKPOINT, identity)
     history: list[dict[str, float]] = []
     best: dict[str, torch.Tensor] = {}
@@ -104,6 +110,8 @@ def train(
     n_iterations = settings.n_iterations(len(training))
     n_epochs = settings.n_epochs(len(training))
     for epoch in range(len(history), n_epochs):
+        if settings.patience is not None and epochs_since_best(history) >= settings.patience:
+            break
         pipeline.train()
         total_loss, right, seen = 0.0, 0, 0
         here = min(steps, n_iterations - epoch * steps)
@@ -123,9 +131,9 @@ def train(
         row = {
             "epoch": epoch + 1, "iterations": epoch * steps + here, "loss": total_loss / seen, "training": right / seen,
         }  # fmt: skip
-        row.update(_validate(pipeline, validation))
+        row.update(_validate(pipeline, validation, balance=settings.balance))
         history.append(row)
-        if row.get("per_window", 0.0) >= max((r.get("per_window", 0.0) for r in history), default=0.0):
+        if _is_best(history, by_loss=settings.patience is not None):
             best_epoch = epoch + 1
             best = {name: w.detach().clone() for name, w in pipeline.state_dict().items()}
         checkpoint = {
@@ -137,32 +145,72 @@ def train(
         _replace(run_folder / HISTORY, lambda part, text=text: part.write_text(text, encoding="utf-8"))
         report(row)
 
-    last = export(pipeline, CLASSES, {})
+    last = export(pipeline, classes, {})
     pipeline.load_state_dict(best)
-    return TrainResult(last, export(pipeline, CLASSES, {}), best_epoch, history)
+    return TrainResult(last, export(pipeline, classes, {}), best_epoch, history)
+
+
+def epochs_since_best(history: list[dict[str, float]]) -> int:
+    """Epochs since the validation loss was lowest (the later of equals); 0 without validation."""
+    losses = [row["validation_loss"] for row in history if "validation_loss" in row]
+    return losses[::-1].index(min(losses)) if losses else 0
+
+
+def _is_best(history: list[dict[str, float]], *, by_loss: bool) -> bool:
+    """Whether the newest epoch is."""
+    if by_loss:
+        return epochs_since_best(history) == 0
+    return history[-1].get("per_window", 0.0) >= max(row.get("per_window", 0.0) for row in history)
 
 
 def _batches(
     config: TNTConfig, windows: Windows, settings: TrainSettings, epoch: int
 ) -> Iterator[tuple[Windows, Draws | None]]:
     rng = np.random.default_rng((settings.seed, epoch))
-    order = rng.permutation(len(windows))
+    order = balanced_order(windows.labels, rng) if settings.balance else rng.permutation(len(windows))
     for first in range(0, len(order), settings.batch):
         some = windows[order[first : first + settings.batch]]
         augmentation = settings.augmentation
         yield some, None if augmentation is None else augmentation.draw(len(some), config, rng)
 
 
-def _validate(pipeline: Pipeline, windows: Windows) -> dict[str, float]:
+def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """As many places as there are labels, every class equally often (to one place), in random order.
+
+    A class with fewer windows than its share is gone through again and again, each time in another order; of one with
+    more, each epoch shows others. We sample rather than weigh the loss: a rare class in every batch gives steadier
+    steps than one that comes seldom with a large weight, and augmentation makes every showing of a window another.
+
+    Examples
+    --------
+    >>> labels = np.array([0, 0, 0, 0, 0, 0, 0, 1])
+    >>> np.bincount(labels[balanced_order(labels, np.random.default_rng(0))])
+    array([4, 4])
+    """
+    members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
+    shares = np.diff(np.linspace(0, len(labels), len(members) + 1).astype(np.int64))
+    rng.shuffle(shares)  # whose share is one larger
+    chosen = []
+    for places, share in zip(members, shares, strict=True):
+        rounds = -(-int(share) // len(places))
+        chosen.append(np.concatenate([rng.permutation(places) for _ in range(rounds)])[:share])
+    return rng.permutation(np.concatenate(chosen))
+
+
+def _validate(pipeline: Pipeline, windows: Windows, *, balance: bool) -> dict[str, float]:
     if len(windows) == 0:
         return {}
     probabilities = class_probabilities(pipeline, windows)
     per_window = float((probabilities.argmax(1) == windows.labels).mean())
     log_likelihood = np.log(probabilities[np.arange(len(windows)), windows.labels] + 1e-12)
+    if balance:  # else, of 95 windows of one class and 5 of another, the 5 would hardly count
+        loss = -float(np.mean([log_likelihood[windows.labels == label].mean() for label in np.unique(windows.labels)]))
+    else:
+        loss = -float(log_likelihood.mean())
     return {
         "per_window": per_window,
         "per_recording": accuracy_by_recording(probabilities, windows)[0],
-        "validation_loss": -float(log_likelihood.mean()),
+        "validation_loss": loss,
     }
 
 
@@ -184,7 +232,12 @@ def _set_rate(optimizer: torch.optim.Optimizer, settings: TrainSettings, step: i
 
 
 def _identity(
-    config: TNTConfig, settings: TrainSettings, training: Windows, validation: Windows, start: Model | None
+    config: TNTConfig,
+    settings: TrainSettings,
+    training: Windows,
+    validation: Windows,
+    start: Model | None,
+    classes: tuple[str, ...],
 ) -> str:
     """All that decides the weights, as JSON: a checkpoint goes on only where it is the same."""
     data = zlib.crc32(training.recordings.offsets.tobytes())
@@ -197,10 +250,12 @@ def _identity(
         {
             "format": FORMAT,
             "config": config.to_dict(),
-            "settings": asdict(settings),
+            # without what older runs had no name for, so that they go on
+            "settings": {n: v for n, v in asdict(settings).items() if v or n not in ("balance", "patience")},
             "training_windows": len(training),
             "validation_windows": len(validation),
             "data": data,
+            "classes": zlib.crc32(json.dumps(classes).encode()) if classes != CLASSES else 0,
             "start": 0 if start is None else zlib.crc32(b"".join(w.tobytes() for w in start.weights.values())),
         }
     )
@@ -224,8 +279,8 @@ def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
     )
     differ += [
         name
-        for name in ("format", "training_windows", "validation_windows", "data", "start")
-        if found.get(name) != wanted[name]
+        for name in ("format", "training_windows", "validation_windows", "data", "classes", "start")
+        if found.get(name, 0) != wanted[name]
     ]
     if differ:
         raise ValueError(

@@ -160,11 +160,17 @@ def read_folder(
 
 
 def split_recordings(
-    recordings: Recordings, fraction: float, rng: np.random.Generator
+    recordings: Recordings, fraction: float, rng: np.random.Generator, *, at_least: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Hold out a share of each class's recordings, drawn at random.
 
     Whole recordings: the three saccades of one digit never lie on both sides.
+
+    Parameters
+    ----------
+    fraction : the share, rounded to whole recordings of each class.
+    at_least : of each class hold out so many all the same, and leave one to train on, where it has as many; no effect
+        with a fraction of 0.
 
     Returns
     -------
@@ -175,7 +181,10 @@ def split_recordings(
     held_out = np.zeros(len(recordings), bool)
     for label in np.unique(recordings.labels):
         members = rng.permutation(np.flatnonzero(recordings.labels == label))
-        held_out[members[: round(fraction * len(members))]] = True
+        n = round(fraction * len(members))
+        if fraction and at_least:
+            n = min(max(n, at_least), len(members) - 1)
+        held_out[members[:n]] = True
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
@@ -185,7 +194,7 @@ def lay_windows(
     *,
     which: np.ndarray | None = None,
     first_event: bool = False,
-    duration_us: int = DURATION_US,
+    duration_us: int | None = DURATION_US,
 ) -> Windows:
     """Windows laid end to end on each recording, as `Processor` lays them; empty ones are left out.
 
@@ -195,12 +204,18 @@ def lay_windows(
     which : indices of recordings; all by default.
     first_event : False starts at 0 (N-MNIST's saccades at 105 ms), True at each recording's first event, as
         where a stream is classified without an explicit start.
+    duration_us : see `window_us`; None: as many as it takes to the recording's last event, the last one perhaps
+        cut short by the recording's end.
     """
     which = np.arange(len(recordings)) if which is None else np.asarray(which)
     places = []
     for r in which:
         t = recordings.t[recordings.offsets[r] : recordings.offsets[r + 1]]
         first_us = int(t[0]) if first_event and len(t) else 0
+        if duration_us is None:  # only those that hold events: a pause of hours costs nothing
+            starts = first_us + window_us * np.unique((t.astype(np.int64) - first_us) // window_us)
+            places += [(r, start) for start in starts]
+            continue
         starts = first_us + window_us * np.arange(max(1, duration_us // window_us) + 1)
         occupied = np.diff(np.searchsorted(t, starts)) > 0
         places += [(r, start) for start in starts[:-1][occupied]]

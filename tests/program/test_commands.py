@@ -54,7 +54,7 @@ def test_run_takes_ones_own_model(tmp_path, capsys):
         (lambda folder: folder / "missing.bin", "No such file"),
         (lambda folder: folder, "suffix|directory|unknown"),
         (lambda folder: _written(folder / "x.bin", bytes(7)), "7 bytes"),
-        (lambda folder: _written(folder / "x.txt", b"hello"), r"\.bin"),
+        (lambda folder: _written(folder / "x.doc", b"hello"), r"\.bin"),
         (lambda folder: _written(folder / "x.npy", b"hello"), "x.npy"),
     ],
 )

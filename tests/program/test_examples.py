@@ -64,6 +64,23 @@ def test_asyncio_source(tmp_path):
     assert int(re.fullmatch(r"meanwhile the loop did something else (\d+) times", last)[1]) > 4
 
 
+def test_background_reader(tmp_path):
+    n = open_recording(sample_recordings()[8]).n_events
+    runs = {}
+    for line in lines_of("background_reader.py", tmp_path):
+        name, *numbers, label = re.fullmatch(
+            r"(all of them|the latest) +(\d+) events = (\d+) handed out \+ (\d+) skipped; waited up to (\d+) ms; "
+            r"last decision of (\d+) events: (\w+)", line
+        ).groups()  # fmt: skip
+        runs[name] = [int(number) for number in numbers]
+        if name == "all of them":
+            assert label == "8"
+    for received, handed_out, skipped, _, _ in runs.values():
+        assert received == handed_out + skipped == n
+    assert runs["all of them"][2] == 0 < runs["the latest"][2] < n
+    assert runs["the latest"][3] < runs["all of them"][3] / 2  # 20 ms or so, against half a second
+
+
 def test_own_torch_module(tmp_path):
     removed, raw = lines_of("own_torch_module.py", tmp_path)
     right = [int(re.fullmatch(f"{name}: (\\d+) of 20 saccades recognised", line)[1])

@@ -2,12 +2,15 @@
 
 import io
 import sys
+import time
 
 import pytest
 from made import random_events, random_model
 
 from async_tnt import Counts, Processor, TNTConfig
+from async_tnt.cli import main
 from async_tnt.commands.live_view import MOST_CLASSES, LiveView
+from async_tnt.recordings import sample_recordings
 
 CONFIG = TNTConfig(window_us=1000)
 
@@ -57,3 +60,30 @@ def test_without_rich_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "rich.live", None)
     with pytest.raises(ImportError, match=r"run --live draws with rich: pip install '\.\[view\]'"):
         LiveView(["a"], "b")
+
+
+def test_run_draws_a_recording_at_its_pace(capsys):
+    pytest.importorskip("rich", reason="rich is not installed (extra `view`)")
+    started = time.perf_counter()
+    assert main(["run", "--live", "--speed", "2", str(sample_recordings()[3])]) == 0
+    assert time.perf_counter() - started > 0.15  # 304 ms of recording
+    out = capsys.readouterr().out
+    assert "3.bin" in out and "us to a decision" in out and "█" in out
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        (["--live", "--json"], "give one of them"),
+        (["--speed", "2"], "--speed belongs to --live"),
+    ],
+)
+def test_options_that_do_not_go_together(capsys, options, message):
+    assert main(["run", *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_wrong_speeds(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["run", "--live", "--speed", "0"])
+    assert stop.value.code == 2 and "argument --speed: must be a positive number, got '0'" in capsys.readouterr().err

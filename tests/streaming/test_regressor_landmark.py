@@ -181,7 +181,7 @@ def test_it_sees_the_raw_volume_of_its_window_read_only():
 
 def test_it_is_asked_once_until_new_events_come(monkeypatch):
     asked, replayed = [], []
-    import async_tnt.replay as module
+    import async_tnt.window_replay as module
 
     absorb = module.absorb
     monkeypatch.setattr(module, "absorb", lambda *args: replayed.append(1) or absorb(*args))

@@ -1,0 +1,166 @@
+"""async-tnt evaluate: how well a model classifies the recordings of a folder, streamed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..datasets.class_folders import find_recordings
+from ..datasets.scores import Scores, score_recordings
+from ..datasets.streamed import Outcome, Task, moments, stream_recording
+from ..model import Model, bundled_models
+from ..progress import progress
+from ..workers import run_all
+from .files import complain, model_of, positive_int
+
+DESCRIPTION = """Stream every recording of a folder of class folders through a model, and count how often it is right.
+
+DATASET holds <class name>/<recordings>, or Test/<class name>/<recordings>; the names are the model's classes. Take
+recordings that the model was not trained on, of other days and people where there are such. Windows are laid end to
+end from each recording's first event, as on a live stream. A recording is decided by the mean probability over its
+windows. Recordings that cannot be read, and empty ones, are skipped and named at the end.
+
+  async-tnt evaluate gestures.safetensors held_out
+  async-tnt evaluate gestures.safetensors held_out --picture confusion.png
+  async-tnt evaluate digits N-MNIST --workers 4 --json | jq .accuracy
+
+Exit code 0, also where recordings were skipped (2 with --strict); 2 for bad usage, or where none could be read.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "model", metavar="MODEL", help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
+    )
+    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with <class name>/<recordings>")
+    parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the confusion matrix (.png, .svg, .pdf)")
+    parser.add_argument(
+        "--workers", type=positive_int, default=1, metavar="N", help="processes that stream recordings (default: 1)"
+    )
+    parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
+
+
+def main(args: argparse.Namespace) -> int:
+    if args.picture is not None:
+        _check_picture(args.picture)
+    model = model_of(args)
+    paths, labels = labelled_recordings(args.dataset, model)
+    tasks = [Task(i, path, args.model) for i, path in enumerate(paths)]
+    outcomes: list[Outcome] = []
+    with progress(len(tasks), "streaming") as bar:
+        for outcome in run_all(stream_recording, tasks, args.workers):
+            outcomes.append(outcome)
+            bar.update()
+    outcomes.sort(key=lambda outcome: outcome.index)  # they come in the order they are done
+    good = [outcome for outcome in outcomes if not outcome.error]
+    skipped = [outcome.error for outcome in outcomes if outcome.error]
+    if not good:
+        raise ValueError(f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}")
+    scores = score_recordings(model.classes, [labels[o.index] for o in good], [o.probabilities for o in good])
+    report = report_of(model, scores, good, [labels[o.index] for o in good], skipped)
+    if args.picture is not None:
+        from ..figures.confusion import write_confusion
+
+        title = f"{args.dataset.name}: {scores.accuracy:.1%} of {len(good)} recordings right"
+        write_confusion(scores.confusion, scores.classes, args.picture, title)
+    if args.json:
+        print(json.dumps(report))
+    else:
+        print(text_of(report))
+        if args.picture is not None:
+            print(f"wrote {args.picture}")
+    for line in skipped:
+        complain(f"skipped: {line}")
+    return 2 if skipped and args.strict else 0
+
+
+def labelled_recordings(folder: Path, model: Model) -> tuple[list[Path], list[int]]:
+    """The recordings of a folder, and the place of each one's class in `model.classes`.
+
+    Raises
+    ------
+    ValueError : a class folder that the model does not know, or no recordings.
+    OSError : no such folder.
+    """
+    found = find_recordings(folder, "Test")
+    unknown = [name for name in found if name not in model.classes]
+    if unknown:
+        raise ValueError(
+            f"{folder}: the model does not know class {', '.join(unknown)}; it knows {', '.join(model.classes)}"
+        )
+    paths = [path for name in found for path in found[name]]
+    if not paths:
+        raise ValueError(f"{folder}: no recordings in its class folders ({', '.join(found)})")
+    return paths, [model.classes.index(name) for name in found for _ in found[name]]
+
+
+def report_of(
+    model: Model, scores: Scores, outcomes: list[Outcome], labels: list[int], skipped: list[str]
+) -> dict[str, Any]:
+    """All numbers, as `--json` prints them. Times are of one core, summed over workers."""
+    early = np.concatenate([outcome.early for outcome in outcomes])  # (windows, moments)
+    truth = np.repeat(labels, [len(outcome.early) for outcome in outcomes])
+    seconds = sum(outcome.seconds for outcome in outcomes)
+    n_decisions = sum(outcome.n_decisions for outcome in outcomes)
+    n_events = sum(outcome.n_events for outcome in outcomes)
+    return {
+        **scores.to_dict(),
+        "accuracy_against_time": [
+            {
+                "time_us": moment,
+                "accuracy": float((early[:, k] == truth).mean()),
+                "decided": float((early[:, k] >= 0).mean()),
+            }
+            for k, moment in enumerate(moments(model.config.window_us))
+        ],
+        "decisions": n_decisions,
+        "events": n_events,
+        "seconds": seconds,
+        "decisions_per_second": n_decisions / seconds,
+        "events_per_second": n_events / seconds,
+        "skipped": skipped,
+    }
+
+
+def text_of(report: dict[str, Any]) -> str:
+    """The report for people."""
+    lines = [
+        f"{report['accuracy']:.4f} of {report['recordings']} recordings right, "
+        f"{report['window_accuracy']:.4f} of {report['windows']} windows",
+        "",
+        f"{'class':<24} {'right':>6} {'recordings':>11}  taken for",
+    ]
+    for k, name in enumerate(report["classes"]):
+        row = report["confusion"][k]
+        share = "-" if report["per_class"][name] is None else f"{report['per_class'][name]:.3f}"
+        others = sorted(((n, j) for j, n in enumerate(row) if n and j != k), reverse=True)[:3]
+        taken = ", ".join(f"{report['classes'][j]} ({n})" for n, j in others)
+        lines.append(f"{name:<24} {share:>6} {sum(row):>11}  {taken}".rstrip())
+    lines += ["", f"{'ms into the window':<24} {'right':>6} {'decided':>11}"]
+    for moment in report["accuracy_against_time"]:
+        lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>6.3f} {moment['decided']:>11.3f}")
+    lines += [
+        "",
+        f"{report['decisions_per_second']:,.0f} decisions and {report['events_per_second']:,.0f} events per second "
+        "on one core",
+    ]
+    return "\n".join(lines)
+
+
+def _check_picture(path: Path) -> None:
+    """Refuse what could not be drawn, before any work is done."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"--picture draws with matplotlib: pip install '.[plot]' ({error})") from None
+    from ..figures.style import FORMATS
+
+    if path.suffix.lower() not in FORMATS:
+        raise ValueError(f"--picture must end in {', '.join(FORMATS)}, got {path}")
+    if not path.parent.is_dir() or path.is_dir():
+        raise ValueError(f"--picture must be a file in a folder that is there, got {path}")

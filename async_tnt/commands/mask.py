@@ -1,0 +1,164 @@
+"""async-tnt mask: find the hot pixels of recordings."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..pixels import count_pixels, hot_pixels, save_mask
+from ..pixels.hot_pixels import FACTOR
+from ..pixels.mask_files import checked_out
+from ..progress import progress
+from ..recordings import READERS, open_recording
+from .files import complain
+
+DESCRIPTION = """Find the hot pixels of a camera: those that send far more events than their neighbours and the whole
+sensor make plausible. Several recordings of one camera count as one.
+
+  async-tnt mask desk.npz --out mask.npy               learn from a recording
+  async-tnt mask a.npy b.npy --sensor 346x260          where the files do not say the sensor
+  async-tnt mask desk.npz --picture mask.png           and draw the counts, hot pixels circled (extra: plot)
+
+Record something that moves all over the picture, or a still scene, for some seconds. The mask is a .npy file, bool,
+of shape (height, width), True where a pixel is hot:
+
+  pixel_filter = async_tnt.pixels.PixelFilter((346, 260), mask="mask.npy")
+  async_tnt.stream(map(pixel_filter, camera), model)
+
+A pixel is hot when it has --factor times more events than the 4th busiest of the 24 pixels around it and than the mean
+pixel, and when chance would not do that in one of a hundred sensors. Exit code 0 also where none is found: the mask
+then leaves nothing out.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "files", nargs="+", metavar="RECORDING", type=Path, help=f"recordings ({', '.join(sorted(READERS))})"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("mask.npy"),
+        metavar="FILE",
+        help="the mask, a .npy file (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--sensor", type=_size, metavar="WxH", help="the camera's pixels, where the recordings do not say them"
+    )
+    parser.add_argument(
+        "--factor", type=_factor, default=FACTOR, metavar="F",
+        help="times more events than plausible (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw counts and hot pixels: .png, .svg or .pdf")
+    parser.add_argument("--json", action="store_true", help="one JSON object: the pixels and their events")
+
+
+def main(args: argparse.Namespace) -> int:
+    checked_out(args.out)
+    if args.picture is not None:
+        try:
+            import matplotlib  # noqa: F401
+        except ImportError as error:
+            complain(f"--picture draws with matplotlib: pip install '.[plot]' ({error})")
+            return 2
+        from ..figures.style import check_out
+
+        check_out(args.picture)
+    counts = _count(args.files, args.sensor)
+    n_events = int(counts.sum())
+    if n_events == 0:
+        raise ValueError(f"{', '.join(map(str, args.files))}: no events, nothing to learn from")
+    hot = hot_pixels(counts, factor=args.factor)
+    save_mask(args.out, hot)
+    if args.picture is not None:
+        _draw(counts, hot, args.picture)
+    _report(counts, hot, args)
+    return 0
+
+
+def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
+    """Events of each pixel over all recordings, int64 of shape (H, W)."""
+    counts: Any = 0
+    with progress(len(paths), "counting events") as bar:
+        for path in paths:
+            recording = open_recording(path)
+            said = recording.sensor or sensor
+            if said is None:
+                raise ValueError(f"{path}: the file does not say the camera's sensor; --sensor WxH does")
+            if sensor is not None and said != sensor:
+                raise ValueError(
+                    f"{path}: a sensor of {said[0]}x{said[1]} pixels, but --sensor or an earlier recording says "
+                    f"{sensor[0]}x{sensor[1]}"
+                )
+            sensor = said
+            try:
+                counts = counts + count_pixels(recording, sensor)
+            except (TypeError, ValueError) as error:
+                raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+            bar.update()
+    return counts
+
+
+def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> None:
+    y, x = np.nonzero(hot)
+    events = counts[hot]
+    busiest = np.argsort(-events, kind="stable")
+    n_events, share = int(counts.sum()), float(events.sum() / counts.sum())
+    height, width = counts.shape
+    if args.json:
+        pixels = [{"x": int(x[k]), "y": int(y[k]), "events": int(events[k])} for k in busiest]
+        said = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
+        print(json.dumps(said | {"out": str(args.out)}))
+        return
+    if not hot.any():
+        print(f"no hot pixels: none of {width}x{height} stands out in {n_events} events; {args.out} masks nothing")
+        return
+    for k in busiest[:10]:
+        print(f"x {x[k]:>5}  y {y[k]:>5}  {events[k]:>9} events  {events[k] / n_events:6.2%}")
+    if len(busiest) > 10:
+        print(f"... and {len(busiest) - 10} more")
+    pixels_word = "1 hot pixel" if len(busiest) == 1 else f"{len(busiest)} hot pixels"
+    print(f"{pixels_word} of {width}x{height} made {share:.2%} of {n_events} events: {args.out}")
+
+
+def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:
+    """Events per pixel in grey, on a logarithmic scale, and a circle about each hot pixel."""
+    from matplotlib.colors import LogNorm
+
+    from ..figures.style import ON, WIDTH, new_figure, save, styled
+
+    height, width = counts.shape
+    with styled():
+        figure = new_figure(min(14.0, max(3.0, 0.8 * WIDTH * height / width + 1.0)))
+        axes = figure.subplots()
+        shown = np.ma.masked_equal(counts, 0)  # no events: white
+        image = axes.imshow(shown, cmap="Greys", norm=LogNorm(0.5, max(2, counts.max())), interpolation="nearest")
+        y, x = np.nonzero(hot)
+        axes.scatter(x, y, s=60, facecolors="none", edgecolors=ON, linewidths=1.2)
+        axes.set(title=f"{x.size} hot pixel{'' if x.size == 1 else 's'}", xlabel="x (pixels)", ylabel="y (pixels)")
+        axes.set(xlim=(-1.5, width + 0.5), ylim=(height + 0.5, -1.5))
+        figure.colorbar(image, ax=axes, label="events")
+        save(figure, path, dpi=120)
+
+
+def _size(text: str) -> tuple[int, int]:
+    """An argparse type: 346x260."""
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if match is None or not all(1 <= int(side) <= 1 << 15 for side in match.groups()):
+        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT, such as 346x260, got {text!r}")
+    return int(match[1]), int(match[2])
+
+
+def _factor(text: str) -> float:
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = 0.0
+    if not 1 < factor < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be a number above 1, got {text!r}")
+    return factor

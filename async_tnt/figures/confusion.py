@@ -1,0 +1,76 @@
+"""A confusion matrix as a picture: what was taken for what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .style import LARGE, SMALL, TEXT, new_figure, one_colour_map, save, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BLUE = "#0072B2"
+MOST_NUMBERED = 25  # with more classes, numbers in the cells would be too small to read
+LONGEST_NAME = 24
+CELL, LEAST = 0.42, 2.2  # inches
+
+
+def draw_confusion(confusion: np.ndarray, classes: Sequence[str], title: str = "") -> Figure:
+    """Draw a confusion matrix.
+
+    A cell's colour is its share of its row, so that a rare class shows as clearly as a common one; its number is the
+    count.
+
+    Parameters
+    ----------
+    confusion : integers, shape (K, K), by true class (row) and decided class (column).
+    classes : K names.
+    title : one line above.
+
+    Raises
+    ------
+    ValueError : the shape does not fit the names.
+    """
+    n = len(classes)
+    confusion = np.asarray(confusion)
+    if confusion.shape != (n, n):
+        raise ValueError(f"`confusion` must have shape ({n}, {n}), one row and column a class, got {confusion.shape}")
+    totals = confusion.sum(axis=1, keepdims=True)
+    shares = confusion / np.maximum(totals, 1)
+    side = min(max(CELL * n, LEAST), 9.0)
+    names = [name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + "\u2026" for name in classes]
+    longest = max(map(len, names))
+    margin = 0.6 + 0.075 * longest
+    width, height = side + margin + 1.1, side + margin + 0.5
+    width = max(width, 0.085 * len(title) + 0.4)
+    figure = new_figure(height, width)
+    axes = figure.add_axes((margin / width, margin / height, side / width, side / height))
+    image = axes.imshow(shares, cmap=one_colour_map(BLUE), vmin=0, vmax=1, aspect="equal", interpolation="nearest")
+    axes.set_xticks(range(n), names, rotation=90 if longest > 3 else 0, fontsize=SMALL if n <= 40 else 5)
+    axes.set_yticks(range(n), names, fontsize=SMALL if n <= 40 else 5)
+    axes.set_xlabel("decided")
+    axes.set_ylabel("true")
+    if n <= MOST_NUMBERED:
+        for row, column in np.ndindex(n, n):
+            if confusion[row, column]:
+                colour = "white" if shares[row, column] > 0.55 else TEXT
+                axes.text(column, row, str(confusion[row, column]), ha="center", va="center", color=colour,
+                          fontsize=SMALL)  # fmt: skip
+    bar = figure.add_axes(((margin + side + 0.15) / width, margin / height, 0.12 / width, side / height))
+    figure.colorbar(image, cax=bar, ticks=[0, 0.5, 1], format=lambda share, _: f"{share:.0%}")
+    bar.tick_params(labelsize=SMALL)
+    figure.text(0.5, 1 - 0.25 / height, title, fontsize=LARGE, ha="center", va="center")
+    return figure
+
+
+def write_confusion(
+    confusion: np.ndarray, classes: Sequence[str], path: Path, title: str = "", *, dpi: int = 150
+) -> Path:
+    """`draw_confusion` into a file, .png, .svg or .pdf; replaced at once if there. Returns its path."""
+    with styled():
+        save(draw_confusion(confusion, classes, title), path, dpi)
+    return path

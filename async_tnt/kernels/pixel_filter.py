@@ -1,0 +1,65 @@
+"""Leave out events by their pixels, and count events per pixel."""
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+
+from .jit import compiled_without_gil
+
+KEEP, MASKED, OUTSIDE = 0, 1, 2
+
+
+@intrinsic
+def store(typingctx, raw, offset, value, number):
+    """Write `value` as the type `number`, little-endian, from byte `offset` of `raw` on, at any alignment."""
+    value_type = number.instance_type
+
+    def codegen(context, builder, signature, args):
+        array = context.make_array(signature.args[0])(context, builder, args[0])
+        pointer = builder.gep(array.data, [args[1]])
+        pointer = builder.bitcast(pointer, context.get_value_type(value_type).as_pointer())
+        stored = builder.store(context.cast(builder, args[2], signature.args[2], value_type), pointer)
+        stored.align = 1
+        return context.get_dummy_value()
+
+    return types.void(raw, offset, value, number), codegen
+
+
+@compiled_without_gil
+def keep_events(t, x, y, p, n, verdicts, left, top, records):
+    """Write the events whose pixel is kept as packed records, in their order.
+
+    Parameters
+    ----------
+    t, x, y, p : int64, uint16, uint16, uint8, shape (at least n,). Checked: on the sensor.
+    verdicts : uint8, shape (H, W). KEEP, MASKED or OUTSIDE.
+    left, top : int. Subtracted from x and y; not more than those of any kept pixel.
+    records : uint8, shape (13 n,). Overwritten: t int64, x uint16, y uint16, p uint8 of each kept event.
+
+    Returns
+    -------
+    n_kept, n_masked : int.
+    """
+    kept = 0
+    masked = 0
+    for i in range(n):
+        verdict = verdicts[y[i], x[i]]
+        at = 13 * kept  # without a branch: what is not kept is overwritten by the next event
+        store(records, at, t[i], np.int64)
+        store(records, at + 8, x[i] - left, np.uint16)
+        store(records, at + 10, y[i] - top, np.uint16)
+        store(records, at + 12, p[i], np.uint8)
+        kept += verdict == KEEP
+        masked += verdict == MASKED
+    return kept, masked
+
+
+@compiled_without_gil
+def count_events(x, y, n, counts):
+    """Add each event to its pixel's count.
+
+    x, y : uint16, shape (at least n,). Checked: on the sensor.
+    counts : int64, shape (H, W). Updated in place.
+    """
+    for i in range(n):
+        counts[y[i], x[i]] += 1

@@ -1,0 +1,58 @@
+"""The process that reads an AEDAT4 file with faery: `python aedat4_child.py FILE`, see `aedat4.py`.
+
+Writes to stdout: a line of JSON, {"sensor": [width, height]} or {"error": "..."}; then, for each packet, the number
+of its events (4 bytes, little-endian) and the events; at the end, 0, and a line of JSON again. Imports nothing of
+ours: that would take it a second.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+from typing import Any
+
+import numpy as np
+
+DTYPE = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
+
+
+def _write(out: Any, **said: Any) -> None:
+    out.write(json.dumps(said).encode() + b"\n")
+    out.flush()
+
+
+def main(path: str) -> None:
+    from faery.extension import aedat
+
+    out = sys.stdout.buffer
+    try:
+        decoder = aedat.Decoder(path)
+        tracks = decoder.tracks()
+    except BaseException as error:  # pyo3's PanicException derives from BaseException alone
+        return _write(out, error=" ".join(str(error).split())[:200] or type(error).__name__)
+    track = next((track for track in tracks if track.data_type == "events"), None)
+    if track is None:
+        kinds = ", ".join(track.data_type for track in tracks) or "none"
+        return _write(out, error=f"the file must have a stream of events; its streams are: {kinds}")
+    _write(out, sensor=None if track.dimensions is None else [int(side) for side in track.dimensions])
+    try:
+        for found, packet in decoder:
+            if found.id != track.id or found.data_type != "events" or len(packet) == 0:
+                continue
+            events = np.empty(len(packet), DTYPE)
+            for ours, theirs in (("t", "t"), ("x", "x"), ("y", "y"), ("p", "on")):
+                events[ours] = packet[theirs]
+            out.write(struct.pack("<I", len(events)) + events.tobytes())
+            out.flush()
+    except BrokenPipeError:  # the reader has seen enough
+        return None
+    except BaseException as error:
+        out.write(bytes(4))
+        return _write(out, error=" ".join(str(error).split())[:200] or type(error).__name__)
+    out.write(bytes(4))
+    _write(out)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

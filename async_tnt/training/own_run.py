@@ -1,0 +1,180 @@
+"""What `async-tnt train DATASET` does otherwise than with N-MNIST: its data, its settings, and what it writes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.config import TNTConfig
+from async_tnt.datasets.scores import Scores
+from async_tnt.datasets.sizes import parse_size
+from async_tnt.model import Model
+
+from .augment import Augmentation
+from .own_classes import OwnClasses, read_classes
+from .settings import TrainSettings
+from .windows import Progress, Windows, lay_windows, split_recordings
+
+FEWEST_STEPS = 1_500  # of the optimizer, of which patience may leave some undone
+NMNIST_ONLY = {
+    "nmnist": "--nmnist", "mnist": "--mnist", "simulated": "--simulated", "smoke": "--smoke",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OwnData:
+    """Windows to train on and windows held out, of one's own classes; and the data in words and numbers."""
+
+    config: TNTConfig
+    classes: tuple[str, ...]
+    training: Windows
+    validation: Windows
+    words: dict[str, Any]
+    held_out: tuple[str, ...]
+
+
+def check_options(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together.
+
+    Raises
+    ------
+    ValueError : names them.
+    """
+    if args.dataset is None:
+        given = [f"--{name.replace('_', '-')}" for name in ("sensor", "grid", "window_us") if getattr(args, name)]
+        if given:
+            raise ValueError(f"{', '.join(given)} must come with DATASET, a folder of class folders")
+        return
+    given = [option for name, option in NMNIST_ONLY.items() if getattr(args, name)]
+    given += ["--saccades"] if args.saccades != [1, 2, 3] else []
+    if given:
+        raise ValueError(f"{', '.join(given)} must come without DATASET: one trains on the one or on the other")
+    if args.start_from and (args.grid or args.window_us):
+        raise ValueError("--grid and --window-us must come without --start-from: the volume is that model's")
+
+
+def load(args: argparse.Namespace, config: TNTConfig, start: Model | None, progress: Progress) -> OwnData:
+    """Read DATASET, and split it by recording.
+
+    Parameters
+    ----------
+    config : without sensor, grid and window, which are the options' or the recordings'; of `start`, as it is.
+    """
+    classes = None if start is None else start.classes
+    sensor = parse_size(args.sensor) if args.sensor else None
+    if start is not None:
+        if sensor not in (None, start.config.sensor):
+            raise ValueError(f"--sensor must be the one of --start-from, {start.config.sensor}, got {sensor}")
+        sensor = start.config.sensor
+    else:
+        config = config.replace(
+            grid=parse_size(args.grid) if args.grid else config.grid, window_us=args.window_us or config.window_us
+        )
+        _check_grid(config)
+    own = read_classes(
+        args.dataset, sensor=sensor, classes=classes, skip_damaged=args.skip_damaged, progress=progress
+    )  # fmt: skip
+    _say_left_out(own)
+    config = config.replace(sensor=own.sensor)
+    share = 0.2 if args.validation is None else args.validation
+    learned, held_out = split_recordings(own.recordings, share, np.random.default_rng(args.seed), at_least=1)
+    labels = own.recordings.labels
+    counts = {name: int((labels == k).sum()) for k, name in enumerate(own.classes)}
+    print("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()), file=sys.stderr)
+    unseen = [name for k, name in enumerate(own.classes) if counts[name] and k not in labels[held_out]]
+    if unseen and share:
+        print(f"not held out, for want of a second recording: {', '.join(unseen)}", file=sys.stderr)
+    words = {
+        "source": "recordings of own classes, held out by recording",
+        "classes": counts,
+        "sensor": list(own.sensor),
+        "real_recordings": len(learned),
+        "held_out_recordings": len(held_out),
+    }
+
+    def windows_of(which: np.ndarray) -> Windows:
+        return lay_windows(own.recordings, config.window_us, which=which, first_event=True, duration_us=None)
+
+    names = tuple(own.recordings.names[r] for r in held_out)
+    return OwnData(config, own.classes, windows_of(learned), windows_of(held_out), words, names)
+
+
+def load_test(args: argparse.Namespace, config: TNTConfig, classes: tuple[str, ...], progress: Progress) -> Windows:
+    """The windows of DATASET/Test."""
+    own = read_classes(
+        args.dataset / "Test", part="Test", sensor=config.sensor, classes=classes, skip_damaged=args.skip_damaged,
+        progress=progress,
+    )  # fmt: skip
+    _say_left_out(own)
+    return lay_windows(own.recordings, config.window_us, first_event=True, duration_us=None)
+
+
+def settings_of(args: argparse.Namespace, config: TNTConfig, n_windows: int, n_held_out: int) -> TrainSettings:
+    """As the options say; where they are silent, enough small steps even for few windows."""
+    batch = args.batch if args.batch is not None else min(64, max(8, n_windows // 32))
+    steps = math.ceil(n_windows / batch) if batch > 0 else 1  # a batch of 0 is refused below
+    epochs = args.epochs if args.epochs is not None else max(20, math.ceil(FEWEST_STEPS / max(steps, 1)))
+    patience = args.patience
+    if patience is None:
+        patience = max(5, epochs // 5) if n_held_out else 0
+    return TrainSettings(
+        epochs=epochs,
+        iterations=args.iterations,
+        batch=batch,
+        learning_rate=args.rate,
+        seed=args.seed,
+        augmentation=None if args.no_augmentation else Augmentation.for_sensor(config, translate_px=args.translate),
+        precision=args.precision,
+        balance=True,
+        patience=patience or None,
+    )
+
+
+def write_beside(
+    out: Path, scores: Scores | None, history: Sequence[dict[str, float]], summary: Mapping[str, Any],
+    held_out: Sequence[str],
+) -> list[Path]:  # fmt: skip
+    """Write <out>.json, and <out>.confusion.png and <out>.curves.png where matplotlib is installed.
+
+    Returns
+    -------
+    The files written.
+    """
+    from .curves import plot_curves
+
+    report = {} if scores is None else scores.to_dict()
+    content = {**report, "held_out": list(held_out), "summary": dict(summary), "history": list(history)}
+    path = out.with_suffix(".json")
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    part.replace(path)
+    written = [path]
+    curves = out.with_suffix(".curves.png")
+    if not plot_curves(history, curves):
+        print("no pictures: matplotlib is not installed (pip install '.[plot]')", file=sys.stderr)
+        return written
+    written.append(curves)
+    if scores is not None:
+        from async_tnt.figures.confusion import write_confusion
+
+        title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
+        written.append(write_confusion(scores.confusion, scores.classes, out.with_suffix(".confusion.png"), title))
+    return written
+
+
+def _check_grid(config: TNTConfig) -> None:
+    if min(config.grid) < 4:
+        raise ValueError(f"--grid must be at least 4x4 for the network's two poolings, got {config.grid}")
+
+
+def _say_left_out(own: OwnClasses) -> None:
+    for line in own.left_out:
+        print(f"left out: {line}", file=sys.stderr)

@@ -1,0 +1,46 @@
+"""A camera whose packets come faster than they are dealt with: once all of them wait, once the old ones are left out.
+
+`camera` stands for a driver: it yields a packet of 2 ms every 2 ms, in memory that it uses again for the next one.
+What the program does with each packet takes 5 ms here, so that it falls behind. In a queue that holds everything the
+delay grows as long as the camera runs; with `latest=True` it stays within the four packets that may wait.
+"""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+import async_tnt
+from async_tnt.fresh import BackgroundReader
+from async_tnt.recordings import open_recording, sample_recordings
+
+PACKET_US = 2_000
+events = open_recording(sample_recordings()[8]).read()
+
+
+def camera() -> Iterator[np.ndarray]:
+    memory = np.empty_like(events)
+    ends = np.searchsorted(events["t"], np.arange(PACKET_US, events["t"][-1] + PACKET_US, PACKET_US))
+    switched_on = time.monotonic()
+    for number, (start, end) in enumerate(zip([0, *ends], ends, strict=False), start=1):
+        time.sleep(max(0.0, switched_on + number * PACKET_US / 1e6 - time.monotonic()))
+        memory[: end - start] = events[start:end]
+        yield memory[: end - start]
+
+
+def run(name: str, processor: async_tnt.Processor, **settings: object) -> None:
+    with BackgroundReader(camera(), **settings) as reader:
+        for packet in reader:
+            processor.push(packet)
+            time.sleep(0.005)  # what else has to be done
+        decision = processor.fire()
+        counters = reader.counters
+    print(f"{name:<11} {counters.received} events = {counters.handed_out} handed out + {counters.skipped} skipped; "
+          f"waited up to {counters.longest_wait_us / 1000:.0f} ms; last decision of {decision.events} events: "
+          f"{decision.label}")  # fmt: skip
+
+
+model = async_tnt.load_model("digits")
+async_tnt.warmup(model)  # compile now, not while packets come
+run("all of them", async_tnt.Processor(model), max_packets=1_000)
+run("the latest", async_tnt.Processor(model), max_packets=4, latest=True)

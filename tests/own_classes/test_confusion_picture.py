@@ -1,0 +1,31 @@
+"""The confusion matrix as drawn."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib", reason="pictures need matplotlib (extra `plot`)")
+
+from async_tnt.figures.confusion import draw_confusion, write_confusion
+
+CONFUSION = np.array([[90, 10, 0], [1, 1, 0], [0, 0, 0]])
+
+
+def test_colours_are_shares_of_the_row_and_numbers_are_counts():
+    axes = draw_confusion(CONFUSION, ["left", "right", "none"], "mine").axes[0]
+    np.testing.assert_allclose(axes.images[0].get_array(), [[0.9, 0.1, 0], [0.5, 0.5, 0], [0, 0, 0]])
+    assert [text.get_text() for text in axes.texts] == ["90", "10", "1", "1"]
+    assert [text.get_position() for text in axes.texts] == [(0, 0), (1, 0), (0, 1), (1, 1)]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["left", "right", "none"]
+    assert (axes.get_ylabel(), axes.get_xlabel()) == ("true", "decided")
+
+
+def test_many_classes_with_long_names_fit(tmp_path):
+    n = 60
+    path = write_confusion(np.eye(n, dtype=int), [f"a class with a name of length {k}" for k in range(n)],
+                           tmp_path / "c.png", "many")  # fmt: skip
+    assert path.stat().st_size > 10_000
+
+
+def test_a_shape_that_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match=r"`confusion` must have shape \(2, 2\), .* got \(3, 3\)"):
+        draw_confusion(CONFUSION, ["left", "right"])

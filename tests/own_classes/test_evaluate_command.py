@@ -1,0 +1,201 @@
+"""`async-tnt evaluate`: its numbers against a count of one's own, and what it says of what it cannot take."""
+
+import json
+
+import numpy as np
+import pytest
+from made import random_model
+from own_classes.gestures import bar, write, write_set
+
+from async_tnt import Model, Processor, TNTConfig
+from async_tnt.commands import evaluate
+from async_tnt.datasets.streamed import moments
+from async_tnt.recordings import READERS, open_recording
+
+KEYS = {
+    "accuracy", "window_accuracy", "balanced_accuracy", "recordings", "windows", "classes", "per_class", "confusion",
+    "window_confusion", "accuracy_against_time", "decisions", "events", "seconds", "decisions_per_second",
+    "events_per_second", "skipped",
+}  # fmt: skip
+CLASSES = ("flat", "slanted", "upright")
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A network of chance: its decisions are no constant, which is all that counting needs."""
+    made = random_model(TNTConfig(sensor=(128, 128), window_us=60_000), classes=3, seed=3)
+    weights = {name: w * (40 if name == "fc2.weight" else 1) for name, w in made.weights.items()}
+    return Model(made.config, weights, CLASSES)
+
+
+@pytest.fixture(scope="module")
+def saved(model, tmp_path_factory):
+    return model.save(tmp_path_factory.mktemp("model") / "m.safetensors")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Recordings shorter and longer than a window, and one with a pause of many windows."""
+    folder = tmp_path_factory.mktemp("set")
+    for name, n in (("upright", 5), ("flat", 4), ("slanted", 2)):
+        for k in range(n):
+            events = bar(name, k, duration_us=(20_000, 100_000, 200_000)[k % 3], start_us=10**12 * (k % 2))
+            if k == 1:
+                events["t"][700:] += 1_000_000
+            write(folder / name / f"{k}{('.npz', '.npy')[k % 2]}", events)
+    return folder
+
+
+def count_by_hand(model, dataset):
+    """Every number from plain decisions: a Processor for each window of each recording, and no triggers."""
+    by_recording, by_window = np.zeros((3, 3), int), np.zeros((3, 3), int)
+    right, decided = np.zeros(10), np.zeros(10)
+    for path in sorted(dataset.glob("*/*")):
+        events = open_recording(path).read()
+        since = events["t"] - events["t"][0]
+        label, total = CLASSES.index(path.parent.name), np.zeros(3)
+        for window in np.unique(since // 60_000):
+            start_us = int(events["t"][0] + 60_000 * window)
+            inside = events[since // 60_000 == window]
+            for k, moment in enumerate([6_000 * (k + 1) for k in range(10)]):
+                processor = Processor(model, start_us=start_us)
+                processor.push(inside[inside["t"] < start_us + moment])
+                decision = processor.fire()
+                decided[k] += decision.events > 0
+                right[k] += decision.events > 0 and decision.index == label
+            total += decision.probabilities
+            by_window[label, decision.index] += 1
+        by_recording[label, total.argmax()] += 1
+    return by_recording, by_window, right / by_window.sum(), decided / by_window.sum()
+
+
+def test_the_numbers_are_those_of_an_independent_count(model, saved, dataset, program):
+    code, printed, told = program("evaluate", saved, dataset, "--json")
+    report = json.loads(printed)
+    assert code == 0 and told == "" and set(report) == KEYS and report["classes"] == list(CLASSES)
+    by_recording, by_window, right, decided = count_by_hand(model, dataset)
+    assert (
+        len(np.unique(by_window.argmax(1))) > 1 or (by_window > 0).sum() > 3
+    )  # decisions differ, else nothing is seen
+    np.testing.assert_array_equal(report["confusion"], by_recording)
+    np.testing.assert_array_equal(report["window_confusion"], by_window)
+    assert report["accuracy"] == pytest.approx(np.trace(by_recording) / 11)
+    assert report["window_accuracy"] == pytest.approx(np.trace(by_window) / by_window.sum())
+    shares = np.diag(by_recording) / by_recording.sum(1)
+    assert report["per_class"] == pytest.approx(dict(zip(CLASSES, shares, strict=True)))
+    assert report["balanced_accuracy"] == pytest.approx(shares.mean())
+    against_time = report["accuracy_against_time"]
+    assert [row["time_us"] for row in against_time] == [6_000 * (k + 1) for k in range(10)]
+    np.testing.assert_allclose([row["accuracy"] for row in against_time], right, atol=1e-12)
+    np.testing.assert_allclose([row["decided"] for row in against_time], decided, atol=1e-12)
+    assert report["events"] == 11 * 1500 and report["decisions"] >= report["windows"]
+    assert report["decisions_per_second"] == pytest.approx(report["decisions"] / report["seconds"])
+
+
+def test_workers_count_the_same(saved, dataset, program):
+    one, two = (
+        json.loads(program("evaluate", saved, dataset, "--json", *words)[1]) for words in ((), ("--workers", 2))
+    )
+    timed = {"seconds", "decisions_per_second", "events_per_second"}
+    assert {name: one[name] for name in KEYS - timed} == {name: two[name] for name in KEYS - timed}
+
+
+def test_a_trained_network_is_right_on_recordings_it_never_saw(trained, held_out, program, tmp_path):
+    pytest.importorskip("matplotlib", reason="the picture needs matplotlib (extra `plot`)")
+    code, printed, _ = program("evaluate", trained, held_out, "--json", "--picture", tmp_path / "c.png")
+    report = json.loads(printed)
+    assert code == 0 and report["recordings"] == 16
+    assert report["accuracy"] >= 0.85, report["confusion"]  # chance: 0.5; 14 of 16 by luck: 1 in 480
+    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_text_names_classes_and_times(saved, dataset, program):
+    code, printed, _ = program("evaluate", saved, dataset)
+    assert code == 0 and "of 11 recordings right" in printed
+    for line in ("flat ", "slanted ", "upright ", "6 ", "60 "):
+        assert any(row.startswith(line) for row in printed.splitlines()), line
+
+
+def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, program):
+    folder = write_set(tmp_path / "set", {"upright": 2, "flat": 2})
+    (folder / "flat" / "torn.npz").write_bytes(b"PK torn")
+    write(folder / "flat" / "silent.npz", bar("flat", 0)[:0])
+    write(folder / "flat" / "wide.npz", bar("flat", 0), sensor=(640, 480))
+    (folder / "slanted").mkdir()
+    code, printed, told = program("evaluate", saved, folder, "--json")
+    report = json.loads(printed)
+    assert code == 0 and report["recordings"] == 4 and report["per_class"]["slanted"] is None
+    assert told.count("\n") == 3 and told.count("async-tnt: skipped: ") == 3
+    for name, why in (("torn.npz", "not a readable NumPy file"), ("silent.npz", "no events"),
+                      ("wide.npz", "640x480 pixels, but the model is for 128x128")):  # fmt: skip
+        assert any(name in line and why in line for line in report["skipped"]), report["skipped"]
+    assert program("evaluate", saved, folder, "--strict")[0] == 2
+
+
+@pytest.mark.skipif(".csv" not in READERS, reason="no reader of CSV")
+def test_half_a_recording_is_none(saved, tmp_path, program):
+    """A file that ends in damage is skipped whole: its first events might show something else."""
+    folder = write_set(tmp_path / "set", {"upright": 2}, suffixes=(".csv",))
+    with (folder / "upright" / "01.csv").open("a") as file:
+        file.write("torn,1\n")
+    code, printed, told = program("evaluate", saved, folder, "--json")
+    assert code == 0 and json.loads(printed)["recordings"] == 1 and "01.csv: damaged recording" in told
+
+
+def test_the_folder_test_is_taken_where_there_is_one(saved, tmp_path, program):
+    write_set(tmp_path / "set" / "Train", {"upright": 3, "flat": 3})
+    write_set(tmp_path / "set" / "Test", {"upright": 2}, seed=1)
+    code, printed, _ = program("evaluate", saved, tmp_path / "set", "--json")
+    assert code == 0 and json.loads(printed)["recordings"] == 2
+
+
+def _unknown(folder):
+    write_set(folder, {"upright": 1})
+    for name in ("jump", "wave"):
+        write(folder / name / "a.npz", bar("flat", 0))
+
+
+def _all_damaged(folder):
+    write_set(folder, {"upright": 1})
+    (folder / "upright" / "00.npy").write_bytes(b"torn")
+
+
+def _none(folder):
+    (folder / "upright").mkdir(parents=True)
+
+
+@pytest.mark.parametrize(
+    ("make", "words", "text"),
+    [
+        (_unknown, (), "the model does not know class jump, wave; it knows flat, slanted, upright"),
+        (_all_damaged, (), "none of 1 recordings can be evaluated; "),
+        (_none, (), "no recordings in its class folders (upright)"),
+        (lambda folder: None, (), "no folder"),
+        (_none, ("--picture", "c.gif"), "--picture must end in .png, .svg, .pdf, got c.gif"),
+        (_none, ("--picture", "nowhere/c.png"), "--picture must be a file in a folder that is there"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_exit_code_2(make, words, text, saved, tmp_path, program):
+    pytest.importorskip("matplotlib", reason="--picture needs matplotlib (extra `plot`)")
+    make(tmp_path / "set")
+    code, printed, told = program("evaluate", saved, tmp_path / "set", *words)
+    assert code == 2 and text in told and told.count("\n") == 1 and printed == "", told
+
+
+def test_a_missing_model_is_said(tmp_path, program):
+    code, _, told = program("evaluate", tmp_path / "none.safetensors", tmp_path)
+    assert code == 2 and "no model file" in told
+
+
+def test_a_picture_without_matplotlib_is_refused_before_the_work(saved, dataset, program, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+    monkeypatch.setattr(evaluate, "run_all", lambda *words: pytest.fail("it began to stream"))
+    code, _, told = program("evaluate", saved, dataset, "--picture", tmp_path / "c.png")
+    assert code == 2 and "pip install '.[plot]'" in told
+
+
+@pytest.mark.parametrize("window_us", [1, 7, 10, 105_003])
+def test_moments_are_ten_and_the_last_is_the_windows_end(window_us):
+    found = moments(window_us)
+    assert len(found) == 10 and found[-1] == window_us
+    assert window_us < 10 or all(np.diff(found) > 0)

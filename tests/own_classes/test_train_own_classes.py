@@ -1,0 +1,245 @@
+"""`async-tnt train DATASET`: from a folder of class folders to a model that knows them."""
+
+import json
+
+import numpy as np
+import pytest
+from own_classes.gestures import bar, write, write_set
+
+from async_tnt.model import load_model
+from async_tnt.recordings import READERS
+
+pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+
+from async_tnt.training import command
+
+QUICK = ("--epochs", "2", "--batch", "8", "--patience", "0")
+
+
+@pytest.fixture
+def train(program, tmp_path):
+    def run(dataset, *words, name="m", quick=QUICK):
+        out = tmp_path / f"{name}.safetensors"
+        return *program("train", dataset, "--out", out, "--run", tmp_path / f"run {name}", *quick, *words), out
+
+    return run
+
+
+def test_the_model_has_the_folders_classes_and_the_recordings_sensor(trained):
+    model = load_model(trained)
+    assert model.classes == ("flat", "upright")
+    assert model.config.sensor == (128, 128) and model.config.grid == (34, 34)
+    assert model.record["data"]["classes"] == {"flat": 12, "upright": 12}
+    assert model.record["validation"]["recordings"] == 4  # a fifth, rounded, of each class
+
+
+def test_beside_the_model_are_its_numbers_and_pictures(trained):
+    report = json.loads(trained.with_suffix(".json").read_text())
+    assert report["classes"] == ["flat", "upright"]
+    confusion = np.array(report["confusion"])
+    assert confusion.sum() == len(report["held_out"]) == 4
+    assert report["accuracy"] == np.trace(confusion) / 4
+    assert len(report["history"]) == 6
+    pytest.importorskip("matplotlib", reason="pictures need matplotlib (extra `plot`)")
+    for suffix in (".confusion.png", ".curves.png"):
+        assert trained.with_suffix(suffix).read_bytes().startswith(b"\x89PNG")
+
+
+def test_three_classes_of_unequal_size_are_all_learned(tmp_path, train, program):
+    """24 to 6 to 5: a network that followed the counts alone would never say the rare ones."""
+    write_set(tmp_path / "set", {"upright": 24, "flat": 6, "slanted": 5})
+    write_set(tmp_path / "test", {"upright": 6, "flat": 6, "slanted": 6}, seed=1)
+    code, _, told, out = train(tmp_path / "set", quick=("--epochs", "10", "--batch", "8", "--patience", "0"))
+    assert code == 0 and "recordings: flat 6, slanted 5, upright 24" in told
+    code, printed, _ = program("evaluate", out, tmp_path / "test", "--json")
+    per_class = json.loads(printed)["per_class"]
+    assert code == 0 and min(per_class.values()) >= 0.6, per_class
+
+
+def test_bins_of_34_pixels_mix_with_other_formats(tmp_path, train):
+    suffixes = [suffix for suffix in (".bin", ".npy", ".npz", ".csv") if suffix in READERS]
+    write_set(tmp_path / "set", {"upright": 8, "flat": 8}, suffixes=suffixes, side=34)
+    code, _, _, out = train(tmp_path / "set")
+    assert code == 0 and load_model(out).config.sensor == (34, 34)
+    assert load_model(out).record["data"]["classes"] == {"flat": 8, "upright": 8}
+
+
+def test_the_option_says_the_sensor_where_no_recording_does(tmp_path, train):
+    write_set(tmp_path / "set", {"upright": 4, "flat": 4}, suffixes=(".npy",))
+    code, _, told, _ = train(tmp_path / "set")
+    assert code == 2 and "give --sensor WxH (the events need at least 1" in told
+    code, _, told, _ = train(tmp_path / "set", "--sensor", "64x64")
+    assert code == 2 and "flat/00.npy: every event must lie on the 64x64 sensor, got x = " in told
+    words = ("--sensor", "240x180", "--grid", "20x16", "--window-us", "50000")
+    code, _, _, out = train(tmp_path / "set", *words)
+    config = load_model(out).config
+    assert code == 0 and (config.sensor, config.grid, config.window_us) == ((240, 180), (20, 16), 50_000)
+    assert "--sensor 240x180 --grid 20x16 --window-us 50000" in load_model(out).record["command"]
+
+
+def test_long_recordings_have_several_windows_and_short_ones_a_partial_one(tmp_path, train):
+    for k in range(5):
+        write(tmp_path / "set" / "upright" / f"{k}.npz", bar("upright", k, duration_us=500_000, start_us=7_000_000_000))
+        write(tmp_path / "set" / "flat" / f"{k}.npz", bar("flat", k, duration_us=20_000))
+    code, _, told, _ = train(tmp_path / "set")
+    # one of five is held out of each class: 4 x 5 windows of 105 ms and 4 partial ones
+    assert code == 0 and "24 windows to train on, 6 held out" in told
+
+
+def test_train_and_test_folders(tmp_path, train):
+    write_set(tmp_path / "set" / "Train", {"upright": 5, "flat": 5})
+    code, _, told, _ = train(tmp_path / "set", "--test")
+    assert code == 2 and "--test needs a folder Test" in told
+    write_set(tmp_path / "set" / "Test", {"upright": 3}, seed=1)
+    code, _, _, out = train(tmp_path / "set", "--test")
+    assert code == 0 and load_model(out).record["test"]["recordings"] == 3
+    write_set(tmp_path / "set" / "Test", {"slanted": 1})
+    code, _, told, _ = train(tmp_path / "set", "--test", name="other")
+    assert code == 2 and "class slanted is unknown here; known are flat, upright" in told
+
+
+def test_empty_recordings_and_copies_are_left_out_and_said(tmp_path, train):
+    folder = write_set(tmp_path / "set", {"upright": 5, "flat": 5})
+    nothing = bar("flat", 0)[:0]
+    write(folder / "flat" / "silent.npz", nothing)
+    write(folder / "flat" / "zz.npy", np.load(folder / "flat" / "00.npy"))  # a name of both classes, and a copy
+    (folder / "flat" / "notes.md").write_text("no recording")
+    (folder / ".cache").mkdir()
+    code, _, told, out = train(folder)
+    assert code == 0 and load_model(out).record["data"]["classes"] == {"flat": 5, "upright": 5}
+    assert "left out: flat/silent.npz: no events" in told
+    assert "left out: flat/zz.npy: the same events as flat/00.npy" in told
+
+
+def test_a_class_of_one_recording_is_learned_and_not_held_out(tmp_path, train):
+    folder = write_set(tmp_path / "set", {"upright": 5, "flat": 1})
+    code, _, told, _ = train(folder)
+    assert code == 0 and "not held out, for want of a second recording: flat" in told
+    code, _, told, out = train(write_set(tmp_path / "two", {"upright": 5, "flat": 2}), name="two")
+    assert code == 0 and "not held out" not in told and load_model(out).record["data"]["held_out_recordings"] == 2
+
+
+def _one_class(folder):
+    write_set(folder, {"upright": 3})
+
+
+def _a_class_with_none(folder):
+    write_set(folder, {"upright": 3, "flat": 3})
+    (folder / "slanted").mkdir()
+    (folder / "slanted" / "notes.md").touch()
+
+
+def _a_class_of_silence(folder):
+    write_set(folder, {"upright": 3})
+    write(folder / "flat" / "a.npz", bar("flat", 0)[:0])
+
+
+def _in_two_classes(folder):
+    write_set(folder, {"upright": 3, "flat": 3})
+    write(folder / "flat" / "wrong.npy", np.load(folder / "upright" / "00.npy"))
+
+
+def _two_sensors(folder):
+    write_set(folder, {"upright": 3, "flat": 3}, suffixes=(".npz",))
+    write(folder / "flat" / "other.npz", bar("flat", 9), sensor=(640, 480))
+
+
+def _damaged(folder):
+    write_set(folder, {"upright": 3, "flat": 3})
+    (folder / "flat" / "torn.npy").write_bytes((folder / "flat" / "00.npy").read_bytes()[:-7])
+
+
+def _files_only(folder):
+    write(folder / "a.npy", bar("flat", 0))
+
+
+@pytest.mark.parametrize(
+    ("make", "text"),
+    [
+        (_one_class, "at least two class folders to tell apart, got upright"),
+        (_a_class_with_none, "no recordings in the class folder slanted; expected files in "),
+        (_a_class_of_silence, "no event in any recording of class flat"),
+        (_in_two_classes, "hold the same events, but are of two classes; remove one"),
+        (_two_sensors, "one sensor, got 128x128 (flat/00.npz), 640x480 (flat/other.npz)"),
+        (_damaged, "leave such files out with --skip-damaged"),
+        (_files_only, "no class folders; expected set/<class name>/<recording>"),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_a_folder_that_cannot_be_is_one_line_and_exit_code_2(make, text, tmp_path, train):
+    (tmp_path / "set").mkdir()
+    make(tmp_path / "set")
+    code, _, told, out = train(tmp_path / "set")
+    assert code == 2 and text in told and told.count("\n") == 1, told
+    assert not out.exists()
+
+
+def test_damaged_files_are_left_out_on_request(tmp_path, train):
+    (tmp_path / "set").mkdir()
+    _damaged(tmp_path / "set")
+    code, _, told, _ = train(tmp_path / "set", "--skip-damaged")
+    assert code == 0 and told.count("left out: ") == 1 and "torn.npy" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("DATASET", "--nmnist", "x"), "--nmnist must come without DATASET"),
+        (("DATASET", "--saccades", "1"), "--saccades must come without DATASET"),
+        (("--smoke", "--grid", "20x20"), "--grid must come with DATASET"),
+        (("DATASET", "--grid", "3x20"), "--grid must be at least 4x4"),
+        (("DATASET", "--sensor", "640x480"), "of one sensor, got 640x480 (--sensor), 128x128 (flat/"),
+        (("DATASET", "--patience", "-1"), "`patience` must be at least 1, got -1"),
+        (("DATASET", "--batch", "0"), "`batch` must be at least 1, got 0"),
+        (("nowhere",), "no folder nowhere"),
+    ],
+)
+def test_options_that_cannot_be_are_one_line(words, text, gestures, program, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, told = program("train", *(str(gestures) if word == "DATASET" else word for word in words))
+    assert code == 2 and text in told, told
+
+
+def test_a_size_is_two_numbers(program, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        program("train", "set", "--sensor", "128")
+    assert stopped.value.code == 2 and "such as 346x260, got '128'" in capsys.readouterr().err
+
+
+def test_interrupted_and_resumed_gives_the_same_model(gestures, train, monkeypatch):
+    quick = ("--epochs", "4", "--batch", "8", "--patience", "3")
+
+    def stop(items, title, total):
+        for item in items:
+            if title == "epoch 3/4":
+                raise KeyboardInterrupt
+            yield item
+
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "show_progress", stop)
+        code, _, told, out = train(gestures, name="cut", quick=quick)
+    assert code == 130 and "Give the same command again" in told and not out.exists()
+    assert train(gestures, name="cut", quick=quick)[0] == 0
+    code, *_, whole = train(gestures, name="whole", quick=quick)
+    assert code == 0
+    cut, one_go = load_model(out), load_model(whole)
+    assert cut.classes == one_go.classes and cut.record["kept"] == one_go.record["kept"]
+    for name, weights in one_go.weights.items():
+        np.testing.assert_array_equal(cut.weights[name], weights)
+    other = load_model(train(gestures, "--seed", "1", name="other", quick=quick)[-1])
+    assert not np.array_equal(other.weights["fc1.weight"], cut.weights["fc1.weight"])
+
+
+def test_training_on_needs_the_same_classes(trained, gestures, tmp_path, train):
+    code, *_, out = train(gestures, "--start-from", trained, "--epochs", "1")
+    assert code == 0 and load_model(out).config == load_model(trained).config
+    write_set(tmp_path / "set", {"upright": 3, "slanted": 3})
+    code, _, told, _ = train(tmp_path / "set", "--start-from", trained, name="other")
+    assert code == 2 and "class slanted is unknown here; known are flat, upright" in told
+
+
+def test_without_matplotlib_one_line_says_so(gestures, train, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib.figure", None)
+    code, _, told, out = train(gestures, "--epochs", "1")
+    assert code == 0 and told.count("matplotlib") == 1 and "pip install '.[plot]'" in told
+    assert out.with_suffix(".json").exists() and not out.with_suffix(".curves.png").exists()

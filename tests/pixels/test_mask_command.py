@@ -1,0 +1,224 @@
+"""async-tnt mask: what it finds, writes and says; damaged masks."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from made import events_of, random_events
+
+from async_tnt.cli import main
+from async_tnt.pixels import PixelFilter, load_mask, save_mask
+from async_tnt.recordings import open_recording, sample_recordings
+
+SAMPLE = sample_recordings()[3]
+
+
+def with_hot_pixels(path, *pixels):
+    """The sample of a 3 with hot pixels (x, y, events), as a file that does not say its sensor."""
+    events = [open_recording(SAMPLE).read()]
+    for x, y, n in pixels:
+        events.append(events_of(np.linspace(0, 300_000, n).astype(int), [x] * n, [y] * n, [1] * n))
+    events = np.concatenate(events)
+    np.save(path, events[np.argsort(events["t"], kind="stable")])
+    return path
+
+
+def test_it_finds_what_was_planted(tmp_path, capsys):
+    path = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200))
+    out = tmp_path / "mask.npy"
+    assert main(["mask", str(path), "--sensor", "34x34", "--out", str(out)]) == 0
+    mask = np.load(out)
+    assert mask.dtype == bool and mask.shape == (34, 34)
+    assert {(x, y) for y, x in np.argwhere(mask).tolist()} == {(30, 2), (3, 31)}
+    first, second, last = capsys.readouterr().out.splitlines()
+    n = open_recording(path).n_events
+    events = open_recording(path).read()
+    at = [int(((events["x"] == x) & (events["y"] == y)).sum()) for x, y in ((30, 2), (3, 31))]
+    assert first.split() == f"x 30 y 2 {at[0]} events {at[0] / n:.2%}".split()
+    assert second.split() == f"x 3 y 31 {at[1]} events {at[1] / n:.2%}".split()
+    assert last == f"2 hot pixels of 34x34 made {sum(at) / n:.2%} of {n} events: {out}"
+    assert len(PixelFilter((34, 34), mask=out)(events)) == n - sum(at)
+
+
+def test_it_says_so_where_there_are_none(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["mask", str(SAMPLE)]) == 0
+    n = open_recording(SAMPLE).n_events
+    said = f"no hot pixels: none of 34x34 stands out in {n} events; mask.npy masks nothing\n"
+    assert capsys.readouterr().out == said
+    assert not np.load("mask.npy").any()
+
+
+def test_recordings_of_one_camera_count_as_one(tmp_path, capsys):
+    """A pixel that is not far above its neighbours in either recording is, in both together."""
+    paths = []
+    for k in range(2):
+        events = np.concatenate([random_events(1156, seed=k), events_of([1] * 8, [7] * 8, [9] * 8, [1] * 8)])
+        np.save(tmp_path / f"{k}.npy", events)
+        paths.append(str(tmp_path / f"{k}.npy"))
+    found = []
+    for files in (paths[:1], paths[1:], paths):
+        assert main(["mask", *files, "--sensor", "34x34", "--json", "--out", str(tmp_path / "m.npy")]) == 0
+        found.append([(p["x"], p["y"]) for p in json.loads(capsys.readouterr().out)["hot_pixels"]])
+    assert found == [[], [], [(7, 9)]]
+
+
+def test_json_and_factor(tmp_path, capsys):
+    path = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200))
+    out = str(tmp_path / "mask.npy")
+    assert main(["mask", str(path), "--sensor", "34x34", "--json", "--out", out]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert [(p["x"], p["y"]) for p in said["hot_pixels"]] == [(30, 2), (3, 31)]
+    assert said["sensor"] == [34, 34] and said["out"] == out and said["events"] == open_recording(path).n_events
+    assert said["share"] == sum(p["events"] for p in said["hot_pixels"]) / said["events"]
+    assert main(["mask", str(path), "--sensor", "34x34", "--json", "--out", out, "--factor", "60"]) == 0
+    assert [(p["x"], p["y"]) for p in json.loads(capsys.readouterr().out)["hot_pixels"]] == [(30, 2)]
+
+
+def test_more_than_ten_are_not_all_listed(tmp_path, capsys):
+    path = with_hot_pixels(tmp_path / "a.npy", *((3 * k, 0, 400) for k in range(12)))
+    assert main(["mask", str(path), "--sensor", "36x34", "--out", str(tmp_path / "m.npy")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 12 and lines[10] == "... and 2 more" and lines[11].startswith("12 hot pixels of 36x34 made ")
+
+
+@pytest.mark.parametrize("suffix, start", [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")])
+def test_picture(suffix, start, tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra `plot`)")
+    path = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500))
+    picture = tmp_path / f"counts{suffix}"
+    command = ["mask", str(path), "--sensor", "34x34", "--out", str(tmp_path / "m.npy"), "--picture", str(picture)]
+    assert main(command) == 0
+    assert picture.read_bytes().startswith(start)
+    if suffix == ".svg":
+        assert "1 hot pixel<" in picture.read_text()
+
+
+def test_picture_without_matplotlib(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    out = tmp_path / "m.npy"
+    assert main(["mask", str(SAMPLE), "--out", str(out), "--picture", str(tmp_path / "a.png")]) == 2
+    assert "--picture draws with matplotlib: pip install '.[plot]'" in capsys.readouterr().err and not out.exists()
+
+
+def _missing(folder):
+    return [str(folder / "gone.npy")], "gone.npy: No such file"
+
+
+def _damaged(folder):
+    (folder / "bad.npy").write_bytes(b"hello")
+    return [str(folder / "bad.npy")], "bad.npy: not a readable NumPy file"
+
+
+def _no_sensor(folder):
+    path = with_hot_pixels(folder / "a.npy")
+    return [str(path)], "a.npy: the file does not say the camera's sensor; --sensor WxH does"
+
+
+def _off_sensor(folder):
+    path = with_hot_pixels(folder / "a.npy", (33, 33, 5))
+    return [str(path), "--sensor", "34x33"], "a.npy: `y` must be in [0, 33), got 33 at event"
+
+
+def _other_sensor(folder):
+    return [str(SAMPLE), "--sensor", "40x40"], "34x34 pixels, but --sensor or an earlier recording says 40x40"
+
+
+def _two_sensors(folder):
+    np.savez(folder / "b.npz", events=random_events(9), sensor=np.array([50, 50]))
+    return [str(SAMPLE), str(folder / "b.npz")], "b.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"
+
+
+def _empty(folder):
+    np.savez(folder / "e.npz", events=random_events(0), sensor=np.array([34, 34]))
+    return [str(folder / "e.npz")], "e.npz: no events, nothing to learn from"
+
+
+def _wrong_suffix(folder):
+    return [str(SAMPLE), "--out", str(folder / "m.png")], "m.png: a mask is written as .npy, got the suffix '.png'"
+
+
+def _no_folder(folder):
+    return [str(SAMPLE), "--out", str(folder / "no" / "m.npy")], "no: no such folder to write to"
+
+
+@pytest.mark.parametrize(
+    "make",
+    [_missing, _damaged, _no_sensor, _off_sensor, _other_sensor, _two_sensors, _empty, _wrong_suffix, _no_folder],
+    ids=lambda make: make.__name__.strip("_"),
+)
+def test_what_is_wrong_in_one_line(make, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments, message = make(tmp_path)
+    assert main(["mask", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.startswith("async-tnt: ") and len(captured.err.splitlines()) == 1
+    assert message in captured.err
+    assert not (tmp_path / "mask.npy").exists()
+
+
+@pytest.mark.parametrize(
+    "argv", [[], ["a.bin", "--sensor", "34"], ["a.bin", "--sensor", "0x4"], ["a.bin", "--factor", "1"],
+             ["a.bin", "--factor", "x"], ["a.bin", "--factor", "nan"]],
+)  # fmt: skip
+def test_bad_usage_exits_with_2(argv, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["mask", *argv])
+    assert stopped.value.code == 2
+    assert "usage: async-tnt mask" in capsys.readouterr().err
+
+
+def test_as_a_program(tmp_path):
+    command = [sys.executable, "-m", "async_tnt.cli", "mask", str(SAMPLE), "--out", str(tmp_path / "m.npy")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and done.stdout.startswith("no hot pixels: ") and done.stderr == ""
+
+
+# -- files of masks --------------------------------------------------------------------------------------
+
+
+def test_saved_masks_load_again(tmp_path):
+    mask = np.random.default_rng(0).random((20, 30)) < 0.5
+    save_mask(tmp_path / "m.npy", mask)
+    assert (load_mask(tmp_path / "m.npy", (30, 20)) == mask).all()
+    assert [path.name for path in tmp_path.iterdir()] == ["m.npy"]
+
+
+def test_every_damaged_byte_is_one_clear_error(tmp_path):
+    path = tmp_path / "m.npy"
+    save_mask(path, np.zeros((4, 6), bool))
+    whole = path.read_bytes()
+    for at in range(0, 128, 3):  # the header
+        for byte in (0, 255, whole[at] ^ 1):
+            path.write_bytes(whole[:at] + bytes([byte]) + whole[at + 1 :])
+            try:
+                assert load_mask(path, (6, 4)).shape == (4, 6)  # some bytes do not matter
+            except ValueError as error:
+                assert str(error).startswith(f"{path}: ")
+    for length in range(len(whole)):
+        path.write_bytes(whole[:length])
+        with pytest.raises(ValueError, match=r"m.npy: not a readable NumPy file"):
+            load_mask(path, (6, 4))
+
+
+def test_files_that_are_no_masks(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((4, 6)))
+    with pytest.raises(ValueError, match=r"a.npy: a mask of a 6x4 sensor must be a bool array.*got float64 of shape"):
+        load_mask(tmp_path / "a.npy", (6, 4))
+    np.savez(tmp_path / "a.npz", mask=np.zeros((4, 6), bool))
+    with pytest.raises(ValueError, match=r"a.npz: a mask of a 6x4 sensor must be a bool array.*got NpzFile"):
+        load_mask(tmp_path / "a.npz", (6, 4))
+    np.save(tmp_path / "o.npy", np.array([[None]]), allow_pickle=True)
+    with pytest.raises(ValueError, match=r"o.npy: not a readable NumPy file: Object arrays cannot be loaded"):
+        load_mask(tmp_path / "o.npy", (1, 1))
+    with pytest.raises(FileNotFoundError):
+        PixelFilter((34, 34), mask=tmp_path / "none.npy")
+
+
+@pytest.mark.parametrize("mask", [np.zeros((3, 4)), np.zeros(4, bool), [[1, 0]]])
+def test_what_is_no_mask_is_not_saved(mask, tmp_path):
+    with pytest.raises(ValueError, match=r"a mask must be a bool array of shape \(height, width\), got "):
+        save_mask(tmp_path / "m.npy", mask)
+    assert list(tmp_path.iterdir()) == []

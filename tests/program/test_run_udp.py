@@ -1,0 +1,91 @@
+"""async-tnt run udp://...: a stream from the network, on loopback."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from async_tnt import Processor, load_model
+from async_tnt.cli import main
+from async_tnt.network import UdpSender
+from async_tnt.recordings import open_recording, sample_recordings
+
+EVENTS = open_recording(sample_recordings()[7]).read()
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def send_later(port, events, after_s=0.3):
+    def send():
+        time.sleep(after_s)
+        with UdpSender(port=port) as sender:
+            for packet in np.array_split(events, 40):
+                sender.send(packet)
+                time.sleep(0.002)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    return thread
+
+
+def test_it_decides_what_a_file_gives(capsys):
+    port = free_port()
+    sender = send_later(port, EVENTS)
+    assert main(["run", "--json", "--every-us", "20000", f"udp://127.0.0.1:{port}?timeout_s=1"]) == 0
+    sender.join()
+    out, err = capsys.readouterr()
+    got = [json.loads(line) for line in out.splitlines()]
+    processor = Processor(load_model("digits"), every_us=20_000)
+    expected = processor.push(EVENTS) + processor.finish()
+    assert [(d["trigger"], d["time_us"], d["label"], d["events"]) for d in got] == [
+        (d.trigger, d.time_us, d.label, d.events) for d in expected
+    ]
+    assert f"listening at udp://127.0.0.1:{port}" in err and f"{len(EVENTS):,} events (0 malformed" in err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c_ends_it_with_the_counts():
+    port = free_port()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "async_tnt.cli", "run", f"udp://127.0.0.1:{port}"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    try:
+        line = process.stderr.readline()
+        while "listening" not in line and process.poll() is None:  # a cold cache says that it compiles
+            line = process.stderr.readline()
+        send_later(port, EVENTS, 0.0).join()
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert "7" in out and f"{len(EVENTS):,} events (0 malformed" in err and "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    "url, message",
+    [
+        ("udp://127.0.0.1", "expected udp://HOST:PORT"),
+        ("udp://127.0.0.1:99999", "expected udp://HOST:PORT"),
+        ("tcp://127.0.0.1:5", "expected udp://HOST:PORT"),
+        ("udp://127.0.0.1:5?format=jpeg", "format"),
+        ("udp://203.0.113.1:50000", "203.0.113.1"),
+    ],
+)
+def test_wrong_addresses_are_told_in_one_line(capsys, url, message):
+    assert main(["run", url]) == 2
+    err = capsys.readouterr().err
+    assert message in err and len(err.splitlines()) == 1

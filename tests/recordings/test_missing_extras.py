@@ -1,0 +1,91 @@
+"""What a user reads who has not installed what a format needs; and layouts that are not known."""
+
+import sys
+
+import numpy as np
+import pytest
+from recordings.written import WRITERS, dsec, made_events
+
+from async_tnt.recordings import DamagedRecording, aedat4, open_recording
+
+
+def test_faery_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setattr(aedat4, "find_spec", lambda name: None)
+    (tmp_path / "a.aedat4").write_bytes(b"#!AER-DAT4.0\r\n")
+    with pytest.raises(ImportError, match=r"a\.aedat4: AEDAT4 files are read by faery, .*: pip install '\.\[files\]'"):
+        open_recording(tmp_path / "a.aedat4")
+
+
+def test_h5py_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    with pytest.raises(ImportError, match=r"a\.h5: HDF5 files are read by h5py: pip install '\.\[hdf5\]'"):
+        open_recording(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize(("code", "hint"), [(0x8ECF, "Prophesee's ECF: install its plugin"), (0x7FFE, "filter 32766")])
+def test_a_filter_is_missing(tmp_path, code, hint):
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        group = file.create_group("CD")
+        plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plist.set_chunk((10,))
+        plist.set_filter(code, h5py.h5z.FLAG_OPTIONAL, ())  # else it could not even be written
+        dtype = h5py.h5t.py_create(np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")]))
+        h5py.h5d.create(group.id, b"events", dtype, h5py.h5s.create_simple((10,)), dcpl=plist)
+    with pytest.raises(ValueError, match=rf"a\.h5: its events are compressed by .*{hint}"):
+        open_recording(tmp_path / "a.h5")
+
+
+def test_hdf5_of_another_layout(tmp_path):
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["data"] = np.zeros(3)
+    with pytest.raises(ValueError, match=r"expected events/t, x, y, p \(DSEC\) or CD/events .*, got \['data'\]"):
+        open_recording(path)
+    dsec(path, made_events(5))
+    with h5py.File(path, "a") as file:
+        del file["events/x"]
+        file["events/x"] = np.zeros(4, "u2")
+    with pytest.raises(ValueError, match=r"must have one dimension and equal lengths, got \[\(4,\), \(5,\)\]"):
+        open_recording(path)
+    dsec(path, made_events(5))
+    with h5py.File(path, "a") as file:
+        del file["events/t"]
+        file["events/t"] = np.zeros(5)
+    with pytest.raises(ValueError, match=r"must be whole numbers, got float64"):
+        open_recording(path)
+
+
+def test_hdf5_values_that_are_no_events(tmp_path):
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    path = tmp_path / "a.h5"
+    dsec(path, made_events(5))
+    with h5py.File(path, "a") as file:
+        file["events/p"][3] = 7
+    with pytest.warns(DamagedRecording, match="event 3: t = .*, p = 7 is no event"):
+        assert open_recording(path).n_events == 3
+
+
+def test_metavision_polarity_may_be_minus_one(tmp_path):
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    path = tmp_path / "a.hdf5"
+    events = made_events(50)
+    WRITERS["metavision.hdf5"](path, events)
+    with h5py.File(path, "a") as file:
+        records = file["CD/events"][:]
+        records["p"] = np.where(records["p"] == 1, 1, -1)
+        file["CD/events"][:] = records
+    np.testing.assert_array_equal(open_recording(path).read(), events)
+
+
+def test_aedat4_child_stopped_for_good_is_damage(tmp_path, monkeypatch):
+    """A process that dies without a word, as faery's does where it runs out of memory."""
+    pytest.importorskip("faery", reason="AEDAT4 needs faery")
+    path = tmp_path / "a.aedat4"
+    WRITERS["dv.aedat4"](path, made_events(50))
+    recording = open_recording(path)
+    monkeypatch.setattr(aedat4.sys, "executable", "/bin/false")
+    with pytest.warns(DamagedRecording, match="after event 0: faery stopped for good at the damage"):
+        assert recording.n_events == 0
