@@ -6,6 +6,7 @@ import argparse
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 
 from . import __version__
@@ -58,7 +59,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else list(argv)
     args = build_parser(argv).parse_args(argv)
     try:
-        return args.main(args)
+        with warnings.catch_warnings():
+            warnings.showwarning = _say_warning  # type: ignore[assignment]
+            return args.main(args)
     except (OSError, ValueError, ImportError) as error:
         if isinstance(error, BrokenPipeError):  # `| head`: whoever read us has seen enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -68,6 +71,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         complain("interrupted")
         return 130
+
+
+def _say_warning(message: Warning | str, *where: object) -> None:
+    """A warning, such as that of a damaged recording, in one line and without the place in our code."""
+    complain(f"warning: {message}")
 
 
 if __name__ == "__main__":

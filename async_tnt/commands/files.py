@@ -68,9 +68,11 @@ def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:
             )
         if recording.sensor is None:
             try:
-                as_events(recording.read(), model.config.sensor)
+                for packet in recording:  # one after the other: the file may be larger than the memory
+                    as_events(packet, model.config.sensor)
             except (TypeError, ValueError) as error:
-                raise ValueError(f"{path}: {error}") from None
+                message = str(error)
+                raise ValueError(message if message.startswith(str(path)) else f"{path}: {message}") from None
         yield recording
 
 

@@ -139,10 +139,10 @@ def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:
         shown = np.ma.masked_equal(counts, 0)  # no events: white
         image = axes.imshow(shown, cmap="Greys", norm=LogNorm(0.5, max(2, counts.max())), interpolation="nearest")
         y, x = np.nonzero(hot)
-        axes.scatter(x, y, s=60, facecolors="none", edgecolors=ON, linewidths=1.2)
+        axes.scatter(x, y, s=300, facecolors="none", edgecolors=ON, linewidths=1.2)
         axes.set(title=f"{x.size} hot pixel{'' if x.size == 1 else 's'}", xlabel="x (pixels)", ylabel="y (pixels)")
         axes.set(xlim=(-1.5, width + 0.5), ylim=(height + 0.5, -1.5))
-        figure.colorbar(image, ax=axes, label="events")
+        figure.colorbar(image, ax=axes, label="events", format="%g")  # not 10^2, which needs mathematical text
         save(figure, path, dpi=120)
 
 

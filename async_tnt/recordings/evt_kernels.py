@@ -19,7 +19,6 @@ from numba import types
 
 from async_tnt.kernels.columns import COLUMN_TYPES
 from async_tnt.kernels.jit import compiled
-from async_tnt.recordings.time_wraps import next_time
 
 HIGH, LOW, ROW, BASE, POLARITY, UNPLACED = range(6)
 INITIAL = (-1, 0, -1, -1, 0, 0)
@@ -30,6 +29,37 @@ MAX_SIDE = 1 << 11  # 11 bits
 def kernel_types(word: types.Type) -> tuple[types.Type, ...]:
     """Argument types of a kernel for words of this type."""
     return (types.Array(word, 1, "C", readonly=True), types.int64, types.int64[::1], *COLUMN_TYPES)
+
+
+# here, and not in a file of its own: Numba compiles it into the kernels below, and looks only at this file to see
+# whether what it cached is old
+@compiled
+def next_time(time, raw, period):
+    """The time that a clock of so many steps shows as `raw`, nearest to the time before.
+
+    A step of less than half a period back is disorder, or a bit that fell over: later times are not moved by it.
+    A larger one is a wrap. No time lies before 0: what would, was a long gap.
+
+    Parameters
+    ----------
+    time : the unwrapped time before, or -1 at the start.
+    raw : what the clock shows, in [0, period).
+    """
+    if time < 0:
+        return raw
+    step = (raw - time) % period
+    if step >= period // 2 and time + step >= period:
+        step -= period
+    return time + step
+
+
+@compiled
+def unwrap_times(t, time, period):
+    """`next_time` for each of t: int64, updated in place. Returns the last one."""
+    for i in range(t.size):
+        time = next_time(time, t[i], period)
+        t[i] = time
+    return time
 
 
 @compiled

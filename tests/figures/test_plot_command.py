@@ -172,7 +172,7 @@ def saved(name, events, **more):
         (lambda: ["missing.bin"], "missing.bin: No such file"),
         (lambda: [written("cut.bin", bytes(7))], "cut.bin: damaged N-MNIST recording of 7 bytes"),
         (lambda: [written("empty.bin", b"")], "empty.bin: no events, nothing to draw"),
-        (lambda: [written("x.txt", b"hello")], "x.txt: unknown suffix '.txt'"),
+        (lambda: [written("x.doc", b"hello")], "x.doc: unknown suffix '.doc'"),
         (lambda: ["--out", "figure.jpg"], "--out must end in .png, .svg, .pdf, got figure.jpg"),
         (lambda: ["--out", "nowhere/figure.png"], "no folder nowhere to write figure.png to"),
         (lambda: ["--window", 4], "3.bin: no window 4; the recording has 3 windows of 105000 us"),
