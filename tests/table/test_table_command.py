@@ -137,6 +137,7 @@ def test_a_set_without_unseen_images_is_refused(small_nmnist, small_mnist, tmp_p
     assert "all of its 20 images are shown by training recordings" in capsys.readouterr().err
 
 
+@pytest.mark.filterwarnings("default:left out:UserWarning")
 def test_damaged_recordings_are_told_and_may_be_left_out(small_nmnist, small_set, tmp_path, capsys):
     folder = tmp_path / "nmnist"
     shutil.copytree(small_nmnist, folder)
