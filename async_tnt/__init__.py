@@ -12,15 +12,19 @@ Start with `Processor` (events in, decisions out), `TNTVolume` (the representati
 from . import recordings
 from .classifier import CompiledClassifier
 from .config import TNTConfig
+from .counts import Counts
 from .decision import Decision
 from .events import EVENT_DTYPE
+from .fresh import BackgroundReader, PacketQueue
 from .model import Model, bundled_models, load_model
+from .pixels import PixelFilter
 from .processor import Processor
+from .recordings import open_recording
 from .regressor import CompiledRegressor
 from .sources import replay
 from .streams import astream, stream
 from .triggers import LeakyIntegrator
-from .volume import Counts, TNTVolume
+from .volume import TNTVolume
 from .warmup import warmup
 from .window_replay import ReplayBufferFull
 
@@ -28,12 +32,15 @@ __version__ = "0.1.0"
 
 __all__ = [
     "EVENT_DTYPE",
+    "BackgroundReader",
     "CompiledClassifier",
     "CompiledRegressor",
     "Counts",
     "Decision",
     "LeakyIntegrator",
     "Model",
+    "PacketQueue",
+    "PixelFilter",
     "Processor",
     "ReplayBufferFull",
     "TNTConfig",
@@ -41,6 +48,7 @@ __all__ = [
     "astream",
     "bundled_models",
     "load_model",
+    "open_recording",
     "recordings",
     "replay",
     "stream",

@@ -13,13 +13,35 @@ from .decision import Decision
 from .events import Columns
 from .kernels import trigger as T
 from .kernels.classify import FULL, NOT_FINITE, NOTED, classify_stretch, softmax
+from .landmark_at_read import Regressor
+from .model import Model
 from .open_windows import OpenWindows
+from .regressor import CompiledRegressor
 from .triggers import Triggers
 from .volume import TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
 WHY = {T.BY_EVENTS: "every_events", T.BY_ACTIVITY: "activity", T.BY_CONFIDENCE: "confidence"}
 ROWS = 256  # decisions made in one compiled call, at most
+
+
+def networks_of(
+    model: Model | TNTConfig, classifier: Classifier | None, regressor: Regressor | None, classes: Sequence[str] | None
+) -> tuple[TNTConfig, Classifier, Regressor | None, Sequence[str] | None]:
+    """What decides: what was passed, and else the model's own."""
+    if isinstance(model, Model):
+        classes = model.classes if classes is None else classes
+        classifier = CompiledClassifier(model) if classifier is None else classifier
+        if regressor is None and model.config.needs_regressor:
+            regressor = CompiledRegressor(model)
+        return model.config, classifier, regressor, classes
+    if not isinstance(model, TNTConfig):
+        raise TypeError(
+            f"`model` must be a Model or a TNTConfig, got {type(model).__name__}; load_model(name) loads one"
+        )
+    if classifier is None:
+        raise TypeError("`classifier` is missing: a TNTConfig alone cannot decide; pass a Model or a callable")
+    return model, classifier, regressor, classes
 
 
 class Decider:

@@ -8,11 +8,12 @@ from itertools import islice
 import numpy as np
 
 from .config import TNTConfig
+from .counts import Counts
 from .events import Columns
 from .landmark_at_read import Regressor
 from .snapshot import Arrays, part, under
 from .triggers import positive_int
-from .volume import Counts, TNTVolume
+from .volume import TNTVolume
 
 MAX_OPEN_WINDOWS = 256
 

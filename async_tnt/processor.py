@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from .classifier import CompiledClassifier
 from .config import TNTConfig
-from .decider import Classifier, Decider
+from .counts import Counts
+from .decider import Classifier, Decider, networks_of
 from .decision import Decision
 from .events import Columns, EventDoor
 from .kernels.state import NEVER_US
@@ -17,10 +17,9 @@ from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
 from .landmark_at_read import Regressor
 from .model import Model
 from .open_windows import OpenWindows
-from .regressor import CompiledRegressor
-from .snapshot import from_bytes, to_bytes
+from .stream_state import read_stream, restore_stream, save_stream
 from .triggers import LeakyIntegrator, Triggers
-from .volume import Counts, checked_time
+from .volume import checked_time
 
 
 def _trigger(name: str) -> property:
@@ -87,20 +86,7 @@ class Processor:
         late: str = "accept",
         replay_events: int = 1 << 20,
     ) -> None:
-        if isinstance(model, Model):
-            self.config = model.config
-            classes = model.classes if classes is None else classes
-            classifier = CompiledClassifier(model) if classifier is None else classifier
-            if regressor is None and model.config.needs_regressor:
-                regressor = CompiledRegressor(model)
-        elif isinstance(model, TNTConfig):
-            self.config = model
-        else:
-            raise TypeError(
-                f"`model` must be a Model or a TNTConfig, got {type(model).__name__}; load_model(name) loads one"
-            )
-        if classifier is None:
-            raise TypeError("`classifier` is missing: a TNTConfig alone cannot decide; pass a Model or a callable")
+        self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         if isinstance(classes, str):
             raise TypeError(f"`classes` must be a sequence of names, got the single string {classes!r}")
         self._decider = Decider(self.config, classifier, classes)
@@ -120,8 +106,6 @@ class Processor:
         self._door.reset()
         self._windows.reset()
         self._triggers.forget()
-        self._trigger_us = NEVER_US  # next time trigger of the oldest window
-        self._n_decided = 0  # events of the oldest window at its last triggered decision
         self._choose_ways()
         if self._start_us is not None:
             self._open_windows(self._start_us)
@@ -152,8 +136,8 @@ class Processor:
         self._choose_ways()
         if len(self._windows):
             oldest = self._windows.oldest
-            self._set_trigger(max(oldest.start_us, oldest.newest_us))
-            self._windows.limit(self._trigger_us)
+            self._triggers.wait(max(oldest.start_us, oldest.newest_us), oldest.start_us)
+            self._windows.limit(self._triggers.due_us)
 
     def _choose_ways(self) -> None:
         """Take the shortest way for an event that the settings allow."""
@@ -239,21 +223,20 @@ class Processor:
 
     def _advance(self, t_us: int, decisions: list[Decision]) -> None:
         """Let time pass to `t_us`: trip triggers, close windows and open new ones on the way."""
-        windows = self._windows
+        windows, triggers = self._windows, self._triggers
         while len(windows):
             end_us = windows.oldest_end_us
-            if self._trigger_us <= t_us and self._trigger_us < end_us:
+            if triggers.due_us <= t_us and triggers.due_us < end_us:
                 new = []
-                if windows.oldest.n_events > self._n_decided:
+                if windows.oldest.n_events > triggers.n_decided:
                     new.append(self._decider.decide(windows.oldest, "every_us", level=self.confidence))
-                self._set_trigger(min(t_us, end_us))
+                triggers.wait(min(t_us, end_us), windows.oldest.start_us)
                 self._note(new, t_us, decisions)
             elif end_us <= t_us:
                 if windows.oldest.n_events:  # first: should the classifier raise, the window stays open
                     decisions.append(self._decider.decide(windows.oldest, "window", complete=True))
                 windows.drop_oldest()
-                self._n_decided = 0
-                self._set_trigger(end_us)
+                self._begin_oldest(end_us)
             else:
                 break
         self._open_windows(t_us)
@@ -263,27 +246,25 @@ class Processor:
         if not new:
             return
         decisions += new
-        self._n_decided = new[-1].events
+        self._triggers.n_decided = new[-1].events
         if new[-1].complete:
             self._windows.close_oldest(decided=True)
-            self._n_decided = 0
-            self._set_trigger(now_us)
+            self._begin_oldest(now_us)
             if len(self._windows):
-                self._windows.limit(self._trigger_us)
+                self._windows.limit(self._triggers.due_us)
 
     def _open_windows(self, t_us: int) -> None:
         """Open what is due at `t_us`."""
         if self._windows.open_until(t_us):
-            self._n_decided = 0
-            self._set_trigger(max(t_us, self._windows.oldest.start_us))
-        self._windows.limit(self._trigger_us)
+            self._begin_oldest(max(t_us, self._windows.oldest.start_us))
+        self._windows.limit(self._triggers.due_us)
 
-    def _set_trigger(self, now_us: int) -> None:
-        """The oldest window's next time trigger after `now_us`."""
-        self._trigger_us = NEVER_US
-        if self.every_us is not None and len(self._windows):
-            start_us = self._windows.oldest.start_us
-            self._trigger_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
+    def _begin_oldest(self, now_us: int) -> None:
+        """From now on another window is the oldest, or none is open."""
+        self._triggers.n_decided = 0
+        self._triggers.due_us = NEVER_US
+        if len(self._windows):
+            self._triggers.wait(now_us, self._windows.oldest.start_us)
 
     # -- stop here, go on there --------------------------------------------------------------------------
 
@@ -293,10 +274,7 @@ class Processor:
         Another one with the same configuration and settings, in this process or in another, goes on from there after
         `restore_state`, with the same volumes and decisions, bit for bit. The classifier is not in it.
         """
-        arrays = self._windows.snapshot()
-        own = (self._trigger_us, self._n_decided, self._door.newest_us, self._door.n_dropped)
-        arrays |= {"processor": np.array(own, np.int64), "triggers": self._triggers.state}
-        return to_bytes(arrays, {"fixed": self._fixed_settings(), "triggers": self._triggers.settings()})
+        return save_stream(self._fixed_settings(), self._windows, self._triggers, self._door)
 
     def restore_state(self, state: bytes) -> None:
         """Go on where `save_state` was called. The triggers are set as they were there.
@@ -306,19 +284,9 @@ class Processor:
         ValueError : damaged, or of a processor of other settings; the message names them. This one is then reset, or
             as it was before.
         """
-        arrays, about = from_bytes(state)
-        here = self._fixed_settings()
-        wrong = [f"{name} = {about['fixed'].get(name)}" for name in here if about["fixed"].get(name) != here[name]]
-        if wrong:
-            raise ValueError(f"`state` is of another processor, with {', '.join(wrong)}; here {here}")
-        activity = about["triggers"]["activity"]
-        triggers = about["triggers"] | {"activity": None if activity is None else LeakyIntegrator(**activity)}
+        arrays, triggers = read_stream(state, self._fixed_settings())
         try:
-            self._windows.restore(arrays)
-            self._triggers.set(**triggers)
-            self._triggers.state[:] = arrays["triggers"]
-            numbers = (int(k) for k in arrays["processor"])
-            self._trigger_us, self._n_decided, self._door.newest_us, self._door.n_dropped = numbers
+            restore_stream(arrays, triggers, self._windows, self._triggers, self._door)
         except (KeyError, ValueError) as error:
             self.reset()
             raise ValueError(f"`state` cannot be restored here: {error}") from None

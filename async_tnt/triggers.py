@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from .kernels import trigger as T
+from .kernels.state import NEVER_US
+from .snapshot import Arrays
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,13 @@ class LeakyIntegrator:
 
 
 class Triggers:
-    """The triggers of one processor, with what they remember of the stream."""
+    """The triggers of one processor, with what they remember of the stream.
+
+    Attributes
+    ----------
+    due_us : next moment of `every_us` in the oldest window.
+    n_decided : events of the oldest window at its last triggered decision.
+    """
 
     def __init__(self) -> None:
         self.every_us: int | None = None
@@ -54,6 +62,7 @@ class Triggers:
         self.confidence: float | None = None
         self.activity: LeakyIntegrator | None = None
         self.set()
+        self.forget()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -79,12 +88,32 @@ class Triggers:
         others = (self.every_us, self.every_events, self.activity)
         self._ints[T.EACH] = self.confidence is not None and others == (None, None, None)
         if restarts:
-            self.forget()
+            self._discharge()
 
     def forget(self) -> None:
-        """The stream begins anew: no potential."""
+        """The stream begins anew: no window, no potential."""
+        self.due_us = NEVER_US
+        self.n_decided = 0
+        self._discharge()
+
+    def _discharge(self) -> None:
         self.state[T.POTENTIAL] = 0.0
         self._ints[T.CHARGED_US] = 0
+
+    def wait(self, now_us: int, start_us: int) -> None:
+        """Be due at the first moment of `every_us` after `now_us`, in a window that starts at `start_us`."""
+        self.due_us = NEVER_US
+        if self.every_us is not None:
+            self.due_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
+
+    def snapshot(self) -> Arrays:
+        """What they remember, as arrays that `restore` takes; `settings` are not in it."""
+        return {"state": self.state, "times": np.array((self.due_us, self.n_decided), np.int64)}
+
+    def restore(self, arrays: Arrays) -> None:
+        """Go on where triggers of the same settings gave a `snapshot`."""
+        self.state[:] = arrays["state"]
+        self.due_us, self.n_decided = arrays["times"].tolist()
 
     def settings(self) -> dict[str, Any]:
         """As JSON can say them."""

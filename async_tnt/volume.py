@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from .config import TNTConfig
+from .counts import Counts
 from .events import Columns, EventDoor
 from .kernels import state as S
 from .kernels.read import copy_cells, empty_volume
@@ -19,31 +19,6 @@ from .snapshot import Arrays, buffer_arrays, part, restore_buffer, under
 from .window_replay import Replay
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
-
-
-@dataclass(frozen=True)
-class Counts:
-    """What became of the events since the volume was made or reset.
-
-    Every event received is kept or in exactly one of the dropped ones (where windows do not overlap):
-    received = kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_unstored + dropped_decided.
-    """
-
-    received: int = 0
-    kept: int = 0
-    dropped_outside: int = 0
-    """The transform put it outside the grid."""
-    dropped_tau_zero: int = 0
-    """At the very start of its window, where TNT time is zero."""
-    dropped_late: int = 0
-    """Before the start of the open window, or late under late="drop"."""
-    dropped_unstored: int = 0
-    """The replay buffer of landmark "window" or "regressor" was full."""
-    dropped_decided: int = 0
-    """Its window had been closed before its end, with a decision that was sure enough."""
-
-    def __add__(self, other: Counts) -> Counts:
-        return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))
 
 
 class TNTVolume:

@@ -10,8 +10,11 @@ from typing import Any, Protocol
 
 from ..config import TNTConfig
 from ..events import as_events
+from ..live_sources import is_live
 from ..model import Model, bundled_models, load_model
 from ..recordings import READERS, Recording, open_recording, sample_recordings
+
+Sensor = tuple[int, int]
 
 
 class HasConfig(Protocol):
@@ -22,8 +25,8 @@ class HasConfig(Protocol):
 
 
 def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False, streams: bool = False) -> None:
-    """FILE and --model; `onnx`: which may also be an .onnx file; `streams`: FILE may also be udp://HOST:PORT."""
-    sources = "udp://HOST:PORT, or " if streams else ""
+    """FILE and --model; `onnx`: which may also be an .onnx file; `streams`: FILE may also be udp://... or a camera."""
+    sources = "`camera`, udp://HOST:PORT, or " if streams else ""
     kinds = ", a .safetensors file, or an .onnx file of `async-tnt export`" if onnx else " or a .safetensors file"
     parser.add_argument(
         "files",
@@ -41,7 +44,7 @@ def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False, streams: b
 
 
 def _file_or_stream(text: str) -> Path | str:
-    return text if "://" in text else Path(text)
+    return text if is_live(text) else Path(text)
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
@@ -61,19 +64,27 @@ def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:
     """Open recordings one after the other, complaining about those that do not fit the model."""
     for path in paths:
         recording = open_recording(path)
-        if recording.sensor is not None and recording.sensor != model.config.sensor:
-            raise ValueError(
-                f"{path}: a sensor of {recording.sensor[0]}x{recording.sensor[1]} pixels, but the model is "
-                f"for {model.config.sensor[0]}x{model.config.sensor[1]}"
-            )
+        check_sensor(path, recording.sensor, model.config.sensor)
         if recording.sensor is None:
-            try:
-                for packet in recording:  # one after the other: the file may be larger than the memory
-                    as_events(packet, model.config.sensor)
-            except (TypeError, ValueError) as error:
-                message = str(error)
-                raise ValueError(message if message.startswith(str(path)) else f"{path}: {message}") from None
+            check_events(recording, model.config.sensor)
         yield recording
+
+
+def check_sensor(name: Any, found: Sensor | None, wanted: Sensor, who: str = "the model is for") -> None:
+    """Refuse a source whose sensor has another size (width, height) than wanted."""
+    if found is not None and tuple(found) != wanted:
+        raise ValueError(f"{name}: a sensor of {found[0]}x{found[1]} pixels, but {who} {wanted[0]}x{wanted[1]}")
+
+
+def check_events(recording: Recording, sensor: Sensor) -> None:
+    """Refuse a recording that does not say its sensor if any of its events is off this one."""
+    try:
+        for packet in recording:  # one after the other: the file may be larger than the memory
+            as_events(packet, sensor)
+    except (TypeError, ValueError) as error:
+        message = str(error)
+        name = str(recording.path)
+        raise ValueError(message if message.startswith(name) else f"{name}: {message}") from None
 
 
 def model_of(args: argparse.Namespace) -> Model:

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ..counts import Counts
 from ..decision import Decision
-from ..volume import Counts
+from ..processor import Processor
+from .decision_lines import Queue
 
 BAR = 32  # characters of a probability of 1
 MOST_CLASSES = 12  # more are not shown: the likeliest ones are
@@ -41,6 +43,7 @@ class LiveView:
         self._latencies: list[float] = []
         self._rates = _Rates()
         self._counts = Counts()
+        self._queue: Queue | None = None
         self._live = Live(
             get_renderable=self._draw, console=console, refresh_per_second=REFRESHES_PER_S, redirect_stdout=False
         )
@@ -54,9 +57,13 @@ class LiveView:
     ) -> None:
         self._live.__exit__(kind, error, traceback)
 
-    def show(self, decisions: Sequence[Decision], latency_us: float, counts: Counts) -> None:
-        """Take over what a packet brought: its decisions, the microseconds they took, and the counts since."""
+    def show(
+        self, decisions: Sequence[Decision], latency_us: float, counts: Counts, queue: Queue | None = None
+    ) -> None:
+        """Take over what a packet brought: its decisions, the microseconds they took, the counts since, and the queue
+        that it waited in."""
         self._counts = counts
+        self._queue = queue
         self._rates.add(counts.received, len(decisions))
         if decisions:
             self._decision = decisions[-1]
@@ -81,11 +88,21 @@ class LiveView:
             return f"no decision yet, {self._counts.received:,} events"
         events_per_s, decisions_per_s = self._rates.per_second()
         dropped = self._counts.received - self._counts.kept
+        waiting = ""
+        if (queue := self._queue) is not None:
+            waiting = f", {queue.delay_us / 1e3:.1f} ms old ({queue.backlog:,} waiting, {queue.n_skipped:,} skipped)"
         return (
             f"{self._decision.label} at {self._decision.time_us / 1e6:.3f} s, {self._decision.trigger}; "
             f"{events_per_s:,.0f} events/s ({dropped:,} of {self._counts.received:,} dropped), "
-            f"{decisions_per_s:,.0f} decisions/s, {np.median(self._latencies):.0f} us to a decision"
+            f"{decisions_per_s:,.0f} decisions/s, {np.median(self._latencies):.0f} us to a decision{waiting}"
         )
+
+
+def decide_often(processor: Processor) -> None:
+    """A decision each 20 ms, where no trigger says when."""
+    triggers = (processor.every_us, processor.every_events, processor.confidence, processor.activity)
+    if triggers == (None, None, None, None):
+        processor.every_us = 20_000
 
 
 class _Rates:

@@ -1,0 +1,94 @@
+"""Decisions of a recording: printed one by one, or drawn at its own pace."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ..decision import Decision
+from ..engines.choice import Engine
+from ..processor import Processor
+from ..recordings import Recording, open_recording
+from ..sources import replay
+from .decision_lines import Line
+from .files import check_events, complain
+from .live_view import LiveView, decide_often
+from .pixel_options import PixelOptions
+
+
+def open_selected(path: Any, pixels: PixelOptions) -> tuple[Recording, Iterator[Any]]:
+    """A recording, and its packets without what is to be left out.
+
+    Raises
+    ------
+    ValueError, OSError : unreadable, or of another sensor than the model is for.
+    """
+    recording = open_recording(path)
+    sensor = pixels.sensor_of(path, recording.sensor)
+    if recording.sensor is None:
+        check_events(recording, sensor)
+    return recording, pixels.select(recording, sensor)
+
+
+def print_decisions(
+    recording: Recording, packets: Iterable[Any], processor: Processor, engine: Engine, line: Line, *, summary: bool
+) -> None:
+    """A line for each decision and, with `summary`, one for the recording: the best mean probability of its windows.
+
+    Raises
+    ------
+    ValueError : there was nothing to decide.
+    """
+    processor.reset()
+    closed = []
+    for decision, latency_us in timed_decisions(packets, processor):
+        print(line(str(recording.path), decision, latency_us), flush=True)
+        if decision.complete or decision.trigger == "end":
+            closed.append(decision.probabilities)
+    if closed and summary:
+        mean = np.mean(closed, axis=0)
+        best = int(mean.argmax())
+        windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
+        print(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
+    late = processor.counts.dropped_late
+    if late:
+        complain(
+            f"{recording.path}: {late} of {recording.n_events} events dropped: they came late (see --late, --start-us)"
+        )
+    if not closed:
+        raise ValueError(f"{recording.path}: no event in any window, nothing to decide")
+
+
+def watch_decisions(
+    recording: Recording, packets: Iterable[Any], processor: Processor, engine: Engine, speed: float
+) -> None:
+    """Draw the stream at the recording's pace."""
+    processor.reset()
+    decide_often(processor)
+    with LiveView(engine.classes, recording.path.name) as view:
+        for packet in replay(packets, speed):
+            handed_over = time.perf_counter_ns()
+            decisions = processor.push(packet)
+            view.show(decisions, (time.perf_counter_ns() - handed_over) / 1e3, processor.counts)
+        view.show(processor.finish(), 0.0, processor.counts)
+
+
+def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:
+    """Each decision, and the microseconds from handing over the event that brought it about."""
+    clock = time.perf_counter_ns
+    for packet in packets:
+        for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
+            handed_over = clock()
+            decisions = processor.push_one(t, x, y, p)
+            if decisions:
+                latency_us = (clock() - handed_over) / 1e3
+                for decision in decisions:
+                    yield decision, latency_us
+    handed_over = clock()
+    decisions = processor.finish()
+    latency_us = (clock() - handed_over) / 1e3
+    for decision in decisions:
+        yield decision, latency_us
