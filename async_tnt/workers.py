@@ -1,6 +1,7 @@
 """Run a function over many tasks on several cores, in processes that end when their parent does.
 
-Processes are spawned, not forked: Numba's and the caller's threads do not survive a fork.
+Processes are spawned, not forked: Numba's and the caller's threads do not survive a fork. Each has a pipe of its own
+and one task at a time, so that when one is lost it is known which task it had.
 """
 
 from __future__ import annotations
@@ -10,13 +11,16 @@ import multiprocessing
 import os
 import signal
 import threading
+import traceback
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from multiprocessing.connection import Connection, wait
+from typing import Any, Generic, TypeVar
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+
+TRIES = 2  # of a task whose worker was lost
 
 
 def available_cores() -> int:
@@ -26,59 +30,145 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def run_all(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Generator[Result]:
+def run_all(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    workers: int,
+    *,
+    lost: Callable[[Task], Result] | None = None,
+) -> Generator[Result]:
     """Results of `function(task)`, in the order they are done.
 
     With one worker the calling process does the work itself. With more, `function` must be importable and
     tasks and results be picklable. An error in a task, Ctrl-C, or closing the iterator stops the workers at
     once, in the middle of their tasks; so does the end of the calling process, kill -9 included.
 
+    A worker that ends without an answer (killed, out of memory, crashed) is replaced, and its task done again, once.
+
+    Parameters
+    ----------
+    lost : gives the result of a task that ended two workers; without it, such a task is an error. It has no
+        meaning with one worker: what ends the calling process ends it.
+
     Raises
     ------
-    ChildProcessError : a worker ended without an answer.
+    ChildProcessError : a task ended two workers and there is no `lost`, or a worker ended before its first task.
     """
     workers = min(workers, len(tasks))
     if workers <= 1:
         yield from map(function, tasks)
         return
-    others = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
+    waiting = deque((task, 1) for task in tasks)
+    team: list[_Worker[Task, Result]] = []
     try:
         with _interrupt_ignored():
-            futures = [executor.submit(function, task) for task in tasks]
-        for future in as_completed(futures):
-            yield future.result()
-    except BaseException as error:
-        for child in set(multiprocessing.active_children()) - others:
-            child.terminate()
-        if isinstance(error, BrokenProcessPool):
-            raise ChildProcessError(
-                "a worker process ended without an answer: killed, out of memory, or started from a script without "
-                'the line `if __name__ == "__main__":`'
-            ) from error
-        raise
+            team += [_Worker(function) for _ in range(workers)]
+        while waiting or any(worker.busy for worker in team):
+            for ready in wait([worker.pipe for worker in team]):
+                worker = next(worker for worker in team if worker.pipe is ready)
+                try:
+                    kind, answer = worker.pipe.recv()
+                except (EOFError, OSError):
+                    team.remove(worker)
+                    ended = worker.stop()
+                    if worker.task is not None:
+                        task, n_tries = worker.task
+                        if n_tries < TRIES:
+                            waiting.appendleft((task, n_tries + 1))
+                        elif lost is None:
+                            raise ChildProcessError(_told(ended)) from None
+                        else:
+                            yield lost(task)
+                    elif not worker.has_begun:
+                        raise ChildProcessError(_told(ended)) from None
+                    if waiting:
+                        with _interrupt_ignored():
+                            team.append(_Worker(function))
+                    continue
+                if kind == "error":
+                    raise answer
+                worker.has_begun = True
+                worker.task = None
+                if waiting:
+                    worker.give(waiting.popleft())
+                if kind == "result":
+                    yield answer
+            for worker in team:  # that had nothing to do when a task came back
+                if waiting and worker.has_begun and not worker.busy:
+                    worker.give(waiting.popleft())
     finally:
-        executor.shutdown(wait=True, cancel_futures=True)
+        for worker in team:
+            worker.process.terminate()
+        for worker in team:
+            worker.stop()
 
 
-def _begin() -> None:
-    """In a worker: leave Ctrl-C to the parent, and end when the parent does, whatever ends it."""
+class _Worker(Generic[Task, Result]):
+    """A process, the pipe to it, and the task it has with the number of tries."""
+
+    def __init__(self, function: Callable[[Task], Result]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_work, args=(theirs, function), daemon=True)
+        self.task: tuple[Task, int] | None = None
+        self.has_begun = False
+        self.process.start()
+        theirs.close()  # else its end would not be seen as the end of the pipe
+
+    @property
+    def busy(self) -> bool:
+        return self.task is not None
+
+    def give(self, task: tuple[Task, int]) -> None:
+        self.task = task
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it has just ended: the next `recv` tells
+            self.pipe.send(task[0])
+
+    def stop(self) -> int | None:
+        self.process.join()
+        self.pipe.close()
+        return self.process.exitcode
+
+
+def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
+    """In a worker: leave Ctrl-C to the parent, and answer tasks until the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    pipe.send(("ready", None))
+    while True:
+        try:
+            task = pipe.recv()
+        except EOFError:
+            return
+        try:
+            answer = "result", function(task)
+        except Exception as error:
+            error.add_note(f"in a worker process:\n{traceback.format_exc()}")
+            answer = "error", error
+        try:
+            pipe.send(answer)
+        except Exception as error:  # it cannot be pickled: nothing was sent
+            pipe.send(("error", TypeError(f"a worker's answer cannot be sent: {error}; it was {answer[1]!r:.200}")))
 
 
 def _end_with(parent: multiprocessing.process.BaseProcess) -> None:
-    # Without this, workers of a killed parent would wait for ever: each holds both ends of the queue of tasks.
-    parent.join()
+    parent.join()  # a worker in the middle of a task would not see the end of its pipe
     os._exit(1)
+
+
+def _told(exitcode: int | None) -> str:
+    how = "" if exitcode is None else f" (exit code {exitcode})" if exitcode >= 0 else f" (signal {-exitcode})"
+    return (
+        f"a worker process ended without an answer{how}: killed, out of memory, or started from a script without "
+        'the line `if __name__ == "__main__":`'
+    )
 
 
 @contextlib.contextmanager
 def _interrupt_ignored() -> Iterator[None]:
-    """Processes spawned meanwhile ignore Ctrl-C from their first instruction on, before `_begin` is reached."""
+    """Processes spawned meanwhile ignore Ctrl-C from their first instruction on, before `_work` is reached."""
     if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
         yield
         return

@@ -4,30 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ..archive.job import Task, processor_of
+from ..config import TNTConfig
 from ..decision import Decision
-from ..model import Model, load_model
 from ..processor import Processor
 from ..recordings import open_recording
-from ..warmup import warmup
-from .class_folders import name_of
 
 N_MOMENTS = 10
-
-
-@dataclass(frozen=True)
-class Task:
-    """One recording to stream: picklable, so that a worker process can take it."""
-
-    index: int
-    path: Path
-    model: str
-    """What `load_model` takes."""
 
 
 @dataclass(frozen=True)
@@ -36,17 +25,17 @@ class Outcome:
 
     Parameters
     ----------
-    index : the task's.
     probabilities : float64, shape (W, K), of each window at its end.
     early : int64, shape (W, N_MOMENTS): the class decided at each of `moments`; -1 where no event had come by then.
+    starts_us : of each window.
     n_decisions, n_events : how many fell, and came.
     seconds : streaming took, without reading the file.
     error : why there is nothing of it; "" where there is.
     """
 
-    index: int
     probabilities: np.ndarray
     early: np.ndarray
+    starts_us: list[int] = field(default_factory=list)
     n_decisions: int = 0
     n_events: int = 0
     seconds: float = 0.0
@@ -65,6 +54,11 @@ def moments(window_us: int) -> list[int]:
     return [*(every_us * k for k in range(1, N_MOMENTS)), window_us]
 
 
+def evaluation_settings(config: TNTConfig) -> dict[str, Any]:
+    """Settings of the Processor that `stream_recording` asks at each of `moments`."""
+    return {"every_us": max(1, config.window_us // N_MOMENTS)}
+
+
 def stream_recording(task: Task) -> Outcome:
     """Stream one recording: windows from its first event, and a decision at each of `moments` too.
 
@@ -73,36 +67,48 @@ def stream_recording(task: Task) -> Outcome:
     Raises
     ------
     ImportError : its format needs a library that is not installed.
+    ValueError : the model is not the one that the task was made for.
     """
-    processor, model = _processor(task.model)
-    processor.reset()
-    none = np.empty((0, len(model.classes))), np.empty((0, N_MOMENTS), np.int64)
+    processor, engine = processor_of(task.job)
     try:
-        recording = open_recording(task.path, strict=True)
-        if recording.sensor is not None and tuple(recording.sensor) != model.config.sensor:
-            raise ValueError(
-                f"a sensor of {recording.sensor[0]}x{recording.sensor[1]} pixels, but the model is for "
-                f"{model.config.sensor[0]}x{model.config.sensor[1]}"
-            )
-        decisions: list[Decision] = []
-        seconds = 0.0
-        n_events = 0
-        for packet in recording:
-            n_events += len(packet)
-            started = time.perf_counter()
-            decisions += processor.push(packet)
-            seconds += time.perf_counter() - started
-        started = time.perf_counter()
-        decisions += processor.finish()
-        seconds += time.perf_counter() - started
-    except (ValueError, TypeError, OSError) as error:
-        return Outcome(task.index, *none, error=_told(error, task.path))
-    if not decisions:
-        return Outcome(task.index, *none, error=f"{name_of(task.path)}: no events")
+        decisions, n_events, seconds = decisions_of(task, processor, engine.config)
+    except (ValueError, TypeError, OSError, MemoryError) as error:
+        none = np.empty((0, len(engine.classes))), np.empty((0, N_MOMENTS), np.int64)
+        return Outcome(*none, error=told(error, task))
     windows = by_window(decisions)
     probabilities = np.array([window[-1].probabilities for window in windows])
-    early = np.array([decided_at(window, moments(model.config.window_us)) for window in windows])
-    return Outcome(task.index, probabilities, early, len(decisions), n_events, seconds)
+    early = np.array([decided_at(window, moments(engine.config.window_us)) for window in windows])
+    starts_us = [window[0].window_start_us for window in windows]
+    return Outcome(probabilities, early, starts_us, len(decisions), n_events, seconds)
+
+
+def decisions_of(task: Task, processor: Processor, config: TNTConfig) -> tuple[list[Decision], int, float]:
+    """All decisions of one recording, its events, and the seconds that streaming took without reading the file.
+
+    Raises
+    ------
+    ValueError, TypeError, OSError : the recording is damaged, anywhere; of another sensor; or without events.
+    """
+    recording = open_recording(task.path, strict=True)
+    if recording.sensor is not None and tuple(recording.sensor) != config.sensor:
+        raise ValueError(
+            f"a sensor of {recording.sensor[0]}x{recording.sensor[1]} pixels, but the model is for "
+            f"{config.sensor[0]}x{config.sensor[1]}"
+        )
+    decisions: list[Decision] = []
+    seconds = 0.0
+    n_events = 0
+    for packet in recording:
+        n_events += len(packet)
+        started = time.perf_counter()
+        decisions += processor.push(packet)
+        seconds += time.perf_counter() - started
+    started = time.perf_counter()
+    decisions += processor.finish()
+    seconds += time.perf_counter() - started
+    if not decisions:
+        raise ValueError("no events" if not n_events else "no event in any window, nothing to decide")
+    return decisions, n_events, seconds
 
 
 def by_window(decisions: Sequence[Decision]) -> list[list[Decision]]:
@@ -122,18 +128,10 @@ def decided_at(window: Sequence[Decision], after_us: Sequence[int]) -> list[int]
     return [next((d.index for d in reversed(window) if d.time_us - start_us < moment), -1) for moment in after_us]
 
 
-@lru_cache(maxsize=1)
-def _processor(name: str) -> tuple[Processor, Model]:
-    """One for all recordings of a process; compiled here, so that no recording's time has the compiler in it."""
-    model = load_model(name)
-    processor = Processor(model, every_us=max(1, model.config.window_us // N_MOMENTS))
-    warmup(model)
-    processor.fire()
-    return processor, model
-
-
-def _told(error: Exception, path: Path) -> str:
+def told(error: Exception, task: Task) -> str:
+    """One line on why there is nothing of a recording; begins with its name in the results."""
     if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    text = " ".join(str(error).split())
-    return text if path.name in text else f"{name_of(path)}: {text}"
+        return f"{task.recording}: {error.strerror}"
+    text = " ".join(str(error).split()) or type(error).__name__
+    text = text.replace(str(task.path), task.recording)  # one text, wherever the archive lies
+    return text if task.recording in text else f"{task.recording}: {text}"

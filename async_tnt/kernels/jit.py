@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,14 @@ from numba import config, njit
 _strict = partial(njit, error_model="numpy")
 
 
-def _stamp_of_all_kernels() -> tuple[Any, ...]:
-    files = [os.stat(path) for path in sorted(Path(__file__).parent.glob("*.py"))]
+@cache
+def _stamp_of(folder: Path) -> tuple[Any, ...]:
+    files = [os.stat(path) for path in sorted(folder.glob("*.py"))]
     return tuple((f.st_mtime, f.st_size) for f in files), getattr(config, "BOUNDSCHECK", None)
 
 
 _compiling = threading.Lock()
-STAMP = _stamp_of_all_kernels()
+STAMP = _stamp_of(Path(__file__).parent)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -45,10 +46,12 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any
     except RuntimeError:
         return _strict(**options)(function)
     # Numba looks only at the file of the function itself: after an edit of a formula that is compiled into it
-    # from elsewhere, it would go on serving the old code. So every cached kernel depends on all files here.
+    # from elsewhere, it would go on serving the old code. So every cached kernel depends on all files here, and
+    # on all files beside its own, for the kernels of other folders.
     cache_file: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if hasattr(cache_file, "_source_stamp"):
-        cache_file._source_stamp = (cache_file._source_stamp, STAMP)
+        beside = _stamp_of(Path(function.__code__.co_filename).parent)
+        cache_file._source_stamp = (cache_file._source_stamp, STAMP, beside)
     return kernel
 
 

@@ -20,7 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..events import EVENT_DTYPE
-from ..kernels.columns import MAX_TIME_US
+from ..kernels.jit import compile_only
+from .decode_kernel import AHEAD, ARGUMENTS, INITIAL, LATE, MALFORMED, NO_LIMIT, SPIF, SPIF_T32, T32, T64, decode_events
 
 EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32": 8}
 """Format -> bytes of one event."""
@@ -30,6 +31,7 @@ MAX_DATAGRAM_BYTES = 65_507
 _PACKED_8 = np.dtype([("t", "<u4"), ("x", "<u2"), ("y_on", "<u2")])
 _TIMED_WORD = np.dtype([("word", "<u4"), ("t", "<u4")])
 _ABSENT = 1 << 31  # SPIF: no time follows
+_KIND = {"t64_x16_y16_on8": T64, "t32_x16_y15_on1": T32, "spif": SPIF, "spif_t32": SPIF_T32}
 _MAX_SIDE = {"t64_x16_y16_on8": 1 << 16, "t32_x16_y15_on1": 1 << 15, "spif": 1 << 15, "spif_t32": 1 << 15}
 
 
@@ -39,7 +41,7 @@ class Decoded(NamedTuple):
     events: np.ndarray
     """Structured array of `EVENT_DTYPE`, new memory."""
     malformed: int
-    """Events left out: cut off, off the sensor, a polarity beyond 1, a time before 0 or from 2**62 us on."""
+    """Events left out: cut off, off the sensor, a polarity beyond 1, a time before 0, from 2**62 us on, or too far ahead."""
 
 
 def checked_format(format: str) -> str:
@@ -92,20 +94,49 @@ def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
 class Decoder:
     """Bytes of one stream to events. Never raises, whatever the bytes.
 
-    Times of 32 bits are unwrapped: each is taken to lie within 2**31 us (36 minutes) of the event before it, so what
-    comes out does not depend on how the stream was cut. `spif` has no time: its events get the time of arrival.
+    Times of 32 bits are unwrapped: each is taken to lie within 2**31 us (36 minutes) of the newest event before it, so
+    what comes out does not depend on how the stream was cut. `spif` has no time: its events get the time of arrival.
 
     Parameters
     ----------
     format : one of `EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: whatever the format can say.
+    max_jump_s : how far ahead of the stream, in seconds, an event may be; beyond that it is malformed, unless the
+        datagrams after it agree, see `async_tnt.network.decode_kernel`. None: as far as it likes.
     """
 
-    def __init__(self, format: str = "t64_x16_y16_on8", sensor: tuple[int, int] | None = None) -> None:
+    def __init__(
+        self,
+        format: str = "t64_x16_y16_on8",
+        sensor: tuple[int, int] | None = None,
+        max_jump_s: float | None = None,
+    ) -> None:
         self.format = checked_format(format)
+        if max_jump_s is not None and not 0 < max_jump_s < 1e9:
+            raise ValueError(f"`max_jump_s` must be a positive number of seconds, or None, got {max_jump_s}")
+        compile_only(decode_events, *ARGUMENTS)
         self.event_bytes = EVENT_BYTES[format]
         self.sensor = sensor
-        self._last_us: int | None = None  # of the newest place in the stream, for unwrapping
+        self.max_jump_s = max_jump_s
+        self._kind = _KIND[format]
+        self._width, self._height = sensor or (1 << 16, 1 << 16)
+        self._max_jump_us = NO_LIMIT if max_jump_s is None or format == "spif" else round(max_jump_s * 1e6)
+        self._state = np.array(INITIAL, np.int64)
+
+    @property
+    def malformed(self) -> int:
+        """Events left out so far, those of `ahead` among them."""
+        return int(self._state[MALFORMED])
+
+    @property
+    def ahead(self) -> int:
+        """Events left out because their time was too far ahead of the stream."""
+        return int(self._state[AHEAD])
+
+    @property
+    def late(self) -> int:
+        """Events older than one before them; they are not left out."""
+        return int(self._state[LATE])
 
     def decode(self, data: bytes | bytearray | memoryview, arrival_us: int | np.ndarray = 0) -> Decoded:
         """The events in `data`: a datagram, or several of whole events, end to end.
@@ -113,57 +144,35 @@ class Decoder:
         Parameters
         ----------
         data : bytes. What is left after the last whole event counts as one malformed event.
-        arrival_us : for `spif`: the time of its events, microseconds; one number, or one for each event.
+        arrival_us : microseconds on the receiver's clock: for `spif` the time of its events. One number for all as one
+            datagram, or one for each event, as if each had come in its own.
         """
         n, rest = divmod(len(data), self.event_bytes)
-        n_cut = int(rest > 0)
-        data = memoryview(data)[: n * self.event_bytes]
-        if self.format == "t64_x16_y16_on8":
-            raw = np.frombuffer(data, EVENT_DTYPE)
-            time = raw["t"]
-            good = (raw["p"] <= 1) & (time >= 0) & (time < MAX_TIME_US)  # u64 beyond int64 shows as negative
-            good &= self._on_sensor(raw["x"], raw["y"])
-            events = raw.copy() if good.all() else raw[good]
-            return Decoded(events, n_cut + n - len(events))
+        arrivals = np.array(arrival_us, np.int64, ndmin=1)
+        ends = np.arange(1, n + 1) if np.ndim(arrival_us) else np.array([n])
+        if len(arrivals) != len(ends):
+            raise ValueError(f"`arrival_us` must be one number or one for each of {n} events, got {len(arrivals)}")
+        self._state[MALFORMED] += rest > 0
+        before = self.malformed - (rest > 0)
+        events = self.decode_datagrams(np.frombuffer(data, np.uint8), ends, arrivals, len(ends))
+        return Decoded(events, self.malformed - before)
+
+    def decode_datagrams(self, raw: np.ndarray, ends: np.ndarray, arrivals: np.ndarray, n_datagrams: int) -> np.ndarray:
+        """The events of several datagrams of whole events, end to end in `raw`, as `EVENT_DTYPE` in new memory.
+
+        Parameters
+        ----------
+        raw : uint8, the bytes.
+        ends : int64, shape (at least n_datagrams,). Where each ends, in events.
+        arrivals : int64, as `ends`. When each came, in microseconds.
+        """
+        n = int(ends[n_datagrams - 1]) if n_datagrams else 0
         events = np.empty(n, EVENT_DTYPE)
-        time_32 = None
-        good = np.ones(n, bool)
-        if self.format == "t32_x16_y15_on1":
-            packed = np.frombuffer(data, _PACKED_8)
-            events["x"], events["y"], events["p"] = packed["x"], packed["y_on"] >> 1, packed["y_on"] & 1
-            time_32 = packed["t"]
-        else:
-            if self.format == "spif":
-                word = np.frombuffer(data, "<u4")
-                good = word >= _ABSENT
-                events["t"] = arrival_us
-            else:
-                timed = np.frombuffer(data, _TIMED_WORD)
-                word, time_32 = timed["word"], timed["t"]
-                good = word < _ABSENT
-            events["x"], events["y"], events["p"] = word >> 16 & 0x7FFF, word & 0x7FFF, word >> 15 & 1
-        good &= self._on_sensor(events["x"], events["y"])
-        if not good.all():
-            events = events[good]
-            time_32 = None if time_32 is None else time_32[good]
-        if time_32 is not None:  # of the good ones only: a malformed event must not lead the others astray
-            events["t"] = self._unwrap(time_32)
-            if len(events) and int(events["t"].min()) < 0:  # older than the first event, which came near 0
-                events = events[events["t"] >= 0]
-        return Decoded(events, n_cut + n - len(events))
-
-    def _on_sensor(self, x: np.ndarray, y: np.ndarray) -> np.ndarray | bool:
-        return True if self.sensor is None else (x < self.sensor[0]) & (y < self.sensor[1])
-
-    def _unwrap(self, time_32: np.ndarray) -> np.ndarray:
-        """t_i = t_(i-1) + the signed 32-bit difference; the first one as it is."""
-        if not len(time_32):
-            return np.empty(0, np.int64)
-        last_us = int(time_32[0]) if self._last_us is None else self._last_us
-        steps = np.diff(time_32, prepend=np.uint32(last_us & 0xFFFFFFFF)).view(np.int32)
-        t = last_us + np.cumsum(steps, dtype=np.int64)
-        self._last_us = int(t[-1])
-        return t
+        n_good = decode_events(
+            raw, self._kind, ends, arrivals, n_datagrams, self._width, self._height, self._max_jump_us, self._state,
+            np.frombuffer(events, np.uint8),
+        )  # fmt: skip
+        return events if n_good == n else events[:n_good]
 
 
 def decode(

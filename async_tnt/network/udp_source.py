@@ -3,45 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import logging
-import selectors
 import socket
-import struct
-import sys
+import threading
 import time
 from collections.abc import AsyncIterator, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from .counts import NetworkCounts
 from .datagrams import Decoder
+from .system_buffer import LostDatagrams, ask_for_buffer, buffer_advice
 from .url import checked_timeout, parse_udp_url, resolve
+from .waiting import Waiter
 
 ROOM = 1 << 16  # more than any datagram: none is ever cut off
 BATCH_BYTES = 1 << 18
-_SO_MEMINFO = 55  # Linux 4.12 and newer: nine u32, the last one counts drops
-_MEMINFO = struct.Struct("=9I")
 
 log = logging.getLogger("async_tnt.network")
-
-
-@dataclass(frozen=True)
-class NetworkCounts:
-    """What has come so far."""
-
-    datagrams: int
-    bytes: int
-    events: int
-    """Handed on."""
-    malformed: int
-    """Left out: cut off, off the sensor, polarity or time impossible."""
-    late: int
-    """Handed on, but older than one before: the network or the sender changed their order."""
-    lost: int | None
-    """Datagrams that the system threw away, mostly because its buffer was full; None where it does not say."""
 
 
 class UdpSource:
@@ -61,6 +42,11 @@ class UdpSource:
         log `async_tnt.network`.
     timeout_s : silence, in seconds, after which iterating ends; None waits for ever.
     max_datagrams : of one packet.
+    max_jump_s : an event this many seconds ahead of where the stream should be by now is malformed, so that one forged
+        or damaged time does not close all windows; where the datagrams after it agree, the stream has moved, and is
+        followed. None: every time is believed.
+    spin_us : how long to ask again and again before sleeping, microseconds. A thread that does not sleep need not be
+        woken, which is most of the latency; it keeps a core busy meanwhile.
 
     Raises
     ------
@@ -87,6 +73,8 @@ class UdpSource:
         buffer_bytes: int = 1 << 22,
         timeout_s: float | None = None,
         max_datagrams: int = 64,
+        max_jump_s: float | None = 10.0,
+        spin_us: float = 0.0,
     ) -> None:
         if not 0 <= port < 1 << 16:
             raise ValueError(f"`port` must be in [0, 65535], got {port}")
@@ -94,36 +82,38 @@ class UdpSource:
             raise ValueError(f"`buffer_bytes` must be in [1, 2**30), got {buffer_bytes}")
         if max_datagrams < 1:
             raise ValueError(f"`max_datagrams` must be at least 1, got {max_datagrams}")
+        if not 0 <= spin_us <= 1e6:
+            raise ValueError(f"`spin_us` must be in [0, 1,000,000] microseconds, got {spin_us}")
         self.timeout_s = None if timeout_s is None else checked_timeout(timeout_s)
         self.max_datagrams = max_datagrams
-        self._decoder = Decoder(format, sensor)
-        self._memory = memoryview(bytearray(BATCH_BYTES))
-        self._datagrams = self._bytes = self._events = self._malformed = self._late = 0
-        self._newest_us = -1
+        self.spin_us = spin_us
+        self._decoder = Decoder(format, sensor, max_jump_s)
+        self._raw = np.empty(BATCH_BYTES, np.uint8)
+        self._memory = memoryview(self._raw)
+        self._ends = np.empty(max_datagrams, np.int64)
+        self._arrivals = np.empty(max_datagrams, np.int64)
+        # to write a number through these takes a quarter of the time
+        self._ends_list, self._arrivals_list = memoryview(self._ends), memoryview(self._arrivals)
+        self._datagrams = self._bytes = self._events = self._cut = 0
         self._started_ns = time.monotonic_ns()
-        self._lost: int | None = None
-        self._waiting: set[tuple[asyncio.AbstractEventLoop, asyncio.Future]] = set()
         self._closed = False
+        # Held while a thread reads or waits, so that `close` does not take the socket's number away under it:
+        # the system may give that to another one. Re-entrant: a signal's handler may close, too.
+        self._reading = threading.RLock()
         family, where = resolve(address, port)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
             self._socket.bind(where)
-            self.buffer_bytes = _ask_for_buffer(self._socket, buffer_bytes)
-            self._wake_out, self._wake_in = socket.socketpair()  # lets `close` end a wait in another thread
-            self._selector = selectors.DefaultSelector()
-            self._selector.register(self._socket, selectors.EVENT_READ, "datagram")
-            self._selector.register(self._wake_out, selectors.EVENT_READ, "close")
+            self.buffer_bytes = ask_for_buffer(self._socket, buffer_bytes)
+            self._waiter = Waiter(self._socket)
         except OSError as error:
             self._socket.close()
             raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
+        self._lost = LostDatagrams(self._socket)
         self.address, self.port = self._socket.getsockname()[:2]
-        self.advice: str | None = None
-        if self.buffer_bytes < buffer_bytes:
-            self.advice = (
-                f"the system gives {self.buffer_bytes:,} bytes for waiting datagrams of the {buffer_bytes:,} asked "
-                f"for; bursts may be lost (Linux: sudo sysctl net.core.rmem_max={buffer_bytes})"
-            )
+        self.advice = buffer_advice(self.buffer_bytes, buffer_bytes)
+        if self.advice:
             log.warning("%s", self.advice)
 
     @property
@@ -141,8 +131,15 @@ class UdpSource:
     @property
     def counts(self) -> NetworkCounts:
         """Counts up to now; `lost` is asked of the system at this moment."""
-        self._read_lost()
-        return NetworkCounts(self._datagrams, self._bytes, self._events, self._malformed, self._late, self._lost)
+        decoder = self._decoder
+        return NetworkCounts(
+            self._datagrams, self._bytes, self._events, self._cut + decoder.malformed, decoder.late, self._lost.read(),
+            decoder.ahead,
+        )  # fmt: skip
+
+    def summary(self) -> str:
+        """What was counted so far, in one line for people."""
+        return self.counts.summary()
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else "open"
@@ -153,14 +150,21 @@ class UdpSource:
     def receive(self, timeout_s: float | None = None) -> np.ndarray | None:
         """The next packet; None if none came within `timeout_s` (None: wait for ever) or the source was closed."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        while not self._closed:
-            events = self._drain()
-            if events is not None:
-                return events
-            left = None if deadline is None else deadline - time.monotonic()
-            if left is not None and left <= 0:
-                return None
-            self._wait(left)
+        spin_ns = round(self.spin_us * 1000)
+        with self._reading:
+            while not self._closed:
+                events = self._drain()
+                if events is not None:
+                    return events
+                if spin_ns:
+                    spin_until = time.monotonic_ns() + spin_ns
+                    while time.monotonic_ns() < spin_until and not self._closed:
+                        if (events := self._drain()) is not None:
+                            return events
+                left = None if deadline is None else deadline - time.monotonic()
+                if left is not None and left <= 0:
+                    return None
+                self._waiter.wait(left)
         return None
 
     def __iter__(self) -> Iterator[np.ndarray]:
@@ -171,9 +175,10 @@ class UdpSource:
         """Cancelling the task that waits here closes the source."""
         try:
             while not self._closed:
-                events = self._drain()
+                with self._reading:
+                    events = self._drain()
                 if events is None:
-                    if not await self._readable():
+                    if self._closed or not await self._waiter.wait_in_task(self.timeout_s, self._wait):
                         return
                     continue
                 yield events
@@ -181,103 +186,61 @@ class UdpSource:
         except asyncio.CancelledError:
             self.close()
             raise
-
-    async def _readable(self) -> bool:
-        """Whether a datagram came before silence or the end."""
-        loop = asyncio.get_running_loop()
-        came: asyncio.Future[bool] = loop.create_future()
-        descriptor = self._socket.fileno()
-        try:
-            loop.add_reader(descriptor, _settle, came, True)
-        except NotImplementedError:  # Windows' default loop watches no sockets
-            return await self._readable_by_thread()
-        entry = (loop, came)
-        self._waiting.add(entry)
-        try:
-            return await asyncio.wait_for(came, self.timeout_s)
-        except TimeoutError:
-            return False
         finally:
-            self._waiting.discard(entry)
-            loop.remove_reader(descriptor)
             if self._closed:
-                self._socket.close()
+                self._release()
 
-    async def _readable_by_thread(self) -> bool:
-        return await asyncio.to_thread(self._wait, self.timeout_s)
-
-    def _wait(self, timeout_s: float | None) -> bool:
-        """Wait for a datagram, for `close`, or so long; returns whether a datagram came."""
-        return any(key.data == "datagram" for key, _ in self._selector.select(timeout_s)) and not self._closed
+    def _wait(self, timeout_s: float | None) -> None:
+        with self._reading:
+            if not self._closed:
+                self._waiter.wait(timeout_s)
 
     def _drain(self) -> np.ndarray | None:
         """All that waits, up to the limits, as one packet; None if there is no event in it."""
         size = self._decoder.event_bytes
-        memory, filled, n_datagrams = self._memory, 0, 0
-        lengths, arrivals = [], []
-        receive_into = self._socket.recv_into
-        clock = time.monotonic_ns if self.format == "spif" else None
+        memory, filled, n_datagrams, started_ns = self._memory, 0, 0, self._started_ns
+        ends, arrivals, most = self._ends_list, self._arrivals_list, self.max_datagrams
+        receive_into, clock = self._socket.recv_into, time.monotonic_ns
         try:
-            while n_datagrams < self.max_datagrams and filled + ROOM <= BATCH_BYTES:
+            while n_datagrams < most and filled + ROOM <= BATCH_BYTES:
                 n = receive_into(memory[filled:])
-                n_datagrams += 1
                 self._bytes += n
-                n_whole = n // size * size  # the next one goes where whole events end
-                self._malformed += n_whole != n
-                filled += n_whole
-                if clock:
-                    lengths.append(n_whole // size)
-                    arrivals.append((clock() - self._started_ns) // 1000)
+                n_whole = n // size  # the next one goes where whole events end
+                self._cut += n_whole * size != n
+                filled += n_whole * size
+                ends[n_datagrams] = filled // size
+                arrivals[n_datagrams] = (clock() - started_ns) // 1000
+                n_datagrams += 1
         except BlockingIOError:
             pass
         except OSError as error:
             if self._socket.fileno() == -1 or error.errno == errno.EBADF:
                 return None
             # Windows tells here of a datagram too long, or of an answer of ours that was refused: none of ours
-        self._datagrams += n_datagrams
         if not filled:
+            self._datagrams += n_datagrams
             return None
-        arrival_us = np.repeat(np.array(arrivals, np.int64), lengths) if clock else 0
-        events, malformed = self._decoder.decode(memory[:filled], arrival_us)
-        self._malformed += malformed
-        if not len(events):
-            return None
+        events = self._decoder.decode_datagrams(self._raw, self._ends, self._arrivals, n_datagrams)
+        self._datagrams += n_datagrams
         self._events += len(events)
-        t = np.ascontiguousarray(events["t"])
-        if t[0] < self._newest_us or (t[1:] < t[:-1]).any():
-            newest = np.maximum.accumulate(np.concatenate(([self._newest_us], t)))
-            self._late += int((t < newest[:-1]).sum())
-            self._newest_us = int(newest[-1])
-        else:
-            self._newest_us = int(t[-1])
-        return events
+        return events if len(events) else None
 
     # -- the end -----------------------------------------------------------------------------------------
-
-    def _read_lost(self) -> None:
-        if self._closed or not sys.platform.startswith("linux"):
-            return
-        try:
-            info = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
-        except OSError:
-            return
-        if len(info) == _MEMINFO.size:
-            dropped = _MEMINFO.unpack(info)[8]
-            before = self._lost or 0
-            self._lost = before + (dropped - before) % (1 << 32)  # the system's counter has 32 bits
 
     def close(self) -> None:
         """Stop listening and end every iteration, from any thread; counts stay. Twice does no harm."""
         if self._closed:
             return
-        self._read_lost()
+        self._lost.read()
         self._closed = True
-        for loop, came in list(self._waiting):
-            if not loop.is_closed():
-                loop.call_soon_threadsafe(_settle, came, False)
-        self._wake_in.close()  # the other end becomes readable
-        if not self._waiting:  # an event loop must let go of a socket before its number is given to another one
+        self._waiter.wake()
+        if not self._waiter.in_task:  # otherwise the task does it, once its event loop has let go of the socket
+            self._release()
+
+    def _release(self) -> None:
+        with self._reading:  # a thread that waited has been woken
             self._socket.close()
+            self._waiter.close()
 
     def __enter__(self) -> UdpSource:
         return self
@@ -292,12 +255,9 @@ class UdpSource:
         self.close()
 
     def __del__(self) -> None:
-        if hasattr(self, "_wake_in"):
+        if hasattr(self, "_lost"):
             self.close()
-            self._socket.close()
-            self._wake_out.close()
-        if hasattr(self, "_selector"):
-            self._selector.close()
+            self._release()
 
 
 def open_udp(url: str, sensor: tuple[int, int] | None = None, **settings: Any) -> UdpSource:
@@ -310,18 +270,3 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None, **settings: Any) -
     """
     host, port, format, timeout_s = parse_udp_url(url)
     return UdpSource(host, port, format, sensor, **{"timeout_s": timeout_s, **settings})
-
-
-def _settle(came: asyncio.Future, value: bool) -> None:
-    if not came.done():
-        came.set_result(value)
-
-
-def _ask_for_buffer(sock: socket.socket, n_bytes: int) -> int:
-    """Ask for room for waiting datagrams; returns what there is."""
-    with_overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles what it is asked, and says the double
-    before = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-    if before < n_bytes * with_overhead:
-        with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, n_bytes)
-    return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // with_overhead

@@ -10,16 +10,25 @@ from __future__ import annotations
 import json
 import struct
 import sys
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
+MOST_BYTES = 4 << 30  # of addresses; a packet takes megabytes, but a damaged file may ask for anything
 DTYPE = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 
 
 def _write(out: Any, **said: Any) -> None:
     out.write(json.dumps(said).encode() + b"\n")
     out.flush()
+
+
+def _limit_memory() -> None:
+    with suppress(ImportError, OSError, ValueError):  # no POSIX, or a lower limit already
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
 
 
 def main(path: str) -> None:
@@ -55,4 +64,5 @@ def main(path: str) -> None:
 
 
 if __name__ == "__main__":
+    _limit_memory()
     main(sys.argv[1])

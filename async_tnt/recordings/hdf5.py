@@ -50,6 +50,7 @@ class Hdf5Source(Source):
         try:
             with self._h5py.File(path, "r") as file:
                 _, n_events, self._offset_us = self._layout(file)
+                self._check_filled(file)
                 self.sensor = _geometry(file) if "CD" in file else None
         except ValueError:
             raise
@@ -118,6 +119,20 @@ class Hdf5Source(Source):
         for data in sets:
             self._check_filters(data)
         return read, min(sizes)[0], offset
+
+    def _check_filled(self, file: Any) -> None:
+        """Refuse what the file does not hold: HDF5 reads zeros there, as many as the header says."""
+        for data in [file["events"][name] for name in COLUMNS] if "events" in file else [file["CD"]["events"]]:
+            if data.chunks is None:
+                needed, have = data.size * data.dtype.itemsize, data.id.get_storage_size()
+                what = "bytes"
+            else:
+                needed, have, what = -(-data.size // data.chunks[0]), data.id.get_num_chunks(), "chunks"
+            if have < needed:
+                raise ValueError(
+                    f"{self.path}: {data.name} says that it has {data.size} events, but the file holds {have} of "
+                    f"their {needed} {what}"
+                )
 
     def _check_filters(self, data: Any) -> None:
         plist = data.id.get_create_plist()

@@ -1,43 +1,80 @@
 """Recordings as NumPy files: `.npy` and `.npz`.
 
 `.npy`   a structured array with the fields t, x, y, p in any order (names as at the door, see `events`), or an
-         (N, 4) integer array of columns t, x, y, p.
+         (N, 4) integer array of columns t, x, y, p. Mapped, and read block by block.
 `.npz`   one such array under the name `events` (or the only array in the file), or four arrays t, x, y, p;
-         beside either, `sensor` = (width, height) where it is known.
+         beside either, `sensor` = (width, height) where it is known. A zip archive cannot be mapped: it is loaded.
 
 Times are integer microseconds; polarity is bool, 0/1 or -1/+1. Nothing is unpickled.
 """
 
 from __future__ import annotations
 
+import math
 import os
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from async_tnt.event_forms import NAMES
-from async_tnt.events import as_events
+from async_tnt.event_forms import NAMES, Four, named_columns
+from async_tnt.events import as_events, checked_columns
+from async_tnt.recordings.damage import Damage
+from async_tnt.recordings.source import BLOCK_EVENTS, Source, packed
 
 ANY_SENSOR = (1 << 16, 1 << 16)  # what uint16 pixels can say
+MOST_PACKED = 1100  # zip's deflate makes 1032 bytes one at best
 
 
-def read_npy(path: str | os.PathLike[str]) -> tuple[np.ndarray, tuple[int, int] | None]:
-    """Read a `.npy` recording.
-
-    Returns
-    -------
-    Structured array of `EVENT_DTYPE`, and None: the format does not say the sensor.
+class NpySource(Source):
+    """The events of a `.npy` file. The format does not say the sensor.
 
     Raises
     ------
-    ValueError : damaged, or not laid out as the module says.
+    ValueError : damaged, of another size than its header says, or not laid out as the module says.
     OSError : missing or not readable.
     """
-    array = _load(path)
-    if isinstance(array, dict):
-        raise ValueError(f"{path}: a .npy file must hold one array, got a zip archive; rename it to .npz")
-    return _checked(path, _form(path, array), ANY_SENSOR), None
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with path.open("rb") as file:  # so that a missing file is an OSError
+            if file.read(4) == b"PK\x03\x04":
+                raise ValueError(f"{path}: a .npy file must hold one array, got a zip archive; rename it to .npz")
+            size = os.fstat(file.fileno()).st_size
+        try:
+            array = self._map()
+            start = int(array.offset)
+        # Everything: numpy evaluates the header as a Python literal, so that one damaged byte can surface as
+        # TokenError, OverflowError and a dozen others.
+        except Exception as error:
+            raise ValueError(f"{path}: not a readable NumPy file: {error}") from error
+        if start + array.nbytes != size:
+            raise ValueError(
+                f"{path}: not a readable NumPy file: its header says {array.nbytes} bytes of {array.dtype} in shape "
+                f"{array.shape}, but {size - start} follow"
+            )
+        self._n_events = len(_columns(path, array)[0])
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        off: int | None = None  # how this file writes OFF, once it has: 0 or -1
+        for start in range(0, self._n_events, BLOCK_EVENTS):
+            # mapped anew for each block: pages that were read stay in memory as long as their map does
+            columns = _columns(self.path, self._map()[start : start + BLOCK_EVENTS])
+            events, problem = packed(*columns)
+            p = columns[3][: len(events)]
+            if off is None and (p < 1).any():
+                off = int(p[int(np.argmax(p < 1))])
+            if off is not None and (mixed := p == -1 - off).any():
+                events = events[: int(np.argmax(mixed))]
+                problem = f"p = {-1 - off}, and before it {off}: polarity is 0/1 or -1/+1, not both"
+            yield events
+            if problem is not None:
+                raise Damage(f"event {start + len(events)}: {problem}")
+
+    def _map(self) -> np.memmap:
+        return np.lib.format.open_memmap(self.path, mode="r")
 
 
 def read_npz(path: str | os.PathLike[str]) -> tuple[np.ndarray, tuple[int, int] | None]:
@@ -53,7 +90,7 @@ def read_npz(path: str | os.PathLike[str]) -> tuple[np.ndarray, tuple[int, int] 
     OSError : missing or not readable.
     """
     arrays = _load(path)
-    if not isinstance(arrays, dict):
+    if arrays is None:
         raise ValueError(f"{path}: a .npz file must be a zip archive of arrays, got a single .npy array")
     stored = arrays.pop("sensor", None)
     sensor = None if stored is None else _sensor(path, stored)
@@ -69,18 +106,34 @@ def read_npz(path: str | os.PathLike[str]) -> tuple[np.ndarray, tuple[int, int] 
     return _checked(path, form, sensor or ANY_SENSOR), sensor
 
 
-def _load(path: str | os.PathLike[str]) -> np.ndarray | dict[str, np.ndarray]:
-    """The file's array, or its arrays by name."""
+def _load(path: str | os.PathLike[str]) -> dict[str, np.ndarray] | None:
+    """The arrays of a zip archive by name; None if it is no archive."""
     with Path(path).open("rb") as file:  # here, so that a missing file is an OSError and nothing below is
         try:
             loaded = np.load(file, allow_pickle=False)
-            if isinstance(loaded, np.lib.npyio.NpzFile):
-                return {name: loaded[name] for name in loaded.files}
-        # Everything: numpy evaluates the header as a Python literal and sizes its buffer from it, so that one
-        # damaged byte can surface as TokenError, MemoryError, BadZipFile and a dozen others.
+            if not isinstance(loaded, np.lib.npyio.NpzFile):
+                return None
+            assert loaded.zip is not None  # it is open
+            for info in loaded.zip.infolist():
+                _check_member(loaded.zip, info, os.fstat(file.fileno()).st_size)
+            return {name: loaded[name] for name in loaded.files}
+        # Everything: numpy evaluates the header as a Python literal, so that one damaged byte can surface as
+        # TokenError, BadZipFile and a dozen others.
         except Exception as error:
             raise ValueError(f"{path}: not a readable NumPy file: {error}") from error
-    return loaded
+
+
+def _check_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, size: int) -> None:
+    """Refuse what would make numpy ask for more memory than the file can fill: it believes each array's header."""
+    if info.file_size > MOST_PACKED * size:
+        raise ValueError(f"{info.filename} claims {info.file_size} bytes, more than {size} bytes of file can hold")
+    with archive.open(info) as member:
+        version = np.lib.format.read_magic(member)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(member)
+        claimed = member.tell() + math.prod(shape) * dtype.itemsize
+    if claimed != info.file_size and not dtype.hasobject:  # numpy says itself that it does not unpickle
+        raise ValueError(f"{info.filename} claims {claimed} bytes and has {info.file_size}")
 
 
 def _form(path: str | os.PathLike[str], array: np.ndarray) -> Any:
@@ -95,6 +148,19 @@ def _form(path: str | os.PathLike[str], array: np.ndarray) -> Any:
     )
 
 
+def _columns(path: Path, array: np.ndarray) -> Four:
+    """The columns t, x, y, p of events in whole numbers; their values are unchecked."""
+    try:
+        named = named_columns(_form(path, array))
+        columns = named if named is not None else (np.empty(0, np.int64),) * 4
+        if not all(c.ndim == 1 and c.dtype.kind in ("iub" if i == 3 else "iu") for i, c in enumerate(columns)):
+            t, x, y, p = (column[:1] if column.ndim == 1 else column for column in columns)
+            checked_columns(t, x, y, p, ANY_SENSOR)  # raises, and says what is wrong
+        return columns
+    except (TypeError, ValueError) as error:
+        raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+
+
 def _checked(path: str | os.PathLike[str], form: Any, sensor: tuple[int, int]) -> np.ndarray:
     try:
         return as_events(form, sensor)
@@ -106,3 +172,8 @@ def _sensor(path: str | os.PathLike[str], stored: np.ndarray) -> tuple[int, int]
     if stored.shape != (2,) or stored.dtype.kind not in "iu" or (stored < 1).any():
         raise ValueError(f"{path}: `sensor` must be two positive integers (width, height), got {stored!r}")
     return int(stored[0]), int(stored[1])
+
+
+def open_npy(path: Path) -> Source:
+    """Open a `.npy` recording."""
+    return NpySource(path)

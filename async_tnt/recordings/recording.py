@@ -16,6 +16,8 @@ from async_tnt.recordings.damage import Damage, DamagedRecording
 from async_tnt.recordings.formats import READERS
 from async_tnt.recordings.source import ArraySource, Sensor, Source
 
+PACKED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
+
 
 @dataclass
 class _Totals:
@@ -35,7 +37,7 @@ class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
     Iterating yields packets lazily, and afresh each time: copies, so that what is done to a packet stays
-    there. Formats that can be long (all but `.bin`, `.npy` and `.npz`) are read block by block, so that memory
+    there. Formats that can be long (all but `.bin` and `.npz`) are read block by block, so that memory
     does not grow with the file. `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over such a file,
     unless one was made before.
     """
@@ -202,8 +204,8 @@ def open_recording(
     path : file to read.
     packet_events : events per packet when iterating; the last packet has what is left.
     strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning; True raises
-        a ValueError when the reading gets there. Either way a file of which nothing can be understood, and a
-        damaged `.bin`, `.npy` or `.npz`, is refused here, with a ValueError.
+        a ValueError when the reading gets there. Either way a file of which nothing can be understood, a
+        damaged `.bin` or `.npz`, and a `.npy` of the wrong size, is refused here, with a ValueError.
     unsorted : what to do with events older than one before them: "accept", "drop" them, or "raise" a
         ValueError when the reading gets there. `Recording.n_unsorted` counts them.
 
@@ -213,7 +215,7 @@ def open_recording(
 
     Raises
     ------
-    ValueError : unknown suffix, damaged file, unknown policy, or `packet_events` below 1.
+    ValueError : unknown suffix, damaged file, a pipe or device, unknown policy, or `packet_events` below 1.
     OSError : missing or not readable.
     ImportError : the format needs an extra that is not installed; names it.
 
@@ -232,7 +234,10 @@ def open_recording(
         raise ValueError(f"`unsorted` must be one of {', '.join(LATE_POLICIES)}, got {unsorted!r}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
+        hint = "; unpack it first" if path.suffix.lower() in PACKED else ""
+        raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}{hint}")
+    if path.exists() and not path.is_file() and not path.is_dir():  # opening a pipe without a writer waits for ever
+        raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
     found = reader(path)
     source = found if isinstance(found, Source) else ArraySource(*found)
     return Recording(path, source, source.sensor, int(packet_events), strict=strict, unsorted=unsorted)

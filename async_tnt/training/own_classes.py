@@ -76,8 +76,8 @@ def read_classes(
             read = _from_first_event(recording.read())
         except (ValueError, OSError) as error:
             if not skip_damaged:
-                raise ValueError(f"{_told(error, path)} Or leave such files out with --skip-damaged.") from None
-            left_out.append(_told(error, path))
+                raise ValueError(_told(error, path)) from None
+            left_out.append(_told(error, path).replace(str(path), name_of(path)))
             continue
         if len(read) == 0:
             left_out.append(f"{name_of(path)}: no events")
@@ -100,8 +100,9 @@ def read_classes(
         kept.append(name_of(path))
     empty = [name for label, name in enumerate(names) if label not in labels]
     if empty and (classes is None or not labels):  # of a given list of classes, one recording is enough
+        why = f" (left out: {' '.join(left_out)})" if left_out else ""
         raise ValueError(
-            f"{folder}: no event in any recording of class {', '.join(empty)}; record some, or remove the folder"
+            f"{folder}: no event in any recording of class {', '.join(empty)}; record some, or remove the folder{why}"
         )
     size = _one_sensor(folder, sensors, sensor, events)
     recordings = Recordings.from_events(events, labels, kept)

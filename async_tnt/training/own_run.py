@@ -19,7 +19,7 @@ from async_tnt.datasets.sizes import parse_size
 from async_tnt.model import Model
 
 from .augment import Augmentation
-from .own_classes import OwnClasses, read_classes
+from .own_classes import read_classes
 from .settings import TrainSettings
 from .windows import Progress, Windows, lay_windows, split_recordings
 
@@ -79,10 +79,8 @@ def load(args: argparse.Namespace, config: TNTConfig, start: Model | None, progr
             grid=parse_size(args.grid) if args.grid else config.grid, window_us=args.window_us or config.window_us
         )
         _check_grid(config)
-    own = read_classes(
-        args.dataset, sensor=sensor, classes=classes, skip_damaged=args.skip_damaged, progress=progress
-    )  # fmt: skip
-    _say_left_out(own)
+    own = read_classes(args.dataset, sensor=sensor, classes=classes, skip_damaged=True, progress=progress)
+    _say_left_out(own.left_out)
     config = config.replace(sensor=own.sensor)
     share = 0.2 if args.validation is None else args.validation
     learned, held_out = split_recordings(own.recordings, share, np.random.default_rng(args.seed), at_least=1)
@@ -98,6 +96,7 @@ def load(args: argparse.Namespace, config: TNTConfig, start: Model | None, progr
         "sensor": list(own.sensor),
         "real_recordings": len(learned),
         "held_out_recordings": len(held_out),
+        "left_out": list(own.left_out),
     }
 
     def windows_of(which: np.ndarray) -> Windows:
@@ -110,10 +109,9 @@ def load(args: argparse.Namespace, config: TNTConfig, start: Model | None, progr
 def load_test(args: argparse.Namespace, config: TNTConfig, classes: tuple[str, ...], progress: Progress) -> Windows:
     """The windows of DATASET/Test."""
     own = read_classes(
-        args.dataset / "Test", part="Test", sensor=config.sensor, classes=classes, skip_damaged=args.skip_damaged,
-        progress=progress,
-    )  # fmt: skip
-    _say_left_out(own)
+        args.dataset / "Test", part="Test", sensor=config.sensor, classes=classes, skip_damaged=True, progress=progress
+    )
+    _say_left_out(own.left_out)
     return lay_windows(own.recordings, config.window_us, first_event=True, duration_us=None)
 
 
@@ -144,10 +142,21 @@ def write_beside(
 ) -> list[Path]:  # fmt: skip
     """Write <out>.json, and <out>.confusion.png and <out>.curves.png where matplotlib is installed.
 
+    Last of all, it names the recordings that were left out once more: hours may lie between.
+
     Returns
     -------
     The files written.
     """
+    written = _write_beside(out, scores, history, summary, held_out)
+    _say_left_out(summary["data"]["left_out"])
+    return written
+
+
+def _write_beside(
+    out: Path, scores: Scores | None, history: Sequence[dict[str, float]], summary: Mapping[str, Any],
+    held_out: Sequence[str],
+) -> list[Path]:  # fmt: skip
     from .curves import plot_curves
 
     report = {} if scores is None else scores.to_dict()
@@ -175,6 +184,6 @@ def _check_grid(config: TNTConfig) -> None:
         raise ValueError(f"--grid must be at least 4x4 for the network's two poolings, got {config.grid}")
 
 
-def _say_left_out(own: OwnClasses) -> None:
-    for line in own.left_out:
+def _say_left_out(lines: Sequence[str]) -> None:
+    for line in lines:
         print(f"left out: {line}", file=sys.stderr)

@@ -29,3 +29,12 @@ def test_many_classes_with_long_names_fit(tmp_path):
 def test_a_shape_that_does_not_fit_is_refused():
     with pytest.raises(ValueError, match=r"`confusion` must have shape \(2, 2\), .* got \(3, 3\)"):
         draw_confusion(CONFUSION, ["left", "right"])
+
+
+def test_accuracy_against_time_stands_beside_it():
+    figure = draw_confusion(CONFUSION, ["left", "right", "none"], "mine", [(10_000, 0.2, 0.5), (20_000, 0.9, 1.0)])
+    right, decided = figure.axes[1 + 1].lines
+    np.testing.assert_allclose(right.get_xydata(), [(10, 0.2), (20, 0.9)])
+    np.testing.assert_allclose(decided.get_ydata(), [0.5, 1.0])
+    boxes = [axes.get_position() for axes in figure.axes]
+    assert boxes[0].x1 < boxes[1].x0 < boxes[1].x1 < boxes[2].x0 < boxes[2].x1 <= 1

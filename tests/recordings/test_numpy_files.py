@@ -134,7 +134,7 @@ def test_damage_gives_an_error_that_names_the_file_or_valid_events(tmp_path_fact
         raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
     path.write_bytes(raw)
     try:
-        events = open_recording(path).read()
+        events = open_recording(path, strict=True).read()
     except ValueError as error:
         assert path.name in str(error)
     else:
