@@ -89,3 +89,40 @@ def test_wrong_addresses_are_told_in_one_line(capsys, url, message):
     assert main(["run", url]) == 2
     err = capsys.readouterr().err
     assert message in err and len(err.splitlines()) == 1
+
+
+def test_a_reader_that_stays_fresh_says_so(capsys):
+    port = free_port()
+    sender = send_later(port, EVENTS)
+    options = ["--json", "--latest", "4096", "--every-us", "20000"]
+    assert main(["run", *options, f"udp://127.0.0.1:{port}?timeout_s=1"]) == 0
+    sender.join()
+    out, err = capsys.readouterr()
+    got = [json.loads(line) for line in out.splitlines()]
+    processor = Processor(load_model("digits"), every_us=20_000)
+    expected = processor.push(EVENTS) + processor.finish()
+    assert [(d["trigger"], d["label"], d["events"]) for d in got] == [(d.trigger, d.label, d.events) for d in expected]
+    assert all(d["n_skipped"] == 0 and d["backlog"] >= 0 and 0 <= d["delay_us"] < 1e6 for d in got[:-1])
+    assert "0 skipped to stay fresh" in err and f"{len(EVENTS):,} events" in err
+
+
+def test_a_region_and_a_mask_of_a_stream(capsys):
+    port = free_port()
+    moved = EVENTS.copy()
+    moved["x"] += 60
+    sender = send_later(port, moved)
+    options = ["--json", "--latest", "64", "--roi", "60,0,34,34", "--crop", "--sensor", "100x40"]
+    assert main(["run", *options, f"udp://127.0.0.1:{port}?timeout_s=1"]) == 0
+    sender.join()
+    out, err = capsys.readouterr()
+    processor = Processor(load_model("digits"))
+    expected = processor.push(EVENTS) + processor.finish()
+    assert [(d["label"], d["events"]) for d in map(json.loads, out.splitlines())] == [
+        (d.label, d.events) for d in expected
+    ]
+    assert "left out: 0 outside of the region, 0 of masked pixels" in err
+
+
+def test_a_region_of_a_stream_whose_sensor_nobody_knows(capsys):
+    assert main(["run", f"udp://127.0.0.1:{free_port()}?timeout_s=1", "--roi", "60,0,34,34", "--crop"]) == 2
+    assert "does not say the camera's pixels, which --crop needs: give --sensor WxH" in capsys.readouterr().err
