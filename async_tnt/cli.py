@@ -23,6 +23,7 @@ COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(a
     "table": ("async_tnt.table.command", "train and test the thesis' results table (extra: train)"),
     "simulate": ("async_tnt.simulation.command", "make N-MOVING-MNIST: every digit of MNIST under 30 motions"),
     "mask": ("async_tnt.commands.mask", "find the hot pixels of recordings, for PixelFilter to leave out"),
+    "view": ("async_tnt.commands.view", "show a stream in the Rerun viewer while it is classified (extra: view)"),
     "plot": ("async_tnt.figures.command", "draw events, volumes and decisions of a recording (extra: plot)"),
 }
 

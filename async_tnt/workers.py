@@ -1,7 +1,7 @@
 """Run a function over many tasks on several cores, in processes that end when their parent does.
 
 Processes are spawned, not forked: Numba's and the caller's threads do not survive a fork. Each has a pipe of its own
-and one task at a time, so that when one is lost it is known which task it had.
+and its tasks in order, so that when one is lost it is known which task it was at.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import queue
 import signal
 import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -21,6 +23,7 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 TRIES = 2  # of a task whose worker was lost
+QUICK_S, AHEAD = 0.05, 3  # a worker whose tasks take less has so many more at hand
 
 
 def available_cores() -> int:
@@ -63,7 +66,7 @@ def run_all(
     try:
         with _interrupt_ignored():
             team += [_Worker(function) for _ in range(workers)]
-        while waiting or any(worker.busy for worker in team):
+        while waiting or any(worker.tasks for worker in team):
             for ready in wait([worker.pipe for worker in team]):
                 worker = next(worker for worker in team if worker.pipe is ready)
                 try:
@@ -71,16 +74,17 @@ def run_all(
                 except (EOFError, OSError):
                     team.remove(worker)
                     ended = worker.stop()
-                    if worker.task is not None:
-                        task, n_tries = worker.task
+                    if not worker.has_begun:
+                        raise ChildProcessError(_told(ended)) from None
+                    if worker.tasks:
+                        task, n_tries = worker.tasks.popleft()  # the one it was at; the others had not begun
+                        waiting.extendleft(reversed(worker.tasks))
                         if n_tries < TRIES:
                             waiting.appendleft((task, n_tries + 1))
                         elif lost is None:
                             raise ChildProcessError(_told(ended)) from None
                         else:
                             yield lost(task)
-                    elif not worker.has_begun:
-                        raise ChildProcessError(_told(ended)) from None
                     if waiting:
                         with _interrupt_ignored():
                             team.append(_Worker(function))
@@ -88,14 +92,14 @@ def run_all(
                 if kind == "error":
                     raise answer
                 worker.has_begun = True
-                worker.task = None
-                if waiting:
-                    worker.give(waiting.popleft())
+                if kind == "result":
+                    worker.answered()
+                worker.take_from(waiting, len(team))
                 if kind == "result":
                     yield answer
             for worker in team:  # that had nothing to do when a task came back
-                if waiting and worker.has_begun and not worker.busy:
-                    worker.give(waiting.popleft())
+                if worker.has_begun and not worker.tasks:
+                    worker.take_from(waiting, len(team))
     finally:
         for worker in team:
             worker.process.terminate()
@@ -104,25 +108,35 @@ def run_all(
 
 
 class _Worker(Generic[Task, Result]):
-    """A process, the pipe to it, and the task it has with the number of tries."""
+    """A process, the pipe to it, and the tasks in it, each with the number of tries; it is at the first of them."""
 
     def __init__(self, function: Callable[[Task], Result]) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(theirs, function), daemon=True)
-        self.task: tuple[Task, int] | None = None
+        self.tasks: deque[tuple[Task, int]] = deque()
         self.has_begun = False
+        self.is_quick = False
+        self._since = 0.0
         self.process.start()
         theirs.close()  # else its end would not be seen as the end of the pipe
 
-    @property
-    def busy(self) -> bool:
-        return self.task is not None
+    def take_from(self, waiting: deque[tuple[Task, int]], n_workers: int) -> None:
+        """Give it a task, and where tasks are short and many some more, so that it need not wait for us in between."""
+        wanted = 1 + AHEAD if self.is_quick and len(waiting) > AHEAD * n_workers else 1
+        while waiting and len(self.tasks) < wanted:
+            if not self.tasks:
+                self._since = time.monotonic()
+            self.tasks.append(waiting.popleft())
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it has just ended: `recv` will tell
+                self.pipe.send(self.tasks[-1][0])
 
-    def give(self, task: tuple[Task, int]) -> None:
-        self.task = task
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it has just ended: the next `recv` tells
-            self.pipe.send(task[0])
+    def answered(self) -> None:
+        """It is done with the first task."""
+        self.tasks.popleft()
+        now = time.monotonic()
+        self.is_quick = now - self._since < QUICK_S
+        self._since = now
 
     def stop(self) -> int | None:
         self.process.join()
@@ -136,21 +150,36 @@ def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    tasks: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+    threading.Thread(target=_receive, args=(pipe, tasks), daemon=True).start()
     pipe.send(("ready", None))
     while True:
-        try:
-            task = pipe.recv()
-        except EOFError:
+        kind, task = tasks.get()
+        if kind == "end":
             return
-        try:
-            answer = "result", function(task)
-        except Exception as error:
-            error.add_note(f"in a worker process:\n{traceback.format_exc()}")
-            answer = "error", error
+        answer: tuple[str, Any] = (kind, task)
+        if kind == "task":
+            try:
+                answer = "result", function(task)
+            except Exception as error:
+                error.add_note(f"in a worker process:\n{traceback.format_exc()}")
+                answer = "error", error
         try:
             pipe.send(answer)
         except Exception as error:  # it cannot be pickled: nothing was sent
             pipe.send(("error", TypeError(f"a worker's answer cannot be sent: {error}; it was {answer[1]!r:.200}")))
+
+
+def _receive(pipe: Connection, tasks: queue.SimpleQueue[tuple[str, Any]]) -> None:
+    """Take tasks off the pipe at once: were both sides to wait until the other reads, they would for ever."""
+    while True:
+        try:
+            tasks.put(("task", pipe.recv()))
+        except (EOFError, OSError):
+            tasks.put(("end", None))
+            return
+        except Exception as error:  # its type is not known here
+            tasks.put(("error", error))
 
 
 def _end_with(parent: multiprocessing.process.BaseProcess) -> None:

@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from ..archive.collect import Collected
+from ..archive.job import job_of, task_of
+from ..archive.records import evaluate_recording, outcome_of
 from ..datasets.class_folders import find_recordings
 from ..datasets.scores import Scores, score_recordings
-from ..datasets.streamed import Outcome, Task, moments, stream_recording
+from ..datasets.streamed import Outcome, evaluation_settings, moments
+from ..engines.choice import Engine
 from ..model import Model, bundled_models
-from ..progress import progress
-from ..workers import run_all
-from .files import complain, model_of, positive_int
+from .archive_options import Interrupted, add_archive, place_of, stream_archive
+from .files import complain, model_of
 
 DESCRIPTION = """Stream every recording of a folder of class folders through a model, and count how often it is right.
 
@@ -27,6 +30,11 @@ windows. Recordings that cannot be read, and empty ones, are skipped and named a
   async-tnt evaluate gestures.safetensors held_out
   async-tnt evaluate gestures.safetensors held_out --picture confusion.png
   async-tnt evaluate digits N-MNIST --workers 4 --json | jq .accuracy
+  async-tnt evaluate digits N-MNIST --workers 4 --out results.jsonl    keep each recording's result; resumable
+  async-tnt evaluate digits N-MNIST --dask tcp://10.0.0.1:8786 --out results.parquet    on many machines
+
+With --out, an evaluation that was interrupted, killed or cut off goes on when the same command is given again, and
+ends with the same file and the same numbers (docs/archive.md).
 
 Exit code 0, also where recordings were skipped (2 with --strict); 2 for bad usage, or where none could be read.
 """
@@ -38,36 +46,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with <class name>/<recordings>")
     parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the confusion matrix (.png, .svg, .pdf)")
     parser.add_argument(
-        "--workers", type=positive_int, default=1, metavar="N", help="processes that stream recordings (default: 1)"
-    )
+        "--picture", type=Path, metavar="FILE",
+        help="draw the confusion matrix, and accuracy against time (.png, .svg, .pdf)",
+    )  # fmt: skip
+    add_archive(parser, needs_out=False)
     parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
 
 
 def main(args: argparse.Namespace) -> int:
     if args.picture is not None:
         _check_picture(args.picture)
+    place = place_of(args)
     model = model_of(args)
     paths, labels = labelled_recordings(args.dataset, model)
-    tasks = [Task(i, path, args.model) for i, path in enumerate(paths)]
-    outcomes: list[Outcome] = []
-    with progress(len(tasks), "streaming") as bar:
-        for outcome in run_all(stream_recording, tasks, args.workers):
-            outcomes.append(outcome)
-            bar.update()
-    outcomes.sort(key=lambda outcome: outcome.index)  # they come in the order they are done
+    job = job_of("evaluate", args.model, Engine("compiled", model, model.classes), **evaluation_settings(model.config))
+    tasks = [task_of(path.relative_to(args.dataset).as_posix(), path, job) for path in paths]
+    label_of = {task.recording: label for task, label in zip(tasks, labels, strict=True)}
+
+    def gone(name: str) -> bool:
+        return not (args.dataset / name).exists()
+
+    try:
+        records = list(stream_archive(args, evaluate_recording, tasks, place, Collected(), gone))
+    except Interrupted:
+        return 130
+    outcomes = [outcome_of(record) for record in records]
+    labels = [label_of[record["recording"]] for record in records if record["error"] is None]
     good = [outcome for outcome in outcomes if not outcome.error]
     skipped = [outcome.error for outcome in outcomes if outcome.error]
     if not good:
         raise ValueError(f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}")
-    scores = score_recordings(model.classes, [labels[o.index] for o in good], [o.probabilities for o in good])
-    report = report_of(model, scores, good, [labels[o.index] for o in good], skipped)
+    scores = score_recordings(model.classes, labels, [o.probabilities for o in good])
+    report = report_of(model, scores, good, labels, skipped)
     if args.picture is not None:
         from ..figures.confusion import write_confusion
 
         title = f"{args.dataset.name}: {scores.accuracy:.1%} of {len(good)} recordings right"
-        write_confusion(scores.confusion, scores.classes, args.picture, title)
+        course = [(m["time_us"], m["accuracy"], m["decided"]) for m in report["accuracy_against_time"]]
+        write_confusion(scores.confusion, scores.classes, args.picture, title, course)
     if args.json:
         print(json.dumps(report))
     else:
@@ -102,10 +119,15 @@ def labelled_recordings(folder: Path, model: Model) -> tuple[list[Path], list[in
 def report_of(
     model: Model, scores: Scores, outcomes: list[Outcome], labels: list[int], skipped: list[str]
 ) -> dict[str, Any]:
-    """All numbers, as `--json` prints them. Times are of one core, summed over workers."""
+    """All numbers, as `--json` prints them.
+
+    Times are of one core, summed over workers. Recordings that an earlier run has finished count with no time; where
+    all were, times and rates are None.
+    """
     early = np.concatenate([outcome.early for outcome in outcomes])  # (windows, moments)
     truth = np.repeat(labels, [len(outcome.early) for outcome in outcomes])
-    seconds = sum(outcome.seconds for outcome in outcomes)
+    timed = [outcome for outcome in outcomes if outcome.seconds]
+    seconds = sum(outcome.seconds for outcome in timed)
     n_decisions = sum(outcome.n_decisions for outcome in outcomes)
     n_events = sum(outcome.n_events for outcome in outcomes)
     return {
@@ -120,9 +142,9 @@ def report_of(
         ],
         "decisions": n_decisions,
         "events": n_events,
-        "seconds": seconds,
-        "decisions_per_second": n_decisions / seconds,
-        "events_per_second": n_events / seconds,
+        "seconds": seconds or None,
+        "decisions_per_second": sum(outcome.n_decisions for outcome in timed) / seconds if timed else None,
+        "events_per_second": sum(outcome.n_events for outcome in timed) / seconds if timed else None,
         "skipped": skipped,
     }
 
@@ -144,11 +166,11 @@ def text_of(report: dict[str, Any]) -> str:
     lines += ["", f"{'ms into the window':<24} {'right':>6} {'decided':>11}"]
     for moment in report["accuracy_against_time"]:
         lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>6.3f} {moment['decided']:>11.3f}")
-    lines += [
-        "",
-        f"{report['decisions_per_second']:,.0f} decisions and {report['events_per_second']:,.0f} events per second "
-        "on one core",
-    ]
+    if report["seconds"] is None:
+        lines += ["", "all streamed by an earlier run"]
+    else:
+        rates = f"{report['decisions_per_second']:,.0f} decisions and {report['events_per_second']:,.0f} events"
+        lines += ["", f"{rates} per second on one core"]
     return "\n".join(lines)
 
 

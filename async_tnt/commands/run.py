@@ -6,6 +6,7 @@ import argparse
 
 from ..engines.choice import ENGINES, choose_engine
 from ..warmup import warmup
+from .archive_options import add_archive, check_no_archive, run_archive
 from .decision_lines import HEADER, json_line, text_line
 from .files import add_files, add_start, complain, paths_of, positive_int
 from .pixel_options import PixelOptions, add_pixels
@@ -25,6 +26,7 @@ for each recording follows: the class of the highest mean probability over its c
   async-tnt run camera --live --latest 64    a camera, shown in the terminal, never old (extra `cameras`)
   async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels
   async-tnt run --json | jq .label           one JSON object a line for each decision
+  async-tnt run archive --out r.parquet --workers 4    all recordings under a folder, resumable (docs/archive.md)
   async-tnt run a.bin --live --speed 0.2     watch it, at a fifth of its pace (extra `view`)
   async-tnt run --engine onnx                the same network by onnxruntime (extra `onnx`), or torch
   async-tnt run --model digits.onnx          a file that `async-tnt export` wrote, by onnxruntime
@@ -62,9 +64,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "skipped and counted where decisions are slower than events",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
+    add_archive(parser, needs_out=True)
 
 
 def main(args: argparse.Namespace) -> int:
+    if args.out is not None:
+        return run_archive(args)
+    check_no_archive(args)
     if args.live and args.json:
         raise ValueError("--live draws for people and --json writes for programs: give one of them")
     if args.speed is not None and not args.live:

@@ -41,7 +41,7 @@ class Decoded(NamedTuple):
     events: np.ndarray
     """Structured array of `EVENT_DTYPE`, new memory."""
     malformed: int
-    """Events left out: cut off, off the sensor, a polarity beyond 1, a time before 0, from 2**62 us on, or too far ahead."""
+    """Events left out: cut off, off the sensor, a polarity beyond 1, a time before 0, beyond 2**62 us, or far ahead."""
 
 
 def checked_format(format: str) -> str:

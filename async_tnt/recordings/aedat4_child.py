@@ -1,8 +1,6 @@
 """The process that reads an AEDAT4 file with faery: `python aedat4_child.py FILE`, see `aedat4.py`.
 
-Writes to stdout: a line of JSON, {"sensor": [width, height]} or {"error": "..."}; then, for each packet, the number
-of its events (4 bytes, little-endian) and the events; at the end, 0, and a line of JSON again. Imports nothing of
-ours: that would take it a second.
+Its first line is {"sensor": [width, height]} or {"error": "..."}; see `child.py` for the rest.
 """
 
 from __future__ import annotations

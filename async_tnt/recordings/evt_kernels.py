@@ -31,13 +31,11 @@ def kernel_types(word: types.Type) -> tuple[types.Type, ...]:
     return (types.Array(word, 1, "C", readonly=True), types.int64, types.int64[::1], *COLUMN_TYPES)
 
 
-# here, and not in a file of its own: Numba compiles it into the kernels below, and looks only at this file to see
-# whether what it cached is old
 @compiled
 def next_time(time, raw, period):
     """The time that a clock of so many steps shows as `raw`, nearest to the time before.
 
-    A step of less than half a period back is disorder, or a bit that fell over: later times are not moved by it.
+    A step of up to half a period back is disorder, or a bit that fell over: later times are not moved by it.
     A larger one is a wrap. No time lies before 0: what would, was a long gap.
 
     Parameters

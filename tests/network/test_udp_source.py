@@ -1,6 +1,7 @@
 """UdpSource on loopback: packets, counts, loss, ends."""
 
 import asyncio
+import signal
 import socket
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt import Processor, TNTConfig, astream, stream
+from async_tnt.fresh import BackgroundReader
 from async_tnt.network import UdpSender, UdpSource, encode, open_udp
 
 EVENTS = random_events(2500, duration_us=50_000)
@@ -228,6 +230,90 @@ def test_close_from_another_thread_ends_a_waiting_for():
     assert list(source) == [] and source.closed
     source.close()
     assert source.receive(0) is None
+
+
+def test_close_from_another_thread_ends_a_for_that_never_waits():
+    """Datagrams never pause; the port is free at once, and no later socket is read in place of ours."""
+    source = listening(timeout_s=None, max_datagrams=1)
+    stop = threading.Event()
+
+    def flood():
+        with UdpSender(port=source.port) as sender:
+            while not stop.is_set():
+                sender.send(EVENTS[:100])
+
+    flooding = threading.Thread(target=flood)
+    flooding.start()
+    n_packets = 0
+
+    def read():
+        nonlocal n_packets
+        for _ in source:
+            n_packets += 1
+
+    reading = threading.Thread(target=read)
+    reading.start()
+    while n_packets < 20:
+        time.sleep(0.001)
+    source.close()
+    UdpSource(port=source.port).close()
+    reading.join(5)
+    stop.set()
+    flooding.join()
+    assert not reading.is_alive() and source.counts.datagrams >= 20
+
+
+def test_close_within_the_loop_over_it_ends_the_loop():
+    with listening(timeout_s=None) as source, UdpSender(port=source.port) as sender:
+        sender.send(EVENTS[:1])
+        for packet in source:
+            assert len(packet) == 1
+            source.close()
+
+
+def test_a_background_reader_closes_it():
+    source = listening(timeout_s=None)
+    with BackgroundReader(source, on_close=source.close) as reader, UdpSender(port=source.port) as sender:
+        sender.send(EVENTS[:10])
+        assert next(reader).tobytes() == EVENTS[:10].tobytes()
+        assert reader.close(5)  # its thread has stopped, though it waited in the source
+    assert source.closed and source.counts.events == 10
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="signals")
+def test_close_in_a_signal_handler_ends_the_wait_it_interrupts():
+    source = listening(timeout_s=None)
+    before = signal.signal(signal.SIGALRM, lambda *_: source.close())
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.02)
+        assert list(source) == []
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_spinning_hands_over_the_same_and_keeps_the_time():
+    with listening(spin_us=2000) as source, UdpSender(port=source.port) as sender:
+        sender.send(EVENTS)
+        assert np.concatenate(list(source)).tobytes() == EVENTS.tobytes()
+        started = time.monotonic()
+        assert source.receive(0.03) is None
+        assert 0.025 < time.monotonic() - started < 5
+    for spin_us in (-1, 1e7, float("nan")):
+        with pytest.raises(ValueError, match=r"`spin_us` must be in \[0, 1,000,000\] microseconds"):
+            UdpSource(port=0, spin_us=spin_us)
+
+
+def test_the_summary_is_one_line_of_what_was_counted():
+    with listening(sensor=(34, 34)) as source:
+        raw(source, encode(EVENTS[:3]) + b"cut", encode(events_of([2**62 - 1], [0], [0], [0])))
+        assert len(list(source)) == 1
+        lost = "0" if sys.platform.startswith("linux") else "unknown"
+        expected = (
+            f"2 datagrams, 3 events (2 malformed, 1 of them too far ahead, 0 out of order, datagrams lost: {lost})"
+        )
+        assert source.summary() == expected
+    assert source.summary() == expected  # closed: it stays
 
 
 def test_nothing_within_the_time_is_none():

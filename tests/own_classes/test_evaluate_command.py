@@ -189,7 +189,7 @@ def test_a_missing_model_is_said(tmp_path, program):
 
 def test_a_picture_without_matplotlib_is_refused_before_the_work(saved, dataset, program, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    monkeypatch.setattr(evaluate, "run_all", lambda *words: pytest.fail("it began to stream"))
+    monkeypatch.setattr(evaluate, "stream_archive", lambda *words: pytest.fail("it began to stream"))
     code, _, told = program("evaluate", saved, dataset, "--picture", tmp_path / "c.png")
     assert code == 2 and "pip install '.[plot]'" in told
 

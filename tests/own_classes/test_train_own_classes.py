@@ -144,9 +144,10 @@ def _two_sensors(folder):
     write(folder / "flat" / "other.npz", bar("flat", 9), sensor=(640, 480))
 
 
-def _damaged(folder):
-    write_set(folder, {"upright": 3, "flat": 3})
-    (folder / "flat" / "torn.npy").write_bytes((folder / "flat" / "00.npy").read_bytes()[:-7])
+def _a_class_of_torn_files(folder):
+    write_set(folder, {"upright": 3})
+    (folder / "flat").mkdir()
+    (folder / "flat" / "a.npy").write_bytes((folder / "upright" / "00.npy").read_bytes()[:-7])
 
 
 def _files_only(folder):
@@ -161,7 +162,10 @@ def _files_only(folder):
         (_a_class_of_silence, "no event in any recording of class flat"),
         (_in_two_classes, "hold the same events, but are of two classes; remove one"),
         (_two_sensors, "one sensor, got 128x128 (flat/00.npz), 640x480 (flat/other.npz)"),
-        (_damaged, "leave such files out with --skip-damaged"),
+        (
+            _a_class_of_torn_files,
+            "recording of class flat; record some, or remove the folder (left out: flat/a.npy: ",
+        ),
         (_files_only, "no class folders; expected set/<class name>/<recording>"),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
@@ -174,11 +178,30 @@ def test_a_folder_that_cannot_be_is_one_line_and_exit_code_2(make, text, tmp_pat
     assert not out.exists()
 
 
-def test_damaged_files_are_left_out_on_request(tmp_path, train):
-    (tmp_path / "set").mkdir()
-    _damaged(tmp_path / "set")
-    code, _, told, _ = train(tmp_path / "set", "--skip-damaged")
-    assert code == 0 and told.count("left out: ") == 1 and "torn.npy" in told
+def test_an_unreadable_recording_is_left_out_and_named_at_the_end(tmp_path, train):
+    folder = write_set(tmp_path / "set", {"upright": 4, "flat": 4})
+    (folder / "flat" / "torn.npy").write_bytes((folder / "flat" / "00.npy").read_bytes()[:-7])
+    (folder / "upright" / "text.csv").write_text("t,x,y,p\n1,2,3,1\n2,3,words,0\n")
+    (folder / "upright" / "what.raw").write_bytes(b"no recording")
+    code, printed, told, out = train(folder)
+    assert code == 0 and "wrote " in printed
+    lines = told.splitlines()
+    named = lines[-3:]
+    for line, start in zip(
+        named,
+        (
+            "left out: flat/torn.npy: not a readable NumPy file: ",
+            "left out: upright/text.csv: damaged recording: line 3: ",
+            "left out: upright/what.raw: its first bytes are of no known format",
+        ),
+        strict=True,
+    ):
+        assert line.startswith(start), told
+        assert lines.count(line) == 2  # where it was read, too
+    record = load_model(out).record["data"]
+    assert [f"left out: {line}" for line in record["left_out"]] == named
+    assert str(tmp_path) not in " ".join(named)  # a model may be given away
+    assert record["classes"] == {"flat": 4, "upright": 4}
 
 
 @pytest.mark.parametrize(

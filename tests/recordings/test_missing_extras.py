@@ -1,12 +1,10 @@
 """What a user reads who has not installed what a format needs; and layouts that are not known."""
 
-import sys
-
 import numpy as np
 import pytest
 from recordings.written import WRITERS, dsec, made_events
 
-from async_tnt.recordings import DamagedRecording, aedat4, open_recording
+from async_tnt.recordings import DamagedRecording, aedat4, child, hdf5, open_recording
 
 
 def test_faery_is_missing(tmp_path, monkeypatch):
@@ -17,9 +15,9 @@ def test_faery_is_missing(tmp_path, monkeypatch):
 
 
 def test_h5py_is_missing(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "h5py", None)
+    monkeypatch.setattr(hdf5, "find_spec", lambda name: None)
     (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
-    with pytest.raises(ImportError, match=r"a\.h5: HDF5 files are read by h5py: pip install '\.\[hdf5\]'"):
+    with pytest.raises(ImportError, match=r"a\.h5: HDF5 files are read by h5py, .*: pip install '\.\[hdf5\]'"):
         open_recording(tmp_path / "a.h5")
 
 
@@ -80,12 +78,27 @@ def test_metavision_polarity_may_be_minus_one(tmp_path):
     np.testing.assert_array_equal(open_recording(path).read(), events)
 
 
+@pytest.mark.parametrize("name", ["dv.aedat4", "dsec.h5"])
+def test_a_reader_that_hangs_is_ended(tmp_path, monkeypatch, name):
+    """As HDF5's does in some damaged attributes: it reads them for ever."""
+    WRITERS[name](tmp_path / name, made_events(50))
+    recording = open_recording(tmp_path / name)
+    (tmp_path / "sleep.sh").write_text("#!/bin/sh\nexec sleep 60\n")
+    (tmp_path / "sleep.sh").chmod(0o755)
+    monkeypatch.setattr(child, "SILENCE_S", 0.2)
+    monkeypatch.setattr(child.sys, "executable", str(tmp_path / "sleep.sh"))
+    with pytest.warns(DamagedRecording, match="after event 0: its reader stopped for good, or hung, at the damage"):
+        assert recording.n_events == 0
+    with pytest.raises(ValueError, match="its reader stopped for good, or hung, at the damage"):
+        open_recording(tmp_path / name)
+
+
 def test_aedat4_child_stopped_for_good_is_damage(tmp_path, monkeypatch):
     """A process that dies without a word, as faery's does where it runs out of memory."""
     pytest.importorskip("faery", reason="AEDAT4 needs faery")
     path = tmp_path / "a.aedat4"
     WRITERS["dv.aedat4"](path, made_events(50))
     recording = open_recording(path)
-    monkeypatch.setattr(aedat4.sys, "executable", "/bin/false")
-    with pytest.warns(DamagedRecording, match="after event 0: faery stopped for good at the damage"):
+    monkeypatch.setattr(child.sys, "executable", "/bin/false")
+    with pytest.warns(DamagedRecording, match="after event 0: its reader stopped for good, or hung, at the damage"):
         assert recording.n_events == 0

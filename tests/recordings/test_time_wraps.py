@@ -22,6 +22,16 @@ def test_times_go_on_through_wraps(tmp_path, name, make, period_us):
     assert recording.n_unsorted == 0
 
 
+@pytest.mark.parametrize("start", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize(("name", "make", "period_us"), CLOCKS)
+def test_a_pause_of_less_than_half_a_period_is_one(tmp_path, name, make, period_us, start):
+    events = made_events(100, step_us=50)
+    events["t"] += int(start * period_us)
+    events["t"][50:] += int(0.45 * period_us)
+    (tmp_path / name).write_bytes(make(events))
+    np.testing.assert_array_equal(open_recording(tmp_path / name).read(), events)
+
+
 @pytest.mark.parametrize(("name", "make", "period_us"), CLOCKS)
 def test_disorder_around_a_wrap_is_no_wrap(tmp_path, name, make, period_us):
     events = made_events(400, step_us=10_000, start_us=period_us - 1_000_000)
@@ -45,6 +55,8 @@ def test_unwrapped_by_hand():
     assert times(50, 40, 41) == [50, 40, 41]
     assert times(5, 99) == [5, 99]  # a long gap: no time lies before 0
     assert times(5, before=395) == [405]
+    assert times(0, before=150) == [100]  # half a period either way: back
+    assert times(0, before=50) == [0]
     assert times() == []
 
 

@@ -1,0 +1,125 @@
+"""The result file, JSON lines or Parquet by its suffix: records in order of the recordings' names, one each."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from .journal import other_settings, parsed
+from .records import TIMED, Record, fields_of
+
+SUFFIXES = (".jsonl", ".parquet")
+
+
+def check_out(out: Path) -> None:
+    """Refuse, before any work, a result file that could not be written.
+
+    Raises
+    ------
+    ValueError, OSError, ImportError : another suffix; no folder; Parquet without pyarrow.
+    """
+    if out.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"--out must end in {' or '.join(SUFFIXES)}, got {out}")
+    if out.is_dir() or not out.parent.is_dir():
+        raise ValueError(f"--out must be a file in a folder that is there, got {out}")
+    if is_parquet(out):
+        from .parquet import import_pyarrow
+
+        import_pyarrow()
+
+
+def is_parquet(out: Path) -> bool:
+    return out.suffix.lower() == ".parquet"
+
+
+def is_record(record: Any, kind: str) -> bool:
+    """Whether something parsed is a record of that kind, of a journal or a result file."""
+    return (
+        isinstance(record, dict)
+        and record.keys() - {TIMED} == fields_of(kind)
+        and isinstance(record["recording"], str)
+        and isinstance(record["settings"], str)
+        and isinstance(record["error"], str | None)
+    )
+
+
+def check_ours(out: Path) -> None:
+    """Refuse to throw away a file that is not empty and no result file, of whatever settings.
+
+    Raises
+    ------
+    ValueError.
+    """
+    if is_parquet(out):
+        from .parquet import is_our_parquet
+
+        ours = is_our_parquet(out)
+    else:
+        first = next(_read_lines(out), {"recording": "", "settings": ""})
+        ours = isinstance(first, dict) and {"recording", "settings"} <= first.keys()
+    if out.stat().st_size and not ours:
+        raise ValueError(f"{out} is no result of async-tnt: move it away, or give another --out")
+
+
+def read_results(out: Path, kind: str, about: dict[str, Any], settings: str) -> Iterator[Record]:
+    """The records of a result file, one by one.
+
+    Raises
+    ------
+    ValueError : the file is another program's, damaged, or one of other settings.
+    """
+    if is_parquet(out):
+        from .parquet import read_parquet
+
+        records = read_parquet(out, about)
+    else:
+        records = _read_lines(out)
+    before = ""
+    for record in records:
+        if not is_record(record, kind) or record["recording"] <= before:
+            raise ValueError(
+                f"{out} is no result of async-tnt {kind}, or is damaged: move it away, or give another --out"
+            )
+        if record["settings"] != settings:
+            raise ValueError(other_settings(out, {"settings": record["settings"]}, {"settings": settings}))
+        before = record["recording"]
+        yield record
+
+
+def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable[Record]) -> None:
+    """Write a result file, in its place at once when it is complete. `records` are in order, without `seconds`."""
+    part = out.with_name(out.name + ".part")
+    try:
+        if is_parquet(out):
+            from .parquet import write_parquet
+
+            write_parquet(part, kind, about, records)
+        else:
+            with part.open("wb") as file:
+                for record in records:
+                    file.write(json.dumps(record).encode() + b"\n")
+        _sync(part)
+        part.replace(out)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    if os.name != "nt":  # the name, too, outlives a loss of power
+        _sync(out.parent)
+
+
+def _read_lines(out: Path) -> Iterator[Any]:
+    with out.open("rb") as file:
+        for line in file:
+            yield parsed(line)
+
+
+def _sync(path: Path) -> None:
+    flags = os.O_RDONLY if path.is_dir() else os.O_RDWR
+    descriptor = os.open(path, flags)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,164 @@
+"""async-tnt view: what a stream looks like in the Rerun viewer."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from ..engines.choice import choose_engine
+from ..fresh import BackgroundReader
+from ..live_sources import open_live
+from ..progress import progress
+from ..recordings import Recording
+from ..sources import replay
+from ..views import RerunView
+from ..views.sinks import check_out, import_rerun
+from ..warmup import warmup
+from .files import add_files, add_start, complain, paths_of, positive_int
+from .pixel_options import PixelOptions, add_pixels
+from .run_recording import open_selected
+from .trigger_options import add_triggers, triggers_of
+
+DESCRIPTION = """Show a stream in the Rerun viewer while it is classified: the events and the landmark, the raw and the
+transformed volume, the probability of each class, the decisions, rates and latencies (extra `view`). All of it lies on
+a timeline of the recording's own microseconds, to be played, stopped and scrubbed.
+
+  async-tnt view a.bin                             start the viewer, play the recording at its own pace
+  async-tnt view a.bin --speed 0.1                 at a tenth of it
+  async-tnt view a.bin --out a.rrd                 write a file, as fast as it can; needs no display
+  rerun a.rrd                                      open that file, here or elsewhere
+  async-tnt view --out samples.rrd                 the ten bundled samples, one after the other in time
+  async-tnt view a.bin --every-us 5000 --every-ms 5    decisions and pictures every 5 ms
+  async-tnt view udp://127.0.0.1:3333 --latest 64  events from the network, until Ctrl-C
+  async-tnt view camera --roi 400,200,34,34 --crop a part of a camera's picture (extra `cameras`)
+  async-tnt view a.bin --connect rerun+http://10.0.0.7:9876/proxy    a viewer that runs already, anywhere
+
+A picture is taken every 20 ms of recorded time and at each window's end; no more is written however many events there
+are. Several recordings follow each other on one timeline; the first keeps its own times, the log of decisions says how
+far the others were moved. Rerun's viewer reports how it is used; `rerun analytics disable` ends that.
+"""
+LIVE_PICTURES_PER_S = 60.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_files(parser, onnx=True, streams=True)
+    add_start(parser)
+    add_triggers(parser)
+    add_pixels(parser)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--out", type=Path, metavar="FILE.rrd", help="write a file for the viewer instead")
+    where.add_argument(
+        "--connect", metavar="URL", help="show it in a viewer that runs already: rerun+http://HOST:9876/proxy"
+    )
+    where.add_argument(
+        "--spawn", action="store_true", help="start the viewer here, or use the one started before (default)"
+    )
+    parser.add_argument(
+        "--speed", type=_speed, metavar="S",
+        help="recorded time per time; 2 is twice as fast, inf does not wait (default: 1, with --out inf)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--every-ms", type=_milliseconds, default=20_000, dest="picture_us", metavar="MS",
+        help="recorded milliseconds from picture to picture (default: 20)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--latest", type=positive_int, metavar="PACKETS",
+        help="of a camera or the network: read in the background, at most so many packets wait, and the oldest are "
+        "skipped and counted where they come too fast",
+    )  # fmt: skip
+
+
+def main(args: argparse.Namespace) -> int:
+    import_rerun()  # now, so that a missing one shows before any work
+    if args.out is not None:
+        check_out(args.out)
+    engine = choose_engine(args.model)
+    pixels = PixelOptions(args, engine.config.sensor)
+    sources = [path if isinstance(path, str) else open_selected(path, pixels) for path in paths_of(args)]
+    speed = args.speed or (1.0 if args.out is None else math.inf)
+    warmup(engine.model)
+    live = any(isinstance(source, str) for source in sources)
+    view = RerunView(
+        engine.model, out=args.out, connect=args.connect, picture_us=args.picture_us,
+        most_pictures_per_s=LIVE_PICTURES_PER_S if live else None,
+        classes=engine.classes, start_us=args.start_us, **engine.networks, **triggers_of(args),
+    )  # fmt: skip
+    with view:
+        for source in sources:
+            if isinstance(source, str):
+                view.start(source)
+                if _show_live(source, view, pixels, args.latest):
+                    return 130
+            else:
+                recording, packets = source
+                view.start(recording.path.name)
+                _show(recording, packets, view, speed)
+    if not view.n_events:
+        raise ValueError(f"no event in {', '.join(map(str, paths_of(args)))}: nothing to show")
+    if args.out is not None:
+        print(f"{args.out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {args.out}")
+    if pixels.summary():
+        complain(f"left out: {pixels.summary()}")
+    return 0
+
+
+def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: float) -> None:
+    if speed == math.inf:
+        with progress(recording.n_events, recording.path.name) as bar:
+            for packet in packets:
+                view.push(packet)
+                bar.update(len(packet))
+    else:
+        for packet in replay(packets, speed):
+            view.push(packet)
+    late = view.processor.counts.dropped_late
+    if late:
+        complain(f"{recording.path}: {late} of {recording.n_events} events dropped: they came late (see --start-us)")
+
+
+def _show_live(name: str, view: RerunView, pixels: PixelOptions, latest: int | None) -> bool:
+    """Show a source until it ends or Ctrl-C; then what was counted. Returns whether Ctrl-C ended it."""
+    stopped = False
+    with contextlib.ExitStack() as stack:
+        source = open_live(name, pixels.expected)
+        stack.callback(source.close)
+        packets: Iterable[Any] = pixels.select(source, pixels.sensor_of(name, source.sensor))
+        reader = None
+        if latest is not None:
+            reader = BackgroundReader(packets, latest=True, max_packets=latest, on_close=source.close)
+            packets = stack.enter_context(reader)
+        complain(f"listening at {name}; Ctrl-C stops")
+        try:
+            for packet in packets:
+                view.push(packet)
+        except KeyboardInterrupt:
+            stopped = True
+        finally:  # also where a camera was unplugged
+            skipped = "" if reader is None else f"; {reader.n_skipped:,} skipped to stay fresh"
+            complain(f"{name}: {source.summary()}{skipped}")
+    return stopped
+
+
+def _speed(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"must be a positive number, got {text!r}")
+    return value
+
+
+def _milliseconds(text: str) -> int:
+    """Milliseconds, as microseconds."""
+    try:
+        value = round(float(text) * 1000)
+    except (ValueError, OverflowError):
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be a number of at least 0.001, got {text!r}")
+    return value

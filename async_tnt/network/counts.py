@@ -1,0 +1,38 @@
+"""What a source of datagrams has counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class NetworkCounts:
+    """What has come so far."""
+
+    datagrams: int
+    bytes: int
+    events: int
+    """Handed on."""
+    malformed: int
+    """Left out: cut off, off the sensor, polarity or time impossible, too far ahead."""
+    late: int
+    """Handed on, but older than one before: the network or the sender changed their order."""
+    lost: int | None
+    """Datagrams that the system threw away, mostly because its buffer was full; None where it does not say."""
+    ahead: int = 0
+    """How many of `malformed` were left out for a time too far ahead of the stream."""
+
+    def summary(self) -> str:
+        """One line for people.
+
+        Examples
+        --------
+        >>> NetworkCounts(12, 15_600, 1_199, malformed=1, late=0, lost=None, ahead=1).summary()
+        '12 datagrams, 1,199 events (1 malformed, 1 of them too far ahead, 0 out of order, datagrams lost: unknown)'
+        """
+        lost = "unknown" if self.lost is None else f"{self.lost:,}"
+        ahead = f"{self.ahead:,} of them too far ahead, " if self.ahead else ""
+        return (
+            f"{self.datagrams:,} datagrams, {self.events:,} events ({self.malformed:,} malformed, {ahead}"
+            f"{self.late:,} out of order, datagrams lost: {lost})"
+        )

@@ -1,0 +1,79 @@
+"""Readers in a process of their own, for libraries that a damaged file can crash; ours must outlive that.
+
+The process is a script beside this file. It writes to stdout: a line of JSON, {...} or {"error": "..."}; then, for
+each packet, the number of its events (4 bytes, little-endian) and their bytes; at the end, 0, and a line of JSON
+again. A script imports nothing of ours: that would take it a second.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+SILENCE_S = 60.0  # a packet takes milliseconds, but a disk may sleep, and a machine be busy
+STOPPED = {"error": "its reader stopped for good, or hung, at the damage"}
+
+
+class Child:
+    """What the process writes; the process is killed when a read waits too long."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None  # it is a pipe
+        self._process, self._out = process, process.stdout
+
+    def said(self) -> dict[str, Any]:
+        """The line of JSON that comes now."""
+        line = self._guarded(self._out.readline)
+        return json.loads(line) if line.endswith(b"\n") else STOPPED
+
+    def packets(self, event_bytes: int) -> Iterator[bytes | str]:
+        """The events of each packet; last of all, where there was one, the error in words."""
+        while True:
+            count = self._guarded(self._out.read, 4)
+            if count == bytes(4):
+                said = self.said()
+                break
+            size = event_bytes * struct.unpack("<I", count)[0] if len(count) == 4 else -1
+            data = self._guarded(self._out.read, size) if size >= 0 else b""
+            if len(data) != size:
+                said = STOPPED
+                break
+            yield data
+        if "error" in said:
+            yield said["error"]
+
+    def _guarded(self, call: Any, *args: int) -> bytes:
+        timer = threading.Timer(SILENCE_S, self._process.kill)
+        timer.daemon = True
+        timer.start()
+        try:
+            return call(*args)
+        finally:
+            timer.cancel()
+
+
+@contextmanager
+def child_process(script: str, *words: str) -> Iterator[Child]:
+    """A new process that runs the script, which lies beside this file; it ends with the block."""
+    process = subprocess.Popen(
+        [sys.executable, "-P", str(Path(__file__).with_name(script)), *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "RUST_BACKTRACE": "0"},
+    )
+    try:
+        yield Child(process)
+    finally:
+        process.kill()
+        process.wait()
+        assert process.stdout is not None
+        process.stdout.close()

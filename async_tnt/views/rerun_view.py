@@ -1,0 +1,236 @@
+"""RerunView: logs a stream to the Rerun viewer, or to a file for it, while it is classified."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from ..config import TNTConfig
+from ..decision import Decision
+from ..events import as_events
+from ..model import Model
+from ..processor import Processor
+from ..streams import as_processor
+from . import layout
+from .log import StreamLog
+from .moments import next_moment
+from .raw_twin import RawTwin
+from .sinks import import_rerun, sink_of
+
+CHECK_S = 1.0  # so often the sink is asked whether it still works; what waits for a slow viewer stays small, too
+LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits
+
+
+class RerunView:
+    """Classifies a stream and shows it.
+
+    Parameters
+    ----------
+    model : a Model, its name or path, a TNTConfig (with `classifier=`), or a Processor that has seen no event yet and
+        whose windows do not overlap.
+    out : a .rrd file to write; `rerun FILE.rrd` opens it.
+    connect : URL of a viewer that runs already, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a viewer is
+        started.
+    picture_us : recorded microseconds from picture to picture. Another one is taken at each window's end.
+    most_pictures_per_s : on the clock; more are left out, and pictures then take half of the time at most. For streams
+        that do not wait.
+    settings : keyword arguments of `Processor`, all but `hop_us`.
+
+    Raises
+    ------
+    ImportError : rerun-sdk is not installed.
+    ValueError, TypeError : a setting breaks its rule.
+    OSError : the file cannot be written, no viewer is there, or no display to start one on.
+    """
+
+    def __init__(
+        self,
+        model: Model | TNTConfig | Processor | str | Path,
+        *,
+        out: str | Path | None = None,
+        connect: str | None = None,
+        picture_us: int = 20_000,
+        most_pictures_per_s: float | None = None,
+        **settings: Any,
+    ) -> None:
+        rr = import_rerun()
+        if settings.get("hop_us") is not None:
+            raise ValueError("`hop_us` makes windows overlap; a view shows windows laid end to end")
+        if picture_us < 1:
+            raise ValueError(f"`picture_us` must be at least 1, got {picture_us}")
+        if most_pictures_per_s is not None and not most_pictures_per_s > 0:
+            raise ValueError(f"`most_pictures_per_s` must be above 0, got {most_pictures_per_s}")
+        self.processor = as_processor(model, **settings)
+        config = self.processor.config
+        self._picture_us = int(picture_us)
+        self._pause_s = 0.0 if most_pictures_per_s is None else 1 / most_pictures_per_s
+        self._explicit_us: int | None = settings.get("start_us")
+        self._twin = RawTwin(config, settings.get("late", "accept"))
+        self._sink = sink_of(None if out is None else Path(out), connect)
+        self._stream = stream = rr.RecordingStream(layout.APPLICATION)
+        self._sink.open(stream)
+        try:
+            self._log = StreamLog(rr, stream, config)
+        except BaseException:
+            self._sink.close(stream, keep=False)
+            raise
+        self.n_events = 0
+        """Events shown so far."""
+        self._closed = False
+        self._next_check_s = time.perf_counter() + CHECK_S
+        self._end_us: int | None = None  # on the timeline: of the sources before
+        self._forget()
+
+    def _forget(self) -> None:
+        """No event yet of this source."""
+        self._origin_us: int | None = None
+        self._due_us = self._newest_us = 0
+        self._unseen: list[np.ndarray] = []  # since the last moment of a picture
+        self._recent: list[np.ndarray] = []  # before it, but still shown
+        self._shown_us = 0
+        self._next_picture_s = 0.0
+
+    # -- events in ---------------------------------------------------------------------------------------
+
+    def start(self, name: str) -> None:
+        """Another source begins: windows and counts start anew, and its time goes on after that of the one before.
+
+        name : what the log of decisions calls it.
+        """
+        self.finish()
+        self.processor.reset()
+        self._twin.reset()
+        self._forget()
+        self._log.name = name
+
+    def push(self, events: Any) -> list[Decision]:
+        """Classify a packet as `Processor.push` does, and log what is due on the way.
+
+        Raises
+        ------
+        ValueError, TypeError : the packet breaks a rule; none of it was taken. Also where the view cannot follow the
+            processor, see `RawTwin`.
+        """
+        packet = as_events(events, self.processor.config.sensor)
+        if len(packet) == 0:
+            return []
+        newest = np.maximum.accumulate(packet["t"])  # an event out of order comes with the newest before it
+        np.maximum(newest, self._newest_us, out=newest)
+        if self._origin_us is None:
+            self._begin(int(newest[0]))
+        if int(newest[-1]) + self._log.offset_us > LAST_US:
+            raise ValueError(f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}")
+        decisions: list[Decision] = []
+        first = 0
+        while first < len(packet):
+            if newest[first] >= self._due_us:
+                self._take_due(int(newest[first]))
+            last = int(np.searchsorted(newest, self._due_us))
+            self._take(packet[first:last], decisions)
+            self._newest_us = int(newest[last - 1])
+            first = last
+        return decisions
+
+    def finish(self) -> list[Decision]:
+        """The source is over: a last picture, and what `Processor.finish` decides of the open window."""
+        if self._origin_us is None:
+            return []
+        if self._unseen:
+            self._picture(self._newest_us + 1, last=True)
+        started = time.perf_counter_ns()
+        decisions = self.processor.finish()
+        self._log.took(decisions, (time.perf_counter_ns() - started) / 1e3, 0)
+        self._log.write_decisions()
+        self._end_us = self._newest_us + self._log.offset_us
+        self._origin_us = None
+        return decisions
+
+    def _begin(self, first_us: int) -> None:
+        """The first event of a source says where its windows, and thus its pictures, are laid."""
+        explicit = self._explicit_us
+        if explicit is None:  # where none is open yet, the window starts at 0
+            explicit = self.processor.fire().window_start_us or first_us
+        self._origin_us = explicit
+        self._log.offset_us = 0 if self._end_us is None else self._end_us + self._picture_us - first_us
+        self._log.begin(first_us)
+        self._shown_us = first_us
+        self._due_us = self._after(first_us)
+
+    def _take(self, packet: np.ndarray, decisions: list[Decision]) -> None:
+        started = time.perf_counter_ns()
+        new = self.processor.push(packet)
+        self._log.took(new, (time.perf_counter_ns() - started) / 1e3, len(packet))
+        decisions += new
+        self.n_events += len(packet)
+        self._unseen.append(packet)
+
+    # -- pictures ----------------------------------------------------------------------------------------
+
+    def _after(self, t_us: int) -> int:
+        assert self._origin_us is not None
+        return next_moment(t_us, self._origin_us, self.processor.config.window_us, self._picture_us)
+
+    def _take_due(self, t_us: int) -> None:
+        """All pictures that are due until `t_us`, when the next event comes: of a long silence, only its beginning."""
+        self._picture(self._due_us)
+        silent_us = self._after(self._due_us)
+        if silent_us <= t_us:
+            self._log.no_events(silent_us)
+        self._due_us = self._after(t_us)
+
+    def _picture(self, at_us: int, last: bool = False) -> None:
+        """The state just before `at_us`."""
+        assert self._origin_us is not None
+        now = self.processor.fire()
+        raw = self._twin.follow(self._unseen, now)
+        oldest_us = at_us - self._picture_us
+        recent = [packet[packet["t"] >= oldest_us] for packet in (*self._recent, *self._unseen)]
+        self._recent, self._unseen = [packet for packet in recent if len(packet)], []
+        clock_s = time.perf_counter()
+        if clock_s >= self._next_picture_s or last:
+            whole = last or (at_us - self._origin_us) % self.processor.config.window_us == 0
+            self._log.write(at_us, at_us - self._shown_us, now, self._recent, raw, self.processor, whole)
+            self._shown_us = at_us
+            if self._pause_s:
+                took_s = time.perf_counter() - clock_s
+                self._next_picture_s = clock_s + max(self._pause_s, 2 * took_s)
+        if clock_s >= self._next_check_s:
+            self._sink.check(self._stream)
+            self._next_check_s = clock_s + CHECK_S
+
+    @property
+    def n_pictures(self) -> int:
+        """Pictures taken so far."""
+        return self._log.n_pictures
+
+    # -- the end -----------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Finish, and complete the file; a viewer stays open. Twice does no harm.
+
+        A file of no event is not written: what was there before stays.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self.finish()
+        finally:
+            self._sink.close(self._stream, keep=self._log.has_begun)
+
+    def __enter__(self) -> RerunView:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if error is not None:  # the file is to hold what came before the error; what that left behind may be in pieces
+            with contextlib.suppress(Exception):
+                self.finish()
+            self._origin_us = None
+        self.close()

@@ -1,0 +1,82 @@
+"""Cameras without cables: a driver whose devices play what a test wrote down."""
+
+import threading
+
+import numpy as np
+
+from async_tnt.cameras.device import FoundCamera, Losses
+
+RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as neuromorphic-drivers has it
+
+
+def made_events(times, sensor=(34, 34), seed=0):
+    rng = np.random.default_rng(seed)
+    events = np.empty(len(times), RECORD)
+    events["t"] = times
+    events["x"], events["y"] = (rng.integers(0, side, len(times)) for side in sensor)
+    events["on"] = rng.integers(0, 2, len(times))
+    return events
+
+
+class PlayedDevice:
+    """Hands out packets; raises those that are exceptions; then has nothing more, for ever.
+
+    Like the real ones it breaks when two threads use it at a time.
+    """
+
+    time_field = "t"
+
+    def __init__(self, packets, sensor=(34, 34), pause_s=0.0, read_s=0.0):
+        self.packets = list(packets)
+        self.sensor = sensor
+        self.pause_s = pause_s
+        self.read_s = read_s
+        self.losses = Losses()
+        self.handle = object()
+        self.n_reads = self.n_closed = 0
+        self._borrowed = threading.Lock()
+
+    def read(self):
+        assert self._borrowed.acquire(blocking=False), "Already borrowed"
+        try:
+            assert not self.n_closed, "read after close"
+            self.n_reads += 1
+            if not self.packets:
+                threading.Event().wait(self.read_s)
+                return None
+            packet = self.packets.pop(0)
+            if isinstance(packet, BaseException):
+                raise packet
+            return packet
+        finally:
+            self._borrowed.release()
+
+    def close(self):
+        assert self._borrowed.acquire(blocking=False), "Already borrowed"
+        self.n_closed += 1
+        self._borrowed.release()
+
+
+class PlayedDriver:
+    def __init__(self, found, name="played 1.0"):
+        self.name = name
+        self._found = found
+
+    def find(self):
+        if isinstance(self._found, BaseException):
+            raise self._found
+        return self._found
+
+
+def found(device, model="Prophesee EVK4", kinds=("evk4",), serial="00050423", problem=None):
+    def open_it():
+        if isinstance(device, BaseException):
+            raise device
+        return device
+
+    return FoundCamera(model, kinds, serial, open_it, problem)
+
+
+def drivers(*cameras, name="played"):
+    """A table for `open_camera(drivers=...)`."""
+    return {name: lambda: PlayedDriver(list(cameras), f"{name} 1.0")}

@@ -1,0 +1,129 @@
+"""Two classes of another camera, in files of mixed formats, by the program alone: trained, evaluated, killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from own_classes.gestures import bar
+from recordings.written import BYTES
+
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.model import load_model
+
+pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+
+SAYING = ("evt2.raw", "evt21.raw", "evt3.raw", "v2.dat", "dvs.es")  # their sensor
+FORMATS = ("plain.csv", "uzh.txt", *SAYING)
+DURATIONS_US = (100_000, 40_000, 230_000)  # one window is 105 ms
+
+
+def of_camera(kind, seed, sensor, duration_us):
+    """A bar in the middle of the sensor, and an event in ten anywhere."""
+    side = min(sensor)
+    rng = np.random.default_rng(seed)
+    events = np.zeros(1_500, EVENT_DTYPE)
+    drawn = bar(kind, seed, side=side, duration_us=duration_us, start_us=1_000_000 * (seed % 7))
+    for name in "txyp":
+        events[name] = drawn[name]
+    events["x"] += (sensor[0] - side) // 2
+    noisy = rng.random(len(events)) < 0.1
+    noisy[0] = False  # the recording's first event
+    events["x"][noisy] = rng.integers(0, sensor[0], noisy.sum())
+    events["y"][noisy] = rng.integers(0, sensor[1], noisy.sum())
+    return events
+
+
+def write_camera(folder, counts, sensor, formats=FORMATS, seed=0):
+    for name, n in counts.items():
+        (folder / name).mkdir(parents=True)
+        for k in range(n):
+            kind = formats[k % len(formats)]
+            events = of_camera(name, 1000 * seed + k, sensor, DURATIONS_US[k % 3])
+            data = BYTES[kind](events, sensor)
+            if kind == "uzh.txt":
+                data = data.split(b"\n", 1)[1]  # without the line that says the sensor
+            (folder / name / f"{k:02d}_{kind}").write_bytes(data)
+    return folder
+
+
+@pytest.mark.parametrize("sensor", [(304, 240), (128, 128)])
+def test_formats_are_mixed_and_one_class_is_rare(tmp_path, program, sensor):
+    folder = write_camera(tmp_path / "set", {"upright": 30, "flat": 10}, sensor)
+    held_out = write_camera(tmp_path / "held_out", {"upright": 7, "flat": 7}, sensor, seed=1)
+    (folder / "flat" / "torn.raw").write_bytes(b"no recording")
+    (folder / "flat" / "empty.csv").touch()
+    out = tmp_path / "m.safetensors"
+    words = ("--out", out, "--run", tmp_path / "run", "--epochs", "12", "--batch", "8", "--patience", "0")
+    code, _, told = program("train", folder, *words)
+    assert code == 0, told
+    assert told.splitlines()[-2:] == ["left out: flat/empty.csv: no events", told.splitlines()[-1]]
+    assert "left out: flat/torn.raw: its first bytes are of no known format" in told.splitlines()[-1]
+    model = load_model(out)
+    assert model.config.sensor == sensor  # said by some of the files
+    assert model.record["data"]["classes"] == {"flat": 10, "upright": 30}
+
+    picture = tmp_path / "c.png"
+    drawn = ("--picture", picture) if _has_matplotlib() else ()
+    code, printed, told = program("evaluate", out, held_out, "--json", *drawn)
+    report = json.loads(printed)
+    assert code == 0 and report["recordings"] == 14 and report["skipped"] == []
+    assert min(report["per_class"].values()) >= 6 / 7, report["confusion"]
+    assert not drawn or picture.read_bytes().startswith(b"\x89PNG")
+
+
+def _has_matplotlib():
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def test_where_no_file_says_the_sensor_one_line_asks_for_it(tmp_path, program):
+    folder = write_camera(tmp_path / "set", {"upright": 4, "flat": 4}, (128, 128), ("plain.csv", "uzh.txt"))
+    code, _, told = program("train", folder, "--out", tmp_path / "m.safetensors")
+    assert code == 2 and told.count("\n") == 1
+    assert "no recording says how large its sensor is; give --sensor WxH (the events need at least 1" in told
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal on this system")
+def test_killed_and_given_again_it_ends_with_the_same_model(tmp_path):
+    """Killed in whatever it was at, as soon as there is one more epoch on the disk, three times."""
+    write_camera(tmp_path / "set", {"upright": 4, "flat": 4}, (128, 128))
+    words = [sys.executable, "-m", "async_tnt.cli", "train", "../set", "--out", "m.safetensors", "--epochs", "60",
+             "--patience", "0"]  # fmt: skip
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+
+    def start(name):
+        (tmp_path / name).mkdir(exist_ok=True)
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        return subprocess.Popen(words, cwd=tmp_path / name, env=env, **quiet)
+
+    def state():
+        return {path: path.stat().st_mtime_ns for path in (tmp_path / "cut").rglob("*") if path.is_file()}
+
+    assert start("whole").wait(300) == 0
+    n_killed = 0
+    for wait_s in (0.0, 0.05, 0.15):
+        (tmp_path / "cut").mkdir(exist_ok=True)
+        before = state()
+        process = start("cut")
+        while process.poll() is None and state() == before:
+            time.sleep(0.005)
+        time.sleep(wait_s)
+        n_killed += process.poll() is None
+        process.kill()
+        process.wait()
+    assert n_killed >= 2
+    assert not (tmp_path / "cut" / "m.safetensors").exists()
+    assert start("cut").wait(300) == 0
+    whole, cut = (load_model(tmp_path / name / "m.safetensors") for name in ("whole", "cut"))
+    assert (whole.config, whole.classes, whole.record) == (cut.config, cut.classes, cut.record)
+    for name, weights in whole.weights.items():
+        np.testing.assert_array_equal(cut.weights[name], weights)
+    assert (tmp_path / "whole" / "m.json").read_bytes() == (tmp_path / "cut" / "m.json").read_bytes()

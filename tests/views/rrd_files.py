@@ -1,0 +1,67 @@
+"""Reads a .rrd file back, with the SDK's own reader."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+rerun = pytest.importorskip("rerun", reason="rerun-sdk is not installed (extra `view`)")
+chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no .rrd files back")
+
+
+class Rrd:
+    """What was logged, in order of time.
+
+    rows : entity -> [(microseconds, {"Archetype:component": value})], static ones at None.
+    """
+
+    def __init__(self, path: Path) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what `rerun --save` writes has no footer
+            reader = chunk.RrdReader(path)
+        recordings = reader.recordings()
+        assert len(recordings) == 1 and len(reader.blueprints()) == 1
+        assert recordings[0].application_id == "async_tnt"
+        self.rows: dict[str, list[tuple[int | None, dict[str, Any]]]] = {}
+        for part in reader.stream():
+            batch = part.to_record_batch()
+            names = [field.name for field in batch.schema if ":" in field.name]
+            times = [None] * batch.num_rows
+            if "time" in batch.schema.names:
+                times = [ns.value // 1000 for ns in batch.column("time")]
+                assert all(ns.value % 1000 == 0 for ns in batch.column("time"))
+            columns = [batch.column(name).to_pylist() for name in names]
+            rows = self.rows.setdefault(part.entity_path.lstrip("/"), [])
+            rows += [(t, dict(zip(names, values, strict=True))) for t, *values in zip(times, *columns, strict=True)]
+        for rows in self.rows.values():
+            rows.sort(key=lambda row: -1 if row[0] is None else row[0])
+
+    def times(self, entity: str) -> list[int]:
+        return [t for t, _ in self.rows.get(entity, []) if t is not None]
+
+    def series(self, entity: str, component: str) -> list[tuple[int, Any]]:
+        """(microseconds, value) of a component that changes."""
+        return [(t, row[component]) for t, row in self.rows.get(entity, []) if t is not None and component in row]
+
+    def static(self, entity: str, component: str) -> Any:
+        """The last of the values that are for all times."""
+        return [row[component] for t, row in self.rows[entity] if t is None and component in row][-1]
+
+    def tensors(self, entity: str) -> list[tuple[int, np.ndarray]]:
+        found = []
+        for t, (tensor,) in self.series(entity, "Tensor:data"):
+            found.append((t, np.array(tensor["buffer"], np.float32).reshape(tensor["shape"])))
+        return found
+
+    def images(self, entity: str, archetype: str = "Image") -> list[tuple[int, np.ndarray]]:
+        """uint8, shape (height, width) or (height, width, 3)."""
+        found = []
+        formats = self.series(entity, f"{archetype}:format")
+        for (t, (pixels,)), (_, (form,)) in zip(self.series(entity, f"{archetype}:buffer"), formats, strict=True):
+            image = np.frombuffer(bytes(pixels), np.uint8).reshape(form["height"], form["width"], -1)
+            found.append((t, image if image.shape[2] > 1 else image[:, :, 0]))
+        return found

@@ -1,0 +1,72 @@
+"""Pictures and their moments: plain NumPy, no viewer."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made import events_of
+
+from async_tnt.views.moments import next_moment
+from async_tnt.views.pictures import (
+    GAP_COLOUR,
+    NOTHING,
+    NOTHING_COLOUR,
+    OFF,
+    OFF_COLOUR,
+    ON,
+    ON_COLOUR,
+    bin_sheet,
+    class_colours,
+    event_image,
+)
+
+
+def test_an_event_image_has_the_newest_polarity_of_each_pixel():
+    events = events_of([1, 2, 3, 4, 5], [0, 3, 3, 1, 1], [0, 1, 1, 0, 0], [1, 1, 0, 0, 1])
+    assert event_image(events, (4, 2)).tolist() == [[ON, ON, NOTHING, NOTHING], [NOTHING, NOTHING, NOTHING, OFF]]
+    assert not event_image(events[:0], (4, 2)).any()
+
+
+def test_a_sheet_has_the_bins_row_by_row():
+    volume = np.zeros((5, 2, 3), np.float32)
+    volume[0, 0, 0], volume[1, 1, 2], volume[4, 0, 1] = 4.0, -4.0, 1.0
+    sheet = bin_sheet(volume)
+    assert sheet.shape == (2 * 3 - 1, 3 * 4 - 1, 3) and sheet.dtype == np.uint8
+    assert tuple(sheet[0, 0]) == ON_COLOUR and tuple(sheet[1, 4 + 2]) == OFF_COLOUR
+    half = np.array(NOTHING_COLOUR) + 0.5 * (np.array(ON_COLOUR) - np.array(NOTHING_COLOUR))  # the root of a quarter
+    assert np.abs(sheet[3, 4 + 1] - half).max() <= 1
+    assert tuple(sheet[1, 1]) == NOTHING_COLOUR
+    assert (sheet[2] == GAP_COLOUR).all() and (sheet[:, 3] == GAP_COLOUR).all() and (sheet[3:, 8:] == GAP_COLOUR).all()
+
+
+def test_an_empty_volume_is_a_dark_sheet():
+    assert (bin_sheet(np.zeros((1, 4, 4), np.float32)) == NOTHING_COLOUR).all()
+
+
+def test_a_large_sheet_is_reduced_and_loses_no_single_cell():
+    volume = np.zeros((1, 10, 11), np.float32)
+    volume[0, 9, 10], volume[0, 1, 1], volume[0, 0, 0] = 2.0, -2.0, 1.0
+    sheet = bin_sheet(volume, most_pixels=30)
+    assert sheet.shape == (5, 6, 3)
+    assert tuple(sheet[4, 5]) == ON_COLOUR and tuple(sheet[0, 0]) == OFF_COLOUR
+    assert (np.delete(sheet.reshape(-1, 3), [0, 29], axis=0) == NOTHING_COLOUR).all()
+
+
+@pytest.mark.parametrize("n", [1, 10, 64])
+def test_classes_have_colours_of_their_own(n):
+    colours = class_colours(n)
+    assert len(set(colours)) == n and all(0 <= c <= 255 for colour in colours for c in colour)
+
+
+@given(st.integers(-500, 2000), st.integers(0, 500), st.integers(1, 200), st.integers(1, 200))
+def test_moments_are_bounded_in_number_and_hit_every_long_window_end(t, origin, window, step):
+    moment = next_moment(t, origin, window, step)
+    short = window < step
+    long = window * -(-step // window) if short else window
+    end = origin + ((t - origin) // long + 1) * long
+    assert t < moment <= min(end, t + (long if short else step))
+    assert next_moment(end - 1, origin, window, step) == end
+    offset = (moment - origin) % long
+    assert offset == 0 or (not short and offset % step == 0)
+    two_later = next_moment(next_moment(moment, origin, window, step), origin, window, step)
+    assert two_later - moment >= min(step, long)  # at most two in a step
