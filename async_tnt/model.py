@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
 from .config import TNTConfig
+from .tensor_bytes import tensor_bytes
 
 FORMAT = "async_tnt 1"
 LAYERS = ("conv1", "conv2", "fc1", "fc2")
@@ -75,7 +75,7 @@ class Model:
             "classes": json.dumps(self.classes),
             "record": json.dumps(self.record),
         }
-        content = save(dict(self.weights), metadata=metadata)
+        content = tensor_bytes(self.weights, metadata)
         part = path.with_name(path.name + ".part")
         try:
             part.write_bytes(content)

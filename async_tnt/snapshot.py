@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError
-from safetensors.numpy import load, save
+from safetensors.numpy import load
 
 from .kernels import state as S
 from .new_state import next_epoch
+from .tensor_bytes import tensor_bytes
 
 FORMAT = "async_tnt stream 1"
 Arrays = dict[str, np.ndarray]
@@ -64,7 +65,7 @@ def to_bytes(arrays: Arrays, about: dict[str, Any]) -> bytes:
     """Arrays, and what JSON can say, as the content of a .safetensors file with a checksum."""
     arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     text = json.dumps(about, sort_keys=True)
-    return save(arrays, metadata={"format": FORMAT, "about": text, "sha256": _checksum(arrays, text)})
+    return tensor_bytes(arrays, {"format": FORMAT, "about": text, "sha256": _checksum(arrays, text)})
 
 
 def from_bytes(content: bytes) -> tuple[Arrays, dict[str, Any]]:

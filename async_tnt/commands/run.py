@@ -8,7 +8,8 @@ from ..engines.choice import ENGINES, choose_engine
 from ..warmup import warmup
 from .archive_options import add_archive, check_no_archive, run_archive
 from .decision_lines import HEADER, json_line, text_line
-from .files import add_files, add_start, complain, paths_of, positive_int
+from .files import add_files, add_start, complain, paths_of, positive_int, positive_number
+from .live_packets import add_latest
 from .pixel_options import PixelOptions, add_pixels
 from .run_recording import open_selected, print_decisions, watch_decisions
 from .run_source import run_source
@@ -56,13 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--live", action="store_true",
         help="a small view in the terminal, at the recording's pace: label, probabilities, rates (extra `view`)",
     )  # fmt: skip
-    parser.add_argument("--speed", type=_speed, metavar="S", help="of --live: 2 is twice as fast (default: 1)")
+    parser.add_argument("--speed", type=positive_number, metavar="S", help="of --live: 2 is twice as fast (default: 1)")
     add_pixels(parser)
-    parser.add_argument(
-        "--latest", type=positive_int, metavar="PACKETS",
-        help="of a camera or the network: read in the background, at most so many packets wait, and the oldest are "
-        "skipped and counted where decisions are slower than events",
-    )  # fmt: skip
+    add_latest(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
     add_archive(parser, needs_out=True)
 
@@ -106,13 +103,3 @@ def main(args: argparse.Namespace) -> int:
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
     return 2 if failed else 0
-
-
-def _speed(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be a positive number, got {text!r}")
-    return value

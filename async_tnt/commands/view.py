@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from ..engines.choice import choose_engine
-from ..fresh import BackgroundReader
-from ..live_sources import open_live
 from ..progress import progress
 from ..recordings import Recording
 from ..sources import replay
 from ..views import RerunView
 from ..views.sinks import check_out, import_rerun
 from ..warmup import warmup
-from .files import add_files, add_start, complain, paths_of, positive_int
+from .files import add_files, add_start, complain, paths_of, positive_number
+from .live_packets import add_latest, live_packets
 from .pixel_options import PixelOptions, add_pixels
 from .run_recording import open_selected
 from .trigger_options import add_triggers, triggers_of
@@ -58,18 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--spawn", action="store_true", help="start the viewer here, or use the one started before (default)"
     )
     parser.add_argument(
-        "--speed", type=_speed, metavar="S",
+        "--speed", type=positive_number, metavar="S",
         help="recorded time per time; 2 is twice as fast, inf does not wait (default: 1, with --out inf)",
     )  # fmt: skip
     parser.add_argument(
         "--every-ms", type=_milliseconds, default=20_000, dest="picture_us", metavar="MS",
         help="recorded milliseconds from picture to picture (default: 20)",
     )  # fmt: skip
-    parser.add_argument(
-        "--latest", type=positive_int, metavar="PACKETS",
-        help="of a camera or the network: read in the background, at most so many packets wait, and the oldest are "
-        "skipped and counted where they come too fast",
-    )  # fmt: skip
+    add_latest(parser)
 
 
 def main(args: argparse.Namespace) -> int:
@@ -123,34 +117,15 @@ def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: 
 def _show_live(name: str, view: RerunView, pixels: PixelOptions, latest: int | None) -> bool:
     """Show a source until it ends or Ctrl-C; then what was counted. Returns whether Ctrl-C ended it."""
     stopped = False
-    with contextlib.ExitStack() as stack:
-        source = open_live(name, pixels.expected)
-        stack.callback(source.close)
-        packets: Iterable[Any] = pixels.select(source, pixels.sensor_of(name, source.sensor))
-        reader = None
-        if latest is not None:
-            reader = BackgroundReader(packets, latest=True, max_packets=latest, on_close=source.close)
-            packets = stack.enter_context(reader)
-        complain(f"listening at {name}; Ctrl-C stops")
+    with live_packets(name, pixels, latest) as stream:
         try:
-            for packet in packets:
+            for packet in stream.packets:
                 view.push(packet)
         except KeyboardInterrupt:
             stopped = True
         finally:  # also where a camera was unplugged
-            skipped = "" if reader is None else f"; {reader.n_skipped:,} skipped to stay fresh"
-            complain(f"{name}: {source.summary()}{skipped}")
+            complain(f"{name}: {stream.summary()}")
     return stopped
-
-
-def _speed(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be a positive number, got {text!r}")
-    return value
 
 
 def _milliseconds(text: str) -> int:

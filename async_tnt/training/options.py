@@ -88,7 +88,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     data.add_argument(
         "--skip-damaged",
         action="store_true",
-        help="leave damaged recordings out, with a warning each, instead of stopping",
+        help="of N-MNIST: leave damaged recordings out, with a warning each, instead of stopping (of DATASET, what "
+        "cannot be read is always left out, and named at the end)",
     )
     data.add_argument(
         "--test",

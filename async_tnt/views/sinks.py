@@ -30,10 +30,10 @@ def import_rerun() -> Any:
         import rerun
         import rerun.blueprint
     except ImportError as error:
-        raise ImportError(f"views are shown by rerun-sdk: pip install 'async_tnt[view]' ({error})") from None
+        raise ImportError(f"views are shown by rerun-sdk: pip install '.[view]' ({error})") from None
     if not hasattr(rerun, "SeriesLines"):
         version = getattr(rerun, "__version__", "of unknown version")
-        raise ImportError(f"views need rerun-sdk 0.23 or newer, got {version}: pip install 'async_tnt[view]'")
+        raise ImportError(f"views need rerun-sdk 0.23 or newer, got {version}: pip install '.[view]'")
     return rerun
 
 

@@ -122,8 +122,5 @@ def test_killed_and_given_again_it_ends_with_the_same_model(tmp_path):
     assert n_killed >= 2
     assert not (tmp_path / "cut" / "m.safetensors").exists()
     assert start("cut").wait(300) == 0
-    whole, cut = (load_model(tmp_path / name / "m.safetensors") for name in ("whole", "cut"))
-    assert (whole.config, whole.classes, whole.record) == (cut.config, cut.classes, cut.record)
-    for name, weights in whole.weights.items():
-        np.testing.assert_array_equal(cut.weights[name], weights)
-    assert (tmp_path / "whole" / "m.json").read_bytes() == (tmp_path / "cut" / "m.json").read_bytes()
+    for name in ("m.safetensors", "m.json"):
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "cut" / name).read_bytes(), name

@@ -27,7 +27,7 @@ def test_without_rerun_it_says_what_to_install(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert main(["view", "--out", str(tmp_path / "a.rrd")]) == 2
     err = capsys.readouterr().err
-    assert err.startswith("async-tnt: views are shown by rerun-sdk: pip install 'async_tnt[view]' (")
+    assert err.startswith("async-tnt: views are shown by rerun-sdk: pip install '.[view]' (")
     assert len(err.splitlines()) == 1
 
 
@@ -38,7 +38,7 @@ def test_an_old_rerun_is_told(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "rerun.blueprint", type(sys)("rerun.blueprint"))
     assert main(["view", "--out", str(tmp_path / "a.rrd")]) == 2
     assert capsys.readouterr().err == (
-        "async-tnt: views need rerun-sdk 0.23 or newer, got 0.19.0: pip install 'async_tnt[view]'\n"
+        "async-tnt: views need rerun-sdk 0.23 or newer, got 0.19.0: pip install '.[view]'\n"
     )
 
 
