@@ -1,13 +1,14 @@
 """Many recordings on 1 and 2 workers: how much sooner is an archive evaluated, by processes and by a Dask cluster?
 
-    python benchmarks/archive.py [--recordings N] [--folder FOLDER] [--workers 1 2] [--rounds R] [--json FILE]
+    python benchmarks/archive.py [--recordings N] [--length K] [--folder FOLDER] [--workers 1 2] [--rounds R]
 
 Evaluates the same recordings in each way, in turns, `--rounds` times, into a JSON-lines file: in this process, in N
 processes, and on a Dask cluster (extra `cluster`; left out where it is missing) of N workers on this machine, each a
-process of one thread. The recordings are copies of the ten bundled samples in a temporary folder, or those of FOLDER,
-<class>/<recording>. A time is that of the whole evaluation, from the list of files to the finished result file: the
-processes' start and their compiler are in it; the clusters run, warmed up, before. `first_s` is the time to the first
-record, `steady` the rate from there on. Exit code 1 if two ways do not write the same bytes.
+process of one thread. The recordings are the ten bundled samples in a temporary folder, each `--length` times one after
+the other, or those of FOLDER, <class>/<recording>. A time is that of the whole evaluation, from the list of files to
+the finished result file: the processes' start and their compiler are in it; the clusters run, warmed up, before.
+`first_s` is the time to the first record, `steady` the rate from there on. Exit code 1 if two ways do not write the
+same bytes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import argparse
 import contextlib
 import importlib.util
 import json
-import shutil
 import sys
 import tempfile
 import time
@@ -36,18 +36,21 @@ from async_tnt.datasets.class_folders import find_recordings
 from async_tnt.datasets.streamed import evaluation_settings
 from async_tnt.engines.choice import choose_engine
 from async_tnt.progress import progress
-from async_tnt.recordings import sample_recordings
+from async_tnt.recordings import open_recording, sample_recordings
 
 QUICK = 40  # recordings
+REPEAT_US = 315_000  # three windows
 
 
-def make_archive(folder: Path, n: int) -> None:
-    """`n` copies of the samples, by turns."""
-    samples = list(sample_recordings().items())
+def make_archive(folder: Path, n: int, length: int) -> None:
+    """`n` recordings, the digits by turns, each of them `length` times one after the other."""
+    samples = [(digit, open_recording(path).read()) for digit, path in sample_recordings().items()]
     for k in range(n):
-        digit, path = samples[k % len(samples)]
+        digit, events = samples[k % len(samples)]
+        repeated = np.concatenate([events] * length)
+        repeated["t"] += np.repeat(np.arange(length) * REPEAT_US, len(events))
         (folder / str(digit)).mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, folder / str(digit) / f"{k:06d}.bin")
+        np.save(folder / str(digit) / f"{k:06d}.npy", repeated)
 
 
 def tasks_of(folder: Path, n: int | None) -> list[Task]:
@@ -69,7 +72,9 @@ def clusters(workers: list[int]) -> Iterator[dict[str, Place]]:
 
             for n in workers:
                 made = stack.enter_context(
-                    LocalCluster(n, threads_per_worker=1, protocol="tcp", host="127.0.0.1", dashboard_address=":0")
+                    LocalCluster(
+                        n_workers=n, threads_per_worker=1, protocol="tcp", host="127.0.0.1", dashboard_address=":0"
+                    )
                 )
                 places[f"dask, {n} worker{'s' if n > 1 else ''}"] = Place(dask=made.scheduler_address)
         yield places
@@ -109,7 +114,8 @@ def measure_all(tasks: list[Task], workers: list[int], rounds: int, folder: Path
                     if content != first:
                         raise RuntimeError(f"{name}: not the bytes of the first evaluation")
                     bar.update()
-    report: dict[str, Any] = {"recordings": len(tasks), "rounds": rounds, "ways": {}}
+    n_bytes = sum(task.bytes or 0 for task in tasks)
+    report: dict[str, Any] = {"recordings": len(tasks), "bytes": n_bytes, "rounds": rounds, "ways": {}}
     for name, runs in found.items():
         row: dict[str, Any] = {key: spread([run[key] for run in runs]) for key in ("seconds", "first_s", "steady")}
         row["recordings_per_s"] = len(tasks) / row["seconds"]["median"]
@@ -129,7 +135,8 @@ def spread(values: list[float]) -> dict[str, float]:
 
 def lines(report: dict[str, Any]) -> Iterator[str]:
     """The report as text."""
-    yield f"{report['recordings']:,} recordings, medians of {report['rounds']} rounds (quartiles)"
+    size = f"{report['recordings']:,} recordings, {report['bytes'] / 1e6:,.0f} MB"
+    yield f"{size}, medians of {report['rounds']} rounds (quartiles)"
     yield f"{'':22}{'seconds':>20}{'recordings/s':>14}{'first after s':>15}{'speed-up':>20}{'steady':>20}"
     for name, row in report["ways"].items():
         told = [_told(row[key]) if key in row else "" for key in ("speedup", "steady_speedup")]
@@ -144,15 +151,17 @@ def _told(found: dict[str, float]) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Measure, print, and write JSON if asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--recordings", type=int, metavar="N", help="so many (default: 2000, or all of --folder)")
+    parser.add_argument("--recordings", type=int, metavar="N", help="so many (default: 500, or all of --folder)")
+    parser.add_argument("--length", type=int, default=20, metavar="K",
+                        help="samples of 0.3 s in a recording (default: %(default)s)")  # fmt: skip
     parser.add_argument("--folder", type=Path, metavar="FOLDER", help="<class>/<recording>, such as N-MNIST")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2], metavar="N", help="(default: 1 2)")
     parser.add_argument("--rounds", type=int, default=5, metavar="R", help="(default: %(default)s)")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} recordings, 1 round: does it all run?")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
     args = parser.parse_args(argv)
-    if min(args.rounds, *args.workers, 2 if args.recordings is None else args.recordings - 1) < 1:
-        parser.error("--rounds and --workers must be at least 1, --recordings at least 2")
+    if min(args.rounds, args.length, *args.workers, 2 if args.recordings is None else args.recordings - 1) < 1:
+        parser.error("--rounds, --length and --workers must be at least 1, --recordings at least 2")
     n = QUICK if args.quick else args.recordings
     warmup(load_model("digits"))
     with tempfile.TemporaryDirectory() as made:
@@ -160,7 +169,7 @@ def main(argv: list[str] | None = None) -> int:
         try:
             if folder is None:
                 folder = Path(made, "archive")
-                make_archive(folder, n or 2000)
+                make_archive(folder, n or 500, args.length)
             tasks = tasks_of(folder, n)
             report = measure_all(tasks, args.workers, 1 if args.quick else args.rounds, Path(made))
         except (OSError, ValueError) as error:
