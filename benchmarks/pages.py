@@ -9,15 +9,15 @@ and fails with exit code 1 where a page says something else than the results; a 
 from __future__ import annotations
 
 import argparse
-import json
 import re
 import sys
-from collections.abc import Callable, Iterable
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGES = ("README.md", "docs/performance.md", "benchmarks/README.md")
+from page_parts import ROOT, about_machine, percent, results, short, table
+from stream_tables import archive, udp_latency, udp_load, udp_machine, udp_overload
+
+PAGES = ("README.md", "docs/performance.md", "docs/network.md", "docs/archive.md", "benchmarks/README.md")
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 NETWORKS = {
@@ -38,37 +38,8 @@ LAYERS = {"pooled_1": "places of the first pooled map", "pooled_2": "places of t
           "partial": "partial sums of the dense layer"}  # fmt: skip
 
 
-def results(name: str) -> dict[str, Any]:
-    """A recorded run."""
-    found: dict[str, Any] = json.loads((ROOT / "benchmarks" / "results" / f"{name}.json").read_text(encoding="utf-8"))
-    return found
-
-
-def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    cells = [list(head), *map(list, rows)]
-    text = ["| " + " | ".join(row) + " |" for row in cells]
-    return "\n".join([text[0], "|---" * len(cells[0]) + "|", *text[1:]])
-
-
-def short(value: float) -> str:
-    return f"{value:.1f}" if value < 20 else f"{value:,.0f}"
-
-
-def percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
-
-
-def _about(report: dict[str, Any]) -> str:
-    about = report["machine"]
-    names = {"torch": "torch", "onnxruntime": "onnxruntime", "openvino": "OpenVINO", "eventcv": "eventcv",
-             "tonic": "tonic"}  # fmt: skip
-    versions = [f"{words} {about[name]}" for name, words in names.items() if about.get(name)]
-    return (f"{about['cpu']}, one thread, load {about['load_1min']}; Python {about['python']}, NumPy {about['numpy']}, "
-            f"Numba {about['numba']}" + "".join(", " + v for v in versions) + ".")  # fmt: skip
-
-
 def decisions_machine() -> str:
-    return _about(results("decisions"))
+    return about_machine(results("decisions"))
 
 
 def _turns(part: str, mode: str, names: dict[str, str]) -> str:
@@ -261,6 +232,7 @@ def _by_packet() -> dict[str, dict[str, Any]]:
 TABLES: dict[str, Callable[[], str]] = {f.__name__: f for f in (
     decisions_machine, network_in_blocks, network_call_by_call, end_to_end_in_blocks, end_to_end_call_by_call, touched,
     every_event, singles, starts, early, of_nothing, soon, volumes, splat, large_packets,
+    udp_machine, udp_latency, udp_load, udp_overload, archive,
 )}  # fmt: skip
 
 

@@ -1,0 +1,39 @@
+"""What the tables of pages.py are made of: recorded results, and Markdown."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def results(name: str) -> dict[str, Any]:
+    """A recorded run."""
+    found: dict[str, Any] = json.loads((ROOT / "benchmarks" / "results" / f"{name}.json").read_text(encoding="utf-8"))
+    return found
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    cells = [list(head), *map(list, rows)]
+    text = ["| " + " | ".join(row) + " |" for row in cells]
+    return "\n".join([text[0], "|---" * len(cells[0]) + "|", *text[1:]])
+
+
+def short(value: float) -> str:
+    return f"{value:.1f}" if value < 20 else f"{value:,.0f}"
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def about_machine(report: dict[str, Any]) -> str:
+    about = report["machine"]
+    names = {"torch": "torch", "onnxruntime": "onnxruntime", "openvino": "OpenVINO", "eventcv": "eventcv",
+             "tonic": "tonic"}  # fmt: skip
+    versions = [f"{words} {about[name]}" for name, words in names.items() if about.get(name)]
+    return (f"{about['cpu']}, one thread, load {about['load_1min']}; Python {about['python']}, NumPy {about['numpy']}, "
+            f"Numba {about['numba']}" + "".join(", " + v for v in versions) + ".")  # fmt: skip
