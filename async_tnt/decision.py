@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -34,3 +35,16 @@ class Decision:
     def probability(self) -> float:
         """Probability of the likeliest class."""
         return float(self.probabilities[self.index])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON; probabilities to six decimals, no logits."""
+        return {
+            "time_us": self.time_us,
+            "window_start_us": self.window_start_us,
+            "label": self.label,
+            "probability": round(self.probability, 6),
+            "probabilities": [round(float(p), 6) for p in self.probabilities],
+            "events": self.events,
+            "complete": self.complete,
+            "trigger": self.trigger,
+        }

@@ -14,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 
 from .config import TNTConfig
 from .tensor_bytes import tensor_bytes
+from .whole_files import replacing
 
 FORMAT = "async_tnt 1"
 LAYERS = ("conv1", "conv2", "fc1", "fc2")
@@ -76,13 +77,8 @@ class Model:
             "record": json.dumps(self.record),
         }
         content = tensor_bytes(self.weights, metadata)
-        part = path.with_name(path.name + ".part")
-        try:
+        with replacing(path) as part:
             part.write_bytes(content)
-            part.replace(path)
-        except BaseException:
-            part.unlink(missing_ok=True)
-            raise
         return path
 
 

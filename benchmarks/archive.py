@@ -31,9 +31,9 @@ from async_tnt.archive.collect import Collected, collect_to_file
 from async_tnt.archive.job import Task, job_of, task_of
 from async_tnt.archive.place import Place
 from async_tnt.archive.records import evaluate_recording
+from async_tnt.archive.streamed import evaluation_settings
 from async_tnt.bench.timing import machine
 from async_tnt.datasets.class_folders import find_recordings
-from async_tnt.datasets.streamed import evaluation_settings
 from async_tnt.engines.choice import choose_engine
 from async_tnt.progress import progress
 from async_tnt.recordings import open_recording, sample_recordings

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..datasets.streamed import Outcome, decisions_of, stream_recording, told
-from ..decision import Decision
 from .job import Task, processor_of
+from .streamed import Outcome, decisions_of, stream_recording, told
 
 FIELDS = ("recording", "error", "bytes", "modified_ns", "settings")
 OF_KIND = {
@@ -96,7 +95,7 @@ def run_recording(task: Task) -> Record:
         "windows": len(closed),
         "events": n_events,
         "late": processor.counts.dropped_late,
-        "decisions": [_plain(decision) for decision in decisions],
+        "decisions": [decision.to_dict() for decision in decisions],
         **_about_file(task, None, seconds),
     }
 
@@ -123,17 +122,4 @@ def _about_file(task: Task, error: str | None, seconds: float | None) -> Record:
         "modified_ns": task.modified_ns,
         "settings": task.settings,
         TIMED: seconds,
-    }
-
-
-def _plain(decision: Decision) -> Record:
-    return {
-        "time_us": decision.time_us,
-        "window_start_us": decision.window_start_us,
-        "label": decision.label,
-        "probability": round(decision.probability, 6),
-        "probabilities": [round(float(p), 6) for p in decision.probabilities],
-        "events": decision.events,
-        "complete": decision.complete,
-        "trigger": decision.trigger,
     }

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from ..whole_files import replacing
 from .journal import other_settings, parsed
 from .records import TIMED, Record, fields_of
 
@@ -91,8 +92,7 @@ def read_results(out: Path, kind: str, about: dict[str, Any], settings: str) -> 
 
 def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable[Record]) -> None:
     """Write a result file, in its place at once when it is complete. `records` are in order, without `seconds`."""
-    part = out.with_name(out.name + ".part")
-    try:
+    with replacing(out) as part:
         if is_parquet(out):
             from .parquet import write_parquet
 
@@ -102,10 +102,6 @@ def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable
                 for record in records:
                     file.write(json.dumps(record).encode() + b"\n")
         _sync(part)
-        part.replace(out)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
     if os.name != "nt":  # the name, too, outlives a loss of power
         _sync(out.parent)
 

@@ -44,18 +44,4 @@ def json_line(name: str, decision: Decision, latency_us: float, queue: Queue | N
     fresh = {}
     if queue is not None:
         fresh = {"delay_us": queue.delay_us, "backlog": queue.backlog, "n_skipped": queue.n_skipped}
-    return json.dumps(
-        {
-            "recording": name,
-            "time_us": decision.time_us,
-            "window_start_us": decision.window_start_us,
-            "label": decision.label,
-            "probability": round(decision.probability, 6),
-            "probabilities": [round(float(p), 6) for p in decision.probabilities],
-            "events": decision.events,
-            "complete": decision.complete,
-            "trigger": decision.trigger,
-            "latency_us": round(latency_us, 3),
-            **fresh,
-        }
-    )
+    return json.dumps({"recording": name, **decision.to_dict(), "latency_us": round(latency_us, 3), **fresh})

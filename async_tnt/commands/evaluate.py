@@ -12,9 +12,9 @@ import numpy as np
 from ..archive.collect import Collected
 from ..archive.job import job_of, task_of
 from ..archive.records import evaluate_recording, outcome_of
+from ..archive.streamed import Outcome, evaluation_settings, moments
 from ..datasets.class_folders import find_recordings
 from ..datasets.scores import Scores, score_recordings
-from ..datasets.streamed import Outcome, evaluation_settings, moments
 from ..engines.choice import Engine
 from ..model import Model, bundled_models
 from .archive_options import Interrupted, add_archive, place_of, stream_archive

@@ -12,7 +12,7 @@ from ..config import TNTConfig
 from ..events import as_events
 from ..live_sources import is_live
 from ..model import Model, bundled_models, load_model
-from ..recordings import READERS, Recording, open_recording, sample_recordings
+from ..recordings import READERS, Recording, check_sensor, open_recording, sample_recordings
 
 Sensor = tuple[int, int]
 
@@ -68,12 +68,6 @@ def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:
         if recording.sensor is None:
             check_events(recording, model.config.sensor)
         yield recording
-
-
-def check_sensor(name: Any, found: Sensor | None, wanted: Sensor, who: str = "the model is for") -> None:
-    """Refuse a source whose sensor has another size (width, height) than wanted."""
-    if found is not None and tuple(found) != wanted:
-        raise ValueError(f"{name}: a sensor of {found[0]}x{found[1]} pixels, but {who} {wanted[0]}x{wanted[1]}")
 
 
 def check_events(recording: Recording, sensor: Sensor) -> None:

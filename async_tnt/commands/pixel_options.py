@@ -9,7 +9,8 @@ from typing import Any
 
 from ..datasets.sizes import parse_size, size_text
 from ..pixels import PixelFilter
-from .files import Sensor, check_sensor
+from ..recordings import check_sensor
+from .files import Sensor
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:

@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..whole_files import replacing
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
@@ -80,15 +82,10 @@ def save(figure: Figure, path: Path, dpi: int) -> None:
     kind = path.suffix.lower().removeprefix(".")
     # no dates and versions: the same figure gives the same bytes
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
-    part = path.with_name(path.name + ".part")
-    try:
+    with replacing(path) as part:
         figure.savefig(part, format=kind, dpi=dpi, metadata=metadata)
         if kind == "png" and dpi <= MOST_DPI_OF_PALETTE:
             _give_palette(part, dpi)
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def _give_palette(path: Path, dpi: int) -> None:

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ..whole_files import replacing
+
 MAX_SIDE = 1 << 15
 
 
@@ -84,13 +86,8 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
     if mask.dtype != np.bool_ or mask.ndim != 2:
         got = f"{mask.dtype} of shape {mask.shape}"
         raise ValueError(f"a mask must be a bool array of shape (height, width), got {got}")
-    part = path.with_name(path.name + ".part")
-    try:
-        with part.open("wb") as file:
-            np.save(file, mask, allow_pickle=False)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing(path) as part, part.open("wb") as file:
+        np.save(file, mask, allow_pickle=False)
 
 
 def checked_out(path: str | os.PathLike[str]) -> Path:

@@ -8,7 +8,7 @@ from async_tnt.recordings.damage import Damage, DamagedRecording
 from async_tnt.recordings.formats import READERS
 from async_tnt.recordings.nmnist import read_nmnist, write_nmnist
 from async_tnt.recordings.recording import Recording, open_recording, sample_recordings
-from async_tnt.recordings.source import Source
+from async_tnt.recordings.source import Source, check_sensor
 
 __all__ = [
     "READERS",
@@ -16,6 +16,7 @@ __all__ = [
     "DamagedRecording",
     "Recording",
     "Source",
+    "check_sensor",
     "open_recording",
     "read_nmnist",
     "sample_recordings",

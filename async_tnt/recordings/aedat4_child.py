@@ -37,7 +37,8 @@ def main(path: str) -> None:
         decoder = aedat.Decoder(path)
         tracks = decoder.tracks()
     except BaseException as error:  # pyo3's PanicException derives from BaseException alone
-        return _write(out, error=" ".join(str(error).split())[:200] or type(error).__name__)
+        said = " ".join(str(error).split())[:200] or type(error).__name__
+        return _write(out, error=f"not a readable AEDAT4 file: {said}")
     track = next((track for track in tracks if track.data_type == "events"), None)
     if track is None:
         kinds = ", ".join(track.data_type for track in tracks) or "none"

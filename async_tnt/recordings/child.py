@@ -1,4 +1,4 @@
-"""Readers in a process of their own, for libraries that a damaged file can crash; ours must outlive that.
+"""Sources read in a process of their own, for libraries that a damaged file can crash; ours must outlive that.
 
 The process is a script beside this file. It writes to stdout: a line of JSON, {...} or {"error": "..."}; then, for
 each packet, the number of its events (4 bytes, little-endian) and their bytes; at the end, 0, and a line of JSON
@@ -13,13 +13,65 @@ import struct
 import subprocess
 import sys
 import threading
+from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from async_tnt.recordings.damage import Damage
+from async_tnt.recordings.source import Source
+
 SILENCE_S = 60.0  # a packet takes milliseconds, but a disk may sleep, and a machine be busy
 STOPPED = {"error": "its reader stopped for good, or hung, at the damage"}
+
+
+class ChildSource(Source):
+    """The events of one file, read by a script beside this file.
+
+    Parameters
+    ----------
+    path : the file.
+    script : its name. It is given the path.
+
+    Raises
+    ------
+    ValueError : the script says why the file cannot be read. OSError : it is missing or not readable.
+    """
+
+    def __init__(self, path: Path, script: str) -> None:
+        self.path, self._script = path, script
+        path.open("rb").close()  # so that a missing file is an OSError
+        with child_process(script, str(path)) as child:
+            self.said = child.said()
+        if "error" in self.said:
+            raise ValueError(f"{path}: {self.said['error']}")
+        sensor = self.said["sensor"]
+        self.sensor = None if sensor is None else (sensor[0], sensor[1])
+
+    event_bytes: int
+    """Of one event, as the script writes it."""
+
+    @abstractmethod
+    def decoded(self, data: bytes) -> tuple[np.ndarray, str | None]:
+        """The events of a packet of the script's, as `packed` gives them."""
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        n_read = 0
+        with child_process(self._script, str(self.path)) as child:
+            said = child.said()
+            if "error" in said:
+                raise Damage(f"after event 0: {said['error']}")
+            for data in child.packets(self.event_bytes):
+                if isinstance(data, str):
+                    raise Damage(f"after event {n_read}: {data}")
+                events, problem = self.decoded(data)
+                yield events
+                n_read += len(events)
+                if problem is not None:
+                    raise Damage(f"event {n_read}: {problem}")
 
 
 class Child:

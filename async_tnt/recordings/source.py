@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -66,3 +67,9 @@ def packed(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[
     if n == len(t):
         return events, None
     return events, f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is no event"
+
+
+def check_sensor(name: Any, found: Sensor | None, wanted: Sensor, who: str = "the model is for") -> None:
+    """Refuse a source whose sensor has another size (width, height) than wanted."""
+    if found is not None and tuple(found) != wanted:
+        raise ValueError(f"{name}: a sensor of {found[0]}x{found[1]} pixels, but {who} {wanted[0]}x{wanted[1]}")

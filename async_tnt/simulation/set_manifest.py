@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 
 from async_tnt.simulation.motions import Motion, motions_of
 from async_tnt.simulation.shards import Shard, open_shard
+from async_tnt.whole_files import replacing
 
 MANIFEST = "set.json"
 FORMAT = "async_tnt.moving_mnist"
@@ -94,9 +94,8 @@ def write_manifest(made: MovingMnist) -> None:
         "motions": [dataclasses.asdict(motion) for motion in made.motions],
         "shards": [path.name for path in made.shards],
     }
-    part = path.with_name(f"{MANIFEST}.{os.getpid()}.part")
-    part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    part.replace(path)
+    with replacing(path, shared=True) as part:
+        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def read_manifest(folder: Path) -> MovingMnist:

@@ -29,6 +29,7 @@ from safetensors.numpy import save
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.simulation.mapped_tensors import map_tensors
+from async_tnt.whole_files import replacing
 
 FORMAT = "async_tnt.shard"
 VERSION = 1
@@ -151,13 +152,8 @@ def write_shard(
     columns = {name: _as_type(name, given[name], types[name]) for name in COLUMNS}
     _check_columns(columns, about)
     content = save(columns, metadata={"shard": json.dumps(about)})
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
+    with replacing(path, shared=True) as part:
         part.write_bytes(content)
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
     return path
 
 

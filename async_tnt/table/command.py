@@ -13,6 +13,7 @@ from async_tnt.bench.timing import machine
 from async_tnt.commands.files import positive_int
 from async_tnt.commands.record import command_words, data_folder
 from async_tnt.training.settings import PRECISIONS, TrainSettings
+from async_tnt.whole_files import replacing
 from async_tnt.workers import available_cores
 
 from .rows import ROWS, TRAINED_ON
@@ -201,9 +202,8 @@ def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) 
 
 
 def _write(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def _seed(text: str) -> int:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from async_tnt.whole_files import replacing
+
 
 def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
     """Loss and accuracy against epochs, as PNG. Returns False, and writes nothing, without matplotlib."""
@@ -28,7 +30,6 @@ def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
         axes.legend(fontsize="small")
     losses.set_ylabel("cross entropy")
     accuracies.set_ylabel("accuracy")
-    part = path.with_name(path.name + ".part")
-    figure.savefig(part, format="png", dpi=120)
-    part.replace(path)
+    with replacing(path) as part:
+        figure.savefig(part, format="png", dpi=120)
     return True

@@ -17,6 +17,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.datasets.scores import Scores
 from async_tnt.datasets.sizes import parse_size
 from async_tnt.model import Model
+from async_tnt.whole_files import replacing
 
 from .augment import Augmentation
 from .own_classes import read_classes
@@ -162,9 +163,8 @@ def _write_beside(
     report = {} if scores is None else scores.to_dict()
     content = {**report, "held_out": list(held_out), "summary": dict(summary), "history": list(history)}
     path = out.with_suffix(".json")
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(content, indent=1), encoding="utf-8")
-    part.replace(path)
+    with replacing(path) as part:
+        part.write_text(json.dumps(content, indent=1), encoding="utf-8")
     written = [path]
     curves = out.with_suffix(".curves.png")
     if not plot_curves(history, curves):

@@ -17,6 +17,7 @@ from torch.nn import functional as F
 
 from async_tnt.config import TNTConfig
 from async_tnt.model import Model
+from async_tnt.whole_files import replacing
 
 from .augment import Draws
 from .evaluate import accuracy_by_recording, class_probabilities
@@ -140,9 +141,11 @@ def train(
             "identity": identity, "pipeline": pipeline.state_dict(), "optimizer": optimizer.state_dict(),
             "history": history, "best": best, "best_epoch": best_epoch,
         }  # fmt: skip
-        _replace(run_folder / CHECKPOINT, lambda part, c=checkpoint: torch.save(c, part))
+        with replacing(run_folder / CHECKPOINT) as part:
+            torch.save(checkpoint, part)
         text = json.dumps({"settings": json.loads(identity), "history": history}, indent=1)
-        _replace(run_folder / HISTORY, lambda part, text=text: part.write_text(text, encoding="utf-8"))
+        with replacing(run_folder / HISTORY) as part:
+            part.write_text(text, encoding="utf-8")
         report(row)
 
     last = export(pipeline, classes, {})
@@ -288,10 +291,3 @@ def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
             "give another run folder, or remove this one to start anew"
         )
     return state
-
-
-def _replace(path: Path, write: Any) -> None:
-    """Write beside, then replace at once: a kill leaves the old file or the new one."""
-    part = path.with_name(path.name + ".part")
-    write(part)
-    part.replace(path)

@@ -8,8 +8,8 @@ from made import random_model
 from own_classes.gestures import bar, write, write_set
 
 from async_tnt import Model, Processor, TNTConfig
+from async_tnt.archive.streamed import moments
 from async_tnt.commands import evaluate
-from async_tnt.datasets.streamed import moments
 from async_tnt.recordings import READERS, open_recording
 
 KEYS = {

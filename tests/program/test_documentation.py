@@ -19,6 +19,7 @@ N_EXAMPLES = {"engines.md": 20, "representations.md": 25}  # at least, so that a
 def test_snippets_run_and_print_what_the_page_shows(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     if page.name == "simulation.md":  # its snippet reads a set that is there
+        monkeypatch.setenv("TNT_DATA", str(tmp_path / "none"))  # it shows images of its own, not MNIST's
         (tmp_path / "mnist").mkdir()
         assert main(["simulate", "--mnist", str(write_small_mnist(tmp_path / "mnist", 8)), "--out", "moving"]) == 0
     for package in NEEDS.get(page.name, ()):

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..archive.job import Task, processor_of
 from ..config import TNTConfig
 from ..decision import Decision
 from ..processor import Processor
-from ..recordings import open_recording
+from ..recordings import check_sensor, open_recording
+from .job import Task, processor_of
 
 N_MOMENTS = 10
 
@@ -89,11 +89,7 @@ def decisions_of(task: Task, processor: Processor, config: TNTConfig) -> tuple[l
     ValueError, TypeError, OSError : the recording is damaged, anywhere; of another sensor; or without events.
     """
     recording = open_recording(task.path, strict=True)
-    if recording.sensor is not None and tuple(recording.sensor) != config.sensor:
-        raise ValueError(
-            f"a sensor of {recording.sensor[0]}x{recording.sensor[1]} pixels, but the model is for "
-            f"{config.sensor[0]}x{config.sensor[1]}"
-        )
+    check_sensor(task.recording, recording.sensor, config.sensor)
     decisions: list[Decision] = []
     seconds = 0.0
     n_events = 0
