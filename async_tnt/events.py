@@ -239,7 +239,7 @@ def _check_type(field: str, column: np.ndarray) -> None:
     if field == "t" and kind in "fmM":
         raise TypeError(
             f"`t` must be integer microseconds, got {got}; its unit is unknown: "
-            "convert seconds with (t * 1e6).astype('int64')"
+            "convert seconds with np.rint(t * 1e6).astype('int64')"
         )
     raise TypeError(f"`{field}` must be whole numbers, got {got}")
 

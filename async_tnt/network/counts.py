@@ -21,6 +21,8 @@ class NetworkCounts:
     """Datagrams that the system threw away, mostly because its buffer was full; None where it does not say."""
     ahead: int = 0
     """How many of `malformed` were left out for a time too far ahead of the stream."""
+    off_sensor: int = 0
+    """How many of `malformed` lie off the sensor."""
 
     def summary(self) -> str:
         """One line for people.
@@ -32,6 +34,7 @@ class NetworkCounts:
         """
         lost = "unknown" if self.lost is None else f"{self.lost:,}"
         ahead = f"{self.ahead:,} of them too far ahead, " if self.ahead else ""
+        ahead += f"{self.off_sensor:,} of them off the sensor, " if self.off_sensor else ""
         return (
             f"{self.datagrams:,} datagrams, {self.events:,} events ({self.malformed:,} malformed, {ahead}"
             f"{self.late:,} out of order, datagrams lost: {lost})"

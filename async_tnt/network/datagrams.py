@@ -21,7 +21,20 @@ import numpy as np
 
 from ..events import EVENT_DTYPE
 from ..kernels.jit import compile_only
-from .decode_kernel import AHEAD, ARGUMENTS, INITIAL, LATE, MALFORMED, NO_LIMIT, SPIF, SPIF_T32, T32, T64, decode_events
+from .decode_kernel import (
+    AHEAD,
+    ARGUMENTS,
+    INITIAL,
+    LATE,
+    MALFORMED,
+    NO_LIMIT,
+    OFF_SENSOR,
+    SPIF,
+    SPIF_T32,
+    T32,
+    T64,
+    decode_events,
+)
 
 EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32": 8}
 """Format -> bytes of one event."""
@@ -125,13 +138,18 @@ class Decoder:
 
     @property
     def malformed(self) -> int:
-        """Events left out so far, those of `ahead` among them."""
+        """Events left out so far, those of `ahead` and of `off_sensor` among them."""
         return int(self._state[MALFORMED])
 
     @property
     def ahead(self) -> int:
         """Events left out because their time was too far ahead of the stream."""
         return int(self._state[AHEAD])
+
+    @property
+    def off_sensor(self) -> int:
+        """Events left out because they lie off the sensor."""
+        return int(self._state[OFF_SENSOR])
 
     @property
     def late(self) -> int:

@@ -22,8 +22,8 @@ from ..kernels.jit import compiled, inlined
 
 T64, T32, SPIF, SPIF_T32 = range(4)
 EVENT_BYTES_OUT = 13  # of EVENT_DTYPE
-NEWEST, NEWEST_ARRIVAL, ELSEWHERE, VOTES, LATE, MALFORMED, AHEAD = range(7)
-INITIAL = (-1, 0, 0, 0, 0, 0, 0)
+NEWEST, NEWEST_ARRIVAL, ELSEWHERE, VOTES, LATE, MALFORMED, AHEAD, OFF_SENSOR = range(8)
+INITIAL = (-1, 0, 0, 0, 0, 0, 0, 0)
 FOLLOW_AFTER = 8
 LATEST_START_US = 4_102_444_800_000_000  # the year 2100 on a clock that counts from 1970: a first event is before that
 NO_LIMIT = -1
@@ -54,7 +54,7 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     arrivals : int64, as `ends`. When each came, microseconds on any clock.
     width, height : events at x >= width or y >= height are malformed.
     max_jump : int64. Microseconds, or NO_LIMIT, as for SPIF, whose times are the arrivals.
-    state : int64, shape (7,). What the stream leaves for the next call; updated in place.
+    state : int64, shape (8,). What the stream leaves for the next call; updated in place.
     out : uint8, shape (at least 13 * ends[n_datagrams - 1],). Records of `EVENT_DTYPE`; updated in place.
 
     Returns
@@ -62,7 +62,7 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     int : events written.
     """
     newest, newest_arrival = state[NEWEST], state[NEWEST_ARRIVAL]
-    n_out = first = n_late = n_ahead = 0
+    n_out = first = n_late = n_ahead = n_off = 0
     size = 13 if format == T64 else 4 if format == SPIF else 8
     for k in range(n_datagrams):
         arrival = arrivals[k]
@@ -94,7 +94,10 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
                     t = low
                 else:
                     t = newest + ((low - newest + 0x80000000) & 0xFFFFFFFF) - 0x80000000
-            if not good or x >= width or y >= height or t < 0 or t >= MAX_TIME_US:
+            if not good or t < 0 or t >= MAX_TIME_US:
+                continue
+            if x >= width or y >= height:
+                n_off += 1
                 continue
             if t > latest:
                 if abs(t - elsewhere) > max_jump:
@@ -122,5 +125,6 @@ def decode_events(raw, format, ends, arrivals, n_datagrams, width, height, max_j
     state[NEWEST], state[NEWEST_ARRIVAL] = newest, newest_arrival
     state[LATE] += n_late
     state[AHEAD] += n_ahead
+    state[OFF_SENSOR] += n_off
     state[MALFORMED] += first - n_out
     return n_out

@@ -22,6 +22,7 @@ from .waiting import Waiter
 
 ROOM = 1 << 16  # more than any datagram: none is ever cut off
 BATCH_BYTES = 1 << 18
+DOUBTFUL = 1000  # events of which none is one: who listens is told what may be wrong
 MOST_DATAGRAMS = 1 << 14  # of one packet, as these may be empty
 
 log = logging.getLogger("async_tnt.network")
@@ -102,7 +103,7 @@ class UdpSource:
         )
         self._datagrams = self._bytes = self._events = self._cut = 0
         self._started_ns = time.monotonic_ns()
-        self._closed = False
+        self._closed = self._has_doubted = False
         # Held while a thread reads or waits, so that `close` does not take the socket's number away under it:
         # the system may give that to another one. Re-entrant: a signal's handler may close, too.
         self._reading = threading.RLock()
@@ -140,7 +141,7 @@ class UdpSource:
         decoder = self._decoder
         return NetworkCounts(
             self._datagrams, self._bytes, self._events, self._cut + decoder.malformed, decoder.late, self._lost.read(),
-            decoder.ahead,
+            decoder.ahead, decoder.off_sensor,
         )  # fmt: skip
 
     def summary(self) -> str:
@@ -233,7 +234,24 @@ class UdpSource:
         events = self._decoder.decode_datagrams(self._raw, self._ends_seen, self._arrivals_seen, n_datagrams)
         self._datagrams += n_datagrams
         self._events += len(events)
+        if not self._events and not self._has_doubted and self._decoder.malformed >= DOUBTFUL:
+            self._has_doubted = True
+            log.warning("udp://%s:%s: %s", self.address, self.port, self._doubt())
         return events if len(events) else None
+
+    def _doubt(self) -> str:
+        """What may be wrong where nothing that came is an event."""
+        decoder = self._decoder
+        others = decoder.malformed - decoder.off_sensor
+        reasons = []
+        if decoder.off_sensor and decoder.sensor is not None:
+            width, height = decoder.sensor
+            reasons.append(f"{decoder.off_sensor:,} lie off {width}x{height} pixels: is the camera larger?")
+        if others:
+            reasons.append(
+                f"{others:,} are none of format {decoder.format}: does the sender use another (?format=...)?"
+            )
+        return f"none of the first {decoder.malformed:,} events can be used; {' '.join(reasons)}"
 
     # -- the end -----------------------------------------------------------------------------------------
 
