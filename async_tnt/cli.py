@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import os
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NoReturn
 
 from . import __version__
 from .commands.files import complain
@@ -30,11 +34,11 @@ COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(a
 
 def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """The parser; only the command that `argv` names is imported."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="async-tnt",
         description="Classify what an event camera sees, event by event.",
         epilog="async-tnt COMMAND --help explains a command. Exit codes: 0 success, 1 the answer is no, "
-        "2 bad usage or bad input.",
+        "2 bad usage or bad input, 130 Ctrl-C, 143 terminated.",
     )
     parser.add_argument("--version", action="version", version=f"async-tnt {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -58,20 +62,50 @@ def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the program. Returns its exit code: 0 success, 1 the answer is no, 2 bad usage or bad input."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    args = build_parser(argv).parse_args(argv)
     try:
-        with warnings.catch_warnings():
+        args = build_parser(argv).parse_args(argv)
+        with warnings.catch_warnings(), _termination_as_ctrl_c() as terminated:
             warnings.showwarning = _say_warning  # type: ignore[assignment]
-            return args.main(args)
+            code = args.main(args)
+        return 143 if terminated and code == 130 else code
     except (OSError, ValueError, ImportError) as error:
         if isinstance(error, BrokenPipeError):  # `| head`: whoever read us has seen enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
         complain(error)
         return 2
-    except KeyboardInterrupt:
-        complain("interrupted")
-        return 130
+    except KeyboardInterrupt as error:
+        complain(str(error) or "interrupted")
+        return 143 if str(error) else 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, as everything else here does; `--help` has the rest."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message} ({self.prog} --help)\n")
+
+
+@contextlib.contextmanager
+def _termination_as_ctrl_c() -> Iterator[list[int]]:
+    """SIGTERM, as of systemd, docker and timeout, ends a command in order, as Ctrl-C does.
+
+    Gives a list that holds something once it came.
+    """
+    came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
+        yield came
+        return
+
+    def interrupt(number: int, frame: object) -> None:
+        came.append(number)
+        raise KeyboardInterrupt("terminated")
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _say_warning(message: Warning | str, *where: object) -> None:

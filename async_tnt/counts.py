@@ -26,5 +26,15 @@ class Counts:
     dropped_decided: int = 0
     """Its window had been closed before its end, with a decision that was sure enough."""
 
+    @property
+    def moved_off(self) -> int:
+        """Events that the transform has no place for: they are part of what it does, and no loss."""
+        return self.dropped_outside + self.dropped_tau_zero
+
+    @property
+    def lost(self) -> int:
+        """Events that a window should have had, or has no more use for: all others that were dropped."""
+        return self.received - self.kept - self.moved_off
+
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))

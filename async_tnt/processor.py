@@ -126,6 +126,16 @@ class Processor:
         """Class names; where nobody named them, known from the first decision on."""
         return self._decider.classes
 
+    @property
+    def start_us(self) -> int | None:
+        """Start of the first window, in microseconds; None: of the first event."""
+        return self._start_us
+
+    @property
+    def late(self) -> str:
+        """What is done with an event older than the newest one seen: `accept`, `drop` or `raise`."""
+        return self._door.late
+
     every_us = _trigger("every_us")
     every_events = _trigger("every_events")
     confidence = _trigger("confidence")
@@ -284,17 +294,19 @@ class Processor:
         ValueError : damaged, or of a processor of other settings; the message names them. This one is then reset, or
             as it was before.
         """
+        before = {name: getattr(self, name) for name in ("every_us", "every_events", "confidence", "activity")}
         arrays, triggers = read_stream(state, self._fixed_settings())
         try:
             restore_stream(arrays, triggers, self._windows, self._triggers, self._door)
         except (KeyError, ValueError) as error:
+            self._triggers.set(**before)
             self.reset()
             raise ValueError(f"`state` cannot be restored here: {error}") from None
         self._choose_ways()
 
     def _fixed_settings(self) -> dict[str, Any]:
-        return {"config": self.config.to_dict(), "hop_us": self._windows.hop_us, "start_us": self._start_us,
-                "late": self._door.late}  # fmt: skip
+        return {"config": self.config.to_dict(), "hop_us": self._windows.hop_us, "start_us": self.start_us,
+                "late": self.late}  # fmt: skip
 
     # -- decisions out -----------------------------------------------------------------------------------
 

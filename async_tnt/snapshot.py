@@ -18,7 +18,7 @@ from .kernels import state as S
 from .new_state import next_epoch
 from .tensor_bytes import tensor_bytes
 
-FORMAT = "async_tnt stream 1"
+FORMAT = "async_tnt stream 2"
 Arrays = dict[str, np.ndarray]
 SLOTS = (
     S.START_US, S.LIMIT_US, S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO,

@@ -13,14 +13,14 @@ from .events import EVENT_DTYPE
 from .model import HEATMAP, REGRESSOR_LAYERS, Model
 from .processor import Processor
 
-PATIENCE_S = 1.0  # silent until then
+PATIENCE_S, PATIENCE_OF_LOGS_S = 1.0, 5.0  # silent until then, on a terminal and elsewhere
 
 
 def warmup(model: Model | TNTConfig | None = None) -> float:
     """Compile everything that a stream may call, or load it from Numba's cache.
 
     The first time on a machine this takes some seconds, later a fraction of one. After it, no event waits for
-    the compiler. On a terminal it says so when it takes longer than a second.
+    the compiler. Where it takes long, it says so on stderr.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     float : seconds it took.
     """
     started = time.perf_counter()
-    notice = threading.Timer(PATIENCE_S, _say)
+    notice = threading.Timer(PATIENCE_S if sys.stderr.isatty() else PATIENCE_OF_LOGS_S, _say)
     notice.daemon = True
     notice.start()
     try:
@@ -60,8 +60,7 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
 
 
 def _say() -> None:
-    if sys.stderr.isatty():
-        print("async_tnt: compiling kernels, once on this machine (about 10 s) ...", file=sys.stderr, flush=True)
+    print("async_tnt: compiling kernels, once on this machine (15 to 30 s) ...", file=sys.stderr, flush=True)
 
 
 def _made_weights(config: TNTConfig) -> dict[str, np.ndarray]:

@@ -17,6 +17,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
+from multiprocessing.reduction import ForkingPickler
 from typing import Any, Generic, TypeVar
 
 Task = TypeVar("Task")
@@ -56,6 +57,8 @@ def run_all(
     Raises
     ------
     ChildProcessError : a task ended two workers and there is no `lost`, or a worker ended before its first task.
+    TypeError : a result cannot be pickled, or not be unpickled. RuntimeError : so it is with an error of a task; this
+        one names its type.
     """
     workers = min(workers, len(tasks))
     if workers <= 1:
@@ -70,7 +73,7 @@ def run_all(
             for ready in wait([worker.pipe for worker in team]):
                 worker = next(worker for worker in team if worker.pipe is ready)
                 try:
-                    kind, answer = worker.pipe.recv()
+                    data = worker.pipe.recv_bytes()
                 except (EOFError, OSError):
                     team.remove(worker)
                     ended = worker.stop()
@@ -89,6 +92,7 @@ def run_all(
                         with _interrupt_ignored():
                             team.append(_Worker(function))
                     continue
+                kind, answer = _unpickled(data)
                 if kind == "error":
                     raise answer
                 worker.has_begun = True
@@ -152,32 +156,69 @@ def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
         threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     tasks: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(pipe, tasks), daemon=True).start()
-    pipe.send(("ready", None))
-    while True:
+    answer: tuple[str, Any] = ("ready", None)
+    while _sent(pipe, answer):
         kind, task = tasks.get()
         if kind == "end":
             return
-        answer: tuple[str, Any] = (kind, task)
+        answer = kind, task
         if kind == "task":
             try:
                 answer = "result", function(task)
             except Exception as error:
                 error.add_note(f"in a worker process:\n{traceback.format_exc()}")
                 answer = "error", error
-        try:
-            pipe.send(answer)
-        except Exception as error:  # it cannot be pickled: nothing was sent
-            pipe.send(("error", TypeError(f"a worker's answer cannot be sent: {error}; it was {answer[1]!r:.200}")))
+
+
+def _sent(pipe: Connection, answer: tuple[str, Any]) -> bool:
+    """Send an answer, or an error that says why it cannot be; False where the parent is gone."""
+    kind, what = answer
+    if kind == "error":
+        answer = kind, _sendable(what)
+    try:
+        data = ForkingPickler.dumps(answer)
+    except Exception as error:
+        told = TypeError(f"a worker's answer cannot be sent: {error}; it was {what!r:.200}")
+        data = ForkingPickler.dumps(("error", told))
+    try:
+        pipe.send_bytes(data)
+    except OSError:  # silently: a traceback would be all that is seen of a program that was killed
+        return False
+    return True
+
+
+def _sendable(error: Exception) -> Exception:
+    """The error, or where its type cannot be made again from its message alone, another that says the same."""
+    try:
+        again = ForkingPickler.loads(ForkingPickler.dumps(error))
+        if type(again) is type(error):
+            return error
+    except Exception:
+        pass
+    other = RuntimeError(f"{type(error).__name__}: {error}")
+    for note in getattr(error, "__notes__", ()):
+        other.add_note(note)
+    return other
+
+
+def _unpickled(data: bytes) -> tuple[str, Any]:
+    """An answer. Apart from its arrival: EOFError and OSError of a result are no end of the worker."""
+    try:
+        return ForkingPickler.loads(data)
+    except Exception as error:
+        raise TypeError(f"a worker's answer cannot be read: {type(error).__name__}: {error}") from error
 
 
 def _receive(pipe: Connection, tasks: queue.SimpleQueue[tuple[str, Any]]) -> None:
     """Take tasks off the pipe at once: were both sides to wait until the other reads, they would for ever."""
     while True:
         try:
-            tasks.put(("task", pipe.recv()))
+            data = pipe.recv_bytes()
         except (EOFError, OSError):
             tasks.put(("end", None))
             return
+        try:
+            tasks.put(("task", ForkingPickler.loads(data)))
         except Exception as error:  # its type is not known here
             tasks.put(("error", error))
 

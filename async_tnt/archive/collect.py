@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from .job import Task
-from .journal import Journal
+from .journal import FOLDER, Journal
 from .place import Place
 from .records import TIMED, Record, lost
-from .results import check_ours, is_record, read_results, write_results
+from .results import check_ours, file_of, is_record, read_results, write_results
 
 
 @dataclass
@@ -34,7 +35,8 @@ class Collected:
 
 
 def journal_of(out: Path) -> Path:
-    """Where the journal of a result file lies: beside it."""
+    """Where the journal of a result file lies: beside it, the file itself if `out` is a link."""
+    out = file_of(out)
     return out.with_name(out.name + ".partial")
 
 
@@ -64,6 +66,7 @@ def collect_to_file(
     out: Path,
     collected: Collected,
     *,
+    folder: str | None = None,
     restart: bool = False,
     gone: Callable[[str], bool] = lambda recording: True,
     begin: Callable[[int], object] = lambda n: None,
@@ -77,28 +80,40 @@ def collect_to_file(
     Parameters
     ----------
     tasks : at least one, all of one job, no two of one recording.
+    folder : where the recordings' names begin; None: they are whole paths. An interrupted run of another folder is
+        not gone on with. The result does not say it, as the same archive may come to lie elsewhere.
     restart : throw away what an earlier run has left.
     gone : whether a recording of an earlier run that is not in `tasks` is no longer there.
     begin : told how many recordings there are to do. each : called for each one done.
 
     Raises
     ------
-    ValueError : the file is none of ours, was begun with other settings, or holds recordings that are there but not
-        in `tasks`. OSError : another program is writing it, or it cannot be written.
+    ValueError : the file is none of ours, was begun with other settings or in another folder, holds recordings that
+        are there but not in `tasks`, or none that is as it was. OSError : another program is writing it, or it cannot
+        be written.
     """
+    out = file_of(out)
     job = tasks[0].job
     wanted = {task.recording: task for task in tasks}
     collected.total = len(wanted)
     if restart and out.exists():
         check_ours(out)
-    journal = Journal(journal_of(out), job.about, lambda record: is_record(record, job.kind), out, restart=restart)
+    about = job.about if folder is None else {**job.about, FOLDER: folder}
+    journal = Journal(journal_of(out), about, lambda record: is_record(record, job.kind), out, restart=restart)
     with contextlib.closing(journal):
+        if out.exists():  # who may read the result may read the journal, and after --restart the next result
+            journal.path.chmod(stat.S_IMODE(out.stat().st_mode) | stat.S_IRUSR | stat.S_IWUSR)
         if restart:
             out.unlink(missing_ok=True)
-        in_file, others = _found_in(out, wanted, journal)
+        in_file, others, n_good = _found_in(out, wanted, journal)
         _check_others(others, gone, out)
-        collected.gone = len(others)
         in_journal = {name for name in journal.where if name in wanted and _is_done(journal.read(name), wanted[name])}
+        if n_good and not in_file and not in_journal:
+            raise ValueError(
+                f"{out} holds results of {n_good} recordings, none of which is here as it was: of another folder? Give "
+                "another --out, or --restart to throw it away"
+            )
+        collected.gone = len(others)
         collected.kept = len(in_file) + len(in_journal)
         to_do = [task for name, task in wanted.items() if name not in in_file and name not in in_journal]
         begin(len(to_do))
@@ -117,7 +132,8 @@ def collect_to_file(
 
         if to_do or in_journal or others:
             seconds = {name: journal.read(name)[TIMED] for name in wanted.keys() - in_file}
-            write_results(out, job.kind, job.about, ({k: v for k, v in r.items() if k != TIMED} for r in merged()))
+            timeless = ({k: v for k, v in record.items() if k != TIMED} for record in merged())
+            write_results(out, job.kind, job.about, timeless, like=out if out.exists() else journal.path)
         else:
             seconds = {}
         journal.remove()
@@ -125,21 +141,24 @@ def collect_to_file(
     return ({**record, TIMED: seconds.get(record["recording"])} for record in results)
 
 
-def _found_in(out: Path, wanted: Mapping[str, Task], journal: Journal) -> tuple[set[str], list[str]]:
-    """Of the result file: recordings that are done, and not in the journal; of both, those that are not asked for."""
+def _found_in(out: Path, wanted: Mapping[str, Task], journal: Journal) -> tuple[set[str], list[str], int]:
+    """Of the result file: recordings that are done, and not in the journal; of both, those that are not asked for, and
+    the number of those without an error."""
     done = set()
     others = [name for name in journal.where if name not in wanted]
+    n_good = sum(journal.read(name)["error"] is None for name in journal.where)
     if out.exists() and out.stat().st_size:
         job = next(iter(wanted.values())).job
         for record in read_results(out, job.kind, job.about, job.id):
             name = record["recording"]
             if name in journal.where:
                 continue
+            n_good += record["error"] is None
             if name not in wanted:
                 others.append(name)
             elif _is_done(record, wanted[name]):
                 done.add(name)
-    return done, others
+    return done, others, n_good
 
 
 def _is_done(record: Record, task: Task) -> bool:

@@ -17,6 +17,9 @@ from typing import IO, Any
 from .records import Record
 
 HEADER = "async_tnt_journal"
+FOLDER = "folder"
+"""In what a journal was begun with, besides `Job.about`: where relative names begin."""
+WHAT_TO_DO = "give the same again, another --out, or --restart to throw it away"
 SYNC_S = 5.0
 """A killed program loses no record that was written; a machine that loses power may lose those of so many seconds."""
 
@@ -137,11 +140,26 @@ def parsed(line: bytes) -> Any:
 def other_settings(who: Path, before: dict[str, Any], now: dict[str, Any]) -> str:
     """The one line that refuses to mix results."""
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    if "command" in names:  # whose settings are others
+        names = ["command"]
     told = ", ".join(
-        "another model" if name == "model_sha256" else f"{name} {before.get(name)} (now {now.get(name)})"
+        "another model" if name == "model_sha256"
+        else f"{_option(name, before)} {_said(before.get(name))} (now {_said(now.get(name))})"
         for name in names
-    )
-    return f"{who} was begun with {told}: give the same again, another --out, or --restart to throw it away"
+    )  # fmt: skip
+    return f"{who} was begun with {told}: {WHAT_TO_DO}"
+
+
+def _option(name: str, about: dict[str, Any]) -> str:
+    """As it is given, where it is."""
+    is_option = name not in ("command", "version", FOLDER) and about.get("command") == "run"
+    return f"--{name.replace('_', '-')}" if is_option else name
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, dict):  # a LeakyIntegrator
+        return ":".join(f"{number:g}" for number in list(value.values())[:2])
+    return "not given" if value is None else str(value)
 
 
 def _open_locked(path: Path, who: Path) -> IO[bytes]:

@@ -26,14 +26,14 @@ def import_pyarrow() -> Any:
 
 
 def schema_of(kind: str, about: dict[str, Any]) -> Any:
-    """Columns of the file, in their order; all but `recording`, `settings` are empty where there is an `error`."""
+    """Columns of the file, in their order. Where there is an `error`, a recording has its `class` and what `about_file` has."""
     pa = import_pyarrow()
     floats, int64 = pa.list_(pa.float64()), pa.int64()
     if kind == "evaluate":
         own = {
             "class": pa.string(), "label": pa.string(), "probabilities": floats, "window_start_us": pa.list_(int64),
             "window_probabilities": pa.list_(floats), "decided_at": pa.list_(pa.list_(int64)), "decisions": int64,
-            "events": int64,
+            "events": int64, "late": int64,
         }  # fmt: skip
     else:
         decision = pa.struct({

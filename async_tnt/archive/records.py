@@ -17,7 +17,7 @@ FIELDS = ("recording", "error", "bytes", "modified_ns", "settings")
 OF_KIND = {
     "evaluate": (
         "class", "label", "probabilities", "window_start_us", "window_probabilities", "decided_at", "decisions",
-        "events",
+        "events", "late",
     ),
     "run": ("label", "probability", "probabilities", "windows", "events", "late", "decisions"),
 }  # fmt: skip
@@ -53,6 +53,7 @@ def evaluate_recording(task: Task) -> Record:
         "decided_at": outcome.early.tolist(),
         "decisions": outcome.n_decisions,
         "events": outcome.n_events,
+        "late": outcome.n_late,
         **_about_file(task, None, outcome.seconds),
     }
 
@@ -67,6 +68,7 @@ def outcome_of(record: Record) -> Outcome:
         record["window_start_us"],
         record["decisions"],
         record["events"],
+        record["late"],
         record.get(TIMED) or 0.0,
     )
 

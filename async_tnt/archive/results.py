@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from ..whole_files import replacing
-from .journal import other_settings, parsed
+from .journal import WHAT_TO_DO, parsed
 from .records import TIMED, Record, fields_of
 
 SUFFIXES = (".jsonl", ".parquet")
@@ -24,12 +25,17 @@ def check_out(out: Path) -> None:
     """
     if out.suffix.lower() not in SUFFIXES:
         raise ValueError(f"--out must end in {' or '.join(SUFFIXES)}, got {out}")
-    if out.is_dir() or not out.parent.is_dir():
+    if out.is_dir() or not file_of(out).parent.is_dir():
         raise ValueError(f"--out must be a file in a folder that is there, got {out}")
     if is_parquet(out):
         from .parquet import import_pyarrow
 
         import_pyarrow()
+
+
+def file_of(out: Path) -> Path:
+    """The file itself where `out` is a link: putting another in the place of the link would leave that one as it was."""
+    return Path(os.path.realpath(out)) if out.is_symlink() else out
 
 
 def is_parquet(out: Path) -> bool:
@@ -85,14 +91,22 @@ def read_results(out: Path, kind: str, about: dict[str, Any], settings: str) -> 
                 f"{out} is no result of async-tnt {kind}, or is damaged: move it away, or give another --out"
             )
         if record["settings"] != settings:
-            raise ValueError(other_settings(out, {"settings": record["settings"]}, {"settings": settings}))
+            raise ValueError(
+                f"{out} was made by another model, window, trigger, engine or version, settings {record['settings']} "
+                f"(now {settings}): {WHAT_TO_DO}"
+            )
         before = record["recording"]
         yield record
 
 
-def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable[Record]) -> None:
-    """Write a result file, in its place at once when it is complete. `records` are in order, without `seconds`."""
+def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable[Record], like: Path) -> None:
+    """Write a result file, in its place at once when it is complete, readable by those who may read the file `like`.
+
+    `records` are in order, without `seconds`; `out` is no link (`file_of`).
+    """
     with replacing(out) as part:
+        os.close(os.open(part, os.O_CREAT | os.O_WRONLY, 0o600))  # nobody else may read it meanwhile
+        part.chmod(0o600)  # one that a kill has left, too
         if is_parquet(out):
             from .parquet import write_parquet
 
@@ -102,6 +116,7 @@ def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable
                 for record in records:
                     file.write(json.dumps(record).encode() + b"\n")
         _sync(part)
+        part.chmod(stat.S_IMODE(like.stat().st_mode))
     if os.name != "nt":  # the name, too, outlives a loss of power
         _sync(out.parent)
 

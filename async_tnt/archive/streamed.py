@@ -28,6 +28,7 @@ class Outcome:
     early : int64, shape (W, N_MOMENTS): the class decided at each of `moments`; -1 where no event had come by then.
     starts_us : of each window.
     n_decisions, n_events : how many fell, and came.
+    n_late : events dropped, of those that came: before every open window.
     seconds : streaming took, without reading the file.
     error : why there is nothing of it; "" where there is.
     """
@@ -37,6 +38,7 @@ class Outcome:
     starts_us: list[int] = field(default_factory=list)
     n_decisions: int = 0
     n_events: int = 0
+    n_late: int = 0
     seconds: float = 0.0
     error: str = ""
 
@@ -78,7 +80,8 @@ def stream_recording(task: Task) -> Outcome:
     probabilities = np.array([window[-1].probabilities for window in windows])
     early = np.array([decided_at(window, moments(engine.config.window_us)) for window in windows])
     starts_us = [window[0].window_start_us for window in windows]
-    return Outcome(probabilities, early, starts_us, len(decisions), n_events, seconds)
+    n_late = processor.counts.dropped_late
+    return Outcome(probabilities, early, starts_us, len(decisions), n_events, n_late, seconds)
 
 
 def decisions_of(task: Task, processor: Processor, config: TNTConfig) -> tuple[list[Decision], int, float]:

@@ -83,9 +83,10 @@ def _onnxruntime_binding(model: Model) -> Network:
 
 
 def _session(model: Model) -> Any:
-    import onnxruntime
-
     from async_tnt.engines import to_onnx
+    from async_tnt.engines.onnx_session import import_onnxruntime
+
+    onnxruntime = import_onnxruntime()
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1

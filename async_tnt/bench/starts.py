@@ -41,6 +41,8 @@ step("decision")
 """
 _ONNXRUNTIME = """
 import numpy as np
+import os
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 step("import")
 options = onnxruntime.SessionOptions()

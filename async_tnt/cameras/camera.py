@@ -12,6 +12,7 @@ import numpy as np
 
 from .continuous_time import ContinuousTime
 from .device import Device, first_line, is_failure
+from .garbled_times import without_garbled_times
 
 log = logging.getLogger("async_tnt.cameras")
 
@@ -33,6 +34,8 @@ class CameraCounts:
     """How often the camera's clock fell back by more than a second; times go on nevertheless."""
     off_sensor: int
     """Events left out: they lie outside of the sensor, so the cable or the driver garbled them."""
+    garbled_times: int
+    """Events left out: their times are far ahead of the others', or beyond 285 years."""
 
 
 class Camera:
@@ -56,7 +59,7 @@ class Camera:
         self._sensor = device.sensor
         self._losses = device.losses
         self._clock = ContinuousTime(device.time_field)
-        self._packets = self._events = self._off_sensor = 0
+        self._packets = self._events = self._off_sensor = self._garbled_times = 0
         self._closing = threading.Event()
         # Held while the device is used. Reentrant: a signal handler may close, on the thread that reads.
         self._using = threading.RLock()
@@ -86,6 +89,7 @@ class Camera:
             losses.most_waiting,
             self._clock.restarts,
             self._off_sensor,
+            self._garbled_times,
         )
 
     def __repr__(self) -> str:
@@ -105,6 +109,8 @@ class Camera:
             lost.append(f"clock restarts: {counts.clock_restarts:,}")
         if counts.off_sensor:
             lost.append(f"off the sensor: {counts.off_sensor:,}")
+        if counts.garbled_times:
+            lost.append(f"garbled times: {counts.garbled_times:,}")
         if counts.overflows is None and counts.dropped is None:
             lost.append("lost: unknown")
         return f"{counts.packets:,} packets, {counts.events:,} events ({', '.join(lost)})"
@@ -136,6 +142,8 @@ class Camera:
                 ) from error
             if events is not None and len(events):
                 events = self._on_sensor(events)
+            if events is not None and len(events):
+                events = self._in_time(events)
             if events is None or len(events) == 0:
                 return None
             self._packets += 1
@@ -150,6 +158,12 @@ class Camera:
             return events
         kept = events[(x < width) & (y < height)]
         self._off_sensor += len(events) - len(kept)
+        return kept
+
+    def _in_time(self, events: np.ndarray) -> np.ndarray:
+        """The same array, but for events whose times are garbled."""
+        kept = without_garbled_times(events, self._device.time_field, self._clock.newest_us)
+        self._garbled_times += len(events) - len(kept)
         return kept
 
     # -- the end -----------------------------------------------------------------------------------------

@@ -35,6 +35,11 @@ class ContinuousTime:
         self._newest_us = -1
         self.restarts = 0
 
+    @property
+    def newest_us(self) -> int | None:
+        """The newest time that a packet ended with, as the camera's clock counts now; None before the first."""
+        return None if self._newest_us < 0 else self._newest_us - self._offset_us
+
     def __call__(self, events: np.ndarray) -> np.ndarray:
         """The same array, its times going on. It must not be empty."""
         t = events[self._field]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..archive.collect import Collected, collect, collect_to_file, journal_of
+from ..archive.collect import Collected, collect, collect_to_file
 from ..archive.find import recordings_under
 from ..archive.job import Task, job_of, task_of
 from ..archive.place import Place
@@ -69,8 +70,11 @@ def stream_archive(
     place: Place,
     collected: Collected,
     gone: Callable[[str], bool],
+    folder: str | None,
 ) -> Iterable[Record]:
     """All records in order of the recordings' names, with a progress bar; through the file of --out if there is one.
+
+    `gone`, `folder` : as for `collect_to_file`.
 
     Raises
     ------
@@ -84,23 +88,24 @@ def stream_archive(
 
         def begin(n: int) -> None:
             if collected.kept and n:
-                complain(f"{args.out}: {collected.kept:,} of {collected.total:,} recordings are done, going on")
+                complain(f"{args.out}: {collected.kept:,} of {_recordings(collected.total)} are done, going on")
             bars.append(progress(n, "streaming"))
 
         try:
             return collect_to_file(
-                function, tasks, place, args.out, collected, restart=args.restart, gone=gone, begin=begin,
-                each=lambda: bars[0].update(),
+                function, tasks, place, args.out, collected, folder=folder, restart=args.restart, gone=gone,
+                begin=begin, each=lambda: bars[0].update(),
             )  # fmt: skip
         finally:
             for bar in bars:
                 bar.__exit__(None, None, None)
             if collected.gone:
-                complain(f"{args.out}: {collected.gone:,} recordings are no longer there, and left out")
+                are = "is" if collected.gone == 1 else "are"
+                complain(f"{args.out}: {_recordings(collected.gone)} {are} no longer there, and left out")
     except KeyboardInterrupt:
         n_done = collected.kept + collected.done
-        kept = f" are in {journal_of(args.out)}; the same command goes on" if args.out else ", kept nowhere: see --out"
-        complain(f"interrupted: {n_done:,} of {collected.total:,} recordings{kept}")
+        kept = "the same command goes on" if args.out else "and kept nowhere: see --out"
+        complain(f"interrupted: {n_done:,} of {_recordings(collected.total)} are done; {kept}")
         raise Interrupted from None
 
 
@@ -112,6 +117,7 @@ def run_archive(args: argparse.Namespace) -> int:
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     engine.processor(**settings)  # what it refuses shows before any work
     paths = recordings_under(paths_of(args))
+    folder = None if all(path.is_absolute() for path in paths) else os.getcwd()
     job = job_of("run", args.model, engine, **settings)
     tasks = [task_of(str(path), path, job) for path in paths]
     collected = Collected()
@@ -121,7 +127,7 @@ def run_archive(args: argparse.Namespace) -> int:
     errors = []
     try:
         for record in stream_archive(
-            args, run_recording, tasks, place, collected, lambda name: not Path(name).exists()
+            args, run_recording, tasks, place, collected, lambda name: not Path(name).exists(), folder
         ):
             if record["error"] is not None:
                 errors.append(record["error"])
@@ -133,21 +139,27 @@ def run_archive(args: argparse.Namespace) -> int:
     except Interrupted:
         return 130
     took = time.monotonic() - started
-    print(f"{args.out}: {collected.total:,} recordings, {n_decisions:,} decisions, {n_events:,} events")
+    unread = f" ({len(errors):,} of them with an error)" if errors else ""
+    print(f"{args.out}: {_recordings(collected.total)}{unread}, {n_decisions:,} decisions, {n_events:,} events")
     if collected.done:
-        print(f"{collected.done:,} of them now, {collected.done / took:,.1f} a second")
-    print(", ".join(f"{name} {n:,}" for name, n in labels.items() if n))
+        print(f"{_recordings(collected.done)} streamed now, {collected.done / took:,.1f} a second")
+    if any(labels.values()):
+        print(", ".join(f"{name} {n:,}" for name, n in labels.items() if n))
     if n_late:
         complain(f"{n_late:,} events dropped: they came late (see --late, --start-us, and `late` in {args.out})")
     for error in errors[:SHOWN]:
         complain(error)
     if len(errors) > SHOWN:
-        complain(f"and {len(errors) - SHOWN:,} more recordings with an `error` in {args.out}")
+        complain(f"and {len(errors) - SHOWN:,} more with an `error` in {args.out}")
     return 2 if errors else 0
 
 
+def _recordings(n: int) -> str:
+    return f"{n:,} recording{'' if n == 1 else 's'}"
+
+
 def _check_run(args: argparse.Namespace) -> None:
-    for name in ("live", "json", "latest", "roi", "mask", "crop", "sensor"):
+    for name in ("live", "speed", "json", "latest", "roi", "mask", "crop", "sensor"):
         if getattr(args, name, None):
             raise ValueError(f"--{name} does not go with --out")
     for path in paths_of(args):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,7 @@ def main(args: argparse.Namespace) -> int:
         return not (args.dataset / name).exists()
 
     try:
-        records = list(stream_archive(args, evaluate_recording, tasks, place, Collected(), gone))
+        records = list(stream_archive(args, evaluate_recording, tasks, place, Collected(), gone, os.path.abspath(args.dataset)))
     except Interrupted:
         return 130
     outcomes = [outcome_of(record) for record in records]
@@ -91,6 +92,9 @@ def main(args: argparse.Namespace) -> int:
         print(text_of(report))
         if args.picture is not None:
             print(f"wrote {args.picture}")
+    if report["late"]:
+        where = f" (see `late` in {args.out})" if args.out else ""
+        complain(f"{report['late']:,} events dropped: they came late, before every open window{where}")
     for line in skipped:
         complain(f"skipped: {line}")
     return 2 if skipped and args.strict else 0
@@ -142,6 +146,7 @@ def report_of(
         ],
         "decisions": n_decisions,
         "events": n_events,
+        "late": sum(outcome.n_late for outcome in outcomes),
         "seconds": seconds or None,
         "decisions_per_second": sum(outcome.n_decisions for outcome in timed) / seconds if timed else None,
         "events_per_second": sum(outcome.n_events for outcome in timed) / seconds if timed else None,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..model import Model, bundled_models
-from .files import complain, model_of
+from .files import model_of
 
 DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
 (1, C, H, W); output `logits`, float32, (1, n_classes). The file also holds configuration, classes and training
@@ -42,6 +42,7 @@ def main(args: argparse.Namespace) -> int:
     from ..engines.choice import is_onnx, regressor_path
     from ..engines.onnx_export import regressor_to_onnx, to_onnx
     from ..engines.onnx_network import OnnxClassifier, OnnxRegressor
+    from ..engines.onnx_session import import_onnxruntime
 
     out: Path = args.out
     if not is_onnx(out):
@@ -49,12 +50,7 @@ def main(args: argparse.Namespace) -> int:
     if not out.parent.is_dir() or out.is_dir():
         raise ValueError(f"--out must be a file in a folder that is there, got {out}")
     model = model_of(args)
-    try:
-        import onnx  # noqa: F401
-        import onnxruntime
-    except ImportError as error:
-        complain(f"export writes with onnx and checks with onnxruntime: pip install '.[onnx]' ({error})")
-        return 2
+    onnxruntime = import_onnxruntime()  # now, so that a missing one shows before any work
     contents = {out: to_onnx(model).SerializeToString()}
     if model.config.needs_regressor:
         contents[regressor_path(out)] = regressor_to_onnx(model).SerializeToString()

@@ -13,6 +13,7 @@ from ..events import as_events
 from ..live_sources import is_live
 from ..model import Model, bundled_models, load_model
 from ..recordings import READERS, Recording, check_sensor, open_recording, sample_recordings
+from ..recordings.source import TRAIN_ONE
 
 Sensor = tuple[int, int]
 
@@ -70,7 +71,7 @@ def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:
         yield recording
 
 
-def check_events(recording: Recording, sensor: Sensor) -> None:
+def check_events(recording: Recording, sensor: Sensor, advice: str = TRAIN_ONE) -> None:
     """Refuse a recording that does not say its sensor if any of its events is off this one."""
     try:
         for packet in recording:  # one after the other: the file may be larger than the memory
@@ -78,6 +79,8 @@ def check_events(recording: Recording, sensor: Sensor) -> None:
     except (TypeError, ValueError) as error:
         message = str(error)
         name = str(recording.path)
+        if isinstance(error, ValueError) and not message.startswith(name):
+            message += f"; the model is for {sensor[0]}x{sensor[1]} pixels: {advice}"
         raise ValueError(message if message.startswith(name) else f"{name}: {message}") from None
 
 

@@ -26,10 +26,15 @@ def add_latest(parser: argparse.ArgumentParser) -> None:
 class LivePackets:
     """An open source, and its packets without what is to be left out."""
 
+    name: str
     source: LiveSource
     packets: Iterable[Any]
     reader: BackgroundReader | None
     """The queue that they wait in; None: the source's own buffer decides, and nothing is skipped here."""
+
+    def announce(self) -> None:
+        """Say that it is there; from now on Ctrl-C is the way to stop it."""
+        complain(f"listening at {self.name}; Ctrl-C stops")
 
     def summary(self) -> str:
         """What came and what was skipped, in one line for people."""
@@ -57,5 +62,4 @@ def live_packets(name: str, pixels: PixelOptions, latest: int | None) -> Iterato
             # copy=False: cameras and the network make each packet anew
             reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
             packets = stack.enter_context(reader)
-        complain(f"listening at {name}; Ctrl-C stops")
-        yield LivePackets(source, packets, reader)
+        yield LivePackets(name, source, packets, reader)

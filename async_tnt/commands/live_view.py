@@ -80,22 +80,25 @@ class LiveView:
                 p = float(self._decision.probabilities[k])
                 style = "bold green" if k == self._decision.index else "dim"
                 bars.add_row(Text(self._classes[k], style), Text("█" * round(p * BAR), style), Text(f"{p:.2f}", style))
-        return Group(Text(self._title, "bold"), bars, Text(self._line(), "dim"))
+        return Group(Text(self._title, "bold"), bars, *(Text(line, "dim") for line in self._lines()))
 
-    def _line(self) -> str:
+    def _lines(self) -> list[str]:
         """Everything in numbers."""
+        counts = self._counts
         if self._decision is None:
-            return f"no decision yet, {self._counts.received:,} events"
+            return [f"no decision yet, {counts.received:,} events"]
         events_per_s, decisions_per_s = self._rates.per_second()
-        dropped = self._counts.received - self._counts.kept
-        waiting = ""
-        if (queue := self._queue) is not None:
-            waiting = f", {queue.delay_us / 1e3:.1f} ms old ({queue.backlog:,} waiting, {queue.n_skipped:,} skipped)"
-        return (
+        lines = [
             f"{self._decision.label} at {self._decision.time_us / 1e6:.3f} s, {self._decision.trigger}; "
-            f"{events_per_s:,.0f} events/s ({dropped:,} of {self._counts.received:,} dropped), "
-            f"{decisions_per_s:,.0f} decisions/s, {np.median(self._latencies):.0f} us to a decision{waiting}"
-        )
+            f"{np.median(self._latencies):.0f} us to a decision",
+            f"{events_per_s:,.0f} events/s, {decisions_per_s:,.0f} decisions/s",
+            f"{counts.received:,} events, {counts.moved_off:,} moved off the grid, {counts.lost:,} dropped",
+        ]
+        if (queue := self._queue) is not None:
+            lines.append(
+                f"{queue.delay_us / 1e3:.1f} ms old, {queue.backlog:,} events waiting, {queue.n_skipped:,} skipped"
+            )
+        return lines
 
 
 def decide_often(processor: Processor) -> None:

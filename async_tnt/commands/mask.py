@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ of shape (height, width), True where a pixel is hot:
 
 A pixel is hot when it has --factor times more events than the 4th busiest of the 24 pixels around it and than the mean
 pixel, and when chance would not do that in one of a hundred sensors. Exit code 0 also where none is found: the mask
-then leaves nothing out.
+then leaves nothing out. Without --out, a mask.npy that is there already is not overwritten.
 """
 
 
@@ -43,12 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         type=Path,
-        default=Path("mask.npy"),
         metavar="FILE",
-        help="the mask, a .npy file (default: %(default)s)",
+        help="the mask, a .npy file, overwritten where it is there (default: mask.npy, never overwritten)",
     )
     parser.add_argument(
-        "--sensor", type=_size, metavar="WxH", help="the camera's pixels, where the recordings do not say them"
+        "--sensor",
+        type=_size,
+        metavar="WxH",
+        help="the camera's pixels, where the recordings do not say them; a .bin is of 34x34 unless this says otherwise",
     )
     parser.add_argument(
         "--factor", type=_factor, default=FACTOR, metavar="F",
@@ -59,6 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    if args.out is None:
+        args.out = Path("mask.npy")
+        if os.path.lexists(args.out):
+            raise FileExistsError(
+                f"{args.out} is there already: --out {args.out} overwrites it, --out FILE writes another"
+            )
     checked_out(args.out)
     if args.picture is not None:
         try:
@@ -84,10 +93,11 @@ def main(args: argparse.Namespace) -> int:
 def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
     """Events of each pixel over all recordings, int64 of shape (H, W)."""
     counts: Any = 0
+    given = sensor
     with progress(len(paths), "counting events") as bar:
         for path in paths:
-            recording = open_recording(path)
-            said = recording.sensor or sensor
+            recording = open_recording(path, sensor=given)
+            said = recording.sensor or sensor  # or an earlier recording's
             if said is None:
                 raise ValueError(f"{path}: the file does not say the camera's sensor; --sensor WxH does")
             if sensor is not None and said != sensor:
@@ -116,14 +126,17 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
         print(json.dumps(said | {"out": str(args.out)}))
         return
     if not hot.any():
-        print(f"no hot pixels: none of {width}x{height} stands out in {n_events} events; {args.out} masks nothing")
+        print(
+            f"no hot pixels: none of {width}x{height} stands out in {n_events} events; "
+            f"wrote {args.out}, which masks nothing"
+        )
         return
     for k in busiest[:10]:
         print(f"x {x[k]:>5}  y {y[k]:>5}  {events[k]:>9} events  {events[k] / n_events:6.2%}")
     if len(busiest) > 10:
         print(f"... and {len(busiest) - 10} more")
     pixels_word = "1 hot pixel" if len(busiest) == 1 else f"{len(busiest)} hot pixels"
-    print(f"{pixels_word} of {width}x{height} made {share:.2%} of {n_events} events: {args.out}")
+    print(f"{pixels_word} of {width}x{height} made {share:.2%} of {n_events} events; wrote {args.out}")
 
 
 def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..datasets.sizes import parse_size, size_text
 from ..pixels import PixelFilter
-from ..recordings import check_sensor
+from ..recordings.source import TRAIN_ONE, check_sensor
 from .files import Sensor
 
 
@@ -68,6 +68,11 @@ class PixelOptions:
         """The pixels of a source's events, before any is left out; None: the source must say."""
         return self._given if self._crop else self._sensor
 
+    @property
+    def advice(self) -> str:
+        """What to do with a camera of another size."""
+        return f"{TRAIN_ONE}, or cut out a part: --roi X,Y,{self._sensor[0]},{self._sensor[1]} --crop"
+
     def sensor_of(self, name: Any, found: Sensor | None) -> Sensor:
         """The pixels of a source's events, before any is left out.
 
@@ -84,7 +89,10 @@ class PixelOptions:
         if found is None and wanted is None:
             raise ValueError(f"{name}: does not say the camera's pixels, which --crop needs: give --sensor WxH")
         if wanted is not None:
-            check_sensor(name, found, wanted, "--sensor says" if self._crop else "the model is for")
+            if self._crop:
+                check_sensor(name, found, wanted, "--sensor says", "")
+            else:
+                check_sensor(name, found, wanted, advice=f"; {self.advice}")
             return wanted
         assert found is not None
         return found[0], found[1]
@@ -96,12 +104,16 @@ class PixelOptions:
         return map(self._filter(sensor), packets)
 
     def summary(self) -> str:
-        """What was left out so far, in words; "" where nothing could be."""
+        """What was left out so far, in words; "" where nothing came, or nothing could be."""
         counts = [pixel_filter.counts for pixel_filter in self._filters.values()]
-        if not counts:
+        if not any(c.received for c in counts):
             return ""
-        outside, masked = sum(c.dropped_outside for c in counts), sum(c.dropped_masked for c in counts)
-        return f"{outside:,} outside of the region, {masked:,} of masked pixels"
+        told = []
+        if self._roi is not None:
+            told.append(f"{sum(c.dropped_outside for c in counts):,} outside of the region")
+        if self._mask is not None:
+            told.append(f"{sum(c.dropped_masked for c in counts):,} of masked pixels")
+        return ", ".join(told)
 
     def _filter(self, sensor: Sensor) -> PixelFilter:
         if sensor not in self._filters:

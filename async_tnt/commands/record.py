@@ -8,8 +8,12 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 
-def data_folder(given: Path | None, name: str, option: str) -> Path:
+def data_folder(given: Path | None, name: str, option: str, *, rather: str = "") -> Path:
     """A data folder: as given, or `name` in $TNT_DATA.
+
+    Parameters
+    ----------
+    rather : what else the command takes, to be named first where nothing is given.
 
     Raises
     ------
@@ -19,7 +23,9 @@ def data_folder(given: Path | None, name: str, option: str) -> Path:
     if folder is None:
         root = os.environ.get("TNT_DATA")
         if not root:
-            raise FileNotFoundError(f"no data: give {option} FOLDER, or set TNT_DATA to the folder with {name}/")
+            raise FileNotFoundError(
+                f"no data: give {rather}{option} FOLDER, or set TNT_DATA to the folder with {name}/"
+            )
         folder = Path(root) / name
     if not folder.is_dir():
         raise FileNotFoundError(f"no folder {folder}; give {option} FOLDER, or set TNT_DATA")

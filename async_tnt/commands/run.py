@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import errno
+from pathlib import Path
 
 from ..engines.choice import ENGINES, choose_engine
 from ..warmup import warmup
@@ -70,6 +72,8 @@ def main(args: argparse.Namespace) -> int:
     check_no_archive(args)
     if args.live and args.json:
         raise ValueError("--live draws for people and --json writes for programs: give one of them")
+    if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
+        raise ValueError("--latest belongs to a camera or the network; a recording waits")
     if args.speed is not None and not args.live:
         raise ValueError("--speed belongs to --live; without it a recording is streamed as fast as it can be")
     engine = choose_engine(args.model, args.engine)
@@ -80,13 +84,14 @@ def main(args: argparse.Namespace) -> int:
     warmup(engine.model)
     processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line
-    failed = False
+    failed = stopped = False
     header = "" if args.json or args.live else HEADER + "\n"
     for path in paths_of(args):
         try:
             if isinstance(path, str):
-                if run_source(path, processor, engine, pixels, line, latest=args.latest, live=args.live):
-                    return 130
+                stopped = run_source(path, processor, engine, pixels, line, latest=args.latest, live=args.live)
+                if stopped:
+                    break
                 continue
             recording, packets = open_selected(path, pixels)
             print(end=header)
@@ -98,8 +103,10 @@ def main(args: argparse.Namespace) -> int:
         except BrokenPipeError:
             raise
         except (OSError, ValueError) as error:
+            if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # of our output: no recording is to blame
+                raise
             complain(error)
             failed = True
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
-    return 2 if failed else 0
+    return 130 if stopped else 2 if failed else 0

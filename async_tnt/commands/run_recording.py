@@ -29,7 +29,7 @@ def open_selected(path: Any, pixels: PixelOptions) -> tuple[Recording, Iterator[
     recording = open_recording(path)
     sensor = pixels.sensor_of(path, recording.sensor)
     if recording.sensor is None:
-        check_events(recording, sensor)
+        check_events(recording, sensor, pixels.advice)
     return recording, pixels.select(recording, sensor)
 
 

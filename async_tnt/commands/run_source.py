@@ -35,6 +35,7 @@ def run_source(
     stopped = False
     with live_packets(name, pixels, latest) as stream:
         try:
+            stream.announce()
             if live:
                 _draw(stream, processor, LiveView(engine.classes, name))
             else:
@@ -46,7 +47,10 @@ def run_source(
                 if not live:
                     print(line(name, decision, 0.0), flush=True)
             counts = processor.counts
-            took = f"{counts.kept:,} kept, {counts.dropped_late:,} too late for their window"
+            took = (
+                f"{counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
+                f"{counts.dropped_late:,} too late for their window"
+            )
             complain(f"{name}: {stream.summary()}; {took}")
     return stopped
 

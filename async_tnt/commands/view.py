@@ -67,6 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
+        raise ValueError("--latest belongs to a camera or the network; a recording waits")
     import_rerun()  # now, so that a missing one shows before any work
     if args.out is not None:
         check_out(args.out)
@@ -81,23 +83,25 @@ def main(args: argparse.Namespace) -> int:
         most_pictures_per_s=LIVE_PICTURES_PER_S if live else None,
         classes=engine.classes, start_us=args.start_us, **engine.networks, **triggers_of(args),
     )  # fmt: skip
+    stopped = False
     with view:
         for source in sources:
             if isinstance(source, str):
                 view.start(source)
-                if _show_live(source, view, pixels, args.latest):
-                    return 130
+                stopped = _show_live(source, view, pixels, args.latest)
+                if stopped:
+                    break
             else:
                 recording, packets = source
                 view.start(recording.path.name)
                 _show(recording, packets, view, speed)
-    if not view.n_events:
+    if not view.n_events and not stopped:
         raise ValueError(f"no event in {', '.join(map(str, paths_of(args)))}: nothing to show")
     if args.out is not None:
         print(f"{args.out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {args.out}")
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
-    return 0
+    return 130 if stopped else 0
 
 
 def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: float) -> None:
@@ -119,6 +123,7 @@ def _show_live(name: str, view: RerunView, pixels: PixelOptions, latest: int | N
     stopped = False
     with live_packets(name, pixels, latest) as stream:
         try:
+            stream.announce()
             for packet in stream.packets:
                 view.push(packet)
         except KeyboardInterrupt:

@@ -101,7 +101,9 @@ def _makers() -> tuple[Any, Any]:
     try:
         import onnx
     except ImportError as error:
-        raise ImportError(f"ONNX networks are written by onnx: pip install '.[onnx]' ({error})") from None
+        raise ImportError(
+            f"ONNX networks are written by onnx and run by onnxruntime: pip install '.[onnx]' ({error})"
+        ) from None
     return onnx.helper.make_node, onnx
 
 

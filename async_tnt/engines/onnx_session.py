@@ -35,14 +35,26 @@ def source_of(path_or_bytes: Any) -> str | bytes:
     return str(path)
 
 
-def open_session(
-    source: str | bytes, name: str, threads: int
-) -> tuple[onnxruntime.InferenceSession, list[Any], list[Any], Exported | None]:
-    """The session, what goes in, what comes out, and what the file says of itself."""
+def import_onnxruntime() -> Any:
+    """The library, its telemetry off unless the user's environment says otherwise.
+
+    Raises
+    ------
+    ImportError : it is not installed.
+    """
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when it is loaded: its API's own switch comes too late
     try:
         import onnxruntime
     except ImportError as error:
         raise ImportError(f"ONNX networks are run by onnxruntime: pip install '.[onnx]' ({error})") from None
+    return onnxruntime
+
+
+def open_session(
+    source: str | bytes, name: str, threads: int
+) -> tuple[onnxruntime.InferenceSession, list[Any], list[Any], Exported | None]:
+    """The session, what goes in, what comes out, and what the file says of itself."""
+    onnxruntime = import_onnxruntime()
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = threads
     for pool in ("intra_op", "inter_op"):  # a helper that spins takes a core from whoever delivers the events

@@ -23,6 +23,8 @@ class NetworkCounts:
     """How many of `malformed` were left out for a time too far ahead of the stream."""
     off_sensor: int = 0
     """How many of `malformed` lie off the sensor."""
+    clock_restarts: int = 0
+    """How often the sender's clock started anew; times go on, see `UdpSource`."""
 
     def summary(self) -> str:
         """One line for people.
@@ -33,9 +35,10 @@ class NetworkCounts:
         '12 datagrams, 1,199 events (1 malformed, 1 of them too far ahead, 0 out of order, datagrams lost: unknown)'
         """
         lost = "unknown" if self.lost is None else f"{self.lost:,}"
-        ahead = f"{self.ahead:,} of them too far ahead, " if self.ahead else ""
-        ahead += f"{self.off_sensor:,} of them off the sensor, " if self.off_sensor else ""
+        of_them = f"{self.ahead:,} of them too far ahead, " if self.ahead else ""
+        of_them += f"{self.off_sensor:,} of them off the sensor, " if self.off_sensor else ""
+        restarts = f", clock restarts: {self.clock_restarts:,}" if self.clock_restarts else ""
         return (
-            f"{self.datagrams:,} datagrams, {self.events:,} events ({self.malformed:,} malformed, {ahead}"
-            f"{self.late:,} out of order, datagrams lost: {lost})"
+            f"{self.datagrams:,} datagrams, {self.events:,} events ({self.malformed:,} malformed, {of_them}"
+            f"{self.late:,} out of order, datagrams lost: {lost}{restarts})"
         )

@@ -29,6 +29,7 @@ from .decode_kernel import (
     MALFORMED,
     NO_LIMIT,
     OFF_SENSOR,
+    RESTARTS,
     SPIF,
     SPIF_T32,
     T32,
@@ -115,7 +116,9 @@ class Decoder:
     format : one of `EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: whatever the format can say.
     max_jump_s : how far ahead of the stream, in seconds, an event may be; beyond that it is malformed, unless the
-        datagrams after it agree, see `async_tnt.network.decode_kernel`. None: as far as it likes.
+        datagrams after it agree: then the stream has moved. So it has where datagrams agree that it fell back: from then
+        on times are shifted, so that they go on, see `async_tnt.network.decode_kernel`. None: as far as it likes, and
+        times stay what they are.
     """
 
     def __init__(
@@ -145,6 +148,11 @@ class Decoder:
     def ahead(self) -> int:
         """Events left out because their time was too far ahead of the stream."""
         return int(self._state[AHEAD])
+
+    @property
+    def restarts(self) -> int:
+        """How often the sender's clock started anew: since then, times are shifted, so that they go on."""
+        return int(self._state[RESTARTS])
 
     @property
     def off_sensor(self) -> int:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import asyncio
 import select
 import socket
+import time
 from collections.abc import Callable
+
+LONGEST_S = 86_400.0  # one sleep: a system's `poll` or `select` takes no more than some days
 
 
 class Waiter:
@@ -24,7 +27,9 @@ class Waiter:
             self._poll = poll.poll
 
     def wait(self, timeout_s: float | None) -> None:
-        """Sleep until there is something to read, `wake`, or so long (None: for ever)."""
+        """Sleep until there is something to read, `wake`, or so long (None: for ever), but a day at most."""
+        if timeout_s is not None:
+            timeout_s = min(timeout_s, LONGEST_S)
         if self._poll is not None:
             self._poll(None if timeout_s is None else timeout_s * 1e3)
         else:  # Windows
@@ -39,21 +44,36 @@ class Waiter:
         """
         loop = asyncio.get_running_loop()
         came: asyncio.Future[bool] = loop.create_future()
-        descriptor = self._socket.fileno()
-        try:
-            loop.add_reader(descriptor, _settle, came, True)
-        except NotImplementedError:
-            await asyncio.to_thread(wait, timeout_s)
-            return not self._woken and bool(select.select([self._socket], [], [], 0)[0])
         entry = (loop, came)
-        self._tasks.add(entry)
+        self._tasks.add(entry)  # before all else: who wakes from here on leaves the socket to this task
         try:
-            return await asyncio.wait_for(came, timeout_s)
-        except TimeoutError:
-            return False
+            if self._woken:
+                return False
+            descriptor = self._socket.fileno()
+            try:
+                loop.add_reader(descriptor, _settle, came, True)
+            except NotImplementedError:
+                return await self._wait_in_thread(timeout_s, wait)
+            try:
+                return await asyncio.wait_for(came, timeout_s)
+            except TimeoutError:
+                return False
+            finally:
+                loop.remove_reader(descriptor)
         finally:
-            self._tasks.discard(entry)
-            loop.remove_reader(descriptor)
+            self._tasks.discard(entry)  # after all else: from here on the socket may be closed
+
+    async def _wait_in_thread(self, timeout_s: float | None, wait: Callable[[float | None], None]) -> bool:
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        left = timeout_s
+        while left is None or left > 0:
+            await asyncio.to_thread(wait, left)
+            if self._woken:
+                return False
+            if select.select([self._socket], [], [], 0)[0]:
+                return True
+            left = None if deadline is None else deadline - time.monotonic()
+        return False
 
     @property
     def in_task(self) -> bool:

@@ -19,6 +19,7 @@ there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
 
 from __future__ import annotations
 
+import operator
 import os
 import warnings
 from pathlib import Path
@@ -52,7 +53,7 @@ def read_nmnist(
     path : path of the `.bin` file.
     strict : True raises at damage; False warns and returns the events before it.
     sensor : (width, height) that every event must lie on; None for any pixel up to 255, for example to
-        read N-Caltech101.
+        read N-Caltech101 where its camera is not known.
 
     Returns
     -------
@@ -61,7 +62,8 @@ def read_nmnist(
 
     Raises
     ------
-    ValueError : damage, when `strict`. The message names the file, the place and the rule.
+    ValueError : damage, when `strict`. The message names the file, the place and the rule; a note to it, which
+        Python shows and the program leaves out, what to pass.
     OSError : no such file, a folder, or not readable.
     """
     path = Path(path)
@@ -82,6 +84,9 @@ def read_nmnist(
     events["p"] = rows[event_rows, 2] >> 7
 
     n_good, damage = _first_damage(events, event_rows, sensor)
+    advice = f"Pass strict=False for the {n_good} events before."
+    if damage is not None and n_good < len(events) and _is_off(events[n_good], sensor):
+        advice += " Pass sensor=(width, height), or None for any, if the recording is of another sensor."
     if damage is None and n_left:
         damage = (
             f"the size must be a multiple of {BYTES_PER_EVENT} bytes (one event each), got {len(raw)}: "
@@ -91,7 +96,9 @@ def read_nmnist(
         return events
     text = f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {damage}"
     if strict:
-        raise ValueError(f"{text}. Fetch the file again, or pass strict=False for the {n_good} events before.")
+        error = ValueError(f"{text}. Fetch the file again; {n_good} events before are good.")
+        error.add_note(advice)
+        raise error
     warnings.warn(f"{text}. Keeping the {n_good} events before.", stacklevel=2)
     return events[:n_good].copy()
 
@@ -103,8 +110,8 @@ def write_nmnist(path: str | os.PathLike[str], events: np.ndarray, *, sensor: tu
     ----------
     path : file to write, replaced if it exists.
     events : structured array with integer fields `t` (us), `x`, `y`, `p` (0 or 1), in order of time.
-    sensor : (width, height) that every event must lie on; None for any pixel the format can hold: up to 255,
-        without row 240, which marks a timer overflow.
+    sensor : (width, height) that every event must lie on; None for any pixel the format can hold. On every sensor
+        that is up to 255, without row 240, which marks a timer overflow.
 
     Raises
     ------
@@ -119,7 +126,7 @@ def write_nmnist(path: str | os.PathLike[str], events: np.ndarray, *, sensor: tu
         if events.dtype[name].kind not in "iub":
             raise TypeError(f"`{name}` must have an integer type, got {events.dtype[name]}")
 
-    width, height = _checked_sensor(sensor) if sensor is not None else (256, 256)
+    width, height = (min(side, 256) for side in (checked_sensor(sensor) if sensor is not None else (256, 256)))
     _check_range("t", events["t"], TIME_LIMIT_US)
     _check_range("x", events["x"], width)
     _check_range("y", events["y"], height)
@@ -141,7 +148,7 @@ def _first_damage(events: np.ndarray, event_rows: np.ndarray, sensor: tuple[int,
     """The number of good events before the first bad one, and what is wrong with it (None: nothing)."""
     off_sensor = np.zeros(len(events), bool)
     if sensor is not None:
-        width, height = _checked_sensor(sensor)
+        width, height = checked_sensor(sensor)
         off_sensor = (events["x"] >= width) | (events["y"] >= height)
     backwards = np.zeros(len(events), bool)
     backwards[1:] = np.diff(events["t"]) < 0
@@ -155,16 +162,29 @@ def _first_damage(events: np.ndarray, event_rows: np.ndarray, sensor: tuple[int,
         x, y = int(events["x"][i]), int(events["y"][i])
         return i, (
             f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}; "
-            "pass sensor=None if the recording is of another sensor"
+            "a recording of another camera needs its sensor said"
         )
     return i, f"`t` must never decrease, got {events['t'][i]} us after {events['t'][i - 1]} us at {place}"
 
 
-def _checked_sensor(sensor: tuple[int, int]) -> tuple[int, int]:
-    width, height = sensor
-    if not (1 <= width <= 256 and 1 <= height <= 256):
-        raise ValueError(f"`sensor` must be (width, height) in 1..256, what one byte can address, got {sensor}")
-    return int(width), int(height)
+def _is_off(event: np.void, sensor: tuple[int, int] | None) -> bool:
+    return sensor is not None and bool(event["x"] >= sensor[0] or event["y"] >= sensor[1])
+
+
+def checked_sensor(sensor: tuple[int, int]) -> tuple[int, int]:
+    """(width, height) as two Python integers; larger than a byte addresses, too: N-Caltech101's camera had 304 x 240.
+
+    Raises
+    ------
+    ValueError : not two whole numbers of at least 1.
+    """
+    try:
+        width, height = (operator.index(side) for side in sensor)
+    except (TypeError, ValueError):
+        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {sensor!r}") from None
+    if width < 1 or height < 1:
+        raise ValueError(f"`sensor` must be (width, height), each at least 1, got {sensor!r}")
+    return width, height
 
 
 def _check_range(name: str, values: np.ndarray, limit: int) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from async_tnt.events import EVENT_DTYPE, LATE_POLICIES
 from async_tnt.recordings.damage import Damage, DamagedRecording
 from async_tnt.recordings.formats import READERS
+from async_tnt.recordings.nmnist import checked_sensor, read_nmnist
 from async_tnt.recordings.source import ArraySource, Sensor, Source
 
 PACKED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
@@ -58,6 +59,7 @@ class Recording:
         self.strict = strict
         self.unsorted = unsorted
         self._source = ArraySource(source, sensor) if isinstance(source, np.ndarray) else source
+        self._stated_sensor = self._source.sensor  # `sensor` may be the caller's word
         self._totals: _Totals | None = None
         self._has_warned = False
 
@@ -131,7 +133,7 @@ class Recording:
             except Damage as found:
                 block, damage = None, found.reason
             if block is not None:
-                good, damage = _on_sensor(block, self.sensor, n_read)
+                good, damage = _on_sensor(block, self._stated_sensor, n_read)
                 n_read += len(good)
                 block = self._sorted(good, totals)
                 if len(block):
@@ -169,7 +171,9 @@ class Recording:
     def _tell(self, damage: str, n_read: int, newest_us: int) -> None:
         text = f"{self.path}: damaged recording: {damage}"
         if self.strict:
-            raise ValueError(f"{text}. Fetch the file again, or pass strict=False for the {n_read} events before.")
+            error = ValueError(f"{text}. Fetch the file again; {n_read} events before are good.")
+            error.add_note(f"Or pass strict=False for the {n_read} events before.")  # nothing for the program to say
+            raise error
         if not self._has_warned:
             self._has_warned = True
             until = f", up to {newest_us} us" if n_read else ""
@@ -194,6 +198,7 @@ def open_recording(
     *,
     strict: bool = False,
     unsorted: str = "accept",
+    sensor: Sensor | None = None,
 ) -> Recording:
     """Open a recording; its suffix says the format (`READERS`), its first bytes say which of several.
 
@@ -208,6 +213,10 @@ def open_recording(
         damaged `.bin` or `.npz`, and a `.npy` of the wrong size, is refused here, with a ValueError.
     unsorted : what to do with events older than one before them: "accept", "drop" them, or "raise" a
         ValueError when the reading gets there. `Recording.n_unsorted` counts them.
+    sensor : (width, height) of the camera, for files that do not state it. A `.bin` is then of this sensor, and not
+        of N-MNIST's 34 x 34, and an event off it is damage. CSV, NumPy and text get it as `Recording.sensor`; as it is
+        not the file's word, their events are not compared with it here, but where they are streamed. A file that
+        states its sensor keeps that one.
 
     Returns
     -------
@@ -215,8 +224,9 @@ def open_recording(
 
     Raises
     ------
-    ValueError : unknown suffix, damaged file, a pipe or device, unknown policy, or `packet_events` below 1.
-    OSError : missing or not readable.
+    ValueError : unknown suffix, damaged file, a pipe or device, unknown policy, `packet_events` below 1, or a
+        `sensor` that is none.
+    OSError : missing, a folder, or not readable.
     ImportError : the format needs an extra that is not installed; names it.
 
     Example
@@ -232,15 +242,25 @@ def open_recording(
         raise ValueError(f"`packet_events` must be at least 1, got {packet_events}")
     if unsorted not in LATE_POLICIES:
         raise ValueError(f"`unsorted` must be one of {', '.join(LATE_POLICIES)}, got {unsorted!r}")
+    if sensor is not None:
+        sensor = checked_sensor(sensor)
+    if path.is_dir():
+        raise IsADirectoryError(
+            f"{path} is a folder, expected a recording; async-tnt run {path} --out results.jsonl streams all "
+            "recordings in it (docs/archive.md)"
+        )
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         hint = "; unpack it first" if path.suffix.lower() in PACKED else ""
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}{hint}")
-    if path.exists() and not path.is_file() and not path.is_dir():  # opening a pipe without a writer waits for ever
+    if path.exists() and not path.is_file():  # opening a pipe without a writer waits for ever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
-    found = reader(path)
-    source = found if isinstance(found, Source) else ArraySource(*found)
-    return Recording(path, source, source.sensor, int(packet_events), strict=strict, unsorted=unsorted)
+    if sensor is not None and path.suffix.lower() == ".bin":
+        source: Source = ArraySource(read_nmnist(path, sensor=sensor), sensor)
+    else:
+        found = reader(path)
+        source = found if isinstance(found, Source) else ArraySource(*found)
+    return Recording(path, source, source.sensor or sensor, int(packet_events), strict=strict, unsorted=unsorted)
 
 
 def sample_recordings() -> dict[int, Path]:

@@ -15,6 +15,8 @@ BLOCK_EVENTS = 1 << 16
 
 Sensor = tuple[int, int]
 
+TRAIN_ONE = "train one for this camera (async-tnt train --help)"
+
 
 class Source(ABC):
     """The events of one file, a block at a time. Holds no more than a block of them in memory.
@@ -69,7 +71,9 @@ def packed(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[
     return events, f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is no event"
 
 
-def check_sensor(name: Any, found: Sensor | None, wanted: Sensor, who: str = "the model is for") -> None:
+def check_sensor(
+    name: Any, found: Sensor | None, wanted: Sensor, who: str = "the model is for", advice: str = "; " + TRAIN_ONE
+) -> None:
     """Refuse a source whose sensor has another size (width, height) than wanted."""
     if found is not None and tuple(found) != wanted:
-        raise ValueError(f"{name}: a sensor of {found[0]}x{found[1]} pixels, but {who} {wanted[0]}x{wanted[1]}")
+        raise ValueError(f"{name}: a sensor of {found[0]}x{found[1]} pixels, but {who} {wanted[0]}x{wanted[1]}{advice}")

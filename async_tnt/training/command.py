@@ -8,12 +8,14 @@ import platform
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 
+from async_tnt.commands.files import complain
 from async_tnt.commands.record import command_words, data_folder
 from async_tnt.config import TNTConfig
 from async_tnt.datasets.scores import Scores
@@ -39,17 +41,16 @@ def main(args: argparse.Namespace) -> int:
     except ImportError as error:
         return _fail(f"training needs torch ({error}); install it with: pip install '.[train]'")
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
+    if args.out.suffix != ".safetensors":  # q.pt beside q.safetensors would share its run folder, and its q.json
+        return _fail(f"--out must end in .safetensors, got {args.out}")
     run_folder = args.run_folder or Path("runs") / args.out.stem
     try:
         return _train(args, run_folder)
     except KeyboardInterrupt:
-        print(
-            f"\ninterrupted; the finished epochs are kept in {run_folder}. Give the same command again to go on.",
-            file=sys.stderr,
-        )
+        complain(f"interrupted; the finished epochs are kept in {run_folder}. Give the same command again to go on.")
         return 130
     except (ValueError, TypeError, OSError) as error:
-        return _fail(str(error))
+        return _fail(error)
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
@@ -58,7 +59,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from .curves import plot_curves
     from .evaluate import evaluate
     from .networks import pipeline_of
-    from .train import train
+    from .train import check_run, train
 
     own_run.check_options(args)
     if args.threads is not None:
@@ -75,12 +76,14 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     if args.dataset is not None:
         if args.test and not (args.dataset / "Test").is_dir():
             raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
-        own = own_run.load(args, config, start, show_progress)
+        own = own_run.load(args, config, start, show_progress, run_folder)
         config, training, validation, data = own.config, own.training, own.validation, own.words
         settings = own_run.settings_of(args, config, len(training), len(validation))
     else:
         settings = _settings(args)
-        nmnist = None if args.smoke else data_folder(args.nmnist, "nmnist", "--nmnist")
+        check_run(run_folder, config.to_dict(), asdict(settings))
+        rather = "DATASET, a folder with a folder of recordings for each class, or "
+        nmnist = None if args.smoke else data_folder(args.nmnist, "nmnist", "--nmnist", rather=rather)
         if args.test:
             if nmnist is None or not (nmnist / "Test").is_dir():
                 raise FileNotFoundError(f"--test needs N-MNIST's folder Test, not found in {nmnist}")
@@ -89,27 +92,24 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     classes = CLASSES if own is None else own.classes
     print(f"{len(training)} windows to train on, {len(validation)} held out", file=sys.stderr)
 
-    started = time.monotonic()
     n_epochs = settings.n_epochs(len(training))
-    first_epoch: list[float] = []
-    warm: list[float] = []
+    warm: tuple[float, float] | None = None  # the first epoch here, which waits for the compiler, and its end
     said_at = -1.0
 
     def report(row: dict[str, float]) -> None:
-        nonlocal said_at
-        if not first_epoch:
-            first_epoch.append(row["epoch"])
-            warm.append(time.monotonic())
+        nonlocal said_at, warm
+        warm = warm or (row["epoch"], time.monotonic())
         if row["epoch"] < n_epochs and 0 <= said_at > time.monotonic() - 1.0:
             return  # hundreds of short epochs need no line each
         said_at = time.monotonic()
-        done = row["epoch"] - first_epoch[0]  # after the first, which may have waited for the compiler
-        per_epoch = (time.monotonic() - warm[0]) / done if done else warm[0] - started
-        left_s = per_epoch * (n_epochs - row["epoch"])
+        done = row["epoch"] - warm[0]
         text = f"epoch {row['epoch']:.0f}/{n_epochs}  loss {row['loss']:.4f}"
         if "per_window" in row:
             text += f"  held out: {row['per_window']:.4f} by window, {row['per_recording']:.4f} by recording"
-        print(f"{text}  ({_minutes(left_s)} left)", file=sys.stderr)
+        if done:
+            left_s = (time.monotonic() - warm[1]) / done * (n_epochs - row["epoch"])
+            text += f"  ({_minutes(left_s)} left)"
+        print(text, file=sys.stderr)
 
     result = train(
         config, training, validation, settings, run_folder, classes=classes, start=start, progress=show_progress,
@@ -248,6 +248,6 @@ def _minutes(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
-def _fail(text: str) -> int:
-    print(f"async-tnt train: {text}", file=sys.stderr)
+def _fail(error: Exception | str) -> int:
+    complain(error)
     return 2

@@ -125,7 +125,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     volume.add_argument("--remove-flow", action="store_true", help="subtract the fitted flow (with --landmark line)")
     volume.add_argument("--bins", type=int, default=9, metavar="B", help="time bins (default: 9)")
     volume.add_argument(
-        "--sensor", type=size_text, metavar="WxH", help="with DATASET: the camera's pixels, where recordings are silent"
+        "--sensor",
+        type=size_text,
+        metavar="WxH",
+        help="with DATASET: the camera's pixels, where recordings are silent; "
+        "a .bin is of 34x34 unless this says otherwise",
     )
     volume.add_argument(
         "--grid", type=size_text, metavar="WxH", help="with DATASET: the volume's pixels (default: 34x34)"
@@ -215,13 +219,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FILE",
-        help="the trained model (default: model.safetensors; with --smoke: smoke.safetensors)",
+        help="the trained model, a .safetensors file (default: model.safetensors; with --smoke: smoke.safetensors)",
     )
     files.add_argument(
         "--run",
         type=Path,
         metavar="FOLDER",
         dest="run_folder",
-        help="checkpoints and learning curves (default: runs/<name of --out>)",
+        help="checkpoints and learning curves; one run's, which goes on where it was (default: runs/<name of --out>)",
     )
     files.add_argument("--json", action="store_true", help="print the results as JSON on stdout")

@@ -52,7 +52,7 @@ def read_classes(
 
     Parameters
     ----------
-    sensor : (width, height), needed where no recording says it.
+    sensor : (width, height), needed where no recording says it, and for `.bin` of another than N-MNIST's 34 x 34.
     classes : the classes there must be; by default the folders there are, at least two.
     skip_damaged : False refuses a recording that cannot be read, with an error that names it; True leaves it out.
 
@@ -72,7 +72,7 @@ def read_classes(
     seen: dict[bytes, tuple[int, str]] = {}
     for label, path in progress(paths, "reading", len(paths)):
         try:
-            recording = open_recording(path, strict=True)
+            recording = open_recording(path, strict=True, sensor=sensor)
             read = _from_first_event(recording.read())
         except (ValueError, OSError) as error:
             if not skip_damaged:
@@ -100,7 +100,11 @@ def read_classes(
         kept.append(name_of(path))
     empty = [name for label, name in enumerate(names) if label not in labels]
     if empty and (classes is None or not labels):  # of a given list of classes, one recording is enough
-        why = f" (left out: {' '.join(left_out)})" if left_out else ""
+        why = f" (left out: {' '.join(left_out[:3])}" if left_out else ""
+        why += f" And {len(left_out) - 3} more" if len(left_out) > 3 else ""
+        why += ")" if left_out else ""
+        if left_out and sensor is None and any(path.suffix.lower() == ".bin" for _, path in paths):
+            why += "; a .bin of another camera than N-MNIST's 34x34 needs --sensor WxH"
         raise ValueError(
             f"{folder}: no event in any recording of class {', '.join(empty)}; record some, or remove the folder{why}"
         )

@@ -21,6 +21,7 @@ from async_tnt.whole_files import replacing
 
 from .augment import Augmentation
 from .own_classes import read_classes
+from .run_folder import check_recordings, note_recordings, sizes_of
 from .settings import TrainSettings
 from .windows import Progress, Windows, lay_windows, split_recordings
 
@@ -62,8 +63,10 @@ def check_options(args: argparse.Namespace) -> None:
         raise ValueError("--grid and --window-us must come without --start-from: the volume is that model's")
 
 
-def load(args: argparse.Namespace, config: TNTConfig, start: Model | None, progress: Progress) -> OwnData:
-    """Read DATASET, and split it by recording.
+def load(
+    args: argparse.Namespace, config: TNTConfig, start: Model | None, progress: Progress, run_folder: Path
+) -> OwnData:
+    """Read DATASET, and split it by recording; refuse the run folder before that where it holds another run.
 
     Parameters
     ----------
@@ -80,11 +83,17 @@ def load(args: argparse.Namespace, config: TNTConfig, start: Model | None, progr
             grid=parse_size(args.grid) if args.grid else config.grid, window_us=args.window_us or config.window_us
         )
         _check_grid(config)
+    share = 0.2 if args.validation is None else args.validation
+    sizes = sizes_of(args.dataset)
+    goes_on = _check_run(args, config, sensor, run_folder)
+    if goes_on:
+        check_recordings(run_folder, sizes, share)
     own = read_classes(args.dataset, sensor=sensor, classes=classes, skip_damaged=True, progress=progress)
     _say_left_out(own.left_out)
     config = config.replace(sensor=own.sensor)
-    share = 0.2 if args.validation is None else args.validation
     learned, held_out = split_recordings(own.recordings, share, np.random.default_rng(args.seed), at_least=1)
+    if not goes_on:
+        note_recordings(run_folder, sizes, share, own.recordings.names)
     labels = own.recordings.labels
     counts = {name: int((labels == k).sum()) for k, name in enumerate(own.classes)}
     print("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()), file=sys.stderr)
@@ -105,6 +114,23 @@ def load(args: argparse.Namespace, config: TNTConfig, start: Model | None, progr
 
     names = tuple(own.recordings.names[r] for r in held_out)
     return OwnData(config, own.classes, windows_of(learned), windows_of(held_out), words, names)
+
+
+def _check_run(args: argparse.Namespace, config: TNTConfig, sensor: tuple[int, int] | None, run_folder: Path) -> bool:
+    """Whether the folder holds this run; compared are the settings that are known before the data is."""
+    from .train import check_run
+
+    volume = config.to_dict()
+    del volume["sensor"]
+    if sensor is not None:
+        volume["sensor"] = sensor
+    settings = {
+        "seed": args.seed, "learning_rate": args.rate, "precision": args.precision, "iterations": args.iterations,
+    }  # fmt: skip
+    settings |= {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
+    if args.patience is not None:
+        settings["patience"] = args.patience or None
+    return check_run(run_folder, volume, settings)
 
 
 def load_test(args: argparse.Namespace, config: TNTConfig, classes: tuple[str, ...], progress: Progress) -> Windows:

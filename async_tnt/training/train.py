@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
@@ -23,6 +23,7 @@ from .augment import Draws
 from .evaluate import accuracy_by_recording, class_probabilities
 from .networks import export, pipeline_before_export
 from .pipelines import Pipeline, new_pipeline
+from .run_folder import other_run
 from .settings import TrainSettings
 from .windows import CLASSES, Progress, Windows, no_progress
 
@@ -264,15 +265,51 @@ def _identity(
     )
 
 
-def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
+def check_run(run_folder: Path, config: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
+    """Whether the folder holds a run already; refuses one of others than these, before any data is read.
+
+    Parameters
+    ----------
+    config, settings : fields of `TNTConfig` and `TrainSettings` and their values; not all need be known yet.
+
+    Raises
+    ------
+    ValueError : the run's differ; names them. Or its checkpoint is damaged.
+    """
+    state = _read_checkpoint(run_folder / CHECKPOINT)
+    if state is None:
+        return False
+    found = json.loads(state["identity"])
+    wanted = json.loads(json.dumps({"config": dict(config), "settings": dict(settings)}))
+    differ = sorted(
+        name
+        for part, values in wanted.items()
+        for name, value in values.items()
+        if (found[part].get(name) or None)
+        != (value or None)  # older runs lack names whose value was then False or None
+    )
+    if differ:
+        raise other_run(run_folder, ", ".join(differ))
+    return True
+
+
+def _read_checkpoint(path: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        found = json.loads(state["identity"])
+        json.loads(state["identity"])
+        return state
     except Exception as error:  # a damaged archive surfaces as any of a dozen types
         kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
         raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start anew") from error
+
+
+def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
+    state = _read_checkpoint(path)
+    if state is None:
+        return None
+    found = json.loads(state["identity"])
     wanted = json.loads(identity)
     differ = sorted(
         name
@@ -286,8 +323,5 @@ def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
         if found.get(name, 0) != wanted[name]
     ]
     if differ:
-        raise ValueError(
-            f"{path.parent} holds a run with other {', '.join(differ)}; "
-            "give another run folder, or remove this one to start anew"
-        )
+        raise other_run(path.parent, ", ".join(differ))
     return state

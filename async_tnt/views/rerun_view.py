@@ -69,8 +69,7 @@ class RerunView:
         config = self.processor.config
         self._picture_us = int(picture_us)
         self._pause_s = 0.0 if most_pictures_per_s is None else 1 / most_pictures_per_s
-        self._explicit_us: int | None = settings.get("start_us")
-        self._twin = RawTwin(config, settings.get("late", "accept"))
+        self._twin = RawTwin(config, self.processor.late)
         self._sink = sink_of(None if out is None else Path(out), connect)
         self._stream = stream = rr.RecordingStream(layout.APPLICATION)
         self._sink.open(stream)
@@ -152,10 +151,10 @@ class RerunView:
 
     def _begin(self, first_us: int) -> None:
         """The first event of a source says where its windows, and thus its pictures, are laid."""
-        explicit = self._explicit_us
-        if explicit is None:  # where none is open yet, the window starts at 0
-            explicit = self.processor.fire().window_start_us or first_us
-        self._origin_us = explicit
+        origin_us = self.processor.start_us
+        if origin_us is None:  # a window may be open all the same; where none is, it starts at 0
+            origin_us = self.processor.fire().window_start_us or first_us
+        self._origin_us = origin_us
         self._log.offset_us = 0 if self._end_us is None else self._end_us + self._picture_us - first_us
         self._log.begin(first_us)
         self._shown_us = first_us

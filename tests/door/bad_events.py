@@ -116,7 +116,7 @@ for _form, _events in in_every_form(
 # -- no whole numbers ----------------------------------------------------------------------------------------
 
 NO_UNIT = "`t` must be integer microseconds, got "
-SECONDS = "; its unit is unknown: convert seconds with (t * 1e6).astype('int64')"
+SECONDS = "; its unit is unknown: convert seconds with np.rint(t * 1e6).astype('int64')"
 NOT_WHOLE = [
     ("t", np.array([0.5, 1, 2, 3, 4]), TypeError, NO_UNIT + "float64 (0.5 at event 0)" + SECONDS),
     ("t", np.array([0, 1, 2, 3, 4], "f4"), TypeError, NO_UNIT + "float32 (0.0 at event 0)" + SECONDS),

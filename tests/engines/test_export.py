@@ -2,6 +2,7 @@
 
 import json
 import os
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -187,19 +188,27 @@ def test_wrong_arguments_give_one_line(argv, message, tmp_path, capsys):
     assert os.listdir(tmp_path) == ["folder.onnx"]
 
 
-@pytest.mark.parametrize("missing", ["onnx", "onnxruntime"])
-def test_export_without_its_packages(missing, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    "missing, message",
+    [
+        ("onnx", "ONNX networks are written by onnx and run by onnxruntime: pip install '.[onnx]' ("),
+        ("onnxruntime", "ONNX networks are run by onnxruntime: pip install '.[onnx]' ("),
+    ],
+)
+def test_export_without_its_packages(missing, message, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, missing, None)
     assert main(["export", "digits", "--out", str(tmp_path / "m.onnx")]) == 2
     said = capsys.readouterr().err
-    expected = "async-tnt: export writes with onnx and checks with onnxruntime: pip install '.[onnx]' ("
-    assert said.startswith(expected) and said.count("\n") == 1
+    assert said.startswith(f"async-tnt: {message}") and said.count("\n") == 1
     assert not os.listdir(tmp_path)
 
 
 def test_to_onnx_without_onnx(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ImportError, match=r"^ONNX networks are written by onnx: pip install '\.\[onnx\]' \(.*\)$"):
+    with pytest.raises(
+        ImportError,
+        match=r"^ONNX networks are written by onnx and run by onnxruntime: pip install '\.\[onnx\]' \(.*\)$",
+    ):
         to_onnx(random_model())
 
 
@@ -213,3 +222,15 @@ def test_an_interrupted_export_leaves_nothing(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(agreement, "compare_engines", interrupt)
     assert main(["export", "digits", "--out", str(tmp_path / "m.onnx")]) == 130
     assert not os.listdir(tmp_path)
+
+
+def test_onnxruntime_sends_and_keeps_nothing_about_its_use(tmp_path):
+    """Its telemetry, on by default, writes below the home folder when a session is made."""
+    code = (
+        "from async_tnt import load_model\nfrom async_tnt.engines import OnnxClassifier, to_onnx\n"
+        "OnnxClassifier(to_onnx(load_model('digits')))"
+    )
+    env = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
+    env |= {"HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    subprocess.run([sys.executable, "-c", code], env=env, check=True)
+    assert not list(tmp_path.rglob("*onnxruntime*"))

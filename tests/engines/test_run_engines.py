@@ -115,7 +115,8 @@ def test_wrong_files_and_engines_give_one_line(tmp_path, capsys, exported):
     "missing, argv, message",
     [
         ("onnxruntime", ["--engine", "onnx"], "ONNX networks are run by onnxruntime: pip install '.[onnx]' ("),
-        ("onnx", ["--engine", "onnx"], "ONNX networks are written by onnx: pip install '.[onnx]' ("),
+        ("onnx", ["--engine", "onnx"],
+         "ONNX networks are written by onnx and run by onnxruntime: pip install '.[onnx]' ("),
         ("torch", ["--engine", "torch"], "engine torch runs the reference network, which needs torch: pip install "
          "'.[reference]' ("),
     ],

@@ -38,7 +38,7 @@ def write(path: Path, events: np.ndarray, *, sensor: tuple[int, int] | None = (1
         columns = np.column_stack([events[name] for name in "txyp"])
         np.savetxt(path, columns, fmt="%d", delimiter=",", header="t,x,y,p", comments="")
     else:
-        write_nmnist(path, events)
+        write_nmnist(path, events, sensor=None)
     return path
 
 

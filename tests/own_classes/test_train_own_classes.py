@@ -11,7 +11,7 @@ from async_tnt.recordings import READERS
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
-from async_tnt.training import command
+from async_tnt.training import command, own_run
 
 QUICK = ("--epochs", "2", "--batch", "8", "--patience", "0")
 
@@ -62,6 +62,65 @@ def test_bins_of_34_pixels_mix_with_other_formats(tmp_path, train):
     code, _, _, out = train(tmp_path / "set")
     assert code == 0 and load_model(out).config.sensor == (34, 34)
     assert load_model(out).record["data"]["classes"] == {"flat": 8, "upright": 8}
+
+
+def test_bins_of_another_camera_are_read_by_the_option(tmp_path, train):
+    """As N-Caltech101's; mixed with a format that states the sensor."""
+    write_set(tmp_path / "set", {"upright": 4, "flat": 4}, suffixes=(".bin", ".npz"))
+    for path in (tmp_path / "set").rglob("*.npz"):
+        write(path, np.load(path)["events"], sensor=(304, 240))
+    code, _, _, out = train(tmp_path / "set", "--sensor", "304x240")
+    assert code == 0 and load_model(out).config.sensor == (304, 240)
+    assert load_model(out).record["data"]["classes"] == {"flat": 4, "upright": 4}
+    assert load_model(out).record["data"]["left_out"] == []
+
+
+def test_bins_of_another_camera_without_the_option_are_told_of_it(tmp_path, train):
+    write_set(tmp_path / "set", {"upright": 5, "flat": 5}, suffixes=(".bin",))
+    code, _, told, _ = train(tmp_path / "set")
+    assert code == 2 and told.count("\n") == 1 and told.startswith("async-tnt: ")
+    assert "needs its sensor said" in told and " And 7 more); a .bin of another camera" in told
+    assert told.endswith("than N-MNIST's 34x34 needs --sensor WxH\n")
+    assert "sensor=" not in told and "strict" not in told  # advice for Python
+
+
+def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, train, monkeypatch):
+    folder = write_set(tmp_path / "set", {"upright": 3, "flat": 3})
+    write(folder / "flat" / "silent.npz", bar("flat", 0)[:0])
+    assert train(folder)[0] == 0
+    (folder / "flat" / "silent.npz").unlink()  # it was left out: the run is the same
+    assert train(folder)[0] == 0
+    monkeypatch.setattr(own_run, "read_classes", lambda *given, **more: pytest.fail("the recordings were read"))
+    run = tmp_path / "run m"
+
+    def refused(*words):
+        code, _, told, _ = train(folder, *words)
+        end = f"; give another run folder (train --run OTHER), or delete the folder {run} to start anew\n"
+        assert code == 2 and told.startswith(f"async-tnt: {run} holds a run with other ") and told.endswith(end)
+        return told.removeprefix(f"async-tnt: {run} holds a run with other ").removesuffix(end)
+
+    assert refused("--seed", "1", "--window-us", "5000", "--iterations", "7") == "iterations, seed, window_us"
+    assert refused("--validation", "0.5") == "validation (0.2, now 0.5)"
+    write(folder / "upright" / "new.npy", bar("upright", 77))
+    assert refused() == "recordings (upright/new.npy is new)"
+    write(folder / "upright" / "00.npy", bar("upright", 77)[:100])
+    (folder / "flat" / "01.npz").unlink()
+    expected = "recordings (upright/new.npy is new, upright/00.npy has changed, flat/01.npz is gone)"
+    assert refused() == expected
+    write(folder / "upright" / "newer.npy", bar("upright", 78))
+    assert refused().endswith(", upright/00.npy has changed, and 1 more)")
+
+
+def test_a_run_without_a_note_is_refused_by_its_events(tmp_path, train):
+    folder = write_set(tmp_path / "set", {"upright": 3, "flat": 3})
+    assert train(folder)[0] == 0
+    for note in ("[]", '{"sizes": 3}', "", None):
+        path = tmp_path / "run m" / "recordings.json"
+        path.unlink() if note is None else path.write_text(note)
+        assert train(folder)[0] == 0
+    write(folder / "upright" / "new.npy", bar("upright", 77))
+    code, _, told, _ = train(folder)
+    assert code == 2 and "training_windows, data; give" in told
 
 
 def test_the_option_says_the_sensor_where_no_recording_does(tmp_path, train):
@@ -215,6 +274,7 @@ def test_an_unreadable_recording_is_left_out_and_named_at_the_end(tmp_path, trai
         (("DATASET", "--patience", "-1"), "`patience` must be at least 1, got -1"),
         (("DATASET", "--batch", "0"), "`batch` must be at least 1, got 0"),
         (("nowhere",), "no folder nowhere"),
+        (("DATASET", "--out", "q.pt"), "--out must end in .safetensors, got q.pt"),
     ],
 )
 def test_options_that_cannot_be_are_one_line(words, text, gestures, program, tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ from made import events_of, random_events
 
 from async_tnt.cli import main
 from async_tnt.pixels import PixelFilter, load_mask, save_mask
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.recordings import open_recording, sample_recordings, write_nmnist
 
 SAMPLE = sample_recordings()[3]
 
@@ -38,7 +38,7 @@ def test_it_finds_what_was_planted(tmp_path, capsys):
     at = [int(((events["x"] == x) & (events["y"] == y)).sum()) for x, y in ((30, 2), (3, 31))]
     assert first.split() == f"x 30 y 2 {at[0]} events {at[0] / n:.2%}".split()
     assert second.split() == f"x 3 y 31 {at[1]} events {at[1] / n:.2%}".split()
-    assert last == f"2 hot pixels of 34x34 made {sum(at) / n:.2%} of {n} events: {out}"
+    assert last == f"2 hot pixels of 34x34 made {sum(at) / n:.2%} of {n} events; wrote {out}"
     assert len(PixelFilter((34, 34), mask=out)(events)) == n - sum(at)
 
 
@@ -46,9 +46,33 @@ def test_it_says_so_where_there_are_none(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["mask", str(SAMPLE)]) == 0
     n = open_recording(SAMPLE).n_events
-    said = f"no hot pixels: none of 34x34 stands out in {n} events; mask.npy masks nothing\n"
+    said = f"no hot pixels: none of 34x34 stands out in {n} events; wrote mask.npy, which masks nothing\n"
     assert capsys.readouterr().out == said
     assert not np.load("mask.npy").any()
+
+
+def test_only_a_named_file_is_overwritten(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mask.npy").write_bytes(b"precious")
+    assert main(["mask", str(SAMPLE)]) == 2
+    told = capsys.readouterr()
+    assert told.out == "" and told.err == (
+        "async-tnt: mask.npy is there already: --out mask.npy overwrites it, --out FILE writes another\n"
+    )
+    assert (tmp_path / "mask.npy").read_bytes() == b"precious"
+    assert main(["mask", str(SAMPLE), "--out", "mask.npy"]) == 0
+    assert not np.load("mask.npy").any()
+
+
+def test_a_bin_is_of_the_sensor_that_the_option_says(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    n = 20_000
+    events = events_of(np.arange(n), rng.integers(0, 240, n), rng.integers(0, 180, n), rng.integers(0, 2, n))
+    events["x"][::20], events["y"][::20] = 200, 150
+    write_nmnist(tmp_path / "a.bin", events, sensor=(304, 240))
+    out = str(tmp_path / "m.npy")
+    assert main(["mask", str(tmp_path / "a.bin"), "--sensor", "304x240", "--out", out]) == 0
+    assert np.argwhere(np.load(out)).tolist() == [[150, 200]] and np.load(out).shape == (240, 304)
 
 
 def test_recordings_of_one_camera_count_as_one(tmp_path, capsys):
@@ -123,7 +147,15 @@ def _off_sensor(folder):
 
 
 def _other_sensor(folder):
-    return [str(SAMPLE), "--sensor", "40x40"], "34x34 pixels, but --sensor or an earlier recording says 40x40"
+    np.savez(folder / "b.npz", events=random_events(9), sensor=np.array([34, 34]))
+    return [str(folder / "b.npz"), "--sensor", "40x40"], "34x34 pixels, but --sensor or an earlier recording says 40x40"
+
+
+def _bin_off_sensor(folder):
+    write_nmnist(folder / "a.bin", events_of([5, 6], [200, 3], [2, 3], [0, 1]), sensor=None)
+    return [
+        str(folder / "a.bin")
+    ], "on the 34 x 34 sensor, got x = 200, y = 2 at event 0 (byte 0); a recording of another"
 
 
 def _two_sensors(folder):
@@ -146,7 +178,18 @@ def _no_folder(folder):
 
 @pytest.mark.parametrize(
     "make",
-    [_missing, _damaged, _no_sensor, _off_sensor, _other_sensor, _two_sensors, _empty, _wrong_suffix, _no_folder],
+    [
+        _missing,
+        _damaged,
+        _no_sensor,
+        _off_sensor,
+        _other_sensor,
+        _bin_off_sensor,
+        _two_sensors,
+        _empty,
+        _wrong_suffix,
+        _no_folder,
+    ],
     ids=lambda make: make.__name__.strip("_"),
 )
 def test_what_is_wrong_in_one_line(make, tmp_path, capsys, monkeypatch):

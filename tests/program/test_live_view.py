@@ -37,9 +37,20 @@ def test_it_shows_the_newest_decision():
     lines = drawn(model.classes, push)
     for name, p, line in zip(model.classes, decisions[-1].probabilities, lines, strict=False):
         assert line.startswith(name) and line.endswith(f"{p:.2f}")
-    assert lines[3].startswith(f"{decisions[-1].label} at 0.001 s, every_events; ")
-    assert lines[3].endswith("60 us to a decision")
-    assert f"({processor.counts.received - processor.counts.kept} of 100 dropped)" in lines[3]
+    assert lines[3] == f"{decisions[-1].label} at 0.001 s, every_events; 60 us to a decision"
+    assert lines[4].endswith("decisions/s")
+    counts = processor.counts
+    assert counts.moved_off == counts.received - counts.kept > 0
+    assert lines[5] == f"100 events, {counts.moved_off} moved off the grid, 0 dropped"
+
+
+def test_a_queue_is_shown():
+    class Queue:
+        delay_us, backlog, n_skipped = 2_500, 1_000, 7
+
+    decision = Processor(random_model(CONFIG, classes=2)).fire()
+    lines = drawn(["a", "b"], lambda view: view.show([decision], 9.0, Counts(received=9, dropped_late=2), Queue()))
+    assert lines[-2:] == ["9 events, 0 moved off the grid, 9 dropped", "2.5 ms old, 1,000 events waiting, 7 skipped"]
 
 
 def test_before_the_first_decision():

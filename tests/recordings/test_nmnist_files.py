@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.recordings import read_nmnist, write_nmnist
+from async_tnt.recordings import open_recording, read_nmnist, write_nmnist
 
 
 def events_of(*rows):
@@ -52,8 +52,56 @@ def test_other_sensors_round_trip_when_asked(tmp_path):
     events = events_of((0, 255, 239, 1), (5, 0, 255, 0))
     write_nmnist(tmp_path / "a.bin", events, sensor=None)
     np.testing.assert_array_equal(read_nmnist(tmp_path / "a.bin", sensor=None), events)
-    with pytest.raises(ValueError, match=r"34 x 34 sensor, got x = 255, y = 239 at event 0 .*sensor=None"):
+    with pytest.raises(ValueError, match=r"34 x 34 sensor, got x = 255, y = 239 at event 0 .*another camera") as raised:
         read_nmnist(tmp_path / "a.bin")
+    (note,) = raised.value.__notes__  # what to pass is for Python, and not for the program, which shows no notes
+    assert note.startswith("Pass strict=False for the 0 events before. Pass sensor=(width, height), or None")
+    assert "=None" not in str(raised.value) and "strict" not in str(raised.value)
+
+
+def test_a_camera_may_be_larger_than_a_byte_addresses(tmp_path):
+    """N-Caltech101: a camera of 304 x 240."""
+    events = events_of((0, 239, 179, 1), (5, 255, 239, 0))
+    write_nmnist(tmp_path / "a.bin", events, sensor=(304, 240))
+    np.testing.assert_array_equal(read_nmnist(tmp_path / "a.bin", sensor=(304, 240)), events)
+    with pytest.raises(ValueError, match=r"`x` must be in \[0, 256\), got 300"):
+        write_nmnist(tmp_path / "b.bin", events_of((0, 300, 0, 0)), sensor=(304, 240))
+
+
+def test_open_recording_reads_a_bin_of_the_sensor_given(tmp_path):
+    events = events_of((0, 239, 179, 1), (5, 100, 99, 0))
+    write_nmnist(tmp_path / "a.bin", events, sensor=None)
+    recording = open_recording(tmp_path / "a.bin", sensor=(304, 240), strict=True)
+    assert recording.sensor == (304, 240)
+    np.testing.assert_array_equal(recording.read(), events)
+    with pytest.raises(ValueError, match=r"304 x 179 sensor, got x = 239, y = 179 at event 0"):
+        open_recording(tmp_path / "a.bin", sensor=(304, 179))
+
+
+def test_the_sensor_given_is_that_of_files_that_state_none(tmp_path):
+    events = events_of((0, 239, 179, 1), (5, 100, 99, 0))
+    np.save(tmp_path / "a.npy", events)
+    recording = open_recording(tmp_path / "a.npy", sensor=(200, 200), strict=True)
+    assert recording.sensor == (200, 200)
+    np.testing.assert_array_equal(recording.read(), events)  # off it, which is not the file's fault
+    np.savez(tmp_path / "a.npz", events=events, sensor=(346, 260))
+    assert open_recording(tmp_path / "a.npz", sensor=(200, 200)).sensor == (346, 260)
+
+
+@pytest.mark.parametrize("sensor", [(0, 5), (3,), 34, "34x34", (34.0, 34)])
+def test_what_is_no_sensor_is_refused(tmp_path, sensor):
+    write_nmnist(tmp_path / "a.bin", events_of((0, 1, 1, 1)))
+    for read in (read_nmnist, open_recording):
+        with pytest.raises(ValueError, match=r"`sensor` must be \(width, height\)"):
+            read(tmp_path / "a.bin", sensor=sensor)
+
+
+def test_a_folder_is_told_from_a_recording(tmp_path):
+    (tmp_path / "nm").mkdir()
+    with pytest.raises(
+        IsADirectoryError, match=r"nm is a folder, .* async-tnt run .*nm --out results\.jsonl streams all"
+    ):
+        open_recording(tmp_path / "nm")
 
 
 def test_fields_in_any_order_and_of_any_integer_type(tmp_path):

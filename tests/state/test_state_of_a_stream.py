@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model, random_regressor_model
 
 from async_tnt import LeakyIntegrator, Processor
+from async_tnt.snapshot import from_bytes, to_bytes
 
 SETTINGS = [
     {}, {"hop_us": 300}, {"every_us": 170}, {"every_events": 7, "late": "drop"},
@@ -147,3 +148,26 @@ def test_damage_is_noticed():
     for nonsense in (b"", b"hello", "text", None, 5):
         with pytest.raises(ValueError, match="`state` must be what `save_state` returned"):
             Processor(CONFIG, classifier=total_and_size).restore_state(nonsense)
+
+
+def test_what_the_door_dropped_is_remembered():
+    model = random_model(CONFIG, classes=3, widths=(3, 4, 5))
+    events = random_events(200, seed=5, duration_us=1500, sensor=(30, 30))
+    events["t"][[20, 60, 130]] = 3
+    assert_goes_on_the_same(lambda: Processor(model, late="drop"), events, 100)
+    resumed = Processor(model, late="drop")
+    stopped = Processor(model, late="drop")
+    stopped.push(events[:100])
+    resumed.restore_state(stopped.save_state())
+    assert resumed.counts == stopped.counts and resumed.counts.dropped_late == 2
+
+
+def test_where_restoring_fails_the_triggers_are_as_before():
+    model = random_model(CONFIG, classes=3, widths=(3, 4, 5))
+    arrays, about = from_bytes(Processor(model, every_us=100).save_state())
+    arrays.pop("door")
+    here = Processor(model, every_us=777)
+    here.push(random_events(20, duration_us=100, sensor=(30, 30)))
+    with pytest.raises(ValueError, match="cannot be restored here"):
+        here.restore_state(to_bytes(arrays, about))
+    assert here.every_us == 777 and here.counts.received == 0

@@ -20,6 +20,28 @@ def run(*words):
     return command.main(parser.parse_args([str(word) for word in words]))
 
 
+def test_the_time_left_is_told_from_the_second_epoch_on(nmnist, tmp_path, monkeypatch, capsys):
+    now = iter(range(0, 100_000, 100))  # every look at the clock is 100 s after the one before
+    monkeypatch.setattr(command.time, "monotonic", lambda: next(now))
+    words = ["--nmnist", nmnist, "--epochs", 3, "--batch", 8, "--run", tmp_path / "run"]
+    assert run(*words, "--out", tmp_path / "m.safetensors") == 0
+    first, second, third = (line for line in capsys.readouterr().err.splitlines() if line.startswith("epoch "))
+    assert "left)" not in first and second.endswith(" min left)") and third.endswith("(0 s left)")
+
+
+def test_a_run_of_other_settings_is_refused_before_the_data_is_read(nmnist, tmp_path, monkeypatch, capsys):
+    words = ["--nmnist", nmnist, "--epochs", 1, "--batch", 8, "--run", tmp_path / "run"]
+    words += ["--out", tmp_path / "m.safetensors"]
+    assert run(*words) == 0
+    assert run(*words) == 0  # the same again goes on, here from the end
+    capsys.readouterr()
+    monkeypatch.setattr(command, "read_folder", lambda *given, **more: pytest.fail("the data was read"))
+    assert run(*words, "--seed", 1, "--t-max", 4) == 2
+    printed = capsys.readouterr().err
+    assert "holds a run with other seed, t_max; give" in printed or "with other t_max, seed; give" in printed
+    assert f"(train --run OTHER), or delete the folder {tmp_path / 'run'} to start anew" in printed
+
+
 @pytest.fixture
 def nmnist(tmp_path):
     """The ten samples as a small data set of the official layout: 3 of each digit in Train, 1 in Test."""
@@ -82,7 +104,8 @@ def test_an_interruption_says_how_to_go_on(nmnist, tmp_path, monkeypatch, capsys
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        ([], "no data: give --nmnist FOLDER, or set TNT_DATA"),
+        ([], "no data: give DATASET, a folder with a folder of recordings for each class, or --nmnist FOLDER, or set"),
+        (["--smoke", "--out", "m.pt"], "--out must end in .safetensors, got m.pt"),
         (["--nmnist", "nowhere"], "no folder nowhere; give --nmnist FOLDER"),
         (["--smoke", "--t-max", "-1"], "`t_max` must be in"),
         (["--smoke", "--remove-flow"], '`remove_flow` needs landmark="line"'),
@@ -96,7 +119,7 @@ def test_what_cannot_be_is_one_line_and_exit_code_2(words, text, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     assert run(*words) == 2
     printed = capsys.readouterr().err
-    assert text in printed and printed.startswith("async-tnt train: ") and printed.count("\n") == 1
+    assert text in printed and printed.startswith("async-tnt: ") and printed.count("\n") == 1
 
 
 def test_a_folder_without_train_is_explained(nmnist, capsys):
@@ -113,7 +136,7 @@ def test_without_torch_the_message_says_what_to_install(monkeypatch, capsys):
 def test_tnt_data_is_the_default_folder(nmnist, tmp_path, monkeypatch, capsys):
     (tmp_path / "nmnist").symlink_to(nmnist)
     monkeypatch.setenv("TNT_DATA", str(tmp_path))
-    words = ["--epochs", 1, "--validation", 0.4, "--run", tmp_path / "run", "--out", tmp_path / "m.st"]
+    words = ["--epochs", 1, "--validation", 0.4, "--run", tmp_path / "run", "--out", tmp_path / "m.safetensors"]
     assert run(*words) == 0
     assert "held out:" in capsys.readouterr().out
     assert run(*words, "--simulated", 3) == 2

@@ -262,6 +262,20 @@ def test_late_events_are_taken_as_the_processor_takes_them(tmp_path):
         assert raw.tobytes() == truth_at(model, events, t, start_us=7_000)[2].array.tobytes()
 
 
+@pytest.mark.parametrize("settings", [{"late": "drop"}, {"start_us": 0}, {"late": "drop", "start_us": 0}])
+def test_a_processor_is_followed_as_its_settings_are(tmp_path, settings):
+    """Given ready, it has them itself: pictures and raw volumes are those of a view that was given them."""
+    model = random_model(CONFIG)
+    rng = np.random.default_rng(3)
+    events = EVENTS[np.argsort(EVENTS["t"] + rng.integers(0, 30_000, len(EVENTS)), kind="stable")]
+    given, _ = view_of(tmp_path, model, [events], "given.rrd", **settings)
+    ready, _ = view_of(tmp_path, Processor(model, **settings), [events], "ready.rrd")
+    seen = [[(t, a.tobytes()) for t, a in rrd.tensors(layout.RAW_VOLUME)] for rrd in (given, ready)]
+    assert seen[0] == seen[1] and len(seen[0]) > 8
+    if "start_us" in settings:
+        assert 50_000 in ready.times(layout.RAW_VOLUME)  # the end of the first window
+
+
 # -- the file ------------------------------------------------------------------------------------------------
 
 

@@ -176,13 +176,25 @@ def send(port, events, pause_s=0.004):
             time.sleep(pause_s)
 
 
+def send_to_listener(said, port, events, patience_s=60):
+    """Send once the program of this process has said that it listens: what comes before is lost.
+
+    Trying to bind its port would tell, too, but now and then take it away from the program.
+    """
+    deadline = time.monotonic() + patience_s
+    while "listening" not in said.getvalue():
+        assert time.monotonic() < deadline, "it never listened"
+        time.sleep(0.01)
+    send(port, events)
+
+
 @pytest.mark.parametrize("latest", [[], ["--latest", "1000"]])
 def test_events_of_the_network(tmp_path, capsys, latest):
     events = open_recording(SAMPLE).read()
     port, out = free_port(), tmp_path / "a.rrd"
-    sender = threading.Timer(0.3, send, (port, events))
+    sender = threading.Thread(target=send_to_listener, args=(sys.stderr, port, events), daemon=True)
     sender.start()
-    assert main(["view", f"udp://127.0.0.1:{port}?timeout_s=1", "--out", str(out), *latest]) == 0
+    assert main(["view", f"udp://127.0.0.1:{port}?timeout_s=2", "--out", str(out), *latest]) == 0
     sender.join()
     said = capsys.readouterr()
     assert f"{len(events):,} events (0 malformed" in said.err
