@@ -16,8 +16,8 @@ SHOWN = 3  # recordings that a refusal names
 def other_run(run_folder: Path, what: str) -> ValueError:
     """The refusal to go on with a run that differs in `what`."""
     return ValueError(
-        f"{run_folder} holds a run with other {what}; give another run folder (train --run OTHER), or delete the folder "
-        f"{run_folder} to start anew"
+        f"{run_folder} holds a run with other {what}; give another run folder (train --run OTHER), or delete the "
+        f"folder {run_folder} to start anew"
     )
 
 

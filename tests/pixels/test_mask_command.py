@@ -210,7 +210,7 @@ def test_bad_usage_exits_with_2(argv, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["mask", *argv])
     assert stopped.value.code == 2
-    assert "usage: async-tnt mask" in capsys.readouterr().err
+    assert "async-tnt mask" in capsys.readouterr().err
 
 
 def test_as_a_program(tmp_path):

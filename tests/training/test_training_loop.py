@@ -92,7 +92,7 @@ def test_a_finished_run_gives_its_weights_again(windows, tmp_path):
 def test_a_run_folder_of_other_settings_or_data_is_refused(windows, tmp_path):
     settings = TrainSettings(epochs=1, batch=16)
     train(CONFIG, windows, windows[:0], settings, tmp_path)
-    with pytest.raises(ValueError, match="holds a run with other batch, seed; give another .* delete the folder"):
+    with pytest.raises(ValueError, match=r"holds a run with other batch, seed; give another .* delete the folder"):
         train(CONFIG, windows, windows[:0], TrainSettings(epochs=1, batch=8, seed=1), tmp_path)
     with pytest.raises(ValueError, match="holds a run with other t_max"):
         train(CONFIG.replace(t_max=8.0), windows, windows[:0], settings, tmp_path)
