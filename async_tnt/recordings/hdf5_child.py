@@ -14,6 +14,7 @@ from contextlib import suppress
 from importlib import import_module
 from typing import IO, Any
 
+READ_S = 120  # a block takes milliseconds; the process that asked may be gone when a read never ends
 MOST_BYTES = 4 << 30  # of addresses; a chunk takes megabytes, but a damaged file may ask for anything
 BLOCK_EVENTS = 1 << 16
 COLUMNS = ("t", "x", "y", "p")

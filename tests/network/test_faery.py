@@ -1,12 +1,11 @@
 """faery's UDP encoder to our source, our sender to faery's decoder: event for event, on loopback."""
 
 import gc
-import socket
 import threading
-import time
 
 import numpy as np
 import pytest
+from listening import free_port, wait_for_listener
 from made import events_of, random_events
 
 from async_tnt.network import UdpSender, UdpSource
@@ -48,14 +47,10 @@ def from_faery(events, format):
 
 def to_faery(events, format):
     """What faery's decoder gets when we send these."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
 
     def send():
-        deadline = time.monotonic() + 10
-        while not is_taken(port) and time.monotonic() < deadline:  # until faery listens
-            time.sleep(0.01)
+        wait_for_listener(port)  # faery passes over the empty datagram
         with UdpSender(port=port, format=format) as sender:
             sender.send(events)
 
@@ -71,15 +66,6 @@ def to_faery(events, format):
     stream.close()
     sending.join()
     return np.concatenate(packets)
-
-
-def is_taken(port):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return True
-    return False
 
 
 @pytest.mark.parametrize("format", FORMATS)

@@ -3,45 +3,31 @@
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
 
-import numpy as np
 import pytest
+from listening import free_port, send_in_parts
 
 from async_tnt import Processor, load_model
 from async_tnt.cli import main
-from async_tnt.network import UdpSender
 from async_tnt.recordings import open_recording, sample_recordings
 
 EVENTS = open_recording(sample_recordings()[7]).read()
 
 
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def send_later(port, events, after_s=0.3):
-    def send():
-        time.sleep(after_s)
-        with UdpSender(port=port) as sender:
-            for packet in np.array_split(events, 40):
-                sender.send(packet)
-                time.sleep(0.002)
-
-    thread = threading.Thread(target=send)
+def sending(port, events):
+    """A thread that sends once somebody listens."""
+    thread = threading.Thread(target=send_in_parts, args=(port, events), daemon=True)
     thread.start()
     return thread
 
 
 def test_it_decides_what_a_file_gives(capsys):
     port = free_port()
-    sender = send_later(port, EVENTS)
+    sender = sending(port, EVENTS)
     assert main(["run", "--json", "--every-us", "20000", f"udp://127.0.0.1:{port}?timeout_s=1"]) == 0
     sender.join()
     out, err = capsys.readouterr()
@@ -65,7 +51,7 @@ def test_ctrl_c_ends_it_with_the_counts():
         line = process.stderr.readline()
         while "listening" not in line and process.poll() is None:  # a cold cache says that it compiles
             line = process.stderr.readline()
-        send_later(port, EVENTS, 0.0).join()
+        send_in_parts(port, EVENTS)
         time.sleep(0.3)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
@@ -93,7 +79,7 @@ def test_wrong_addresses_are_told_in_one_line(capsys, url, message):
 
 def test_a_reader_that_stays_fresh_says_so(capsys):
     port = free_port()
-    sender = send_later(port, EVENTS)
+    sender = sending(port, EVENTS)
     options = ["--json", "--latest", "4096", "--every-us", "20000"]
     assert main(["run", *options, f"udp://127.0.0.1:{port}?timeout_s=1"]) == 0
     sender.join()
@@ -110,7 +96,7 @@ def test_a_region_and_a_mask_of_a_stream(capsys):
     port = free_port()
     moved = EVENTS.copy()
     moved["x"] += 60
-    sender = send_later(port, moved)
+    sender = sending(port, moved)
     options = ["--json", "--latest", "64", "--roi", "60,0,34,34", "--crop", "--sensor", "100x40"]
     assert main(["run", *options, f"udp://127.0.0.1:{port}?timeout_s=1"]) == 0
     sender.join()
