@@ -6,14 +6,14 @@ import contextlib
 import heapq
 import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from .job import Task
 from .journal import FOLDER, Journal
 from .place import Place
 from .records import TIMED, Record, lost
-from .results import check_ours, file_of, is_record, read_results, write_results
+from .results import check_ours, file_of, is_record, read_results, set_mode, write_results
 
 
 @dataclass
@@ -32,6 +32,17 @@ class Collected:
     kept: int = 0
     done: int = 0
     gone: int = 0
+
+
+def counted(n: int, noun: str) -> str:
+    """For messages.
+
+    Examples
+    --------
+    >>> counted(1, "recording"), counted(1000, "recording")
+    ('1 recording', '1,000 recordings')
+    """
+    return f"{n:,} {noun}{'' if n == 1 else 's'}"
 
 
 def journal_of(out: Path) -> Path:
@@ -102,18 +113,18 @@ def collect_to_file(
     journal = Journal(journal_of(out), about, lambda record: is_record(record, job.kind), out, restart=restart)
     with contextlib.closing(journal):
         if out.exists():  # who may read the result may read the journal, and after --restart the next result
-            journal.path.chmod(stat.S_IMODE(out.stat().st_mode) | stat.S_IRUSR | stat.S_IWUSR)
+            set_mode(journal.path, out.stat().st_mode | stat.S_IRUSR | stat.S_IWUSR)
         if restart:
             out.unlink(missing_ok=True)
-        in_file, others, n_good = _found_in(out, wanted, journal)
-        _check_others(others, gone, out)
-        in_journal = {name for name in journal.where if name in wanted and _is_done(journal.read(name), wanted[name])}
-        if n_good and not in_file and not in_journal:
+        found = _found_in(out, wanted, journal)
+        in_file, in_journal = found.in_file, found.in_journal
+        _check_others(found.others, gone, out)
+        if found.n_good and not in_file and not in_journal:
             raise ValueError(
-                f"{out} holds results of {n_good} recordings, none of which is here as it was: of another folder? Give "
-                "another --out, or --restart to throw it away"
+                f"{out} holds {counted(found.n_good, 'result')}, none of a recording as it is here: "
+                "another folder's? Give another --out, or --restart to throw it away"
             )
-        collected.gone = len(others)
+        collected.gone = len(found.others)
         collected.kept = len(in_file) + len(in_journal)
         to_do = [task for name, task in wanted.items() if name not in in_file and name not in in_journal]
         begin(len(to_do))
@@ -130,7 +141,7 @@ def collect_to_file(
             new = (journal.read(name) for name in sorted(wanted.keys() - in_file))
             return heapq.merge(before if in_file else iter(()), new, key=lambda record: record["recording"])
 
-        if to_do or in_journal or others:
+        if to_do or in_journal or found.others:
             seconds = {name: journal.read(name)[TIMED] for name in wanted.keys() - in_file}
             timeless = ({k: v for k, v in record.items() if k != TIMED} for record in merged())
             write_results(out, job.kind, job.about, timeless, like=out if out.exists() else journal.path)
@@ -141,24 +152,35 @@ def collect_to_file(
     return ({**record, TIMED: seconds.get(record["recording"])} for record in results)
 
 
-def _found_in(out: Path, wanted: Mapping[str, Task], journal: Journal) -> tuple[set[str], list[str], int]:
-    """Of the result file: recordings that are done, and not in the journal; of both, those that are not asked for, and
-    the number of those without an error."""
-    done = set()
-    others = [name for name in journal.where if name not in wanted]
-    n_good = sum(journal.read(name)["error"] is None for name in journal.where)
+@dataclass
+class _Found:
+    """What earlier runs have left: the recordings that are done in the result file, and in the journal, which counts
+    before it; those of either that are not asked for; and how many hold a result and no error."""
+
+    in_file: set[str] = field(default_factory=set)
+    in_journal: set[str] = field(default_factory=set)
+    others: list[str] = field(default_factory=list)
+    n_good: int = 0
+
+    def add(self, record: Record, wanted: Mapping[str, Task], done: set[str]) -> None:
+        name = record["recording"]
+        self.n_good += record["error"] is None
+        if name not in wanted:
+            self.others.append(name)
+        elif _is_done(record, wanted[name]):
+            done.add(name)
+
+
+def _found_in(out: Path, wanted: Mapping[str, Task], journal: Journal) -> _Found:
+    found = _Found()
+    for name in journal.where:
+        found.add(journal.read(name), wanted, found.in_journal)
     if out.exists() and out.stat().st_size:
         job = next(iter(wanted.values())).job
         for record in read_results(out, job.kind, job.about, job.id):
-            name = record["recording"]
-            if name in journal.where:
-                continue
-            n_good += record["error"] is None
-            if name not in wanted:
-                others.append(name)
-            elif _is_done(record, wanted[name]):
-                done.add(name)
-    return done, others, n_good
+            if record["recording"] not in journal.where:
+                found.add(record, wanted, found.in_file)
+    return found
 
 
 def _is_done(record: Record, task: Task) -> bool:
@@ -169,6 +191,6 @@ def _check_others(others: list[str], gone: Callable[[str], bool], out: Path) -> 
     there = [name for name in others if not gone(name)]
     if there:
         raise ValueError(
-            f"{out} holds {len(there)} recordings that this command does not name, such as {there[0]}: name them too, "
-            "give another --out, or --restart to throw it away"
+            f"{out} holds {counted(len(there), 'recording')} that this command does not name, such as {there[0]}: "
+            "name all, give another --out, or --restart to throw it away"
         )

@@ -26,7 +26,7 @@ def import_pyarrow() -> Any:
 
 
 def schema_of(kind: str, about: dict[str, Any]) -> Any:
-    """Columns of the file, in their order. Where there is an `error`, a recording has its `class` and what `about_file` has."""
+    """Columns of the file, in their order; with an `error` only `recording`, `class` and `about_file` are filled."""
     pa = import_pyarrow()
     floats, int64 = pa.list_(pa.float64()), pa.int64()
     if kind == "evaluate":

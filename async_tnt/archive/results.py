@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import stat
@@ -34,8 +35,14 @@ def check_out(out: Path) -> None:
 
 
 def file_of(out: Path) -> Path:
-    """The file itself where `out` is a link: putting another in the place of the link would leave that one as it was."""
+    """The file itself where `out` is a link, in whose place another would leave it as it was."""
     return Path(os.path.realpath(out)) if out.is_symlink() else out
+
+
+def set_mode(path: Path, mode: int) -> None:
+    """Say who may read and write a file, where the file system knows of that."""
+    with contextlib.suppress(OSError):
+        path.chmod(stat.S_IMODE(mode))
 
 
 def is_parquet(out: Path) -> bool:
@@ -106,7 +113,7 @@ def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable
     """
     with replacing(out) as part:
         os.close(os.open(part, os.O_CREAT | os.O_WRONLY, 0o600))  # nobody else may read it meanwhile
-        part.chmod(0o600)  # one that a kill has left, too
+        set_mode(part, 0o600)  # one that a kill has left, too
         if is_parquet(out):
             from .parquet import write_parquet
 
@@ -116,7 +123,7 @@ def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable
                 for record in records:
                     file.write(json.dumps(record).encode() + b"\n")
         _sync(part)
-        part.chmod(stat.S_IMODE(like.stat().st_mode))
+        set_mode(part, like.stat().st_mode)
     if os.name != "nt":  # the name, too, outlives a loss of power
         _sync(out.parent)
 

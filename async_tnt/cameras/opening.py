@@ -41,24 +41,28 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driv
     ImportError : no library is installed.
     """
     kind, serial = parse_camera_name(name)
-    missing, looked, wrong = [], [], []
+    missing, absent, wrong = [], [], []
+    in_vain = []  # looked, and there is nothing to say of it
     is_there = False
     for package, make_driver in drivers.items():
         try:
             driver = make_driver()
         except ImportError as error:
             missing.append(package)
-            if not isinstance(error, ModuleNotFoundError):  # it is there, but does not load
+            if isinstance(error, ModuleNotFoundError):
+                absent.append(package)
+            else:  # it is there, but does not load
                 wrong.append(f"{package} does not load: {first_line(error)}")
             continue
-        looked.append(driver.name)
         try:
             found = driver.find()
         except BaseException as error:
             if not is_failure(error):
                 raise
-            wrong.append(f"{driver.name} cannot look for cameras: {first_line(error)} (is there USB on this machine?)")
+            wrong.append(f"{driver.name} cannot look: {first_line(error)} (no USB here?)")
             continue
+        if not found:
+            in_vain.append(driver.name)
         for camera in found:
             if not _is_meant(camera, kind, serial):
                 wrong.append(f"{driver.name} found {camera}, which is not meant")
@@ -76,15 +80,18 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driv
                 return opened
             opened.close()
             wrong.append(f"{driver.name} found {camera}, which has {opened.sensor[0]}x{opened.sensor[1]} pixels")
-    if not looked:
+    if len(missing) == len(drivers):
         detail = f" ({'; '.join(wrong)})" if wrong else ""
         raise ImportError(
             f"{name}: cameras are read by {' or '.join(missing)}, which are missing: pip install '.[cameras]'{detail}"
         )
-    said = "".join(f"; {line}" for line in wrong)
-    absent = f" ({', '.join(missing)}: not installed)" if missing else ""
-    what = "cannot be opened" if is_there else "no camera found"
-    raise OSError(f"{name}: {what}; {' and '.join(looked)} looked{absent}{said}. {_advice()}")
+    said = ["cannot be opened" if is_there else "no camera found"]
+    if in_vain:
+        said.append(f"{' and '.join(in_vain)} looked")
+    said += wrong
+    if absent:
+        said.append(f"{', '.join(absent)}: not installed")
+    raise OSError(f"{name}: {'; '.join(said)}. {_advice()}")
 
 
 def parse_camera_name(name: str) -> tuple[str | None, str | None]:
@@ -112,8 +119,5 @@ def _is_meant(camera: FoundCamera, kind: str | None, serial: str | None) -> bool
 def _advice() -> str:
     advice = "Is it plugged in, and used by no other program?"
     if sys.platform.startswith("linux"):
-        advice += (
-            " On Linux lsusb must show it, and udev rules must let users read it "
-            "(neuromorphic-drivers-install-udev-rules writes them)"
-        )
+        advice += " Does lsusb show it, and do udev rules let users read it (neuromorphic-drivers-install-udev-rules)?"
     return advice

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..archive.collect import Collected, collect, collect_to_file
+from ..archive.collect import Collected, collect, collect_to_file, counted
 from ..archive.find import recordings_under
 from ..archive.job import Task, job_of, task_of
 from ..archive.place import Place
@@ -88,7 +88,8 @@ def stream_archive(
 
         def begin(n: int) -> None:
             if collected.kept and n:
-                complain(f"{args.out}: {collected.kept:,} of {_recordings(collected.total)} are done, going on")
+                total = counted(collected.total, "recording")
+                complain(f"{args.out}: {collected.kept:,} of {total} are done, going on")
             bars.append(progress(n, "streaming"))
 
         try:
@@ -101,11 +102,11 @@ def stream_archive(
                 bar.__exit__(None, None, None)
             if collected.gone:
                 are = "is" if collected.gone == 1 else "are"
-                complain(f"{args.out}: {_recordings(collected.gone)} {are} no longer there, and left out")
+                complain(f"{args.out}: {counted(collected.gone, 'recording')} {are} no longer there, and left out")
     except KeyboardInterrupt:
         n_done = collected.kept + collected.done
         kept = "the same command goes on" if args.out else "and kept nowhere: see --out"
-        complain(f"interrupted: {n_done:,} of {_recordings(collected.total)} are done; {kept}")
+        complain(f"interrupted: {n_done:,} of {counted(collected.total, 'recording')} are done; {kept}")
         raise Interrupted from None
 
 
@@ -140,9 +141,10 @@ def run_archive(args: argparse.Namespace) -> int:
         return 130
     took = time.monotonic() - started
     unread = f" ({len(errors):,} of them with an error)" if errors else ""
-    print(f"{args.out}: {_recordings(collected.total)}{unread}, {n_decisions:,} decisions, {n_events:,} events")
+    recordings = counted(collected.total, "recording") + unread
+    print(f"{args.out}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
     if collected.done:
-        print(f"{_recordings(collected.done)} streamed now, {collected.done / took:,.1f} a second")
+        print(f"{counted(collected.done, 'recording')} streamed now, {collected.done / took:,.1f} a second")
     if any(labels.values()):
         print(", ".join(f"{name} {n:,}" for name, n in labels.items() if n))
     if n_late:
@@ -152,10 +154,6 @@ def run_archive(args: argparse.Namespace) -> int:
     if len(errors) > SHOWN:
         complain(f"and {len(errors) - SHOWN:,} more with an `error` in {args.out}")
     return 2 if errors else 0
-
-
-def _recordings(n: int) -> str:
-    return f"{n:,} recording{'' if n == 1 else 's'}"
 
 
 def _check_run(args: argparse.Namespace) -> None:

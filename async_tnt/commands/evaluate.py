@@ -69,7 +69,8 @@ def main(args: argparse.Namespace) -> int:
         return not (args.dataset / name).exists()
 
     try:
-        records = list(stream_archive(args, evaluate_recording, tasks, place, Collected(), gone, os.path.abspath(args.dataset)))
+        folder = os.path.abspath(args.dataset)
+        records = list(stream_archive(args, evaluate_recording, tasks, place, Collected(), gone, folder))
     except Interrupted:
         return 130
     outcomes = [outcome_of(record) for record in records]

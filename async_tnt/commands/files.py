@@ -12,8 +12,8 @@ from ..config import TNTConfig
 from ..events import as_events
 from ..live_sources import is_live
 from ..model import Model, bundled_models, load_model
-from ..recordings import READERS, Recording, check_sensor, open_recording, sample_recordings
-from ..recordings.source import TRAIN_ONE
+from ..recordings import READERS, Recording, check_sensor, open_for, sample_recordings
+from ..recordings.fitting import TRAIN_ONE
 
 Sensor = tuple[int, int]
 
@@ -64,7 +64,7 @@ def paths_of(args: argparse.Namespace) -> list[Any]:
 def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:
     """Open recordings one after the other, complaining about those that do not fit the model."""
     for path in paths:
-        recording = open_recording(path)
+        recording = open_for(path, model.config.sensor)
         check_sensor(path, recording.sensor, model.config.sensor)
         if recording.sensor is None:
             check_events(recording, model.config.sensor)

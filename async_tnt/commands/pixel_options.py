@@ -9,7 +9,7 @@ from typing import Any
 
 from ..datasets.sizes import parse_size, size_text
 from ..pixels import PixelFilter
-from ..recordings.source import TRAIN_ONE, check_sensor
+from ..recordings.fitting import TRAIN_ONE, check_sensor
 from .files import Sensor
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..decision import Decision
 from ..engines.choice import Engine
 from ..processor import Processor
-from ..recordings import Recording, open_recording
+from ..recordings import Recording, open_for
 from ..sources import replay
 from .decision_lines import Line
 from .files import check_events, complain
@@ -26,7 +26,7 @@ def open_selected(path: Any, pixels: PixelOptions) -> tuple[Recording, Iterator[
     ------
     ValueError, OSError : unreadable, or of another sensor than the model is for.
     """
-    recording = open_recording(path)
+    recording = open_for(path, pixels.expected)
     sensor = pixels.sensor_of(path, recording.sensor)
     if recording.sensor is None:
         check_events(recording, sensor, pixels.advice)

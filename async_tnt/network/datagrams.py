@@ -116,8 +116,8 @@ class Decoder:
     format : one of `EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: whatever the format can say.
     max_jump_s : how far ahead of the stream, in seconds, an event may be; beyond that it is malformed, unless the
-        datagrams after it agree: then the stream has moved. So it has where datagrams agree that it fell back: from then
-        on times are shifted, so that they go on, see `async_tnt.network.decode_kernel`. None: as far as it likes, and
+        datagrams after it agree: then the stream has moved. So it has where they agree that it fell back: from then on
+        times are shifted, so that they go on, see `async_tnt.network.decode_kernel`. None: as far as it likes, and
         times stay what they are.
     """
 

@@ -48,9 +48,9 @@ class UdpSource:
     max_datagrams : of one packet.
     max_jump_s : an event this many seconds ahead of where the stream should be by now is malformed, so that one forged
         or damaged time does not close all windows; where the datagrams after it agree, the stream has moved, and is
-        followed. Where eight datagrams in a row are more than a second behind, the sender has started anew: from then on
-        its times are shifted, so that they go on, counted as `clock_restarts`. None: every time is believed, and stays
-        what it is.
+        followed. Where eight datagrams in a row are more than a second behind, the sender has started anew: from then
+        on its times are shifted, so that they go on, counted as `clock_restarts`. None: every time is believed, and
+        stays what it is.
     spin_us : how long to ask again and again before sleeping, microseconds. A thread that does not sleep need not be
         woken, which is most of the latency; it keeps a core busy meanwhile.
 
@@ -250,9 +250,7 @@ class UdpSource:
             width, height = decoder.sensor
             reasons.append(f"{decoder.off_sensor:,} lie off {width}x{height} pixels: is the camera larger?")
         if others:
-            reasons.append(
-                f"{others:,} are none of {decoder.format}: does the sender use another (?format=...)?"
-            )
+            reasons.append(f"{others:,} are none of {decoder.format}: does the sender use another (?format=...)?")
         return f"none of the first {decoder.malformed:,} events can be used; {' '.join(reasons)}"
 
     # -- the end -----------------------------------------------------------------------------------------

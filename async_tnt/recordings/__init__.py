@@ -5,10 +5,11 @@ events and the sensor's `(width, height)`, or None where the file does not say i
 """
 
 from async_tnt.recordings.damage import Damage, DamagedRecording
+from async_tnt.recordings.fitting import check_sensor, open_for
 from async_tnt.recordings.formats import READERS
 from async_tnt.recordings.nmnist import read_nmnist, write_nmnist
 from async_tnt.recordings.recording import Recording, open_recording, sample_recordings
-from async_tnt.recordings.source import Source, check_sensor
+from async_tnt.recordings.source import Source
 
 __all__ = [
     "READERS",
@@ -17,6 +18,7 @@ __all__ = [
     "Recording",
     "Source",
     "check_sensor",
+    "open_for",
     "open_recording",
     "read_nmnist",
     "sample_recordings",

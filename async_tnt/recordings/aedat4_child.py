@@ -6,18 +6,39 @@ Its first line is {"sensor": [width, height]} or {"error": "..."}; see `child.py
 from __future__ import annotations
 
 import json
+import signal
 import struct
 import sys
 from contextlib import suppress
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
+READ_S = 120  # a packet takes milliseconds, but a disk may sleep
 MOST_BYTES = 4 << 30  # of addresses; a packet takes megabytes, but a damaged file may ask for anything
 DTYPE = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 
 
-def _write(out: Any, **said: Any) -> None:
+class Watched:
+    """Stdout. Where nothing is written for `READ_S`, the system ends this process: who started it does so, too, but may
+    be gone, and a library that hangs can do nothing by itself."""
+
+    def __init__(self, out: IO[bytes]) -> None:
+        self._out = out
+        self._alarm = getattr(signal, "alarm", lambda seconds: 0)  # Windows has none
+        self._alarm(READ_S)
+
+    def write(self, data: bytes) -> None:
+        self._alarm(0)  # who reads may take his time
+        self._out.write(data)
+        self._out.flush()
+        self._alarm(READ_S)
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+
+def _write(out: Watched, **said: Any) -> None:
     out.write(json.dumps(said).encode() + b"\n")
     out.flush()
 
@@ -29,10 +50,9 @@ def _limit_memory() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
 
 
-def main(path: str) -> None:
+def main(path: str, out: Watched) -> None:
     from faery.extension import aedat
 
-    out = sys.stdout.buffer
     try:
         decoder = aedat.Decoder(path)
         tracks = decoder.tracks()
@@ -64,4 +84,4 @@ def main(path: str) -> None:
 
 if __name__ == "__main__":
     _limit_memory()
-    main(sys.argv[1])
+    main(sys.argv[1], Watched(sys.stdout.buffer))

@@ -2,7 +2,8 @@
 
 The process is a script beside this file. It writes to stdout: a line of JSON, {...} or {"error": "..."}; then, for
 each packet, the number of its events (4 bytes, little-endian) and their bytes; at the end, 0, and a line of JSON
-again. A script imports nothing of ours: that would take it a second.
+again. A script imports nothing of ours: that would take it a second. It is ended where it hangs: by this process, or
+by its own alarm where this one was killed.
 """
 
 from __future__ import annotations

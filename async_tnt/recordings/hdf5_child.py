@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import struct
 import sys
 from contextlib import suppress
 from importlib import import_module
 from typing import IO, Any
 
-READ_S = 120  # a block takes milliseconds; the process that asked may be gone when a read never ends
+READ_S = 120  # a block takes milliseconds, but a disk may sleep
 MOST_BYTES = 4 << 30  # of addresses; a chunk takes megabytes, but a damaged file may ask for anything
 BLOCK_EVENTS = 1 << 16
 COLUMNS = ("t", "x", "y", "p")
@@ -26,7 +27,26 @@ class Refused(Exception):
     """What is wrong with the file, in our words."""
 
 
-def write_events(path: str, out: IO[bytes]) -> None:
+class Watched:
+    """Stdout. Where nothing is written for `READ_S`, the system ends this process: who started it does so, too, but may
+    be gone, and a library that hangs can do nothing by itself."""
+
+    def __init__(self, out: IO[bytes]) -> None:
+        self._out = out
+        self._alarm = getattr(signal, "alarm", lambda seconds: 0)  # Windows has none
+        self._alarm(READ_S)
+
+    def write(self, data: bytes) -> None:
+        self._alarm(0)  # who reads may take his time
+        self._out.write(data)
+        self._out.flush()
+        self._alarm(READ_S)
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+
+def write_events(path: str, out: IO[bytes] | Watched) -> None:
     """Write what the file holds, and then the error if there is one."""
     import h5py
 
@@ -59,7 +79,7 @@ def write_events(path: str, out: IO[bytes]) -> None:
     _write(out, **said)
 
 
-def _write(out: IO[bytes], **said: Any) -> None:
+def _write(out: IO[bytes] | Watched, **said: Any) -> None:
     out.write(json.dumps(said).encode() + b"\n")
     out.flush()
 
@@ -135,4 +155,4 @@ if __name__ == "__main__":
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
-    write_events(sys.argv[1], sys.stdout.buffer)
+    write_events(sys.argv[1], Watched(sys.stdout.buffer))

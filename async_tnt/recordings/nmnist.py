@@ -85,7 +85,9 @@ def read_nmnist(
 
     n_good, damage = _first_damage(events, event_rows, sensor)
     advice = f"Pass strict=False for the {n_good} events before."
+    remedy = "Fetch the file again"
     if damage is not None and n_good < len(events) and _is_off(events[n_good], sensor):
+        remedy += ", or say its sensor if it is of another camera"
         advice += " Pass sensor=(width, height), or None for any, if the recording is of another sensor."
     if damage is None and n_left:
         damage = (
@@ -96,7 +98,7 @@ def read_nmnist(
         return events
     text = f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {damage}"
     if strict:
-        error = ValueError(f"{text}. Fetch the file again; {n_good} events before are good.")
+        error = ValueError(f"{text}. {remedy}.")
         error.add_note(advice)
         raise error
     warnings.warn(f"{text}. Keeping the {n_good} events before.", stacklevel=2)
@@ -160,10 +162,7 @@ def _first_damage(events: np.ndarray, event_rows: np.ndarray, sensor: tuple[int,
     place = f"event {i} (byte {row * BYTES_PER_EVENT})"
     if off_sensor[i]:
         x, y = int(events["x"][i]), int(events["y"][i])
-        return i, (
-            f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}; "
-            "a recording of another camera needs its sensor said"
-        )
+        return i, f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}"
     return i, f"`t` must never decrease, got {events['t'][i]} us after {events['t'][i - 1]} us at {place}"
 
 

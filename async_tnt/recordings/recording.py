@@ -171,7 +171,7 @@ class Recording:
     def _tell(self, damage: str, n_read: int, newest_us: int) -> None:
         text = f"{self.path}: damaged recording: {damage}"
         if self.strict:
-            error = ValueError(f"{text}. Fetch the file again; {n_read} events before are good.")
+            error = ValueError(f"{text}. Fetch the file again.")
             error.add_note(f"Or pass strict=False for the {n_read} events before.")  # nothing for the program to say
             raise error
         if not self._has_warned:

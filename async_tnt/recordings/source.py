@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -14,8 +13,6 @@ from async_tnt.kernels.columns import MAX_TIME_US
 BLOCK_EVENTS = 1 << 16
 
 Sensor = tuple[int, int]
-
-TRAIN_ONE = "train one for this camera (async-tnt train --help)"
 
 
 class Source(ABC):
@@ -69,11 +66,3 @@ def packed(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[
     if n == len(t):
         return events, None
     return events, f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is no event"
-
-
-def check_sensor(
-    name: Any, found: Sensor | None, wanted: Sensor, who: str = "the model is for", advice: str = "; " + TRAIN_ONE
-) -> None:
-    """Refuse a source whose sensor has another size (width, height) than wanted."""
-    if found is not None and tuple(found) != wanted:
-        raise ValueError(f"{name}: a sensor of {found[0]}x{found[1]} pixels, but {who} {wanted[0]}x{wanted[1]}{advice}")

@@ -100,9 +100,8 @@ def read_classes(
         kept.append(name_of(path))
     empty = [name for label, name in enumerate(names) if label not in labels]
     if empty and (classes is None or not labels):  # of a given list of classes, one recording is enough
-        why = f" (left out: {' '.join(left_out[:3])}" if left_out else ""
-        why += f" And {len(left_out) - 3} more" if len(left_out) > 3 else ""
-        why += ")" if left_out else ""
+        more = f" And {len(left_out) - 1} more" if len(left_out) > 1 else ""
+        why = f" (left out: {left_out[0]}{more})" if left_out else ""
         if left_out and sensor is None and any(path.suffix.lower() == ".bin" for _, path in paths):
             why += "; a .bin of another camera than N-MNIST's 34x34 needs --sensor WxH"
         raise ValueError(

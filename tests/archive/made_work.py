@@ -81,6 +81,56 @@ def unsendable(number):
     return lambda: number
 
 
+class Odd(Exception):
+    """It can be pickled, and not be made again: it wants two arguments."""
+
+    def __init__(self, have, want):
+        super().__init__(f"{have}, not {want}")
+
+
+def odd(number):
+    raise Odd(number, 0)
+
+
+class Unreadable:
+    """It can be sent; reading it looks like the end of a pipe."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def __reduce__(self):
+        return _raise, (self.error,)
+
+
+def _raise(error):
+    raise error
+
+
+def unreadable(error):
+    return Unreadable(error)
+
+
+def long_in(folder):
+    """Longer than any test; its process' number is then in the folder."""
+    (folder / f"{os.getpid()}.pid").touch()
+    time.sleep(600)
+
+
+def longs(folder):
+    """Two workers that are long in a task, for a program that is killed."""
+    from async_tnt.workers import run_all
+
+    list(run_all(long_in, [Path(folder)] * 2, 2))
+
+
+def shorts():
+    """Workers that answer all the time, for a program that is killed."""
+    from async_tnt.workers import run_all
+
+    for _ in run_all(double, range(10**6), 2):
+        print(end=".", flush=True)
+
+
 class OnlyHere:
     """It can be sent, and not received."""
 

@@ -74,7 +74,7 @@ def test_interrupted_it_says_what_is_done(samples, plain, tmp_path, program, sta
     process.send_signal(signal.SIGINT)
     printed, told = process.communicate(timeout=30)
     assert process.returncode == 130 and printed == "" and told.count("\n") == 1
-    assert "interrupted: " in told and f"of 300 recordings are in {journal_of(out)}; the same command goes on" in told
+    assert "interrupted: " in told and "of 300 recordings are done; the same command goes on" in told
     code, printed, _ = program(*words)
     assert code == 0
     check_same(out, plain, printed)
@@ -148,7 +148,96 @@ def test_damaged_recordings_are_named_and_kept_as_errors(few, tmp_path, program)
     (folder / "3" / "torn.npz").unlink()
     shutil.copy(few / "4" / "00.bin", folder / "4" / "empty.bin")
     code, printed, told = program("run", folder, "--out", out)
-    assert code == 0 and "1 recordings are no longer there, and left out" in told and "21 recordings" in printed
+    assert code == 0 and "1 recording is no longer there, and left out" in told and "21 recordings, " in printed
+
+
+def test_the_summary_of_unreadable_recordings_counts_them_as_such(tmp_path, program):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "torn.npz").write_bytes(b"PK torn")
+    out = tmp_path / "r.jsonl"
+    code, printed, told = program("run", tmp_path / "set", "--out", out)
+    first, second = printed.splitlines()
+    assert code == 2 and first == f"{out}: 1 recording (1 of them with an error), 0 decisions, 0 events"
+    assert second.startswith("1 recording streamed now, ")
+    assert told.count("\n") == 1 and "torn.npz" in told
+
+
+def test_another_dataset_or_folder_does_not_throw_results_away(few, tmp_path, program, monkeypatch):
+    import shutil
+
+    for name in ("a", "b", "c"):
+        shutil.copytree(few, tmp_path / name / "set")
+    for path in (tmp_path / "b").glob("set/*/*"):  # another dataset, where recordings are called the same
+        path.write_bytes(path.read_bytes()[:-5])
+    for path in (tmp_path / "c").glob("set/*/*"):
+        path.rename(path.with_stem(f"c{path.stem}"))
+    out = tmp_path / "r.jsonl"
+    monkeypatch.chdir(tmp_path / "a")
+    for words in (("evaluate", "digits", "set"), ("run", "set")):
+        out.unlink(missing_ok=True)
+        assert program(*words, "--out", out)[0] == 0
+        before = out.read_bytes()
+        for other in ("b", "c"):
+            monkeypatch.chdir(tmp_path / other)
+            code, _, told = program(*words, "--out", out)
+            assert code == 2 and f"{out} holds 20 results, none of a recording as it is here: another folder's?" in told
+            assert told.count("\n") == 1 and out.read_bytes() == before and not journal_of(out).exists()
+        monkeypatch.chdir(tmp_path / "a")
+        assert program(*words, "--out", out)[0] == 0 and out.read_bytes() == before
+    monkeypatch.chdir(tmp_path / "b")
+    assert program("run", "set", "--out", out, "--restart")[0] == 0 and out.read_bytes() != before
+
+
+@pytest.mark.parametrize("words", [("evaluate", "digits", "set"), ("run", "set")])
+def test_an_interrupted_run_is_not_gone_on_with_in_another_folder(words, few, tmp_path, program, monkeypatch):
+    """Not even where all recordings look the same."""
+    import shutil
+
+    from async_tnt.archive import collect
+
+    for name in ("a", "b"):
+        shutil.copytree(few, tmp_path / name / "set", copy_function=shutil.copy2)
+    out = tmp_path / "r.jsonl"
+
+    def interrupt(*words, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path / "a")
+    with monkeypatch.context() as patched:
+        patched.setattr(collect, "write_results", interrupt)
+        code, _, told = program(*words, "--out", out)
+        assert code == 130 and "interrupted: 20 of 20 recordings are done; the same command goes on" in told
+    monkeypatch.chdir(tmp_path / "b")
+    code, _, told = program(*words, "--out", out)
+    folders = [tmp_path / name / "set" if words[0] == "evaluate" else tmp_path / name for name in ("a", "b")]
+    assert code == 2 and f"was begun with folder {folders[0]} (now {folders[1]}): give the same" in told
+    monkeypatch.chdir(tmp_path / "a")
+    assert program(*words, "--out", out)[0] == 0 and out.exists()
+    if words[0] == "run":  # by whole paths it does not matter where one is
+        words = ("run", tmp_path / "a" / "set")
+        with monkeypatch.context() as patched:
+            patched.setattr(collect, "write_results", interrupt)
+            assert program(*words, "--out", tmp_path / "s.jsonl")[0] == 130
+        monkeypatch.chdir(tmp_path / "b")
+        assert program(*words, "--out", tmp_path / "s.jsonl")[0] == 0
+
+
+def test_late_events_are_counted_and_said(few, tmp_path, program):
+    from async_tnt.recordings import open_recording
+
+    events = open_recording(few / "3" / "00.bin").read()
+    folder = tmp_path / "set" / "3"
+    folder.mkdir(parents=True)
+    late = events[[0, 1, 2]]
+    np.save(folder / "late.npy", np.concatenate([events, late]))  # the first three again, long after their window
+    for name, words in (("r", ("run", tmp_path / "set")), ("e", ("evaluate", "digits", tmp_path / "set"))):
+        out = tmp_path / f"{name}.jsonl"
+        for place in ((), ("--restart", "--workers", 1)):
+            code, _, told = program(*words, "--out", out, *place)
+            assert code == 0 and "3 events dropped: they came late" in told and f"`late` in {out}" in told
+            assert json.loads(out.read_text())["late"] == 3
+    report = json.loads(program("evaluate", "digits", tmp_path / "set", "--json")[1])
+    assert report["late"] == 3 and report["events"] == len(events) + 3
 
 
 def test_another_model_of_the_same_name_is_refused(few, tmp_path, program):
@@ -163,7 +252,7 @@ def test_another_model_of_the_same_name_is_refused(few, tmp_path, program):
     weights = {**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(1)}
     Model(model.config, weights, model.classes).save(tmp_path / "m.safetensors")
     code, _, told = program(*words)
-    assert code == 2 and "was begun with settings" in told and told.count("\n") == 1
+    assert code == 2 and "was made by another model, window, trigger, engine" in told and told.count("\n") == 1
     assert program(*words, "--restart")[0] == 0
 
 
@@ -176,6 +265,7 @@ def test_another_model_of_the_same_name_is_refused(few, tmp_path, program):
         (("run", "SET", "--out", "r.csv"), "--out must end in .jsonl or .parquet, got r.csv"),
         (("run", "SET", "--out", "nowhere/r.jsonl"), "--out must be a file in a folder that is there"),
         (("run", "SET", "--out", "r.jsonl", "--json"), "--json does not go with --out"),
+        (("run", "SET", "--out", "r.jsonl", "--speed", 2), "--speed does not go with --out"),
         (("run", "udp://127.0.0.1:1", "--out", "r.jsonl"), "--out takes recordings and folders of them, got udp"),
         (("run", "none", "--out", "r.jsonl"), "no file or folder none"),
         (("run", "EMPTY", "--out", "r.jsonl"), "no recordings in this folder"),

@@ -2,6 +2,8 @@
 
 import json
 import os
+import stat
+from dataclasses import replace
 
 import pytest
 from archive.made_work import JOB, deadly, make_tasks, record_of
@@ -127,7 +129,9 @@ def test_other_settings_are_refused_unless_all_is_thrown_away(name, tmp_path):
     out = tmp_path / name
     collected_to(out, tasks)
     before = out.read_bytes()
-    with pytest.raises(ValueError, match=r"was begun with (every_us 5000 \(now 1\), another model|settings \w+ \(now)"):
+    names = r"begun with --every-us 5000 \(now 1\), another model"
+    no_names = r"made by another model, window, trigger, engine or version, settings \w{12} \(now \w{12}\)"
+    with pytest.raises(ValueError, match=f"was ({names if 'parquet' in name else no_names}): give the same again"):
         collected_to(out, other)
     assert out.read_bytes() == before and not journal_of(out).exists()
     collected_to(out, tasks)  # the refused one has left nothing in the way
@@ -184,6 +188,65 @@ def test_a_kill_between_the_file_and_the_end_of_its_journal_changes_nothing(tmp_
     _, counts = collected_to(out, tasks)
     assert out.read_bytes() == whole and not journal_of(out).exists()
     assert (counts.kept, counts.done) == (len(NAMES), 0)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_result_of_which_nothing_is_as_it_was_is_not_thrown_away(name, tmp_path):
+    tasks = make_tasks(tmp_path / "set", NAMES)
+    out = tmp_path / name
+    collected_to(out, tasks)
+    before = out.read_bytes()
+    others = {
+        "other names": make_tasks(tmp_path / "other", ["x", "y"]),
+        "the same names": [replace(task, modified_ns=1) for task in tasks],
+        "one name": [replace(tasks[0], modified_ns=1)],
+    }
+    for why, theirs in others.items():
+        with pytest.raises(ValueError, match="holds 5 results, none of a recording as it is here: anoth"):
+            collected_to(out, theirs)
+        assert out.read_bytes() == before and not journal_of(out).exists(), why
+        with pytest.raises(Stopped):
+            collected_to(tmp_path / f"s_{name}", tasks, stopping_after(3))
+        with pytest.raises(ValueError, match="holds 3 results, none of a recording as it is here: anoth"):
+            collected_to(tmp_path / f"s_{name}", theirs)
+        assert journal_of(tmp_path / f"s_{name}").read_bytes().count(b"\n") == 4, why
+        collected_to(tmp_path / f"s_{name}", theirs, restart=True)
+        (tmp_path / f"s_{name}").unlink()
+
+
+def test_errors_are_nothing_to_lose(tmp_path):
+    tasks = make_tasks(tmp_path / "set", NAMES)
+    collected_to(tmp_path / "r.jsonl", tasks, lambda task: failed(task, "torn"))
+    _, counts = collected_to(tmp_path / "r.jsonl", make_tasks(tmp_path / "other", ["x"]))
+    assert (counts.done, counts.gone) == (1, 5)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes and links of POSIX")
+@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize("name", FILES)
+def test_links_and_modes_stay(name, restart, tmp_path):
+    tasks = make_tasks(tmp_path / "set", NAMES)
+    (tmp_path / "far").mkdir()
+    real, link = tmp_path / "far" / f"real_{name}", tmp_path / name
+    link.symlink_to(real)  # to nothing yet
+    collected_to(link, tasks[:3])
+    assert link.is_symlink() and real.exists() and journal_of(link).parent == real.parent
+    new = tmp_path / "new"
+    new.touch()
+    assert real.stat().st_mode == new.stat().st_mode
+    real.chmod(0o600)
+    modes = []
+
+    def stopped(task):
+        modes.append(stat.S_IMODE(journal_of(link).stat().st_mode))
+        return stopping(task)
+
+    stopping = stopping_after(1)
+    with pytest.raises(Stopped):
+        collected_to(link, tasks, stopped, restart=restart)
+    collected_to(link, tasks)
+    assert modes == [0o600] * 2 and link.is_symlink() and stat.S_IMODE(real.stat().st_mode) == 0o600
+    assert sorted(path.name for path in tmp_path.rglob("*real*")) == [real.name]
 
 
 def test_in_memory(tmp_path):

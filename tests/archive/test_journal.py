@@ -8,7 +8,7 @@ from archive.made_work import JOB, make_tasks, record_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from async_tnt.archive.journal import Journal
+from async_tnt.archive.journal import Journal, other_settings
 from async_tnt.archive.results import is_record
 
 ABOUT = JOB.about
@@ -107,9 +107,16 @@ def test_lines_that_are_no_records_are_cut_off(written, line):
 def test_other_settings_are_refused_with_their_names(written):
     path, _ = written
     content = path.read_bytes()
-    with pytest.raises(ValueError, match=r"r\.jsonl was begun with every_us 5000 \(now 6000\), another model: give"):
+    with pytest.raises(ValueError, match=r"r\.jsonl was begun with --every-us 5000 \(now 6000\), another model: give"):
         opened(path, {**ABOUT, "every_us": 6000, "model_sha256": "b"})
     assert path.read_bytes() == content
+    more = {"every_us": None, "confidence": 0.9, "activity": {"threshold": 60.0, "leak_us": 4e3, "charge": 1.0}}
+    told = "--every-us 5000 (now not given), --confidence not given (now 0.9), --activity not given (now 60:4000)"
+    assert f"was begun with {told}: give" in other_settings(path, ABOUT, {**ABOUT, **more})
+    told = "folder /a (now /b)"
+    assert f"was begun with {told}: give" in other_settings(path, {**ABOUT, "folder": "/a"}, {**ABOUT, "folder": "/b"})
+    told = "was begun with command run (now evaluate): give"
+    assert told in other_settings(path, ABOUT, {**ABOUT, "command": "evaluate", "every_us": 10_500})
     journal = opened(path, {**ABOUT, "every_us": 6000}, restart=True)
     assert not journal.where
     journal.close()

@@ -73,6 +73,7 @@ def test_counted_and_told():
         (None, [5 * S, 5 * S, 90 * S], [5 * S, 5 * S]),
         (5 * S, [90 * S, 5 * S], [5 * S]),
         (5 * S, [90 * S, 92 * S, 5 * S, 6 * S], [5 * S, 6 * S]),
+        (90 * S, [90 * S, 200 * S, 3, 4, 5], [90 * S, 3, 4, 5]),  # and the clock restarts
         (None, [5 * S, LATEST_US, LATEST_US - 1], [5 * S]),
         (None, [LATEST_US], []),
         (LATEST_US - 5, [LATEST_US - 4, LATEST_US], [LATEST_US - 4]),

@@ -84,7 +84,7 @@ def test_a_library_that_does_not_load_says_why():
 
     with pytest.raises(ImportError, match=r"'\.\[cameras\]' \(a does not load: libusb\.so\.0: cannot open"):
         open_camera(drivers={"a": broken})
-    with pytest.raises(OSError, match=r"played 1\.0 looked \(a: not installed\); a does not load: libusb"):
+    with pytest.raises(OSError, match=r"played 1\.0 looked; a does not load: libusb[^;]*$"):
         open_camera(drivers={"a": broken, **drivers()})
 
 
@@ -94,9 +94,9 @@ def test_no_camera(monkeypatch):
     with pytest.raises(OSError) as told:
         open_camera("camera", drivers=table)
     assert str(told.value) == (
-        "camera: no camera found; b 1.0 and c 2 looked (a: not installed); c 2 cannot look for cameras: Other error "
-        "(is there USB on this machine?). Is it plugged in, and used by no other program? On Linux lsusb must show it, "
-        "and udev rules must let users read it (neuromorphic-drivers-install-udev-rules writes them)"
+        "camera: no camera found; b 1.0 looked; c 2 cannot look: Other error (no USB here?); a: not installed. "
+        "Is it plugged in, and used by no other program? Does lsusb show it, and do udev rules let users read it "
+        "(neuromorphic-drivers-install-udev-rules)?"
     )
     monkeypatch.setattr(sys, "platform", "win32")
     with pytest.raises(OSError, match=r"no camera found; b 1\.0 looked\. Is it plugged in, .* program\?$"):
@@ -123,7 +123,7 @@ def test_a_panic_is_a_failure_and_ctrl_c_is_none():
 
     with pytest.raises(OSError, match=r"cannot open it: index out of bounds"):
         open_camera(drivers=drivers(evk4(PanicException("index out of bounds"))))
-    with pytest.raises(OSError, match=r"cannot look for cameras: poisoned"):
+    with pytest.raises(OSError, match=r"cannot look: poisoned"):
         open_camera(drivers={"a": lambda: PlayedDriver(PanicException("poisoned"))})
     with pytest.raises(KeyboardInterrupt):
         open_camera(drivers=drivers(evk4(KeyboardInterrupt())))

@@ -14,7 +14,7 @@ from async_tnt.recordings import READERS, open_recording
 
 KEYS = {
     "accuracy", "window_accuracy", "balanced_accuracy", "recordings", "windows", "classes", "per_class", "confusion",
-    "window_confusion", "accuracy_against_time", "decisions", "events", "seconds", "decisions_per_second",
+    "window_confusion", "accuracy_against_time", "decisions", "events", "late", "seconds", "decisions_per_second",
     "events_per_second", "skipped",
 }  # fmt: skip
 CLASSES = ("flat", "slanted", "upright")

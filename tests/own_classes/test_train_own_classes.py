@@ -79,7 +79,7 @@ def test_bins_of_another_camera_without_the_option_are_told_of_it(tmp_path, trai
     write_set(tmp_path / "set", {"upright": 5, "flat": 5}, suffixes=(".bin",))
     code, _, told, _ = train(tmp_path / "set")
     assert code == 2 and told.count("\n") == 1 and told.startswith("async-tnt: ")
-    assert "needs its sensor said" in told and " And 7 more); a .bin of another camera" in told
+    assert "or say its sensor if it is of another camera. And 9 more); a .bin of another camera" in told
     assert told.endswith("than N-MNIST's 34x34 needs --sensor WxH\n")
     assert "sensor=" not in told and "strict" not in told  # advice for Python
 

@@ -155,7 +155,7 @@ def _bin_off_sensor(folder):
     write_nmnist(folder / "a.bin", events_of([5, 6], [200, 3], [2, 3], [0, 1]), sensor=None)
     return [
         str(folder / "a.bin")
-    ], "on the 34 x 34 sensor, got x = 200, y = 2 at event 0 (byte 0); a recording of another"
+    ], "on the 34 x 34 sensor, got x = 200, y = 2 at event 0 (byte 0). Fetch the file again, or say"
 
 
 def _two_sensors(folder):

@@ -1,5 +1,8 @@
 """What a user reads who has not installed what a format needs; and layouts that are not known."""
 
+import os
+import struct
+
 import numpy as np
 import pytest
 from recordings.written import WRITERS, dsec, made_events
@@ -66,6 +69,20 @@ def test_hdf5_values_that_are_no_events(tmp_path):
         assert open_recording(path).n_events == 3
 
 
+@pytest.mark.parametrize("offset_us", [1_000, 0, -1_000, 1 << 61])
+def test_hdf5_times_beyond_64_bits_do_not_wrap_into_others(tmp_path, offset_us):
+    """As int64 they are small negative numbers, which the offset would make times again."""
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    path = tmp_path / "a.h5"
+    dsec(path, made_events(5))
+    with h5py.File(path, "a") as file:
+        del file["events/t"], file["t_offset"]
+        file["events/t"] = np.array([2_000, 2_001, 2_002, (1 << 64) - 5, 2_003], "u8")
+        file["t_offset"] = np.int64(offset_us)
+    with pytest.warns(DamagedRecording, match="event 3: t = -"):
+        assert open_recording(path).read()["t"].tolist() == [2_000 + offset_us + i for i in range(3)]
+
+
 def test_metavision_polarity_may_be_minus_one(tmp_path):
     h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
     path = tmp_path / "a.hdf5"
@@ -91,6 +108,23 @@ def test_a_reader_that_hangs_is_ended(tmp_path, monkeypatch, name):
         assert recording.n_events == 0
     with pytest.raises(ValueError, match="its reader stopped for good, or hung, at the damage"):
         open_recording(tmp_path / name)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a script in the place of Python")
+@pytest.mark.parametrize(("field", "value"), [("t", 1 << 63), ("t", 1 << 62), ("p", 2)])
+def test_an_event_of_aedat4_that_cannot_be_ends_the_reading(tmp_path, monkeypatch, field, value):
+    """faery's process says it: here written down, as its writer refuses such events."""
+    packets = np.array([(10 + i, 1, 2, i % 2) for i in range(9)], aedat4.DTYPE).reshape(3, 3)
+    packets[1, 2][field] = value
+    said = b"".join(struct.pack("<I", 3) + packet.tobytes() for packet in packets)
+    (tmp_path / "said").write_bytes(b'{"sensor": [34, 34]}\n' + said + bytes(4) + b"{}\n")
+    (tmp_path / "says.sh").write_text(f"#!/bin/sh\nexec cat '{tmp_path}/said'\n")
+    (tmp_path / "says.sh").chmod(0o755)
+    (tmp_path / "a.aedat4").write_bytes(b"#!AER-DAT4.0\r\n")
+    monkeypatch.setattr(aedat4, "find_spec", lambda name: True)
+    monkeypatch.setattr(child.sys, "executable", str(tmp_path / "says.sh"))
+    with pytest.warns(DamagedRecording, match=r"event 5: t = .* is no event"):
+        assert open_recording(tmp_path / "a.aedat4").read()["t"].tolist() == [10, 11, 12, 13, 14]
 
 
 def test_aedat4_child_stopped_for_good_is_damage(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.recordings import open_recording
+from async_tnt.recordings import DamagedRecording, numpy_files, open_recording
 
 EVENTS = np.array([(10, 1, 2, 1), (20, 300, 4, 0), (20, 5, 6, 1)], EVENT_DTYPE)
 COLUMNS = {name: EVENTS[name] for name in "txyp"}
@@ -40,6 +40,20 @@ def test_npy_of_four_columns(tmp_path, signed):
     if signed:
         table[:, 3] = 2 * table[:, 3] - 1
     np.testing.assert_array_equal(open_recording(saved(tmp_path / "a.npy", table)).read(), EVENTS)
+
+
+@pytest.mark.parametrize("off", [0, -1])
+def test_polarity_is_written_one_way_in_all_blocks(tmp_path, monkeypatch, off):
+    """The way is known from the first block that has an OFF, whatever lies between."""
+    monkeypatch.setattr(numpy_files, "BLOCK_EVENTS", 4)
+    table = np.ones((18, 4), np.int64)
+    table[6, 3] = off
+    path = saved(tmp_path / "a.npy", table)
+    assert open_recording(path).n_events == 18
+    table[14, 3] = -1 - off
+    saved(path, table)
+    with pytest.warns(DamagedRecording, match=f"event 14: p = {-1 - off}, and before it {off}: polarity is 0/1 or -1"):
+        assert open_recording(path).n_events == 14
 
 
 @pytest.mark.parametrize("arrays", [{"events": EVENTS}, {"anything": EVENTS}, COLUMNS])
