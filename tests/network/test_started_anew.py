@@ -111,6 +111,17 @@ def test_a_stream_that_moves_ahead_after_a_restart_is_followed_too():
     assert got[-1] == [6 * MINUTE_US + FOLLOW_AFTER - 1] and decoder.ahead == FOLLOW_AFTER - 1
 
 
+def test_a_time_that_would_go_on_beyond_all_bounds_is_malformed():
+    decoder = Decoder(max_jump_s=JUMP_S)
+    far_us = 2**61
+    decoded(decoder, [[far_us]] * FOLLOW_AFTER)
+    assert decoded(decoder, [[0]] * FOLLOW_AFTER)[-1] == [far_us] and decoder.restarts == 1
+    malformed = decoder.malformed
+    assert decoded(decoder, [[far_us - 1]] * FOLLOW_AFTER)[-1] == [2**62 - 1]
+    assert decoded(decoder, [[far_us]]) == [[]]
+    assert decoder.malformed == malformed + FOLLOW_AFTER - 1 + 1
+
+
 def test_without_a_bound_times_stay_what_they_are():
     decoder = Decoder(max_jump_s=None)
     datagrams = [[MINUTE_US], *[[k] for k in range(3 * FOLLOW_AFTER)]]

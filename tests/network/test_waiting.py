@@ -25,6 +25,28 @@ def refuse(self, *args):
     raise NotImplementedError
 
 
+def test_closed_by_a_thread_just_before_a_task_begins_to_wait(monkeypatch):
+    async def run():
+        source = UdpSource(port=0)
+        loop = asyncio.get_running_loop()
+        create_future = loop.create_future
+
+        def close_first():
+            monkeypatch.undo()
+            closing = threading.Thread(target=source.close)
+            closing.start()
+            closing.join()
+            return create_future()
+
+        reading = asyncio.ensure_future(packets_of(source))
+        monkeypatch.setattr(loop, "create_future", close_first)  # the first thing that a wait does
+        await asyncio.sleep(0)
+        assert source.closed
+        assert await asyncio.wait_for(reading, 10) == [] and source._socket.fileno() == -1
+
+    asyncio.run(run())
+
+
 @LOOPS_WATCH_SOCKETS
 @pytest.mark.parametrize("moment", ["before", "after"])
 def test_closed_by_a_thread_just_when_a_task_begins_to_wait(moment, monkeypatch):
