@@ -12,7 +12,7 @@ import numpy as np
 from ..config import TNTConfig
 from ..decision import Decision
 from ..processor import Processor
-from ..recordings import check_sensor, open_recording
+from ..recordings import check_sensor, open_for
 from .job import Task, processor_of
 
 N_MOMENTS = 10
@@ -91,7 +91,7 @@ def decisions_of(task: Task, processor: Processor, config: TNTConfig) -> tuple[l
     ------
     ValueError, TypeError, OSError : the recording is damaged, anywhere; of another sensor; or without events.
     """
-    recording = open_recording(task.path, strict=True)
+    recording = open_for(task.path, config.sensor, strict=True)
     check_sensor(task.recording, recording.sensor, config.sensor)
     decisions: list[Decision] = []
     seconds = 0.0
