@@ -214,7 +214,7 @@ def test_bad_usage_exits_with_2(words, capsys):
     with pytest.raises(SystemExit) as stopped:
         plot(*words)
     assert stopped.value.code == 2
-    assert "usage: async-tnt plot" in capsys.readouterr().err
+    assert capsys.readouterr().err.startswith("async-tnt plot: argument --")
 
 
 def test_help_teaches_without_matplotlib(monkeypatch, capsys):
