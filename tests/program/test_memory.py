@@ -1,21 +1,11 @@
 """Memory stays where it is however long a stream runs."""
 
-import gc
 import tracemalloc
-from pathlib import Path
 
+from held_memory import held
 from made import random_events, random_model
 
-import async_tnt
 from async_tnt import Processor, TNTConfig
-
-OURS = tracemalloc.Filter(True, str(Path(async_tnt.__file__).parent / "*"))
-
-
-def held():
-    """Bytes that the package has allocated and not let go; threads of other libraries allocate as they like."""
-    gc.collect()
-    return sum(trace.size for trace in tracemalloc.take_snapshot().filter_traces([OURS]).traces)
 
 
 def test_a_long_stream_leaves_nothing_behind():
