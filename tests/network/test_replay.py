@@ -167,11 +167,11 @@ def test_wrong_flags(flag):
 def test_ctrl_c_says_what_was_sent_and_exits_with_130():
     with UdpSource(port=0) as source:
         argv = [sys.executable, "-m", "async_tnt.cli", "send", "samples", f"udp://127.0.0.1:{source.port}", "--loop"]
-        sending = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        try:
-            assert source.receive(60) is not None
-            sending.send_signal(signal.SIGINT)
-            out, err = sending.communicate(timeout=60)
-        finally:
-            sending.kill()
+        with subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as sending:
+            try:
+                assert source.receive(60) is not None
+                sending.send_signal(signal.SIGINT)
+                out, err = sending.communicate(timeout=60)
+            finally:
+                sending.kill()
     assert sending.returncode == 130 and out.startswith("sent ") and err == "async-tnt: interrupted\n"
