@@ -12,12 +12,12 @@ from .counts import Counts
 from .decider import Classifier, Decider, networks_of
 from .decision import Decision
 from .events import Columns, EventDoor
-from .kernels.state import NEVER_US
 from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
 from .landmark_at_read import Regressor
 from .model import Model
 from .open_windows import OpenWindows
 from .stream_state import read_stream, restore_stream, save_stream
+from .timeline import Timeline
 from .triggers import LeakyIntegrator, Triggers
 from .volume import checked_time
 
@@ -95,6 +95,7 @@ class Processor:
         self._door = EventDoor(self.config.sensor, late)
         self._windows = OpenWindows(self.config, hop_us, start_us, replay_events, regressor)
         self._triggers = Triggers()
+        self._timeline = Timeline(self._windows, self._triggers, self._decider)
         self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
         self.reset()
 
@@ -108,7 +109,7 @@ class Processor:
         self._triggers.forget()
         self._choose_ways()
         if self._start_us is not None:
-            self._open_windows(self._start_us)
+            self._timeline.open_windows(self._start_us)
 
     # -- settings that may change ------------------------------------------------------------------------
 
@@ -144,10 +145,7 @@ class Processor:
     def _set(self, **settings: Any) -> None:
         self._triggers.set(**settings)
         self._choose_ways()
-        if len(self._windows):
-            oldest = self._windows.oldest
-            self._triggers.wait(max(oldest.start_us, oldest.newest_us), oldest.start_us)
-            self._windows.limit(self._triggers.due_us)
+        self._timeline.wait_anew()
 
     def _choose_ways(self) -> None:
         """Take the shortest way for an event that the settings allow."""
@@ -188,93 +186,22 @@ class Processor:
         answer = self._add(t, x, y, p)
         decisions: list[Decision] = []
         if answer == AT_LIMIT:
-            if len(self._windows):
-                self._advance(t, decisions)
-            else:
-                self._open_windows(t)
+            self._timeline.advance(t, decisions)
             n_before = self._windows.oldest.n_events
             answer = self._add(t, x, y, p)
         if answer == ABSORBED:
             if self._look_at_events and self._windows.oldest.n_events > n_before:  # else it was late
-                self._decide_if_due(decisions)
+                self._timeline.taken_one(decisions)
             return decisions
         columns = self._door.one(t, x, y, p)
         return self._push(self._door(([t], [x], [y], [p])) if columns is None else columns)
 
     def _push(self, columns: Columns) -> list[Decision]:
-        decisions: list[Decision] = []
-        n = columns.n
-        first = 0
-        while first < n:
-            if not len(self._windows):
-                self._open_windows(int(columns.t[first]))
-            if self._look_at_events:
-                first, new = self._decider.take(self._windows, self._triggers, columns, first, n)
-                self._note(new, self._windows.oldest.newest_us, decisions)
-            else:
-                first = self._windows.take(columns, first, n)
-            if first < n and len(self._windows):
-                self._advance(int(columns.t[first]), decisions)
+        decisions = self._timeline.take(columns)
         if self.config.needs_replay:
             for volume in self._windows.volumes:
                 volume.warn()
         return decisions
-
-    def _decide_if_due(self, decisions: list[Decision]) -> None:
-        """What `Decider.take` does, after one event that went straight to the volume."""
-        oldest = self._windows.oldest
-        trigger = "every_events" if self.every_events and oldest.n_events % self.every_events == 0 else ""
-        if trigger or self._triggers.each_event:
-            decision = self._decider.decide(oldest, trigger, level=self.confidence)
-            if decision.trigger:
-                self._note([decision], oldest.newest_us, decisions)
-
-    # -- as time passes ----------------------------------------------------------------------------------
-
-    def _advance(self, t_us: int, decisions: list[Decision]) -> None:
-        """Let time pass to `t_us`: trip triggers, close windows and open new ones on the way."""
-        windows, triggers = self._windows, self._triggers
-        while len(windows):
-            end_us = windows.oldest_end_us
-            if triggers.due_us <= t_us and triggers.due_us < end_us:
-                new = []
-                if windows.oldest.n_events > triggers.n_decided:
-                    new.append(self._decider.decide(windows.oldest, "every_us", level=self.confidence))
-                triggers.wait(min(t_us, end_us), windows.oldest.start_us)
-                self._note(new, t_us, decisions)
-            elif end_us <= t_us:
-                if windows.oldest.n_events:  # first: should the classifier raise, the window stays open
-                    decisions.append(self._decider.decide(windows.oldest, "window", complete=True))
-                windows.drop_oldest()
-                self._begin_oldest(end_us)
-            else:
-                break
-        self._open_windows(t_us)
-
-    def _note(self, new: list[Decision], now_us: int, decisions: list[Decision]) -> None:
-        """Take over decisions of the oldest window: after a complete one it is over."""
-        if not new:
-            return
-        decisions += new
-        self._triggers.n_decided = new[-1].events
-        if new[-1].complete:
-            self._windows.close_oldest(decided=True)
-            self._begin_oldest(now_us)
-            if len(self._windows):
-                self._windows.limit(self._triggers.due_us)
-
-    def _open_windows(self, t_us: int) -> None:
-        """Open what is due at `t_us`."""
-        if self._windows.open_until(t_us):
-            self._begin_oldest(max(t_us, self._windows.oldest.start_us))
-        self._windows.limit(self._triggers.due_us)
-
-    def _begin_oldest(self, now_us: int) -> None:
-        """From now on another window is the oldest, or none is open."""
-        self._triggers.n_decided = 0
-        self._triggers.due_us = NEVER_US
-        if len(self._windows):
-            self._triggers.wait(now_us, self._windows.oldest.start_us)
 
     # -- stop here, go on there --------------------------------------------------------------------------
 
@@ -323,12 +250,7 @@ class Processor:
         Their `complete` is False and their trigger `end`. Should events follow all the same, they belong to
         later windows: those before the next window's start are late.
         """
-        decisions = []
-        while len(self._windows):
-            if self._windows.oldest.n_events:
-                decisions.append(self._decider.decide(self._windows.oldest, "end"))
-            self._windows.close_oldest()
-        return decisions
+        return self._timeline.finish()
 
     # -- looking in --------------------------------------------------------------------------------------
 
