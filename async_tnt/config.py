@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 from typing import Any
 
+import numpy as np
+
 LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
 TRANSFORMS = ("tnt", "none")
@@ -159,8 +161,10 @@ class TNTConfig:
 
 
 def _is_int(value: Any) -> bool:
+    if isinstance(value, (bool, np.bool_)):
+        return False
     try:
         operator.index(value)
     except TypeError:
         return False
-    return not isinstance(value, bool)
+    return True

@@ -134,7 +134,7 @@ class Triggers:
 
 def positive_int(name: str, value: Any) -> int:
     """A whole number of at least 1, as Python's int."""
-    if not hasattr(value, "__index__") or isinstance(value, bool):
+    if not hasattr(value, "__index__") or isinstance(value, (bool, np.bool_)):
         raise TypeError(f"`{name}` must be a whole number, got {value!r}")
     if value < 1:
         raise ValueError(f"`{name}` must be at least 1, got {value}")

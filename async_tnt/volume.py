@@ -309,7 +309,7 @@ class TNTVolume:
 
 def checked_time(name: str, t_us: int) -> int:
     """A time in microseconds that a window may start at, as Python's int."""
-    if not hasattr(t_us, "__index__") or isinstance(t_us, bool):
+    if not hasattr(t_us, "__index__") or isinstance(t_us, (bool, np.bool_)):
         raise TypeError(f"`{name}` must be a whole number of microseconds, got {t_us!r}")
     if not 0 <= t_us < 1 << 62:
         raise ValueError(f"`{name}` must be in [0, 2**62), got {t_us}")

@@ -19,6 +19,7 @@ BAD = [
     ("every_us", -7, ValueError, "`every_us` must be at least 1, got -7"),
     ("every_us", 1.0, TypeError, "`every_us` must be a whole number, got 1.0"),
     ("every_us", True, TypeError, "`every_us` must be a whole number, got True"),
+    ("every_us", np.True_, TypeError, "`every_us` must be a whole number, got "),
     ("every_us", "5", TypeError, "`every_us` must be a whole number, got '5'"),
     ("every_events", 0, ValueError, "`every_events` must be at least 1, got 0"),
     ("every_events", 2.5, TypeError, "`every_events` must be a whole number, got 2.5"),
