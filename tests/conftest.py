@@ -1,4 +1,4 @@
-"""Shared by all tests: where the data is."""
+"""Shared by all tests: where the data is, and the program as a function."""
 
 import os
 import signal
@@ -22,3 +22,16 @@ def data() -> Path:
     if not (folder / "nmnist" / "Test").is_dir():
         pytest.skip(f"no recordings in {folder} (TNT_DATA names another folder)")
     return folder
+
+
+@pytest.fixture
+def program(capsys):
+    """Run `async-tnt` with words; returns exit code, stdout and stderr."""
+    from async_tnt.cli import main  # not above: OMP_NUM_THREADS has to be set first
+
+    def run(*words):
+        capsys.readouterr()
+        code = main([str(word) for word in words])
+        return code, *capsys.readouterr()
+
+    return run

@@ -1,4 +1,4 @@
-"""The program as a function and as a process, an archive of copies of the samples, and a Dask cluster."""
+"""The program as a process, an archive of copies of the samples, and a Dask cluster."""
 
 import os
 import subprocess
@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from async_tnt.cli import main
 from async_tnt.recordings import sample_recordings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,18 +21,6 @@ def pytest_configure(config):
 def _skip_without_pyarrow(request):
     if request.node.get_closest_marker("needs_pyarrow"):
         pytest.importorskip("pyarrow", reason="Parquet needs pyarrow (extra `cluster`)")
-
-
-@pytest.fixture
-def program(capsys):
-    """Run `async-tnt` with words; returns exit code, stdout and stderr."""
-
-    def run(*words):
-        capsys.readouterr()
-        code = main([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture(scope="session")

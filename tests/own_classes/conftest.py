@@ -1,4 +1,4 @@
-"""The program as a function, and a set and a model that several tests share."""
+"""A set and a model that several tests share."""
 
 import pytest
 from own_classes.gestures import write_set
@@ -6,18 +6,6 @@ from own_classes.gestures import write_set
 from async_tnt.cli import main
 
 QUICK = ("--epochs", "6", "--batch", "8", "--patience", "0")
-
-
-@pytest.fixture
-def program(capsys):
-    """Run `async-tnt` with words; returns exit code, stdout and stderr."""
-
-    def run(*words):
-        capsys.readouterr()
-        code = main([str(word) for word in words])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture(scope="session")
