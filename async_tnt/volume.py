@@ -52,8 +52,8 @@ class TNTVolume:
     >>> volume.open(0)
     >>> volume.update_one(t=13_125, x=16, y=17, p=1)  # TNT time 1: one pixel is one pixel
     0
-    >>> volume.array[1, 17, 16], volume.landmark
-    (np.float32(1.0), (16.5, 16.5))
+    >>> float(volume.array[1, 17, 16]), volume.landmark
+    (1.0, (16.5, 16.5))
     """
 
     def __init__(

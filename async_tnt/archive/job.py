@@ -16,6 +16,7 @@ from typing import Any
 from .. import __version__
 from ..engines.choice import Engine, choose_engine, is_onnx, regressor_path
 from ..model import Model, bundled_models
+from ..pixels.selection import PixelSelection
 from ..processor import Processor
 from ..warmup import warmup
 
@@ -32,6 +33,7 @@ class Job:
     settings : those of `Processor`.
     model_sha256 : of the model's content; the training record does not count.
     version : of this package.
+    pixels : what of a recording the model is to see; with the mask itself, so that a worker needs no file of it.
     """
 
     kind: str
@@ -40,6 +42,7 @@ class Job:
     settings: dict[str, Any] = field(default_factory=dict)
     model_sha256: str = ""
     version: str = __version__
+    pixels: PixelSelection = field(default_factory=PixelSelection)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -50,6 +53,7 @@ class Job:
             "version": self.version,
             "engine": self.engine,
             **settings,
+            **self.pixels.about,  # {} where all events are seen: older results, which know of none, go on
             "model_sha256": self.model_sha256,
         }
 
@@ -80,10 +84,11 @@ class Task:
     modified_ns: int | None = None
 
 
-def job_of(kind: str, name_or_path: str, engine: Engine, **settings: Any) -> Job:
-    """The job of a model as `choose_engine` has loaded it."""
+def job_of(kind: str, name_or_path: str, engine: Engine, pixels: PixelSelection | None = None, **settings: Any) -> Job:
+    """The job of a model as `choose_engine` has loaded it; `settings` : those of `Processor`."""
     model = name_or_path if name_or_path in bundled_models() else os.path.abspath(name_or_path)
-    return Job(kind, model, engine.name, settings, sha256_of(engine, model))
+    seen = PixelSelection() if pixels is None else pixels
+    return Job(kind, model, engine.name, settings, sha256_of(engine, model), pixels=seen)
 
 
 def task_of(recording: str, path: Path, job: Job) -> Task:

@@ -99,8 +99,8 @@ def read_results(out: Path, kind: str, about: dict[str, Any], settings: str) -> 
             )
         if record["settings"] != settings:
             raise ValueError(
-                f"{out} was made by another model, window, trigger, engine or version, settings {record['settings']} "
-                f"(now {settings}): {WHAT_TO_DO}"
+                f"{out} was made by another model, window, trigger, engine, version or selection of pixels, "
+                f"settings {record['settings']} (now {settings}): {WHAT_TO_DO}"
             )
         before = record["recording"]
         yield record

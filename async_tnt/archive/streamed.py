@@ -11,8 +11,8 @@ import numpy as np
 
 from ..config import TNTConfig
 from ..decision import Decision
+from ..pixels.selector import PixelSelector
 from ..processor import Processor
-from ..recordings import check_sensor, open_for
 from .job import Task, processor_of
 
 N_MOMENTS = 10
@@ -27,7 +27,7 @@ class Outcome:
     probabilities : float64, shape (W, K), of each window at its end.
     early : int64, shape (W, N_MOMENTS): the class decided at each of `moments`; -1 where no event had come by then.
     starts_us : of each window.
-    n_decisions, n_events : how many fell, and came.
+    n_decisions, n_events : how many fell, and came, without those that the job's selection of pixels leaves out.
     n_late : events dropped, of those that came: before every open window.
     seconds : streaming took, without reading the file.
     error : why there is nothing of it; "" where there is.
@@ -85,27 +85,31 @@ def stream_recording(task: Task) -> Outcome:
 
 
 def decisions_of(task: Task, processor: Processor, config: TNTConfig) -> tuple[list[Decision], int, float]:
-    """All decisions of one recording, its events, and the seconds that streaming took without reading the file.
+    """All decisions of one recording, its events that the model sees, and the seconds without reading the file.
 
     Raises
     ------
     ValueError, TypeError, OSError : the recording is damaged, anywhere; of another sensor; or without events.
     """
-    recording = open_for(task.path, config.sensor, strict=True)
-    check_sensor(task.recording, recording.sensor, config.sensor)
+    pixels = PixelSelector(task.job.pixels, config.sensor)
+    recording, sensor = pixels.open(task.path, name=task.recording, strict=True)
+    seen = pixels.filter_of(task.recording, sensor)
     decisions: list[Decision] = []
     seconds = 0.0
     n_events = 0
     for packet in recording:
-        n_events += len(packet)
         started = time.perf_counter()
+        packet = seen(packet)
+        n_events += len(packet)
         decisions += processor.push(packet)
         seconds += time.perf_counter() - started
     started = time.perf_counter()
     decisions += processor.finish()
     seconds += time.perf_counter() - started
     if not decisions:
-        raise ValueError("no events" if not n_events else "no event in any window, nothing to decide")
+        if n_events:
+            raise ValueError("no event in any window, nothing to decide")
+        raise ValueError(f"no events are left: {pixels.summary()}" if pixels.summary() else "no events")
     return decisions, n_events, seconds
 
 

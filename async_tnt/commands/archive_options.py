@@ -18,6 +18,7 @@ from ..archive.results import check_out
 from ..engines.choice import choose_engine
 from ..progress import progress
 from .files import complain, paths_of, positive_int
+from .pixel_options import selector_of
 from .trigger_options import triggers_of
 
 SHOWN = 20  # errors that are told one by one
@@ -117,9 +118,10 @@ def run_archive(args: argparse.Namespace) -> int:
     engine = choose_engine(args.model, args.engine)
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     engine.processor(**settings)  # what it refuses shows before any work
+    pixels = selector_of(args, engine.config.sensor)
     paths = recordings_under(paths_of(args))
     folder = None if all(path.is_absolute() for path in paths) else os.getcwd()
-    job = job_of("run", args.model, engine, **settings)
+    job = job_of("run", args.model, engine, pixels.selection, **settings)
     tasks = [task_of(str(path), path, job) for path in paths]
     collected = Collected()
     started = time.monotonic()
@@ -157,7 +159,7 @@ def run_archive(args: argparse.Namespace) -> int:
 
 
 def _check_run(args: argparse.Namespace) -> None:
-    for name in ("live", "speed", "json", "latest", "roi", "mask", "crop", "sensor"):
+    for name in ("live", "speed", "json", "latest"):
         if getattr(args, name, None):
             raise ValueError(f"--{name} does not go with --out")
     for path in paths_of(args):

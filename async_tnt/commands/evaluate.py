@@ -20,6 +20,7 @@ from ..engines.choice import Engine
 from ..model import Model, bundled_models
 from .archive_options import Interrupted, add_archive, place_of, stream_archive
 from .files import complain, model_of
+from .pixel_options import add_pixels, selector_of
 
 DESCRIPTION = """Stream every recording of a folder of class folders through a model, and count how often it is right.
 
@@ -33,6 +34,7 @@ windows. Recordings that cannot be read, and empty ones, are skipped and named a
   async-tnt evaluate digits N-MNIST --workers 4 --json | jq .accuracy
   async-tnt evaluate digits N-MNIST --workers 4 --out results.jsonl    keep each recording's result; resumable
   async-tnt evaluate digits N-MNIST --dask tcp://10.0.0.1:8786 --out results.parquet    on many machines
+  async-tnt evaluate digits recorded --roi 600,300,34,34 --crop --mask mask.npy    of a larger camera with hot pixels
 
 With --out, an evaluation that was interrupted, killed or cut off goes on when the same command is given again, and
 ends with the same file and the same numbers (docs/archive.md).
@@ -51,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--picture", type=Path, metavar="FILE",
         help="draw the confusion matrix, and accuracy against time (.png, .svg, .pdf)",
     )  # fmt: skip
+    add_pixels(parser)
     add_archive(parser, needs_out=False)
     parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
 
@@ -60,8 +63,10 @@ def main(args: argparse.Namespace) -> int:
         _check_picture(args.picture)
     place = place_of(args)
     model = model_of(args)
+    pixels = selector_of(args, model.config.sensor)
     paths, labels = labelled_recordings(args.dataset, model)
-    job = job_of("evaluate", args.model, Engine("compiled", model, model.classes), **evaluation_settings(model.config))
+    engine = Engine("compiled", model, model.classes)
+    job = job_of("evaluate", args.model, engine, pixels.selection, **evaluation_settings(model.config))
     tasks = [task_of(path.relative_to(args.dataset).as_posix(), path, job) for path in paths]
     label_of = {task.recording: label for task, label in zip(tasks, labels, strict=True)}
 

@@ -71,7 +71,9 @@ def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:
         yield recording
 
 
-def check_events(recording: Recording, sensor: Sensor, advice: str = TRAIN_ONE) -> None:
+def check_events(
+    recording: Recording, sensor: Sensor, who: str = "the model is for", advice: str = "; " + TRAIN_ONE
+) -> None:
     """Refuse a recording that does not say its sensor if any of its events is off this one."""
     try:
         for packet in recording:  # one after the other: the file may be larger than the memory
@@ -80,7 +82,7 @@ def check_events(recording: Recording, sensor: Sensor, advice: str = TRAIN_ONE) 
         message = str(error)
         name = str(recording.path)
         if isinstance(error, ValueError) and not message.startswith(name):
-            message += f"; the model is for {sensor[0]}x{sensor[1]} pixels: {advice}"
+            message += f"; {who} {sensor[0]}x{sensor[1]} pixels{advice}"
         raise ValueError(message if message.startswith(name) else f"{name}: {message}") from None
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from ..fresh import BackgroundReader
 from ..live_sources import LiveSource, open_live
+from ..pixels.selector import PixelSelector
 from .files import complain, positive_int
-from .pixel_options import PixelOptions
 
 
 def add_latest(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +46,7 @@ class LivePackets:
 
 
 @contextlib.contextmanager
-def live_packets(name: str, pixels: PixelOptions, latest: int | None) -> Iterator[LivePackets]:
+def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterator[LivePackets]:
     """Open what `open_live` knows by this name, and close it at the end.
 
     Parameters
@@ -56,7 +56,7 @@ def live_packets(name: str, pixels: PixelOptions, latest: int | None) -> Iterato
     with contextlib.ExitStack() as stack:
         source = open_live(name, pixels.expected)
         stack.callback(source.close)
-        packets: Iterable[Any] = pixels.select(source, pixels.sensor_of(name, source.sensor))
+        packets: Iterable[Any] = pixels.select(source, pixels.sensor_of(name, source.sensor), name)
         reader = None
         if latest is not None:
             # copy=False: cameras and the network make each packet anew

@@ -12,7 +12,7 @@ from .archive_options import add_archive, check_no_archive, run_archive
 from .decision_lines import HEADER, json_line, text_line
 from .files import add_files, add_start, complain, paths_of, positive_int, positive_number
 from .live_packets import add_latest
-from .pixel_options import PixelOptions, add_pixels
+from .pixel_options import add_pixels, selector_of
 from .run_recording import open_selected, print_decisions, watch_decisions
 from .run_source import run_source
 from .trigger_options import add_triggers, triggers_of
@@ -30,6 +30,7 @@ for each recording follows: the class of the highest mean probability over its c
   async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels
   async-tnt run --json | jq .label           one JSON object a line for each decision
   async-tnt run archive --out r.parquet --workers 4    all recordings under a folder, resumable (docs/archive.md)
+  async-tnt run archive --out r.jsonl --mask mask.npy  without the events of hot pixels
   async-tnt run a.bin --live --speed 0.2     watch it, at a fifth of its pace (extra `view`)
   async-tnt run --engine onnx                the same network by onnxruntime (extra `onnx`), or torch
   async-tnt run --model digits.onnx          a file that `async-tnt export` wrote, by onnxruntime
@@ -80,7 +81,7 @@ def main(args: argparse.Namespace) -> int:
     processor = engine.processor(
         start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args)
     )  # fmt: skip
-    pixels = PixelOptions(args, engine.config.sensor)
+    pixels = selector_of(args, engine.config.sensor)
     warmup(engine.model)
     processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line

@@ -10,27 +10,26 @@ import numpy as np
 
 from ..decision import Decision
 from ..engines.choice import Engine
+from ..pixels.selector import PixelSelector
 from ..processor import Processor
-from ..recordings import Recording, open_for
+from ..recordings import Recording
 from ..sources import replay
 from .decision_lines import Line
 from .files import check_events, complain
 from .live_view import LiveView, decide_often
-from .pixel_options import PixelOptions
 
 
-def open_selected(path: Any, pixels: PixelOptions) -> tuple[Recording, Iterator[Any]]:
+def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
     """A recording, and its packets without what is to be left out.
 
     Raises
     ------
     ValueError, OSError : unreadable, or of another sensor than the model is for.
     """
-    recording = open_for(path, pixels.expected)
-    sensor = pixels.sensor_of(path, recording.sensor)
+    recording, sensor = pixels.open(path)
     if recording.sensor is None:
-        check_events(recording, sensor, pixels.advice)
-    return recording, pixels.select(recording, sensor)
+        check_events(recording, sensor, *pixels.said_by)
+    return recording, pixels.select(recording, sensor, path)
 
 
 def print_decisions(
@@ -53,10 +52,14 @@ def print_decisions(
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
         print(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
-    late = processor.counts.dropped_late
+    late, unsorted = processor.counts.dropped_late, recording.n_unsorted
     if late:
         complain(
             f"{recording.path}: {late} of {recording.n_events} events dropped: they came late (see --late, --start-us)"
+        )
+    elif unsorted:
+        complain(
+            f"{recording.path}: {unsorted} of {recording.n_events} events are older than one before them (see --late)"
         )
     if not closed:
         raise ValueError(f"{recording.path}: no event in any window, nothing to decide")

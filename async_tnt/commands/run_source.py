@@ -6,19 +6,19 @@ import sys
 import time
 
 from ..engines.choice import Engine
+from ..pixels.selector import PixelSelector
 from ..processor import Processor
 from .decision_lines import Line
 from .files import complain
 from .live_packets import LivePackets, live_packets
 from .live_view import LiveView, decide_often
-from .pixel_options import PixelOptions
 
 
 def run_source(
     name: str,
     processor: Processor,
     engine: Engine,
-    pixels: PixelOptions,
+    pixels: PixelSelector,
     line: Line,
     *,
     latest: int | None,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..engines.choice import choose_engine
+from ..pixels.selector import PixelSelector
 from ..progress import progress
 from ..recordings import Recording
 from ..sources import replay
@@ -17,7 +18,7 @@ from ..views.sinks import check_out, import_rerun
 from ..warmup import warmup
 from .files import add_files, add_start, complain, paths_of, positive_number
 from .live_packets import add_latest, live_packets
-from .pixel_options import PixelOptions, add_pixels
+from .pixel_options import add_pixels, selector_of
 from .run_recording import open_selected
 from .trigger_options import add_triggers, triggers_of
 
@@ -73,7 +74,7 @@ def main(args: argparse.Namespace) -> int:
     if args.out is not None:
         check_out(args.out)
     engine = choose_engine(args.model)
-    pixels = PixelOptions(args, engine.config.sensor)
+    pixels = selector_of(args, engine.config.sensor)
     sources = [path if isinstance(path, str) else open_selected(path, pixels) for path in paths_of(args)]
     speed = args.speed or (1.0 if args.out is None else math.inf)
     warmup(engine.model)
@@ -81,7 +82,8 @@ def main(args: argparse.Namespace) -> int:
     view = RerunView(
         engine.model, out=args.out, connect=args.connect, picture_us=args.picture_us,
         most_pictures_per_s=LIVE_PICTURES_PER_S if live else None,
-        classes=engine.classes, start_us=args.start_us, **engine.networks, **triggers_of(args),
+        name=_recording_name(paths_of(args)), classes=engine.classes, start_us=args.start_us,
+        **engine.networks, **triggers_of(args),
     )  # fmt: skip
     stopped = False
     with view:
@@ -104,6 +106,11 @@ def main(args: argparse.Namespace) -> int:
     return 130 if stopped else 0
 
 
+def _recording_name(sources: Sequence[Path | str]) -> str:
+    first = sources[0] if isinstance(sources[0], str) else sources[0].name
+    return first if len(sources) == 1 else f"{first} and {len(sources) - 1} more"
+
+
 def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: float) -> None:
     if speed == math.inf:
         with progress(recording.n_events, recording.path.name) as bar:
@@ -118,7 +125,7 @@ def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: 
         complain(f"{recording.path}: {late} of {recording.n_events} events dropped: they came late (see --start-us)")
 
 
-def _show_live(name: str, view: RerunView, pixels: PixelOptions, latest: int | None) -> bool:
+def _show_live(name: str, view: RerunView, pixels: PixelSelector, latest: int | None) -> bool:
     """Show a source until it ends or Ctrl-C; then what was counted. Returns whether Ctrl-C ended it."""
     stopped = False
     with live_packets(name, pixels, latest) as stream:

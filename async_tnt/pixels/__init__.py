@@ -4,11 +4,25 @@
     for decision in async_tnt.stream(map(pixel_filter, camera), model):
         ...
 
-`learn_mask` finds hot pixels in recordings, and so does `async-tnt mask`.
+`learn_mask` finds hot pixels in recordings, and so does `async-tnt mask`. `PixelSelection` is what the commands'
+options say of a source's pixels; `PixelSelector` opens recordings by it.
 """
 
 from .hot_pixels import count_pixels, hot_pixels, learn_mask
 from .mask_files import load_mask, save_mask
 from .pixel_filter import PixelCounts, PixelFilter
+from .selection import PackedMask, PixelSelection
+from .selector import PixelSelector
 
-__all__ = ["PixelCounts", "PixelFilter", "count_pixels", "hot_pixels", "learn_mask", "load_mask", "save_mask"]
+__all__ = [
+    "PackedMask",
+    "PixelCounts",
+    "PixelFilter",
+    "PixelSelection",
+    "PixelSelector",
+    "count_pixels",
+    "hot_pixels",
+    "learn_mask",
+    "load_mask",
+    "save_mask",
+]

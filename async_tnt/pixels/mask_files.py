@@ -49,8 +49,12 @@ def checked_mask(mask: Any, sensor: tuple[int, int]) -> np.ndarray:
     return mask
 
 
-def load_mask(path: str | os.PathLike[str], sensor: tuple[int, int]) -> np.ndarray:
+def load_mask(path: str | os.PathLike[str], sensor: tuple[int, int] | None = None) -> np.ndarray:
     """Read a mask that `save_mask` or `async-tnt mask` wrote.
+
+    Parameters
+    ----------
+    sensor : (width, height) that it must be of; None: the mask says.
 
     Returns
     -------
@@ -68,9 +72,16 @@ def load_mask(path: str | os.PathLike[str], sensor: tuple[int, int]) -> np.ndarr
         except Exception as error:
             raise ValueError(f"{path}: not a readable NumPy file: {error}") from error
     try:
-        return checked_mask(mask, sensor)
+        return checked_mask(mask, _any_size(mask) if sensor is None else sensor)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def _any_size(mask: Any) -> tuple[int, int]:
+    if not isinstance(mask, np.ndarray) or mask.ndim != 2 or not mask.size or max(mask.shape) > MAX_SIDE:
+        shape = f"shape {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
+        raise ValueError(f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]; got {shape}")
+    return mask.shape[1], mask.shape[0]
 
 
 def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:

@@ -122,11 +122,22 @@ class PixelFilter:
         return f"PixelFilter(({width}, {height}), roi={self.roi}, {self.n_masked_pixels} pixels masked{crop})"
 
 
-def _checked_roi(roi: Any, sensor_width: int, sensor_height: int) -> tuple[int, int, int, int]:
+def whole_region(roi: Any) -> tuple[int, int, int, int]:
+    """(x, y, width, height) as four Python integers.
+
+    Raises
+    ------
+    ValueError : not four whole numbers.
+    """
     try:
         left, top, width, height = (operator.index(number) for number in roi)
     except (TypeError, ValueError):
         raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {roi!r}") from None
+    return left, top, width, height
+
+
+def _checked_roi(roi: Any, sensor_width: int, sensor_height: int) -> tuple[int, int, int, int]:
+    left, top, width, height = whole_region(roi)
     fits = left + width <= sensor_width and top + height <= sensor_height
     if not fits or min(left, top) < 0 or min(width, height) < 1:
         raise ValueError(

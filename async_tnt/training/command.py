@@ -56,10 +56,11 @@ def main(args: argparse.Namespace) -> int:
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
     import torch
 
+    from .checkpoint import check_run
     from .curves import plot_curves
     from .evaluate import evaluate
     from .networks import pipeline_of
-    from .train import check_run, train
+    from .train import train
 
     own_run.check_options(args)
     if args.threads is not None:
@@ -152,7 +153,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         scores = Scores(classes, found.recording_confusion, found.confusion)
     if own is not None and args.test:
         print("evaluating on Test", file=sys.stderr)
-        windows = own_run.load_test(args, config, classes, show_progress)
+        windows = own_run.load_test(args, own, show_progress)
         summary["test"] = evaluate(pipeline, windows, times_ms=times_ms).to_dict()
     if test_folder is not None:
         recordings = read_folder(test_folder, skip_damaged=args.skip_damaged, progress=show_progress)

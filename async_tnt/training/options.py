@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from async_tnt.commands.files import positive_int
+from async_tnt.commands.pixel_options import add_selection
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 from async_tnt.datasets.sizes import size_text
 
@@ -19,6 +20,7 @@ sensor and in any format that `async-tnt run` reads. Windows are laid end to end
 shorter recording is one partial window. Every epoch shows each class equally often, however many recordings it has.
 Training stops when the loss on the held-out recordings no longer falls, and the model of its best epoch is kept. Beside
 the model (m.safetensors) it writes m.json, m.confusion.png and m.curves.png, with the accuracy on held-out recordings.
+With --roi and --mask it learns from a part of the camera's pixels, which the model's record names.
 
 With --nmnist, on N-MNIST's digits and, with --simulated, on recordings made from MNIST's images.
 
@@ -30,6 +32,7 @@ EPILOG = """\
 examples:
   async-tnt train gestures --out gestures.safetensors          gestures/wave/*.npz, gestures/clap/*.npz, ...
   async-tnt train gestures --sensor 346x260 --grid 44x33 --window-us 200000 --landmark center
+  async-tnt train gestures --roi 100,80,64,64 --crop --mask hot.npy    a part of the camera, without hot pixels
   async-tnt evaluate gestures.safetensors held_out             how good is it on recordings it never saw?
   async-tnt train --smoke                          does everything work here? seconds, no data needed
   async-tnt train --nmnist N-MNIST --out mine.safetensors
@@ -97,6 +100,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="at the end, also classify the folder Test and write the accuracy into the "
         "model's record; do this once, after all choices are made",
     )
+    add_selection(
+        parser.add_argument_group(
+            "pixels of DATASET (events left out as if they had never been recorded; the model's users give the same)"
+        )
+    )
     volume = parser.add_argument_group("volume (what the network sees)")
     volume.add_argument(
         "--transform", choices=TRANSFORMS, default="tnt", help="tnt, or none: the plain event volume (default: tnt)"
@@ -128,8 +136,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         type=size_text,
         metavar="WxH",
-        help="with DATASET: the camera's pixels, where recordings are silent; "
-        "a .bin is of 34x34 unless this says otherwise",
+        help="with DATASET: the camera's pixels, where recordings are silent, and --mask, which says them by its size; "
+        "a .bin is of 34x34 unless this says otherwise. The model is for as many, or with --crop for the region's",
     )
     volume.add_argument(
         "--grid", type=size_text, metavar="WxH", help="with DATASET: the volume's pixels (default: 34x34)"

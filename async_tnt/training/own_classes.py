@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.datasets.class_folders import find_recordings, name_of
-from async_tnt.recordings import READERS, open_recording
+from async_tnt.pixels.selection import PixelSelection
+from async_tnt.pixels.selector import PixelSelector
+from async_tnt.recordings import READERS
 
 from .windows import Progress, Recordings, no_progress
 
@@ -25,21 +27,25 @@ class OwnClasses:
     ----------
     recordings : their times count from each recording's first event.
     classes : names, in order; `recordings.labels` are places in them.
-    sensor : (width, height).
+    sensor : (width, height) of these events: the camera's, or the region's that was cut out of it.
     left_out : what was left out and why, one line each.
+    camera : (width, height) of the camera.
+    left_out_pixels : events that were left out by their pixels, in words; "" where none could be.
     """
 
     recordings: Recordings
     classes: tuple[str, ...]
     sensor: tuple[int, int]
     left_out: tuple[str, ...]
+    camera: tuple[int, int]
+    left_out_pixels: str = ""
 
 
 def read_classes(
     folder: str | os.PathLike[str],
     *,
     part: str = "Train",
-    sensor: tuple[int, int] | None = None,
+    pixels: PixelSelection | None = None,
     classes: tuple[str, ...] | None = None,
     skip_damaged: bool = False,
     progress: Progress = no_progress,
@@ -52,17 +58,21 @@ def read_classes(
 
     Parameters
     ----------
-    sensor : (width, height), needed where no recording says it, and for `.bin` of another than N-MNIST's 34 x 34.
+    pixels : what of the recordings to learn from; by default all events. Its `sensor`, (width, height) of the camera,
+        is needed where no recording says it, and for `.bin` of another than N-MNIST's 34 x 34. What it leaves out is
+        as if it had never been recorded: times count from the first event that is left.
     classes : the classes there must be; by default the folders there are, at least two.
     skip_damaged : False refuses a recording that cannot be read, with an error that names it; True leaves it out.
 
     Raises
     ------
     ValueError : fewer than two classes, or others than `classes`; a class without recordings, or without events; the
-        same recording in two classes; recordings of different sensors, or of another one than `sensor`; an event off
-        the sensor; a damaged recording.
+        same recording in two classes; recordings of different sensors, or of another one than that of `pixels`; a
+        region or a mask that does not suit the sensor; an event off the sensor; a damaged recording.
     OSError : no such folder.
     """
+    pixels = PixelSelection() if pixels is None else pixels
+    selector = PixelSelector(pixels, None)
     found = find_recordings(folder, part)
     names = tuple(found) if classes is None else classes
     _check_classes(folder, found, classes)
@@ -72,8 +82,8 @@ def read_classes(
     seen: dict[bytes, tuple[int, str]] = {}
     for label, path in progress(paths, "reading", len(paths)):
         try:
-            recording = open_recording(path, strict=True, sensor=sensor)
-            read = _from_first_event(recording.read())
+            recording, sensor = selector.open_to_learn(path, strict=True)
+            read = recording.read()
         except (ValueError, OSError) as error:
             if not skip_damaged:
                 raise ValueError(_told(error, path)) from None
@@ -81,6 +91,10 @@ def read_classes(
             continue
         if len(read) == 0:
             left_out.append(f"{name_of(path)}: no events")
+            continue
+        read = _from_first_event(_seen(read, selector, sensor, path))
+        if len(read) == 0:
+            left_out.append(f"{name_of(path)}: no events at the pixels that are not left out")
             continue
         if read["t"][-1] >= LONGEST_US:
             raise ValueError(
@@ -100,17 +114,30 @@ def read_classes(
         kept.append(name_of(path))
     empty = [name for label, name in enumerate(names) if label not in labels]
     if empty and (classes is None or not labels):  # of a given list of classes, one recording is enough
-        more = f" And {len(left_out) - 1} more" if len(left_out) > 1 else ""
+        more = f"{'' if left_out[0].endswith('.') else '.'} And {len(left_out) - 1} more" if len(left_out) > 1 else ""
         why = f" (left out: {left_out[0]}{more})" if left_out else ""
-        if left_out and sensor is None and any(path.suffix.lower() == ".bin" for _, path in paths):
+        if left_out and pixels.camera is None and any(path.suffix.lower() == ".bin" for _, path in paths):
             why += "; a .bin of another camera than N-MNIST's 34x34 needs --sensor WxH"
         raise ValueError(
             f"{folder}: no event in any recording of class {', '.join(empty)}; record some, or remove the folder{why}"
         )
-    size = _one_sensor(folder, sensors, sensor, events)
+    camera = _one_sensor(folder, sensors, pixels, events)
+    size = pixels.region or camera
     recordings = Recordings.from_events(events, labels, kept)
     _check_on_sensor(recordings, size)
-    return OwnClasses(recordings, names, size, tuple(left_out))
+    return OwnClasses(recordings, names, size, tuple(left_out), camera, selector.summary())
+
+
+def _seen(events: np.ndarray, selector: PixelSelector, sensor: tuple[int, int] | None, path: Path) -> np.ndarray:
+    """The events that are not left out by their pixels."""
+    name = name_of(path)
+    select = selector.filter_of(name, sensor)
+    try:
+        seen: np.ndarray = select(events)
+    except ValueError as error:  # of a format that does not state its sensor
+        said = "" if sensor is None else f", as --sensor, --mask or --start-from says {sensor[0]}x{sensor[1]}"
+        raise ValueError(f"{name}: {error}{said}") from None
+    return seen
 
 
 def _check_classes(
@@ -155,12 +182,14 @@ def _fingerprint(events: np.ndarray) -> bytes:
 def _one_sensor(
     folder: str | os.PathLike[str],
     sensors: dict[tuple[int, int], str],
-    given: tuple[int, int] | None,
+    pixels: PixelSelection,
     events: list[np.ndarray],
 ) -> tuple[int, int]:
     """The sensor of all recordings."""
+    given = pixels.camera
     if given is not None:
-        sensors = {given: "--sensor", **{size: name for size, name in sensors.items() if size != given}}
+        who = "--sensor" if pixels.mask is None or pixels.sensor is not None else pixels.mask.name
+        sensors = {given: who, **{size: name for size, name in sensors.items() if size != given}}
     if len(sensors) > 1:
         said = ", ".join(f"{width}x{height} ({name})" for (width, height), name in sensors.items())
         raise ValueError(f"{folder}: all recordings must be of one sensor, got {said}")

@@ -7,20 +7,23 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from async_tnt.commands.pixel_options import selection_of
 from async_tnt.config import TNTConfig
 from async_tnt.datasets.scores import Scores
 from async_tnt.datasets.sizes import parse_size
 from async_tnt.model import Model
+from async_tnt.pixels.selection import PixelSelection
+from async_tnt.pixels.selector import check_region
 from async_tnt.whole_files import replacing
 
 from .augment import Augmentation
-from .own_classes import read_classes
+from .own_classes import OwnClasses, read_classes
 from .run_folder import check_recordings, note_recordings, sizes_of
 from .settings import TrainSettings
 from .windows import Progress, Windows, lay_windows, split_recordings
@@ -41,6 +44,8 @@ class OwnData:
     validation: Windows
     words: dict[str, Any]
     held_out: tuple[str, ...]
+    pixels: PixelSelection
+    """With the camera's sensor as the recordings say it."""
 
 
 def check_options(args: argparse.Namespace) -> None:
@@ -51,7 +56,8 @@ def check_options(args: argparse.Namespace) -> None:
     ValueError : names them.
     """
     if args.dataset is None:
-        given = [f"--{name.replace('_', '-')}" for name in ("sensor", "grid", "window_us") if getattr(args, name)]
+        names = ("sensor", "grid", "window_us", "roi", "crop", "mask")
+        given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]
         if given:
             raise ValueError(f"{', '.join(given)} must come with DATASET, a folder of class folders")
         return
@@ -73,27 +79,28 @@ def load(
     config : without sensor, grid and window, which are the options' or the recordings'; of `start`, as it is.
     """
     classes = None if start is None else start.classes
-    sensor = parse_size(args.sensor) if args.sensor else None
+    pixels = selection_of(args)
     if start is not None:
-        if sensor not in (None, start.config.sensor):
-            raise ValueError(f"--sensor must be the one of --start-from, {start.config.sensor}, got {sensor}")
-        sensor = start.config.sensor
+        pixels = _of_start(pixels, start)
     else:
         config = config.replace(
             grid=parse_size(args.grid) if args.grid else config.grid, window_us=args.window_us or config.window_us
         )
         _check_grid(config)
+        if pixels.region is not None:
+            config = config.replace(sensor=pixels.region)  # now, so that one too narrow shows before the data is read
     share = 0.2 if args.validation is None else args.validation
     sizes = sizes_of(args.dataset)
+    sensor = pixels.region if pixels.crop else pixels.camera
     goes_on = _check_run(args, config, sensor, run_folder)
     if goes_on:
-        check_recordings(run_folder, sizes, share)
-    own = read_classes(args.dataset, sensor=sensor, classes=classes, skip_damaged=True, progress=progress)
-    _say_left_out(own.left_out)
+        check_recordings(run_folder, sizes, share, pixels.record)
+    own = read_classes(args.dataset, pixels=pixels, classes=classes, skip_damaged=True, progress=progress)
+    _say_left_out(own)
     config = config.replace(sensor=own.sensor)
     learned, held_out = split_recordings(own.recordings, share, np.random.default_rng(args.seed), at_least=1)
     if not goes_on:
-        note_recordings(run_folder, sizes, share, own.recordings.names)
+        note_recordings(run_folder, sizes, share, own.recordings.names, pixels.record)
     labels = own.recordings.labels
     counts = {name: int((labels == k).sum()) for k, name in enumerate(own.classes)}
     print("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()), file=sys.stderr)
@@ -108,17 +115,32 @@ def load(
         "held_out_recordings": len(held_out),
         "left_out": list(own.left_out),
     }
+    if pixels.leaves_out:
+        words["pixels"] = {**pixels.record, "camera": list(own.camera), "left_out": own.left_out_pixels}
 
     def windows_of(which: np.ndarray) -> Windows:
         return lay_windows(own.recordings, config.window_us, which=which, first_event=True, duration_us=None)
 
     names = tuple(own.recordings.names[r] for r in held_out)
-    return OwnData(config, own.classes, windows_of(learned), windows_of(held_out), words, names)
+    seen = replace(pixels, sensor=own.camera)
+    return OwnData(config, own.classes, windows_of(learned), windows_of(held_out), words, names, seen)
+
+
+def _of_start(pixels: PixelSelection, start: Model) -> PixelSelection:
+    """The selection with the sensor that the model to train on from is for."""
+    check_region(pixels, start.config.sensor)
+    if pixels.crop:
+        return pixels
+    if pixels.sensor not in (None, start.config.sensor):
+        raise ValueError(f"--sensor must be the one of --start-from, {start.config.sensor}, got {pixels.sensor}")
+    if pixels.mask is not None:
+        pixels.mask.pixels(start.config.sensor)  # refuses a mask of another sensor
+    return replace(pixels, sensor=start.config.sensor)
 
 
 def _check_run(args: argparse.Namespace, config: TNTConfig, sensor: tuple[int, int] | None, run_folder: Path) -> bool:
     """Whether the folder holds this run; compared are the settings that are known before the data is."""
-    from .train import check_run
+    from .checkpoint import check_run
 
     volume = config.to_dict()
     del volume["sensor"]
@@ -133,13 +155,13 @@ def _check_run(args: argparse.Namespace, config: TNTConfig, sensor: tuple[int, i
     return check_run(run_folder, volume, settings)
 
 
-def load_test(args: argparse.Namespace, config: TNTConfig, classes: tuple[str, ...], progress: Progress) -> Windows:
-    """The windows of DATASET/Test."""
-    own = read_classes(
-        args.dataset / "Test", part="Test", sensor=config.sensor, classes=classes, skip_damaged=True, progress=progress
+def load_test(args: argparse.Namespace, own: OwnData, progress: Progress) -> Windows:
+    """The windows of DATASET/Test, of the pixels that were trained on."""
+    test = read_classes(
+        args.dataset / "Test", part="Test", pixels=own.pixels, classes=own.classes, skip_damaged=True, progress=progress
     )
-    _say_left_out(own.left_out)
-    return lay_windows(own.recordings, config.window_us, first_event=True, duration_us=None)
+    _say_left_out(test)
+    return lay_windows(test.recordings, own.config.window_us, first_event=True, duration_us=None)
 
 
 def settings_of(args: argparse.Namespace, config: TNTConfig, n_windows: int, n_held_out: int) -> TrainSettings:
@@ -176,7 +198,7 @@ def write_beside(
     The files written.
     """
     written = _write_beside(out, scores, history, summary, held_out)
-    _say_left_out(summary["data"]["left_out"])
+    _say_lines(summary["data"]["left_out"])
     return written
 
 
@@ -210,6 +232,12 @@ def _check_grid(config: TNTConfig) -> None:
         raise ValueError(f"--grid must be at least 4x4 for the network's two poolings, got {config.grid}")
 
 
-def _say_left_out(lines: Sequence[str]) -> None:
+def _say_left_out(own: OwnClasses) -> None:
+    _say_lines(own.left_out)
+    if own.left_out_pixels:
+        print(f"left out of the recordings: {own.left_out_pixels}", file=sys.stderr)
+
+
+def _say_lines(lines: Sequence[str]) -> None:
     for line in lines:
         print(f"left out: {line}", file=sys.stderr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from async_tnt.datasets.class_folders import find_recordings, name_of
 from async_tnt.whole_files import replacing
@@ -26,22 +27,24 @@ def sizes_of(dataset: Path) -> dict[str, int]:
     return {name_of(path): _size(path) for paths in find_recordings(dataset, "Train").values() for path in paths}
 
 
-def check_recordings(run_folder: Path, sizes: Mapping[str, int], share: float) -> None:
-    """Refuse recordings that are not those of the run in the folder, as far as names and sizes tell.
+def check_recordings(run_folder: Path, sizes: Mapping[str, int], share: float, pixels: Mapping[str, Any]) -> None:
+    """Refuse recordings that are not those of the run in the folder, as far as names and sizes tell, or other pixels.
 
     Parameters
     ----------
     sizes : as of `sizes_of`, now.
     share : of recordings held out.
+    pixels : `PixelSelection.record`, of what the network sees of the recordings.
 
     Raises
     ------
-    ValueError : a recording is new, of another size, or gone though the run trains on it; or another share is held
-        out. A run that noted nothing is not refused: `train` compares the events.
+    ValueError : a recording is new, of another size, or gone though the run trains on it; another share is held out;
+        or other pixels are left out. A run that noted nothing is not refused: `train` compares the events.
     """
     try:
         noted = json.loads((run_folder / RECORDINGS).read_text(encoding="utf-8"))
         then, used, share_then = dict(noted["sizes"]), set(noted["used"]), float(noted["validation"])
+        pixels_then = dict(noted.get("pixels", {}))  # older runs knew of none
     except (OSError, ValueError, TypeError, KeyError):  # an older run, or a damaged note
         return
     differ = [f"{name} is new" for name in sizes if name not in then]
@@ -52,12 +55,21 @@ def check_recordings(run_folder: Path, sizes: Mapping[str, int], share: float) -
         raise other_run(run_folder, f"recordings ({', '.join(differ[:SHOWN])}{more})")
     if share != share_then:
         raise other_run(run_folder, f"validation ({share_then:g}, now {share:g})")
+    others = [
+        name for name in {**pixels_then, **pixels} if (pixels_then.get(name) or None) != (pixels.get(name) or None)
+    ]
+    if others:
+        what = dict.fromkeys("mask" if name in ("masked_pixels", "mask_sha256") else name for name in others)
+        raise other_run(run_folder, ", ".join(what))
 
 
-def note_recordings(run_folder: Path, sizes: Mapping[str, int], share: float, used: Collection[str]) -> None:
+def note_recordings(
+    run_folder: Path, sizes: Mapping[str, int], share: float, used: Collection[str], pixels: Mapping[str, Any]
+) -> None:
     """Write what `check_recordings` reads; `used`: the names of recordings that were not left out."""
     run_folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"validation": share, "sizes": dict(sizes), "used": sorted(used)}, indent=1)
+    note = {"validation": share, "sizes": dict(sizes), "used": sorted(used), "pixels": dict(pixels)}
+    text = json.dumps(note, indent=1)
     with replacing(run_folder / RECORDINGS) as part:
         part.write_text(text, encoding="utf-8")
 

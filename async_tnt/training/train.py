@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
-import zlib
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,19 +15,14 @@ from torch.nn import functional as F
 
 from async_tnt.config import TNTConfig
 from async_tnt.model import Model
-from async_tnt.whole_files import replacing
 
-from .augment import Draws
+from .checkpoint import identity_of, load_checkpoint, save_checkpoint
+from .epoch import batches_of
 from .evaluate import accuracy_by_recording, class_probabilities
 from .networks import export, pipeline_before_export
 from .pipelines import Pipeline, new_pipeline
-from .run_folder import other_run
 from .settings import TrainSettings
 from .windows import CLASSES, Progress, Windows, no_progress
-
-FORMAT = 2  # of the checkpoint
-CHECKPOINT = "checkpoint.pt"
-HISTORY = "history.json"
 
 
 @dataclass(frozen=True)
@@ -98,8 +91,8 @@ def train(
     placed: Any = pipeline  # the stubs of `to` know no memory_format
     placed.to(memory_format=torch.channels_last)  # a third faster
     optimizer = _optimizer(pipeline, settings)
-    identity = _identity(config, settings, training, validation, start, classes)
-    state = _load_checkpoint(run_folder / CHECKPOINT, identity)
+    identity = identity_of(config, settings, training, validation, start, classes)
+    state = load_checkpoint(run_folder, identity)
     history: list[dict[str, float]] = []
     best: dict[str, torch.Tensor] = {}
     best_epoch = 0
@@ -117,7 +110,7 @@ def train(
         pipeline.train()
         total_loss, right, seen = 0.0, 0, 0
         here = min(steps, n_iterations - epoch * steps)
-        batches = islice(_batches(config, training, settings, epoch), here)
+        batches = islice(batches_of(config, training, settings, epoch), here)
         for step, (windows, draws) in enumerate(progress(batches, f"epoch {epoch + 1}/{n_epochs}", here)):
             _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
             target = torch.from_numpy(windows.labels).to(device)
@@ -142,11 +135,7 @@ def train(
             "identity": identity, "pipeline": pipeline.state_dict(), "optimizer": optimizer.state_dict(),
             "history": history, "best": best, "best_epoch": best_epoch,
         }  # fmt: skip
-        with replacing(run_folder / CHECKPOINT) as part:
-            torch.save(checkpoint, part)
-        text = json.dumps({"settings": json.loads(identity), "history": history}, indent=1)
-        with replacing(run_folder / HISTORY) as part:
-            part.write_text(text, encoding="utf-8")
+        save_checkpoint(run_folder, checkpoint)
         report(row)
 
     last = export(pipeline, classes, {})
@@ -165,40 +154,6 @@ def _is_best(history: list[dict[str, float]], *, by_loss: bool) -> bool:
     if by_loss:
         return epochs_since_best(history) == 0
     return history[-1].get("per_window", 0.0) >= max(row.get("per_window", 0.0) for row in history)
-
-
-def _batches(
-    config: TNTConfig, windows: Windows, settings: TrainSettings, epoch: int
-) -> Iterator[tuple[Windows, Draws | None]]:
-    rng = np.random.default_rng((settings.seed, epoch))
-    order = balanced_order(windows.labels, rng) if settings.balance else rng.permutation(len(windows))
-    for first in range(0, len(order), settings.batch):
-        some = windows[order[first : first + settings.batch]]
-        augmentation = settings.augmentation
-        yield some, None if augmentation is None else augmentation.draw(len(some), config, rng)
-
-
-def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """As many places as there are labels, every class equally often (to one place), in random order.
-
-    A class with fewer windows than its share is gone through again and again, each time in another order; of one with
-    more, each epoch shows others. We sample rather than weigh the loss: a rare class in every batch gives steadier
-    steps than one that comes seldom with a large weight, and augmentation makes every showing of a window another.
-
-    Examples
-    --------
-    >>> labels = np.array([0, 0, 0, 0, 0, 0, 0, 1])
-    >>> np.bincount(labels[balanced_order(labels, np.random.default_rng(0))])
-    array([4, 4])
-    """
-    members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-    shares = np.diff(np.linspace(0, len(labels), len(members) + 1).astype(np.int64))
-    rng.shuffle(shares)  # whose share is one larger
-    chosen = []
-    for places, share in zip(members, shares, strict=True):
-        rounds = -(-int(share) // len(places))
-        chosen.append(np.concatenate([rng.permutation(places) for _ in range(rounds)])[:share])
-    return rng.permutation(np.concatenate(chosen))
 
 
 def _validate(pipeline: Pipeline, windows: Windows, *, balance: bool) -> dict[str, float]:
@@ -233,95 +188,3 @@ def _set_rate(optimizer: torch.optim.Optimizer, settings: TrainSettings, step: i
         share = 0.5 * (1.0 + math.cos(math.pi * (step - warm) / max(1, n_steps - warm)))
     for group in optimizer.param_groups:
         group["lr"] = settings.learning_rate * share
-
-
-def _identity(
-    config: TNTConfig,
-    settings: TrainSettings,
-    training: Windows,
-    validation: Windows,
-    start: Model | None,
-    classes: tuple[str, ...],
-) -> str:
-    """All that decides the weights, as JSON: a checkpoint goes on only where it is the same."""
-    data = zlib.crc32(training.recordings.offsets.tobytes())
-    for windows in (training, validation):
-        for column in (windows.recording, windows.start_us, windows.labels):
-            data = zlib.crc32(column.tobytes(), data)
-    for name in "txyp":
-        data = zlib.crc32(np.ascontiguousarray(getattr(training.recordings, name)[::997]).tobytes(), data)
-    return json.dumps(
-        {
-            "format": FORMAT,
-            "config": config.to_dict(),
-            # without what older runs had no name for, so that they go on
-            "settings": {n: v for n, v in asdict(settings).items() if v or n not in ("balance", "patience")},
-            "training_windows": len(training),
-            "validation_windows": len(validation),
-            "data": data,
-            "classes": zlib.crc32(json.dumps(classes).encode()) if classes != CLASSES else 0,
-            "start": 0 if start is None else zlib.crc32(b"".join(w.tobytes() for w in start.weights.values())),
-        }
-    )
-
-
-def check_run(run_folder: Path, config: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
-    """Whether the folder holds a run already; refuses one of others than these, before any data is read.
-
-    Parameters
-    ----------
-    config, settings : fields of `TNTConfig` and `TrainSettings` and their values; not all need be known yet.
-
-    Raises
-    ------
-    ValueError : the run's differ; names them. Or its checkpoint is damaged.
-    """
-    state = _read_checkpoint(run_folder / CHECKPOINT)
-    if state is None:
-        return False
-    found = json.loads(state["identity"])
-    wanted = json.loads(json.dumps({"config": dict(config), "settings": dict(settings)}))
-    differ = sorted(
-        name
-        for part, values in wanted.items()
-        for name, value in values.items()
-        if (found[part].get(name) or None)
-        != (value or None)  # older runs lack names whose value was then False or None
-    )
-    if differ:
-        raise other_run(run_folder, ", ".join(differ))
-    return True
-
-
-def _read_checkpoint(path: Path) -> dict[str, Any] | None:
-    if not path.exists():
-        return None
-    try:
-        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        json.loads(state["identity"])
-        return state
-    except Exception as error:  # a damaged archive surfaces as any of a dozen types
-        kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
-        raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start anew") from error
-
-
-def _load_checkpoint(path: Path, identity: str) -> dict[str, Any] | None:
-    state = _read_checkpoint(path)
-    if state is None:
-        return None
-    found = json.loads(state["identity"])
-    wanted = json.loads(identity)
-    differ = sorted(
-        name
-        for part in ("config", "settings")
-        for name in {**found[part], **wanted[part]}
-        if found[part].get(name) != wanted[part].get(name)
-    )
-    differ += [
-        name
-        for name in ("format", "training_windows", "validation_windows", "data", "classes", "start")
-        if found.get(name, 0) != wanted[name]
-    ]
-    if differ:
-        raise other_run(path.parent, ", ".join(differ))
-    return state

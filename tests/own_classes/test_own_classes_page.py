@@ -25,7 +25,8 @@ def test_its_commands_run_and_its_program_decides(tmp_path, monkeypatch, capsys)
     commands = re.findall(
         r"^async-tnt ([^#\n]+)", "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)), re.MULTILINE
     )
-    assert [command.split()[0] for command in commands] == ["train", "evaluate", "evaluate", "run"]
+    expected = ["train", "mask", "train", "evaluate", "run", "evaluate", "evaluate", "run"]
+    assert [command.split()[0] for command in commands] == expected
     for command in commands:
         quick = ["--epochs", "8", "--batch", "2"] if command.startswith("train") else []  # the page's takes 7 s
         assert main(command.split() + quick) == 0, capsys.readouterr().err

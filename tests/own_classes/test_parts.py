@@ -58,14 +58,14 @@ def test_scores_by_hand():
 
 
 def test_every_class_is_shown_equally_often_and_every_window_in_turn():
-    train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
+    epoch = pytest.importorskip("async_tnt.training.epoch", reason="needs torch", exc_type=ImportError)
     labels = np.array([0] * 90 + [1] * 7 + [2] * 3)
-    order = train.balanced_order(labels, np.random.default_rng(1))
+    order = epoch.balanced_order(labels, np.random.default_rng(1))
     assert len(order) == 100
     assert sorted(np.bincount(labels[order])) == [33, 33, 34]
     shown = np.bincount(order, minlength=100)
     assert shown[:90].max() == 1 and np.ptp(shown[90:97]) <= 1 and np.ptp(shown[97:]) <= 1
-    again, other = (train.balanced_order(labels, np.random.default_rng(seed)) for seed in (1, 2))
+    again, other = (epoch.balanced_order(labels, np.random.default_rng(seed)) for seed in (1, 2))
     np.testing.assert_array_equal(order, again)
     assert not np.array_equal(order, other)
 

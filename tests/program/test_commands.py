@@ -159,6 +159,13 @@ def test_late_events_are_told(capsys):
     assert "dropped" in capsys.readouterr().err
 
 
+def test_events_out_of_order_are_told(tmp_path, capsys):
+    (tmp_path / "a.csv").write_text("t,x,y,p\n0,1,1,1\n10,2,2,0\n5,3,3,1\n")
+    assert main(["run", str(tmp_path / "a.csv")]) == 0
+    told = "1 of 3 events are older than one before them (see --late)"
+    assert capsys.readouterr().err == f"async-tnt: {tmp_path / 'a.csv'}: {told}\n"
+
+
 def test_check_says_no_when_the_stream_is_wrong(monkeypatch, capsys):
     """An error of a millionth of a pixel in one landmark must not pass."""
     landmark = TNTVolume.landmark.fget

@@ -66,5 +66,5 @@ def test_a_sensor_of_another_size_says_what_to_do(tmp_path, capsys):
     assert main(["run", str(path)]) == 2
     err = capsys.readouterr().err
     assert "got 100 at event 0" in err
-    assert "the model is for 34x34 pixels: train one for this camera" in err and "--roi X,Y,34,34 --crop" in err
+    assert "the model is for 34x34 pixels; train one for this camera" in err and "--roi X,Y,34,34 --crop" in err
     assert len(err.splitlines()) == 1

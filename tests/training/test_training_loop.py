@@ -12,11 +12,12 @@ from async_tnt.events import EVENT_DTYPE  # noqa: E402
 from async_tnt.model import load_model  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
+from async_tnt.training.checkpoint import CHECKPOINT  # noqa: E402
 from async_tnt.training.evaluate import evaluate  # noqa: E402
 from async_tnt.training.networks import export, network_of  # noqa: E402
 from async_tnt.training.pipelines import Pipeline, input_scale, new_pipeline  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
-from async_tnt.training.train import CHECKPOINT, train  # noqa: E402
+from async_tnt.training.train import train  # noqa: E402
 from async_tnt.training.windows import CLASSES, Recordings, lay_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
