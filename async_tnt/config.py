@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 from typing import Any
 
-import numpy as np
+from .whole_numbers import is_whole
 
 LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
@@ -66,7 +65,7 @@ class TNTConfig:
     def __post_init__(self) -> None:
         for name in ("sensor", "grid"):
             side = getattr(self, name)
-            if not (isinstance(side, (tuple, list)) and len(side) == 2 and all(_is_int(s) for s in side)):
+            if not (isinstance(side, (tuple, list)) and len(side) == 2 and all(is_whole(s) for s in side)):
                 raise TypeError(f"`{name}` must be two whole numbers (width, height), got {side!r}")
             side = int(side[0]), int(side[1])
             object.__setattr__(self, name, side)
@@ -74,7 +73,7 @@ class TNTConfig:
                 raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {side}")
         for name, low, high in (("bins", 1, 1024), ("window_us", 1, MAX_WINDOW_US)):
             value = getattr(self, name)
-            if not _is_int(value):
+            if not is_whole(value):
                 raise TypeError(f"`{name}` must be a whole number, got {value!r}")
             if not low <= value <= high:
                 raise ValueError(f"`{name}` must be in [{low}, {high}], got {value}")
@@ -158,13 +157,3 @@ class TNTConfig:
     def replace(self, **changes: Any) -> TNTConfig:
         """A copy with some values changed."""
         return replace(self, **changes)
-
-
-def _is_int(value: Any) -> bool:
-    if isinstance(value, (bool, np.bool_)):
-        return False
-    try:
-        operator.index(value)
-    except TypeError:
-        return False
-    return True

@@ -12,8 +12,8 @@ from .counts import Counts
 from .events import Columns
 from .landmark_at_read import Regressor
 from .snapshot import Arrays, part, under
-from .triggers import positive_int
 from .volume import TNTVolume
+from .whole_numbers import positive_int
 
 MAX_OPEN_WINDOWS = 256
 

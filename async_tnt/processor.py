@@ -19,7 +19,7 @@ from .open_windows import OpenWindows
 from .stream_state import read_stream, restore_stream, save_stream
 from .timeline import Timeline
 from .triggers import LeakyIntegrator, Triggers
-from .volume import checked_time
+from .whole_numbers import checked_time
 
 
 def _trigger(name: str) -> property:

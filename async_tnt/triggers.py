@@ -12,6 +12,7 @@ import numpy as np
 from .kernels import trigger as T
 from .kernels.state import NEVER_US
 from .snapshot import Arrays
+from .whole_numbers import positive_int
 
 
 @dataclass(frozen=True)
@@ -130,15 +131,6 @@ class Triggers:
     def look_at_events(self) -> bool:
         """Whether any single event may make a decision due."""
         return bool(self._ints[T.EVERY_EVENTS] or self._ints[T.EACH] or self.activity is not None)
-
-
-def positive_int(name: str, value: Any) -> int:
-    """A whole number of at least 1, as Python's int."""
-    if not hasattr(value, "__index__") or isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"`{name}` must be a whole number, got {value!r}")
-    if value < 1:
-        raise ValueError(f"`{name}` must be at least 1, got {value}")
-    return int(value)
 
 
 def _level(name: str, value: Any) -> float:

@@ -16,6 +16,7 @@ from .kernels.update import ABSORBED, REFUSED, absorb, absorb_one
 from .landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
 from .new_state import new_state, next_epoch
 from .snapshot import Arrays, buffer_arrays, part, restore_buffer, under
+from .whole_numbers import checked_time
 from .window_replay import Replay
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
@@ -305,12 +306,3 @@ class TNTVolume:
     def newest_us(self) -> int:
         """Time of the newest event in the open window; -1 if it has none."""
         return int(self._ints[S.NEWEST_US])
-
-
-def checked_time(name: str, t_us: int) -> int:
-    """A time in microseconds that a window may start at, as Python's int."""
-    if not hasattr(t_us, "__index__") or isinstance(t_us, (bool, np.bool_)):
-        raise TypeError(f"`{name}` must be a whole number of microseconds, got {t_us!r}")
-    if not 0 <= t_us < 1 << 62:
-        raise ValueError(f"`{name}` must be in [0, 2**62), got {t_us}")
-    return int(t_us)

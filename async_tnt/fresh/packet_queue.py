@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import operator
 import threading
 import time
 from collections import deque
@@ -11,6 +10,7 @@ from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from ..whole_numbers import positive_int
 from .own_packets import n_events_of, own_packet
 
 LOOP_TURN_S = 1e-3  # asyncio's other tasks wait no longer than this for a queue that never runs empty
@@ -71,8 +71,8 @@ class PacketQueue:
     def __init__(
         self, *, max_packets: int = 64, latest: bool = False, max_events: int | None = None, copy: bool = True
     ) -> None:
-        self.max_packets = _limit("max_packets", max_packets)
-        self.max_events = None if max_events is None else _limit("max_events", max_events)
+        self.max_packets = positive_int("max_packets", max_packets)
+        self.max_events = None if max_events is None else positive_int("max_events", max_events)
         self.latest = bool(latest)
         self.copy = bool(copy)
         # One lock, re-entrant: garbage collection, which may set in anywhere, closes the queue of a forgotten reader.
@@ -283,13 +283,3 @@ class PacketQueue:
 def _resolve(future: asyncio.Future[None]) -> None:
     if not future.done():
         future.set_result(None)
-
-
-def _limit(name: str, value: Any) -> int:
-    try:
-        limit = operator.index(value)
-    except TypeError:
-        raise TypeError(f"`{name}` must be a whole number of at least 1, got {value!r}") from None
-    if limit < 1 or isinstance(value, bool):
-        raise ValueError(f"`{name}` must be a whole number of at least 1, got {value!r}")
-    return limit

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..config import TNTConfig
 from ..events import EventDoor
-from ..volume import checked_time
+from ..whole_numbers import checked_time
 from .scatter import add_counts, add_counts_and_times
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..config import TNTConfig
 from ..kernels.columns import MAX_TIME_US
-from ..volume import checked_time
+from ..whole_numbers import checked_time
 
 Array = np.ndarray
 
