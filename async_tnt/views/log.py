@@ -13,13 +13,16 @@ from ..counts import Counts
 from ..decision import Decision
 from ..processor import Processor
 from . import layout
+from .newest import newest_text
 from .pictures import bin_sheet, class_colours, event_image
 
 MOST_LINES = 20  # decisions written between two pictures; of more, the newest are
 MOST_SERIES = 64  # classes; of more, only the likeliest one's probability is drawn
 MOST_TENSOR_BYTES = 1 << 20  # of a volume; a larger one is written at the ends of windows alone
-LANDMARK_COLOUR = (240, 228, 66)
-LANDMARK_RADIUS = 6.0  # points of the screen
+LANDMARK_COLOUR = (255, 255, 255)  # told from both polarities and from the ground
+LANDMARK_RADIUS, CROSS_RADIUS = 4.0, 1.0  # points of the screen
+CROSS_ARM = 0.06  # of the sensor's longer side
+BEGIN_COLOUR = (150, 150, 150)  # among lines with a colour, the viewer shows those without one in others' colours
 RATE_COLOURS = ((200, 200, 200), (213, 94, 0))
 
 
@@ -31,9 +34,10 @@ class StreamLog:
     rr : the module `rerun`.
     stream : a `rerun.RecordingStream` whose sink is open.
     config : of the processor.
+    live : whether the stream may go on for hours.
     """
 
-    def __init__(self, rr: Any, stream: Any, config: TNTConfig) -> None:
+    def __init__(self, rr: Any, stream: Any, config: TNTConfig, live: bool = False) -> None:
         self.name = ""
         """Of the source."""
         self.offset_us = 0
@@ -49,7 +53,7 @@ class StreamLog:
         self._n_pending = 0
         self._latencies: list[float] = []
         self._counts = Counts()
-        stream.send_blueprint(layout.blueprint(rr, self._transformed))
+        stream.send_blueprint(layout.blueprint(rr, config.sensor, self._transformed, live))
         self._write(layout.EVENTS, layout.event_classes(rr), static=True)
         for where, names in ((layout.RATES, layout.RATE_NAMES), (layout.LATENCY, layout.LATENCY_NAMES)):
             self._write(where, rr.SeriesLines(names=list(names), colors=list(RATE_COLOURS)), static=True)
@@ -61,7 +65,8 @@ class StreamLog:
         if self.name:
             shift = f", its times moved by {self.offset_us:+,} us" if self.offset_us else ""
             self._set_time(first_us)
-            self._write(layout.DECISIONS, self._rr.TextLog(f"{self.name} begins{shift}", level="DEBUG"))
+            line = self._rr.TextLog(f"{self.name} begins{shift}", level="DEBUG", color=BEGIN_COLOUR)
+            self._write(layout.DECISIONS, line)
 
     def took(self, decisions: Sequence[Decision], latency_us: float, n_events: int) -> None:
         """What a packet brought, and the microseconds that took."""
@@ -91,13 +96,13 @@ class StreamLog:
         self._set_time(at_us)
         packets = np.concatenate(recent) if recent else np.empty(0, [("x", "u2"), ("y", "u2"), ("p", "u1")])
         self._write(layout.EVENTS, rr.SegmentationImage(event_image(packets, self._config.sensor)))
+        self._write_class(now)
         if self._transformed:
             self._write_landmark(processor, now)
             self._write_volume(layout.TNT_SHEET, layout.TNT_VOLUME, processor.volume(), whole)
         self._write_volume(layout.RAW_SHEET, layout.RAW_VOLUME, raw, whole)
         if now.events:
             self._write_probabilities(now)
-            self._write(layout.NEWEST, rr.BarChart(now.probabilities))
         self._write_numbers(processor.counts, span_us)
 
     def no_events(self, at_us: int) -> None:
@@ -119,37 +124,62 @@ class StreamLog:
         self._n_pending = 0
 
     def _line(self, decision: Decision, left_out: str) -> Any:
-        length_us = decision.time_us - decision.window_start_us
         text = (
-            f"{decision.label}  {decision.probability:.3f}  {decision.trigger}: {decision.events:,} events in "
-            f"{length_us / 1e3:,.3f} ms from {decision.window_start_us / 1e3:,.3f} ms on{left_out}"
+            f"{decision.label}  {decision.probability:.3f}  {decision.trigger}: {decision.events:,} events, "
+            f"{decision.window_start_us / 1e3:,.3f} to {decision.time_us / 1e3:,.3f} ms{left_out}"
         )
         closed = decision.complete or decision.trigger == "end"
         return self._rr.TextLog(text, level="INFO" if closed else "TRACE", color=self._colours[decision.index])
 
+    def _write_class(self, now: Decision) -> None:
+        """What the network says at this moment: below the event image, and beside it with all probabilities."""
+        rr = self._rr
+        text = newest_text(now, self._classes or ())
+        self._write(layout.NEWEST, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+        if now.events == 0:
+            self._write(layout.CLASS, rr.Points2D(np.empty((0, 2))))
+            return
+        width, height = self._config.sensor
+        self._write(
+            layout.CLASS,
+            rr.Points2D(
+                [[width / 2, height]],  # the viewer writes a label below its point
+                radii=0.0,
+                colors=[self._colours[now.index]],
+                labels=[f"{now.label} {now.probability:.2f}"],
+                show_labels=True,
+            ),
+        )
+
     def _write_landmark(self, processor: Processor, now: Decision) -> None:
-        """The landmark on the event image, in the sensor's pixels, with what the network says at this moment."""
+        """The landmark on the event image, in the sensor's pixels."""
         rr = self._rr
         if now.events == 0:
             self._write(layout.LANDMARK, rr.Points2D(np.empty((0, 2))))
+            self._write(layout.LANDMARK_CROSS, rr.LineStrips2D([]))
             return
         x, y = self._config.to_sensor(*processor.landmark)
+        x, y = x + 0.5, y + 0.5  # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
+        arm = CROSS_ARM * max(self._config.sensor)
+        points = rr.components.Radius.ui_points
         self._write(
             layout.LANDMARK,
-            rr.Points2D(
-                [[x + 0.5, y + 0.5]],  # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
-                radii=rr.components.Radius.ui_points(LANDMARK_RADIUS),
-                colors=[LANDMARK_COLOUR],
-                labels=[f"{now.label} {now.probability:.2f}"],
-                show_labels=True,
-                draw_order=100.0,
-            ),
+            rr.Points2D([[x, y]], radii=points(LANDMARK_RADIUS), colors=[LANDMARK_COLOUR], draw_order=100.0),
         )
+        self._write(
+            layout.LANDMARK_CROSS,
+            rr.LineStrips2D(
+                [[[x - arm, y], [x + arm, y]], [[x, y - arm], [x, y + arm]]],
+                radii=points(CROSS_RADIUS), colors=[LANDMARK_COLOUR], draw_order=100.0,
+            ),
+        )  # fmt: skip
 
     def _write_volume(self, sheet: str, place: str, volume: np.ndarray, whole: bool) -> None:
         self._write(sheet, self._rr.Image(bin_sheet(volume)))
         if whole or volume.nbytes <= MOST_TENSOR_BYTES:
-            self._write(place, self._rr.Tensor(volume, dim_names=self._channels))
+            largest = max(float(np.abs(volume).max()), 1e-6)
+            shown = self._rr.Tensor(volume, dim_names=self._channels, value_range=(-largest, largest))  # 0 is grey
+            self._write(place, shown)
 
     def _write_probabilities(self, decision: Decision) -> None:
         shown = decision.probabilities if len(self._series) > 1 else [decision.probability]

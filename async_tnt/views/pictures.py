@@ -95,6 +95,6 @@ def class_colours(n: int) -> list[tuple[int, int, int]]:
         hue, value = k * 0.618034 % 1.0 * 6.0, (1.0, 0.75, 0.9)[k % 3]
         red, green, blue = abs(hue - 3) - 1, 2 - abs(hue - 2), 2 - abs(hue - 4)
         shares = (min(max(c, 0.0), 1.0) for c in (red, green, blue))
-        r, g, b = (round(255 * value * (0.25 + 0.75 * share)) for share in shares)
+        r, g, b = (round(255 * value * (0.4 + 0.6 * share)) for share in shares)
         colours.append((r, g, b))
     return colours

@@ -38,7 +38,8 @@ class RerunView:
         started.
     picture_us : recorded microseconds from picture to picture. Another one is taken at each window's end.
     most_pictures_per_s : on the clock; more are left out, and pictures then take half of the time at most. For streams
-        that do not wait.
+        that do not wait; the plots then show the last seconds.
+    name : what the viewer's list of recordings calls this one; without it, a number.
     settings : keyword arguments of `Processor`, all but `hop_us`.
 
     Raises
@@ -56,6 +57,7 @@ class RerunView:
         connect: str | None = None,
         picture_us: int = 20_000,
         most_pictures_per_s: float | None = None,
+        name: str | None = None,
         **settings: Any,
     ) -> None:
         rr = import_rerun()
@@ -74,7 +76,9 @@ class RerunView:
         self._stream = stream = rr.RecordingStream(layout.APPLICATION)
         self._sink.open(stream)
         try:
-            self._log = StreamLog(rr, stream, config)
+            if name is not None:
+                stream.send_recording_name(name)
+            self._log = StreamLog(rr, stream, config, live=most_pictures_per_s is not None)
         except BaseException:
             self._sink.close(stream, keep=False)
             raise

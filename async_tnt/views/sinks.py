@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import inspect
 import os
 import socket
@@ -113,6 +114,8 @@ class ViewerSink:
     OSError : nobody listens there.
     """
 
+    _gone = False  # told by a check
+
     def __init__(self, url: str) -> None:
         parts = urlsplit(url)
         try:
@@ -130,8 +133,9 @@ class ViewerSink:
             stream.connect_grpc(self._url)
 
     def close(self, stream: Any, keep: bool) -> None:
-        self.check(stream)
-        stream.disconnect()
+        if not self._gone:  # else that was told, and it would be waited for once more
+            self.check(stream)
+            stream.disconnect()
 
     def check(self, stream: Any) -> None:
         """Wait until the viewer has all that was logged.
@@ -140,8 +144,13 @@ class ViewerSink:
         ------
         OSError : it is gone, or takes nothing any more.
         """
-        with _told(f"{self._url}: the Rerun viewer is gone, or does not take what is sent"):
-            _flush(stream)
+        try:
+            with _told(f"{self._url}: the Rerun viewer is gone, or does not take what is sent"):
+                _flush(stream)
+        except OSError:
+            self._gone = True
+            _never_free(stream)
+            raise
 
 
 class SpawnedViewer(ViewerSink):
@@ -211,6 +220,16 @@ def _told(what: object) -> Iterator[None]:
         yield
     except RuntimeError as error:
         raise OSError(f"{what}: {' '.join(str(error).split())}") from None
+
+
+def _never_free(stream: Any) -> None:
+    """Keep a stream whose viewer hangs, or whose network is cut.
+
+    The SDK waits until all is sent, so for ever, when a stream is freed, and, for all of them, when the program ends.
+    It is kept from both: other Rerun recordings of the same program must then be flushed by who made them.
+    """
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(stream))
+    import_rerun().unregister_shutdown()
 
 
 def _flush(stream: Any) -> None:

@@ -16,6 +16,8 @@ chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no .rrd 
 class Rrd:
     """What was logged, in order of time.
 
+    name : of the recording, in the viewer's list.
+    views : of the layout: origin -> kind.
     rows : entity -> [(microseconds, {"Archetype:component": value})], static ones at None.
     """
 
@@ -37,6 +39,15 @@ class Rrd:
             columns = [batch.column(name).to_pylist() for name in names]
             rows = self.rows.setdefault(part.entity_path.lstrip("/"), [])
             rows += [(t, dict(zip(names, values, strict=True))) for t, *values in zip(times, *columns, strict=True)]
+        about = self.rows.pop("__properties", [])
+        names = [row["RecordingInfo:name"] for _, row in about if "RecordingInfo:name" in row]
+        self.name: str | None = names[-1][0] if names else None
+        self.views: dict[str, str] = {}
+        for part in reader.stream(store=reader.blueprints()[0]):
+            batch = part.to_record_batch()
+            if "ViewBlueprint:space_origin" in batch.schema.names:
+                kinds, origins = (batch.column(f"ViewBlueprint:{n}") for n in ("class_identifier", "space_origin"))
+                self.views[origins[-1].as_py()[0].lstrip("/")] = kinds[-1].as_py()[0]
         for rows in self.rows.values():
             rows.sort(key=lambda row: -1 if row[0] is None else row[0])
 
@@ -52,7 +63,10 @@ class Rrd:
         return [row[component] for t, row in self.rows[entity] if t is None and component in row][-1]
 
     def tensors(self, entity: str) -> list[tuple[int, np.ndarray]]:
+        """The numbers, shown in a range that has zero in its middle."""
         found = []
+        for _, ((low, high),) in self.series(entity, "Tensor:value_range"):
+            assert low == -high < 0
         for t, (tensor,) in self.series(entity, "Tensor:data"):
             found.append((t, np.array(tensor["buffer"], np.float32).reshape(tensor["shape"])))
         return found

@@ -11,6 +11,7 @@ rrd_files = pytest.importorskip("views.rrd_files", reason="rerun-sdk is not inst
 Rrd = rrd_files.Rrd
 from async_tnt.views import RerunView, layout  # noqa: E402
 from async_tnt.views.moments import next_moment  # noqa: E402
+from async_tnt.views.newest import newest_text  # noqa: E402
 
 CONFIG = TNTConfig(sensor=(40, 30), grid=(20, 24), window_us=50_000, bins=4)
 EVENTS = random_events(3000, duration_us=170_000, sensor=(40, 30), start_us=7_000)
@@ -73,8 +74,9 @@ def test_volumes_and_landmarks_equal_the_processors_at_every_picture(tmp_path, l
         assert {d.trigger for d in decisions} >= {"confidence"} and decisions[0].events > 20
     raws, tnts = rrd.tensors(layout.RAW_VOLUME), rrd.tensors(layout.TNT_VOLUME)
     landmarks = rrd.series(layout.LANDMARK, "Points2D:positions")
+    crosses = [arms for _, arms in rrd.series(layout.LANDMARK_CROSS, "LineStrips2D:strips")]
     assert len(raws) > 18 and any(tnt.any() for _, tnt in tnts)
-    for (t, raw), (t_tnt, tnt), (t_landmark, points) in zip(raws, tnts, landmarks, strict=True):
+    for (t, raw), (t_tnt, tnt), (t_landmark, points), cross in zip(raws, tnts, landmarks, crosses, strict=True):
         truth, now, raw_truth = truth_at(model, EVENTS, t, **settings)
         assert t == t_tnt == t_landmark
         assert raw.tobytes() == raw_truth.array.tobytes()
@@ -82,8 +84,9 @@ def test_volumes_and_landmarks_equal_the_processors_at_every_picture(tmp_path, l
         if now.events:
             x, y = truth.config.to_sensor(*truth.landmark)
             assert points == [pytest.approx([x + 0.5, y + 0.5], abs=1e-4)]
+            assert [np.mean(arm, axis=0).tolist() for arm in cross] == [pytest.approx(points[0], abs=1e-4)] * 2
         else:
-            assert points == []
+            assert points == cross == []
 
 
 def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
@@ -112,7 +115,11 @@ def test_event_images_show_the_last_moments(tmp_path):
         assert np.array_equal(image, expected)
         assert image.any()
     classes = rrd.static(layout.EVENTS, "AnnotationContext:context")[0]
-    assert [c["class_description"]["info"]["label"] for c in classes] == ["OFF (darker)", "ON (brighter)"]
+    infos = [c["class_description"]["info"] for c in classes]
+    assert [(info["id"], info["label"]) for info in infos] == [
+        (0, "no event"), (1, "OFF (darker)"), (2, "ON (brighter)"),
+    ]  # fmt: skip
+    assert all(info["color"] for info in infos)  # the viewer gives one without a colour any, and that fills the picture
 
 
 def test_probabilities_decisions_and_numbers(tmp_path):
@@ -130,8 +137,7 @@ def test_probabilities_decisions_and_numbers(tmp_path):
         assert text.startswith(
             f"{decision.label}  {decision.probability:.3f}  {decision.trigger}: {decision.events:,} "
         )
-    labels = rrd.series(layout.LANDMARK, "Points2D:labels")
-    assert labels[-2][1][0].startswith("7 ")
+        assert text.endswith(f", {decision.window_start_us / 1e3:,.3f} to {decision.time_us / 1e3:,.3f} ms")
     rates = rrd.series(layout.RATES, "Scalars:scalars")
     events = recording.read()
     times = [int(events["t"][0]), *(t for t, _ in rates)]
@@ -143,6 +149,60 @@ def test_probabilities_decisions_and_numbers(tmp_path):
     dropped = sum(rate[1] * (b - a) / 1e6 for a, b, (_, rate) in zip(times, times[1:], rates, strict=False))
     assert dropped == pytest.approx(processor.counts.received - processor.counts.kept)
     assert all(0 < mean <= longest for _, (mean, longest) in rrd.series(layout.LATENCY, "Scalars:scalars"))
+
+
+def test_the_class_of_the_moment_is_written_below_the_events_and_beside_them(tmp_path):
+    model = load_model("digits")
+    events = open_recording(sample_recordings()[7]).read()
+    rrd, _ = view_of(tmp_path, model, [events])
+    labels = rrd.series(layout.CLASS, "Points2D:labels")
+    texts = rrd.series(layout.NEWEST, "TextDocument:text")
+    places = rrd.series(layout.CLASS, "Points2D:positions")
+    assert len(texts) == len(places) == len(rrd.times(layout.EVENTS)) > 15
+    n_named = 0
+    for (t, (text,)), (t_place, place) in zip(texts, places, strict=True):
+        _, now, _ = truth_at(model, events, t)
+        assert t_place == t and text == newest_text(now, model.classes)
+        if now.events:
+            assert place == [[17.0, 34.0]] and labels[n_named] == (t, [f"{now.label} {now.probability:.2f}"])
+            n_named += 1
+        else:
+            assert place == []
+    assert n_named > 12 and labels[-2][1][0].startswith("7 ")
+
+
+@pytest.mark.parametrize("transform", ["tnt", "none"])
+def test_every_view_of_the_layout_shows_something_and_everything_is_shown(tmp_path, transform):
+    rrd, _ = view_of(tmp_path, random_model(CONFIG.replace(transform=transform)), [EVENTS])
+    expected = {
+        "events": "2D", layout.RAW_SHEET: "2D", layout.RAW_VOLUME: "Tensor", layout.NEWEST: "TextDocument",
+        layout.PROBABILITIES: "TimeSeries", layout.RATES: "TimeSeries", layout.LATENCY: "TimeSeries",
+        layout.DECISIONS: "TextLog",
+    }  # fmt: skip
+    if transform == "tnt":
+        expected |= {layout.TNT_SHEET: "2D", layout.TNT_VOLUME: "Tensor"}
+    assert rrd.views == expected
+    shown = {entity: [view for view in rrd.views if f"{entity}/".startswith(f"{view}/")] for entity in rrd.rows}
+    assert all(len(views) == 1 for views in shown.values())
+    assert {view for views in shown.values() for view in views} == set(expected)
+
+
+def test_every_line_has_a_colour_of_its_own(tmp_path):
+    """The viewer shows lines with none in the colours of others, and then those in wrong ones, too."""
+    model = load_model("digits")
+    with RerunView(model, out=tmp_path / "a.rrd", name="seven and three") as view:
+        for digit in (7, 3):
+            view.start(f"{digit}.bin")
+            view.push(open_recording(sample_recordings()[digit]).read())
+    rrd = Rrd(tmp_path / "a.rrd")
+    colours = dict(zip(model.classes, rrd.static(layout.PROBABILITIES, "SeriesLines:colors"), strict=True))
+    lines = [row for t, row in rrd.rows[layout.DECISIONS] if t is not None]
+    begins = [row["TextLog:color"] for row in lines if "begins" in row["TextLog:text"][0]]
+    assert len(begins) == 2 and begins[0] == begins[1] and begins[0][0] not in colours.values()
+    decided = [row for row in lines if "begins" not in row["TextLog:text"][0]]
+    assert len({row["TextLog:text"][0].split()[0] for row in decided}) > 1
+    assert all(row["TextLog:color"] == [colours[row["TextLog:text"][0].split()[0]]] for row in decided)
+    assert rrd.name == "seven and three"
 
 
 def test_sources_follow_each_other_in_time(tmp_path):
@@ -211,7 +271,8 @@ def test_of_many_classes_the_likeliest_is_drawn(tmp_path):
 def test_without_a_transform_there_is_no_second_volume(tmp_path):
     rrd, _ = view_of(tmp_path, random_model(CONFIG.replace(transform="none")), [EVENTS])
     assert layout.RAW_VOLUME in rrd.rows
-    assert not {layout.TNT_VOLUME, layout.TNT_SHEET, layout.LANDMARK} & rrd.rows.keys()
+    transformed = {layout.TNT_VOLUME, layout.TNT_SHEET, layout.LANDMARK, layout.LANDMARK_CROSS}
+    assert not transformed & rrd.rows.keys()
 
 
 def test_any_processor_and_any_form_of_events(tmp_path):

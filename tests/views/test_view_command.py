@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from listening import free_port
 from made import random_events, random_model
 
 from async_tnt import Processor, load_model
@@ -73,8 +74,10 @@ def test_a_recording_becomes_a_file(tmp_path, capsys):
 def test_several_recordings_in_one_file(tmp_path):
     out = tmp_path / "a.rrd"
     assert main(["view", str(SAMPLE), str(sample_recordings()[3]), "--out", str(out)]) == 0
-    begins = [text for _, (text,) in Rrd(out).series(layout.DECISIONS, "TextLog:text") if "begins" in text]
+    rrd = Rrd(out)
+    begins = [text for _, (text,) in rrd.series(layout.DECISIONS, "TextLog:text") if "begins" in text]
     assert begins[0] == "7.bin begins" and begins[1].startswith("3.bin begins, its times moved by +")
+    assert rrd.name == "7.bin and 1 more"
 
 
 def test_a_file_may_be_paced(tmp_path):
@@ -163,12 +166,6 @@ def test_a_folder_without_permission(tmp_path, capsys):
 # -- live ----------------------------------------------------------------------------------------------------
 
 
-def free_port(kind=socket.SOCK_DGRAM):
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def send(port, events, pause_s=0.004):
     with UdpSender(port=port) as sender:
         for packet in np.array_split(events, 40):
@@ -233,14 +230,15 @@ def test_ctrl_c_completes_the_file_and_exits_with_130(tmp_path, live):
     assert len(rrd.times(layout.TNT_VOLUME)) >= (5 if live else 2)  # a live source has at most 60 a second
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to another process")
-def test_a_viewer_on_loopback_gets_it_all(tmp_path, capsys):
+@contextlib.contextmanager
+def viewer_that_writes(out):
+    """In place of a window it writes down what it is sent. Yields the process, which leads a group, and its URL."""
     program = shutil.which("rerun", path=str(Path(sys.executable).parent))
     if program is None:
         pytest.skip("no program `rerun` beside this Python")
-    port, got, written = free_port(socket.SOCK_STREAM), tmp_path / "got.rrd", tmp_path / "written.rrd"
-    serving = subprocess.Popen(  # in place of a window it writes down what it is sent
-        [program, "--bind", "127.0.0.1", "--port", str(port), "--save", str(got)],
+    port = free_port(socket.SOCK_STREAM)
+    serving = subprocess.Popen(
+        [program, "--bind", "127.0.0.1", "--port", str(port), "--save", str(out)],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=SILENT,
         start_new_session=True,  # it is a script that starts the program: both are to be stopped
     )  # fmt: skip
@@ -252,18 +250,52 @@ def test_a_viewer_on_loopback_gets_it_all(tmp_path, capsys):
                 break
             except OSError:
                 time.sleep(0.05)
-        url = f"rerun+http://127.0.0.1:{port}/proxy"
+        yield serving, f"rerun+http://127.0.0.1:{port}/proxy"
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(serving.pid, signal.SIGKILL)
+        serving.wait(30)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to another process")
+def test_a_viewer_on_loopback_gets_it_all(tmp_path, capsys):
+    got, written = tmp_path / "got.rrd", tmp_path / "written.rrd"
+    with viewer_that_writes(got) as (serving, url):
         assert main(["view", str(SAMPLE), "--connect", url, "--speed", "inf"]) == 0
         time.sleep(0.5)
         os.killpg(serving.pid, signal.SIGINT)
         serving.wait(30)
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(serving.pid, signal.SIGKILL)
     assert main(["view", str(SAMPLE), "--out", str(written)]) == 0
     got_tensors, tensors = Rrd(got).tensors(layout.TNT_VOLUME), Rrd(written).tensors(layout.TNT_VOLUME)
     assert len(tensors) > 15
     assert [(t, a.tobytes()) for t, a in got_tensors] == [(t, a.tobytes()) for t, a in tensors]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal stops a process for a while")
+@pytest.mark.parametrize("stop", [signal.SIGSTOP, signal.SIGKILL] if sys.platform != "win32" else [])
+def test_a_viewer_that_hangs_or_is_closed_ends_the_program(tmp_path, stop):
+    code = (
+        "import sys; from async_tnt.views import sinks; sinks.PATIENCE_S = 0.5; "
+        "from async_tnt.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    with viewer_that_writes(tmp_path / "got.rrd") as (serving, url):
+        argv = [sys.executable, "-c", code, "view", *[str(SAMPLE)] * 60, "--connect", url]  # 18 s at their own pace
+        showing = subprocess.Popen(argv, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        try:
+            deadline = time.monotonic() + 60
+            while (not (got := tmp_path / "got.rrd").exists() or got.stat().st_size < 50_000) and (
+                time.monotonic() < deadline
+            ):
+                time.sleep(0.05)
+            os.killpg(serving.pid, stop)
+            started = time.monotonic()
+            _, err = showing.communicate(timeout=60)
+        finally:
+            showing.kill()
+    assert time.monotonic() - started < 10
+    told = [line for line in err.splitlines() if line.startswith("async-tnt:")]
+    assert showing.returncode == 2 and len(told) == 1 and "Traceback" not in err
+    assert told[0].startswith(f"async-tnt: {url}: the Rerun viewer is gone, or does not take what is sent: ")
 
 
 def test_a_spawned_viewer_that_is_not_there(monkeypatch, capsys):
