@@ -1,9 +1,9 @@
 """Sources read in a process of their own, for libraries that a damaged file can crash; ours must outlive that.
 
-The process is a script beside this file. It writes to stdout: a line of JSON, {...} or {"error": "..."}; then, for
-each packet, the number of its events (4 bytes, little-endian) and their bytes; at the end, 0, and a line of JSON
-again. A script imports nothing of ours: that would take it a second. It is ended where it hangs: by this process, or
-by its own alarm where this one was killed.
+The process runs `child_end.py`, and with it a reader beside this file. It writes to stdout: a line of JSON, {...} or
+{"error": "..."}; then, for each packet, the number of its events (4 bytes, little-endian) and their bytes; at the end,
+0, and a line of JSON again. Nothing of ours is imported there: that would take it a second. It is ended where it hangs:
+by this process, or by its own alarm where this one was killed.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ STOPPED = {"error": "its reader stopped for good, or hung, at the damage"}
 
 
 class ChildSource(Source):
-    """The events of one file, read by a script beside this file.
+    """The events of one file, read by a reader beside this file.
 
     Parameters
     ----------
     path : the file.
-    script : its name. It is given the path.
+    reader : its name.
 
     Raises
     ------
-    ValueError : the script says why the file cannot be read. OSError : it is missing or not readable.
+    ValueError : the reader says why the file cannot be read. OSError : it is missing or not readable.
     """
 
-    def __init__(self, path: Path, script: str) -> None:
-        self.path, self._script = path, script
+    def __init__(self, path: Path, reader: str) -> None:
+        self.path, self._reader = path, reader
         path.open("rb").close()  # so that a missing file is an OSError
-        with child_process(script, str(path)) as child:
+        with child_process(reader, path) as child:
             self.said = child.said()
         if "error" in self.said:
             raise ValueError(f"{path}: {self.said['error']}")
@@ -53,15 +53,15 @@ class ChildSource(Source):
         self.sensor = None if sensor is None else (sensor[0], sensor[1])
 
     event_bytes: int
-    """Of one event, as the script writes it."""
+    """Of one event, as the reader writes it."""
 
     @abstractmethod
     def decoded(self, data: bytes) -> tuple[np.ndarray, str | None]:
-        """The events of a packet of the script's, as `packed` gives them."""
+        """The events of a packet of the reader's, as `packed` gives them."""
 
     def blocks(self) -> Iterator[np.ndarray]:
         n_read = 0
-        with child_process(self._script, str(self.path)) as child:
+        with child_process(self._reader, self.path) as child:
             said = child.said()
             if "error" in said:
                 raise Damage(f"after event 0: {said['error']}")
@@ -114,10 +114,10 @@ class Child:
 
 
 @contextmanager
-def child_process(script: str, *words: str) -> Iterator[Child]:
-    """A new process that runs the script, which lies beside this file; it ends with the block."""
+def child_process(reader: str, path: Path) -> Iterator[Child]:
+    """A new process in which a reader reads the file; it ends with the block."""
     process = subprocess.Popen(
-        [sys.executable, "-P", str(Path(__file__).with_name(script)), *words],
+        [sys.executable, "-P", str(Path(__file__).with_name("child_end.py")), reader, str(path)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -1,22 +1,16 @@
-"""The process that reads an HDF5 file with h5py: `python hdf5_child.py FILE`.
+"""Reads an HDF5 file with h5py, in the process of `child_end.py`; see `hdf5.py`.
 
-Its first line is {"sensor": [width, height] or null, "types": [of t, x, y, p], "offset": us} or {"error": "..."}; a
-packet is its four columns, one after the other. See `child.py` for the rest.
+It says `sensor`: [width, height], or null, `types`: those of t, x, y, p, and `offset`: microseconds to add to t. A
+packet is its four columns, one after the other.
 """
 
 from __future__ import annotations
 
-import json
 import re
-import signal
-import struct
-import sys
 from contextlib import suppress
 from importlib import import_module
-from typing import IO, Any
+from typing import Any
 
-READ_S = 120  # a block takes milliseconds, but a disk may sleep
-MOST_BYTES = 4 << 30  # of addresses; a chunk takes megabytes, but a damaged file may ask for anything
 BLOCK_EVENTS = 1 << 16
 COLUMNS = ("t", "x", "y", "p")
 FILTERS = {0x8ECF: "Prophesee's ECF: install its plugin, hdf5_ecf, and let HDF5_PLUGIN_PATH name its folder"}
@@ -27,27 +21,8 @@ class Refused(Exception):
     """What is wrong with the file, in our words."""
 
 
-class Watched:
-    """Stdout. Where nothing is written for `READ_S`, the system ends this process: who started it does so, too, but may
-    be gone, and a library that hangs can do nothing by itself."""
-
-    def __init__(self, out: IO[bytes]) -> None:
-        self._out = out
-        self._alarm = getattr(signal, "alarm", lambda seconds: 0)  # Windows has none
-        self._alarm(READ_S)
-
-    def write(self, data: bytes) -> None:
-        self._alarm(0)  # who reads may take his time
-        self._out.write(data)
-        self._out.flush()
-        self._alarm(READ_S)
-
-    def flush(self) -> None:
-        """Nothing is held back."""
-
-
-def write_events(path: str, out: IO[bytes] | Watched) -> None:
-    """Write what the file holds, and then the error if there is one."""
+def write_events(path: str, out: Any) -> None:
+    """Tell an `Out` what the file holds, and then the error if there is one."""
     import h5py
 
     is_open = False
@@ -56,32 +31,22 @@ def write_events(path: str, out: IO[bytes] | Watched) -> None:
             sets, offset = _layout(h5py, file)
             types = [data.dtype for data in sets] if len(sets) > 1 else [sets[0].dtype[name] for name in COLUMNS]
             sensor = _geometry(file) if "CD" in file else None
-            _write(out, sensor=sensor, types=[dtype.str for dtype in types], offset=offset)
+            out.open(sensor=sensor, types=[dtype.str for dtype in types], offset=offset)
             is_open = True
             n_events = sets[0].shape[0]
             for start in range(0, n_events, BLOCK_EVENTS):
                 stop = min(start + BLOCK_EVENTS, n_events)
                 blocks = [data[start:stop] for data in sets]
                 columns = blocks if len(blocks) > 1 else [blocks[0][name] for name in COLUMNS]
-                out.write(struct.pack("<I", stop - start) + b"".join(column.tobytes() for column in columns))
-                out.flush()
-    except BrokenPipeError:  # the reader has seen enough
-        return
+                out.packet(stop - start, b"".join(column.tobytes() for column in columns))
+    except BrokenPipeError:
+        raise
+    except Refused as error:
+        return out.end(str(error))
     except Exception as error:  # a damaged file surfaces as OSError, RuntimeError, KeyError, TypeError, ...
-        told = str(error) if isinstance(error, Refused) else f"{type(error).__name__}: {error}"
-        said = {"error": " ".join(told.split())[:300]}
-        if not is_open and not isinstance(error, Refused):
-            said["error"] = f"not a readable HDF5 file: {said['error']}"
-    else:
-        said = {}
-    if is_open:
-        out.write(bytes(4))
-    _write(out, **said)
-
-
-def _write(out: IO[bytes] | Watched, **said: Any) -> None:
-    out.write(json.dumps(said).encode() + b"\n")
-    out.flush()
+        told = f"{type(error).__name__}: {error}"
+        return out.end(told if is_open else f"not a readable HDF5 file: {told}")
+    return out.end()
 
 
 def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
@@ -148,11 +113,3 @@ def _geometry(file: Any) -> tuple[int, int] | None:
         geometry = geometry.decode("ascii", "replace")
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", geometry) if isinstance(geometry, str) else None
     return (int(match[1]), int(match[2])) if match else None
-
-
-if __name__ == "__main__":
-    with suppress(ImportError, OSError, ValueError):  # no POSIX, or a lower limit already
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
-    write_events(sys.argv[1], Watched(sys.stdout.buffer))

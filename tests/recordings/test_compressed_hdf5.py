@@ -30,8 +30,9 @@ def first_line_without_hdf5plugin(path):
     program = f"""
 import sys
 sys.modules["hdf5plugin"] = None
+from async_tnt.recordings.child_end import Out
 from async_tnt.recordings.hdf5_child import write_events
-write_events({str(path)!r}, sys.stdout.buffer)
+write_events({str(path)!r}, Out(sys.stdout.buffer))
 """
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, timeout=60)

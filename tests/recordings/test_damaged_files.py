@@ -8,6 +8,7 @@ from recordings.damaging import EVERY_WRITER, read
 from recordings.written import dat, es, evt2, evt3, evt_header, made_events, uzh_text
 
 from async_tnt.recordings import DamagedRecording, open_recording
+from async_tnt.recordings.child_end import Out
 from async_tnt.recordings.hdf5_child import write_events
 
 # bytes an event has: a file cut between two events is a whole file, and nothing can tell
@@ -54,10 +55,10 @@ def test_a_hdf5_file_cut_at_every_byte_is_refused(tmp_path, name):
     for size in range(len(data)):
         path.write_bytes(data[:size])
         out = BytesIO()
-        write_events(str(path), out)
+        write_events(str(path), Out(out))
         assert out.getvalue().startswith(b'{"error": "not a readable HDF5 file: ') and out.getvalue().count(b"\n") == 1
     path.write_bytes(data)
-    write_events(str(path), out := BytesIO())
+    write_events(str(path), Out(out := BytesIO()))
     assert b"error" not in out.getvalue()
 
 

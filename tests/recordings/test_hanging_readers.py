@@ -18,13 +18,14 @@ READERS = [("hdf5_child.py", "dsec.h5", "h5py"), ("aedat4_child.py", "dv.aedat4"
 
 
 def impatient(script, path, folder, read_s):
-    """The script, which waits for its library so long instead of two minutes, reading a file."""
-    text = Path(child.__file__).with_name(script).read_text()
+    """A reader that waits for its library so long instead of two minutes, reading a file."""
+    here = Path(child.__file__).parent
+    text = (here / "child_end.py").read_text()
     assert text.count("READ_S = 120 ") == 1
-    (folder / script).write_text(text.replace("READ_S = 120 ", f"READ_S = {read_s} "))
-    return subprocess.Popen(
-        [sys.executable, "-P", str(folder / script), str(path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    )
+    (folder / "child_end.py").write_text(text.replace("READ_S = 120 ", f"READ_S = {read_s} "))
+    (folder / script).write_text((here / script).read_text())
+    words = [sys.executable, "-P", str(folder / "child_end.py"), script, str(path)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
 
 @pytest.mark.parametrize(("script", "name", "library"), READERS)
