@@ -17,6 +17,7 @@ from .. import __version__
 from ..engines.choice import Engine, choose_engine, is_onnx, regressor_path
 from ..model import Model, bundled_models
 from ..pixels.selection import PixelSelection
+from ..pixels.selector import PixelSelector
 from ..processor import Processor
 from ..warmup import warmup
 
@@ -120,14 +121,16 @@ def sha256_of(engine: Engine, path: str) -> str:
 _of_thread = threading.local()  # a Processor is one stream's; workers of a cluster may have several threads
 
 
-def processor_of(job: Job) -> tuple[Processor, Engine]:
-    """The Processor of a job: one for all recordings that a thread streams, reset, and compiled.
+def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
+    """The Processor of a job, and what selects its pixels: for all recordings that a thread streams.
+
+    The Processor is compiled, and reset. The selector is not: its counts go on, and a mask is unpacked once.
 
     Raises
     ------
-    ValueError : the model or this package are not those that the job was made for.
+    ValueError : the model or this package are not those that the job was made for, or its pixels do not suit the model.
     """
-    kept: tuple[Job, Processor, Engine] | None = getattr(_of_thread, "kept", None)
+    kept: tuple[Job, Processor, Engine, PixelSelector] | None = getattr(_of_thread, "kept", None)
     if kept is None or kept[0] != job:
         if job.version != __version__:
             raise ValueError(
@@ -141,7 +144,7 @@ def processor_of(job: Job) -> tuple[Processor, Engine]:
         processor = engine.processor(**job.settings)
         warmup(engine.model)
         processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
-        kept = _of_thread.kept = job, processor, engine
-    _, processor, engine = kept
+        kept = _of_thread.kept = job, processor, engine, PixelSelector(job.pixels, engine.config.sensor)
+    _, processor, engine, pixels = kept
     processor.reset()
-    return processor, engine
+    return processor, engine, pixels

@@ -19,6 +19,8 @@ from .records import Record
 HEADER = "async_tnt_journal"
 FOLDER = "folder"
 """In what a journal was begun with, besides `Job.about`: where relative names begin."""
+PIXELS = ("roi", "crop", "mask", "sensor")
+"""Options of every command that streams archives."""
 WHAT_TO_DO = "give the same again, another --out, or --restart to throw it away"
 SYNC_S = 5.0
 """A killed program loses no record that was written; a machine that loses power may lose those of so many seconds."""
@@ -152,13 +154,15 @@ def other_settings(who: Path, before: dict[str, Any], now: dict[str, Any]) -> st
 
 def _option(name: str, about: dict[str, Any]) -> str:
     """As it is given, where it is."""
-    is_option = name not in ("command", "version", FOLDER) and about.get("command") == "run"
+    is_option = name in PIXELS or (name not in ("command", "version", FOLDER) and about.get("command") == "run")
     return f"--{name.replace('_', '-')}" if is_option else name
 
 
 def _said(value: Any) -> str:
     if isinstance(value, dict):  # a LeakyIntegrator
         return ":".join(f"{number:g}" for number in list(value.values())[:2])
+    if value is True:  # --crop
+        return "given"
     return "not given" if value is None else str(value)
 
 

@@ -42,7 +42,7 @@ def evaluate_recording(task: Task) -> Record:
     if outcome.error:
         return failed(task, outcome.error)
     mean = outcome.probabilities.mean(axis=0)
-    _, engine = processor_of(task.job)
+    _, engine, _ = processor_of(task.job)
     return {
         "recording": task.recording,
         "class": task.path.parent.name,
@@ -81,9 +81,9 @@ def run_recording(task: Task) -> Record:
     ImportError : its format needs a library that is not installed.
     ValueError : the model is not the one that the task was made for.
     """
-    processor, engine = processor_of(task.job)
+    processor, engine, pixels = processor_of(task.job)
     try:
-        decisions, n_events, seconds = decisions_of(task, processor, engine.config)
+        decisions, n_events, seconds = decisions_of(task, processor, pixels)
     except (ValueError, TypeError, OSError, MemoryError) as error:
         return failed(task, told(error, task))
     closed = [d.probabilities for d in decisions if d.complete or d.trigger == "end"]

@@ -70,9 +70,9 @@ def stream_recording(task: Task) -> Outcome:
     ImportError : its format needs a library that is not installed.
     ValueError : the model is not the one that the task was made for.
     """
-    processor, engine = processor_of(task.job)
+    processor, engine, pixels = processor_of(task.job)
     try:
-        decisions, n_events, seconds = decisions_of(task, processor, engine.config)
+        decisions, n_events, seconds = decisions_of(task, processor, pixels)
     except (ValueError, TypeError, OSError, MemoryError) as error:
         none = np.empty((0, len(engine.classes))), np.empty((0, N_MOMENTS), np.int64)
         return Outcome(*none, error=told(error, task))
@@ -84,14 +84,14 @@ def stream_recording(task: Task) -> Outcome:
     return Outcome(probabilities, early, starts_us, len(decisions), n_events, n_late, seconds)
 
 
-def decisions_of(task: Task, processor: Processor, config: TNTConfig) -> tuple[list[Decision], int, float]:
+def decisions_of(task: Task, processor: Processor, pixels: PixelSelector) -> tuple[list[Decision], int, float]:
     """All decisions of one recording, its events that the model sees, and the seconds without reading the file.
 
     Raises
     ------
     ValueError, TypeError, OSError : the recording is damaged, anywhere; of another sensor; or without events.
     """
-    pixels = PixelSelector(task.job.pixels, config.sensor)
+    before = pixels.counts
     recording, sensor = pixels.open(task.path, name=task.recording, strict=True)
     seen = pixels.filter_of(task.recording, sensor)
     decisions: list[Decision] = []
@@ -99,9 +99,14 @@ def decisions_of(task: Task, processor: Processor, config: TNTConfig) -> tuple[l
     n_events = 0
     for packet in recording:
         started = time.perf_counter()
-        packet = seen(packet)
-        n_events += len(packet)
-        decisions += processor.push(packet)
+        try:
+            selected = seen(packet)
+            decisions += processor.push(selected)
+        except (TypeError, ValueError):
+            if recording.sensor is None:  # an event off a camera that somebody else names: say who
+                pixels.check_silent([packet], task.recording, sensor)
+            raise
+        n_events += len(selected)
         seconds += time.perf_counter() - started
     started = time.perf_counter()
     decisions += processor.finish()
@@ -109,7 +114,7 @@ def decisions_of(task: Task, processor: Processor, config: TNTConfig) -> tuple[l
     if not decisions:
         if n_events:
             raise ValueError("no event in any window, nothing to decide")
-        raise ValueError(f"no events are left: {pixels.summary()}" if pixels.summary() else "no events")
+        raise ValueError(pixels.nothing_left(before) or "no events")
     return decisions, n_events, seconds
 
 

@@ -118,7 +118,7 @@ def run_archive(args: argparse.Namespace) -> int:
     engine = choose_engine(args.model, args.engine)
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     engine.processor(**settings)  # what it refuses shows before any work
-    pixels = selector_of(args, engine.config.sensor)
+    pixels = selector_of(args, engine.model)
     paths = recordings_under(paths_of(args))
     folder = None if all(path.is_absolute() for path in paths) else os.getcwd()
     job = job_of("run", args.model, engine, pixels.selection, **settings)

@@ -63,7 +63,7 @@ def main(args: argparse.Namespace) -> int:
         _check_picture(args.picture)
     place = place_of(args)
     model = model_of(args)
-    pixels = selector_of(args, model.config.sensor)
+    pixels = selector_of(args, model)
     paths, labels = labelled_recordings(args.dataset, model)
     engine = Engine("compiled", model, model.classes)
     job = job_of("evaluate", args.model, engine, pixels.selection, **evaluation_settings(model.config))
@@ -86,6 +86,8 @@ def main(args: argparse.Namespace) -> int:
         raise ValueError(f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}")
     scores = score_recordings(model.classes, labels, [o.probabilities for o in good])
     report = report_of(model, scores, good, labels, skipped)
+    if pixels.selection.about:
+        report["pixels"] = pixels.selection.about
     if args.picture is not None:
         from ..figures.confusion import write_confusion
 

@@ -9,13 +9,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ..config import TNTConfig
-from ..events import as_events
 from ..live_sources import is_live
 from ..model import Model, bundled_models, load_model
 from ..recordings import READERS, Recording, check_sensor, open_for, sample_recordings
-from ..recordings.fitting import TRAIN_ONE
-
-Sensor = tuple[int, int]
+from ..recordings.fitting import check_events
 
 
 class HasConfig(Protocol):
@@ -67,23 +64,8 @@ def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:
         recording = open_for(path, model.config.sensor)
         check_sensor(path, recording.sensor, model.config.sensor)
         if recording.sensor is None:
-            check_events(recording, model.config.sensor)
+            check_events(recording, model.config.sensor, path)
         yield recording
-
-
-def check_events(
-    recording: Recording, sensor: Sensor, who: str = "the model is for", advice: str = "; " + TRAIN_ONE
-) -> None:
-    """Refuse a recording that does not say its sensor if any of its events is off this one."""
-    try:
-        for packet in recording:  # one after the other: the file may be larger than the memory
-            as_events(packet, sensor)
-    except (TypeError, ValueError) as error:
-        message = str(error)
-        name = str(recording.path)
-        if isinstance(error, ValueError) and not message.startswith(name):
-            message += f"; {who} {sensor[0]}x{sensor[1]} pixels{advice}"
-        raise ValueError(message if message.startswith(name) else f"{name}: {message}") from None
 
 
 def model_of(args: argparse.Namespace) -> Model:

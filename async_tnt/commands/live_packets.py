@@ -56,7 +56,8 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
     with contextlib.ExitStack() as stack:
         source = open_live(name, pixels.expected)
         stack.callback(source.close)
-        packets: Iterable[Any] = pixels.select(source, pixels.sensor_of(name, source.sensor), name)
+        select = pixels.filter_of(name, pixels.sensor_of(name, source.sensor))
+        packets: Iterable[Any] = map(select, source)
         reader = None
         if latest is not None:
             # copy=False: cameras and the network make each packet anew

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..datasets.sizes import by, size_of
 from ..pixels import count_pixels, hot_pixels, save_mask
 from ..pixels.hot_pixels import FACTOR
 from ..pixels.mask_files import checked_out
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--sensor",
-        type=_size,
+        type=size_of,
         metavar="WxH",
         help="the camera's pixels, where the recordings do not say them; a .bin is of 34x34 unless this says otherwise",
     )
@@ -102,8 +102,7 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
                 raise ValueError(f"{path}: the file does not say the camera's sensor; --sensor WxH does")
             if sensor is not None and said != sensor:
                 raise ValueError(
-                    f"{path}: a sensor of {said[0]}x{said[1]} pixels, but --sensor or an earlier recording says "
-                    f"{sensor[0]}x{sensor[1]}"
+                    f"{path}: a sensor of {by(said)} pixels, but --sensor or an earlier recording says {by(sensor)}"
                 )
             sensor = said
             try:
@@ -125,18 +124,16 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
         said = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
         print(json.dumps(said | {"out": str(args.out)}))
         return
+    size = by((width, height))
     if not hot.any():
-        print(
-            f"no hot pixels: none of {width}x{height} stands out in {n_events} events; "
-            f"wrote {args.out}, which masks nothing"
-        )
+        print(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {args.out}, which masks nothing")
         return
     for k in busiest[:10]:
         print(f"x {x[k]:>5}  y {y[k]:>5}  {events[k]:>9} events  {events[k] / n_events:6.2%}")
     if len(busiest) > 10:
         print(f"... and {len(busiest) - 10} more")
     pixels_word = "1 hot pixel" if len(busiest) == 1 else f"{len(busiest)} hot pixels"
-    print(f"{pixels_word} of {width}x{height} made {share:.2%} of {n_events} events; wrote {args.out}")
+    print(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")
 
 
 def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:
@@ -157,14 +154,6 @@ def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:
         axes.set(xlim=(-1.5, width + 0.5), ylim=(height + 0.5, -1.5))
         figure.colorbar(image, ax=axes, label="events", format="%g")  # not 10^2, which needs mathematical text
         save(figure, path, dpi=120)
-
-
-def _size(text: str) -> tuple[int, int]:
-    """An argparse type: 346x260."""
-    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    if match is None or not all(1 <= int(side) <= 1 << 15 for side in match.groups()):
-        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT, such as 346x260, got {text!r}")
-    return int(match[1]), int(match[2])
 
 
 def _factor(text: str) -> float:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..config import TNTConfig
 from ..datasets.sizes import parse_size, size_text
+from ..model import Model
 from ..pixels.selection import PixelSelection, Region
 from ..pixels.selector import PixelSelector
-from .files import Sensor
+from ..pixels.trained_with import difference
+from .files import complain
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +19,8 @@ def add_pixels(parser: argparse.ArgumentParser) -> None:
     add_selection(parser)
     parser.add_argument(
         "--sensor", type=size_text, metavar="WxH",
-        help="of --crop: the camera's pixels, where neither recording nor camera says, nor a mask by its size",
+        help="the camera's pixels, where the recording does not say; a .bin is of 34x34 unless this or a mask says "
+        "otherwise. Without --crop, the model must be for as many",
     )  # fmt: skip
 
 
@@ -35,17 +39,26 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def selector_of(args: argparse.Namespace, sensor: Sensor) -> PixelSelector:
-    """What a model for (width, height) pixels is to see, by the options of `add_pixels`.
+def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSelector:
+    """What a model is to see, by the options of `add_pixels`. Where it was trained with others, that is told.
+
+    Parameters
+    ----------
+    model : of --model; the configuration alone where nothing is known of its training.
 
     Raises
     ------
-    ValueError, OSError : options that do not go together, a region of another size than the model's sensor, or a mask
-        that is missing, damaged, or of another sensor.
+    ValueError, OSError : options that do not go together, a region or a camera of another size than the model's
+        sensor, or a mask that is missing, damaged, or of another sensor.
     """
-    if args.sensor is not None and not args.crop:
-        raise ValueError(f"--sensor belongs to --crop; without it the model says: {sensor[0]}x{sensor[1]} pixels")
-    return PixelSelector(selection_of(args), sensor)
+    selection = selection_of(args)
+    if not isinstance(model, Model):
+        return PixelSelector(selection, model.sensor)
+    selector = PixelSelector(selection, model.config.sensor)
+    other = difference(model.record, selection)
+    if other:  # no error: a camera may have been moved, or its mask learned anew
+        complain(f"{args.model}: {other}")
+    return selector
 
 
 def selection_of(args: argparse.Namespace) -> PixelSelection:
@@ -56,7 +69,8 @@ def selection_of(args: argparse.Namespace) -> PixelSelection:
     ValueError, OSError : options that do not go together; a mask that is missing, damaged or none.
     """
     roi = None if args.roi is None else parse_roi(args.roi)
-    return PixelSelection.read(roi, args.crop, args.mask, None if args.sensor is None else parse_size(args.sensor))
+    sensor = None if args.sensor is None else parse_size(args.sensor)
+    return PixelSelection(roi, args.crop, args.mask, sensor)
 
 
 def parse_roi(text: str) -> Region:

@@ -81,7 +81,7 @@ def main(args: argparse.Namespace) -> int:
     processor = engine.processor(
         start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args)
     )  # fmt: skip
-    pixels = selector_of(args, engine.config.sensor)
+    pixels = selector_of(args, engine.model)
     warmup(engine.model)
     processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line
@@ -100,7 +100,7 @@ def main(args: argparse.Namespace) -> int:
             if args.live:
                 watch_decisions(recording, packets, processor, engine, args.speed or 1.0)
             else:
-                print_decisions(recording, packets, processor, engine, line, summary=not args.json)
+                print_decisions(recording, packets, processor, engine, pixels, line, summary=not args.json)
         except BrokenPipeError:
             raise
         except (OSError, ValueError) as error:

@@ -15,7 +15,7 @@ from ..processor import Processor
 from ..recordings import Recording
 from ..sources import replay
 from .decision_lines import Line
-from .files import check_events, complain
+from .files import complain
 from .live_view import LiveView, decide_often
 
 
@@ -28,12 +28,43 @@ def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator
     """
     recording, sensor = pixels.open(path)
     if recording.sensor is None:
-        check_events(recording, sensor, *pixels.said_by)
-    return recording, pixels.select(recording, sensor, path)
+        pixels.check_silent(recording, path, sensor)
+    return recording, map(pixels.filter_of(path, sensor), recording)
+
+
+class Seen:
+    """The packets that a model sees, counted as they pass.
+
+    Attributes
+    ----------
+    n_events : of the packets so far.
+    n_unsorted : of these, older than one before them. What was left out before counts neither way.
+    """
+
+    def __init__(self, packets: Iterable[np.ndarray]) -> None:
+        self._packets = packets
+        self._newest_us = -1
+        self.n_events = 0
+        self.n_unsorted = 0
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        for packet in self._packets:
+            newest = np.maximum.accumulate(np.concatenate(([self._newest_us], packet["t"])))
+            self.n_unsorted += int(np.count_nonzero(packet["t"] < newest[:-1]))
+            self._newest_us = int(newest[-1])
+            self.n_events += len(packet)
+            yield packet
 
 
 def print_decisions(
-    recording: Recording, packets: Iterable[Any], processor: Processor, engine: Engine, line: Line, *, summary: bool
+    recording: Recording,
+    packets: Iterable[np.ndarray],
+    processor: Processor,
+    engine: Engine,
+    pixels: PixelSelector,
+    line: Line,
+    *,
+    summary: bool,
 ) -> None:
     """A line for each decision and, with `summary`, one for the recording: the best mean probability of its windows.
 
@@ -43,7 +74,8 @@ def print_decisions(
     """
     processor.reset()
     closed = []
-    for decision, latency_us in timed_decisions(packets, processor):
+    seen, before = Seen(packets), pixels.counts
+    for decision, latency_us in timed_decisions(seen, processor):
         print(line(str(recording.path), decision, latency_us), flush=True)
         if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
@@ -52,17 +84,16 @@ def print_decisions(
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
         print(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
-    late, unsorted = processor.counts.dropped_late, recording.n_unsorted
+    late = processor.counts.dropped_late
     if late:
+        complain(f"{recording.path}: {late} of {seen.n_events} events dropped: they came late (see --late, --start-us)")
+    elif seen.n_unsorted:
         complain(
-            f"{recording.path}: {late} of {recording.n_events} events dropped: they came late (see --late, --start-us)"
-        )
-    elif unsorted:
-        complain(
-            f"{recording.path}: {unsorted} of {recording.n_events} events are older than one before them (see --late)"
+            f"{recording.path}: {seen.n_unsorted} of {seen.n_events} events are older than one before them (see --late)"
         )
     if not closed:
-        raise ValueError(f"{recording.path}: no event in any window, nothing to decide")
+        why = pixels.nothing_left(before) or "no event in any window, nothing to decide"
+        raise ValueError(f"{recording.path}: {why}")
 
 
 def watch_decisions(

@@ -74,7 +74,7 @@ def main(args: argparse.Namespace) -> int:
     if args.out is not None:
         check_out(args.out)
     engine = choose_engine(args.model)
-    pixels = selector_of(args, engine.config.sensor)
+    pixels = selector_of(args, engine.model)
     sources = [path if isinstance(path, str) else open_selected(path, pixels) for path in paths_of(args)]
     speed = args.speed or (1.0 if args.out is None else math.inf)
     warmup(engine.model)
@@ -98,7 +98,9 @@ def main(args: argparse.Namespace) -> int:
                 view.start(recording.path.name)
                 _show(recording, packets, view, speed)
     if not view.n_events and not stopped:
-        raise ValueError(f"no event in {', '.join(map(str, paths_of(args)))}: nothing to show")
+        names = ", ".join(map(str, paths_of(args)))
+        left_out = pixels.nothing_left()
+        raise ValueError(f"{names}: {left_out}" if left_out else f"no event in {names}: nothing to show")
     if args.out is not None:
         print(f"{args.out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {args.out}")
     if pixels.summary():
@@ -112,17 +114,20 @@ def _recording_name(sources: Sequence[Path | str]) -> str:
 
 
 def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: float) -> None:
+    n_events = 0
     if speed == math.inf:
         with progress(recording.n_events, recording.path.name) as bar:
             for packet in packets:
                 view.push(packet)
                 bar.update(len(packet))
+                n_events += len(packet)
     else:
         for packet in replay(packets, speed):
             view.push(packet)
+            n_events += len(packet)
     late = view.processor.counts.dropped_late
     if late:
-        complain(f"{recording.path}: {late} of {recording.n_events} events dropped: they came late (see --start-us)")
+        complain(f"{recording.path}: {late} of {n_events} events dropped: they came late (see --start-us)")
 
 
 def _show_live(name: str, view: RerunView, pixels: PixelSelector, latest: int | None) -> bool:

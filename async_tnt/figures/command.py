@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..commands.files import complain, positive_int
 from ..config import LANDMARKS, POLARITIES, TNTConfig
+from ..datasets.sizes import size_of
 from ..events import EVENT_DTYPE, as_events
 from ..model import Model, bundled_models, load_model
 from ..recordings import READERS, Recording, open_recording, sample_recordings
@@ -92,8 +92,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     volume.add_argument("--bins", type=positive_int, metavar="B", help="time bins")
     volume.add_argument("--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds")
-    volume.add_argument("--sensor", type=_size, metavar="WxH", help="the camera's pixels, where the file is silent")
-    volume.add_argument("--grid", type=_size, metavar="WxH", help="the volume's pixels")
+    volume.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's pixels, where the file is silent")
+    volume.add_argument("--grid", type=size_of, metavar="WxH", help="the volume's pixels")
     parser.add_argument(
         "--dpi",
         type=_dpi,
@@ -238,14 +238,6 @@ def _draw(subjects: list[Subject], args: argparse.Namespace) -> Figure:
     from .overview import draw_overview
 
     return draw_overview(first, number, args.slices, args.every_us)
-
-
-def _size(text: str) -> tuple[int, int]:
-    """An argparse type: 346x260."""
-    match = re.fullmatch(r"(\d+)x(\d+)", text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT, such as 346x260, got {text!r}")
-    return int(match[1]), int(match[2])
 
 
 def _dpi(text: str) -> int:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import operator
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..config import MAX_SIDE
+from ..datasets.sizes import by
 from ..whole_files import replacing
+from ..whole_numbers import is_whole
 
-MAX_SIDE = 1 << 15
+MAGIC = b"\x93NUMPY"  # that every .npy file begins with
 
 
 def checked_sensor(sensor: Any) -> tuple[int, int]:
@@ -22,29 +24,40 @@ def checked_sensor(sensor: Any) -> tuple[int, int]:
     ValueError : not two whole numbers in [1, 2**15].
     """
     try:
-        width, height = (operator.index(side) for side in sensor)
+        width, height = sensor
     except (TypeError, ValueError):
-        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {sensor!r}") from None
+        width = height = None
+    if not (is_whole(width) and is_whole(height)):
+        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {sensor!r}")
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise ValueError(f"`sensor` must have sides in [1, {MAX_SIDE}] pixels, got {sensor!r}")
-    return width, height
+    return int(width), int(height)
 
 
-def checked_mask(mask: Any, sensor: tuple[int, int]) -> np.ndarray:
+def checked_mask(mask: Any, sensor: tuple[int, int] | None = None) -> np.ndarray:
     """A mask of this sensor: bool, shape (H, W), True where a pixel's events are left out.
+
+    Parameters
+    ----------
+    sensor : (width, height) that it must be of; None: of any.
 
     Raises
     ------
     ValueError : another type or another shape; says what came.
     """
-    width, height = sensor
-    rule = f"a mask of a {width}x{height} sensor must be a bool array of shape ({height}, {width}), (height, width)"
+    if sensor is None:
+        rule = f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]"
+    else:
+        rule = (
+            f"a mask of a {by(sensor)} sensor must be a bool array of shape ({sensor[1]}, {sensor[0]}), (height, width)"
+        )
     if not isinstance(mask, np.ndarray):
         raise ValueError(f"{rule}; got {type(mask).__name__}")
     if mask.dtype != np.bool_:
         raise ValueError(f"{rule}; got {mask.dtype} of shape {mask.shape}")
-    if mask.shape != (height, width):
-        turned = "; turn it with .T" if mask.shape == (width, height) else ""
+    fits = mask.ndim == 2 and min(mask.shape) >= 1 and max(mask.shape) <= MAX_SIDE
+    if not fits or sensor not in (None, mask.shape[::-1]):
+        turned = "; turn it with .T" if mask.shape == sensor else ""
         raise ValueError(f"{rule}; got shape {mask.shape}{turned}")
     return mask
 
@@ -66,22 +79,19 @@ def load_mask(path: str | os.PathLike[str], sensor: tuple[int, int] | None = Non
     OSError : missing or not readable.
     """
     with Path(path).open("rb") as file:  # here, so that a missing file is an OSError and nothing below is
+        if file.read(len(MAGIC)) != MAGIC:  # NumPy would take it for pickled objects, and advise to load them
+            raise ValueError(f"{path}: not a readable NumPy file: a mask is a .npy file, as `async-tnt mask` writes it")
+        file.seek(0)
         try:
             mask = np.load(file, allow_pickle=False)
         # Everything: one damaged byte of the header can surface as a dozen kinds of errors.
         except Exception as error:
-            raise ValueError(f"{path}: not a readable NumPy file: {error}") from error
+            why = "it holds Python objects, which a mask does not" if "allow_pickle" in str(error) else error
+            raise ValueError(f"{path}: not a readable NumPy file: {why}") from error
     try:
-        return checked_mask(mask, _any_size(mask) if sensor is None else sensor)
+        return checked_mask(mask, sensor)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-
-
-def _any_size(mask: Any) -> tuple[int, int]:
-    if not isinstance(mask, np.ndarray) or mask.ndim != 2 or not mask.size or max(mask.shape) > MAX_SIDE:
-        shape = f"shape {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
-        raise ValueError(f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]; got {shape}")
-    return mask.shape[1], mask.shape[0]
 
 
 def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
@@ -93,10 +103,7 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
     OSError : not writeable.
     """
     path = checked_out(path)
-    mask = np.asarray(mask)
-    if mask.dtype != np.bool_ or mask.ndim != 2:
-        got = f"{mask.dtype} of shape {mask.shape}"
-        raise ValueError(f"a mask must be a bool array of shape (height, width), got {got}")
+    mask = checked_mask(np.asarray(mask))
     with replacing(path) as part, part.open("wb") as file:
         np.save(file, mask, allow_pickle=False)
 

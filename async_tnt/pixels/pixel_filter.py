@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import operator
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numba import int64, uint8
 
+from ..datasets.sizes import by
 from ..events import EVENT_DTYPE, EventDoor
 from ..kernels.columns import COLUMN_TYPES
 from ..kernels.jit import compile_only
 from ..kernels.pixel_filter import MASKED, OUTSIDE, keep_events
+from ..whole_numbers import is_whole
 from .mask_files import checked_mask, checked_sensor, load_mask
 
 
@@ -28,6 +28,12 @@ class PixelCounts:
     """At masked pixels of the region of interest."""
     dropped_outside: int = 0
     """Outside of the region of interest, masked or not."""
+
+    def __add__(self, other: PixelCounts) -> PixelCounts:
+        return PixelCounts(*(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__))
+
+    def __sub__(self, other: PixelCounts) -> PixelCounts:
+        return PixelCounts(*(getattr(self, name) - getattr(other, name) for name in self.__dataclass_fields__))
 
 
 class PixelFilter:
@@ -69,10 +75,9 @@ class PixelFilter:
     ) -> None:
         compile_only(keep_events, *COLUMN_TYPES, int64, uint8[:, ::1], int64, int64, uint8[::1])
         width, height = checked_sensor(sensor)
-        if crop and roi is None:
-            raise ValueError("`crop` needs a region: pass `roi` as (x, y, width, height)")
+        check_crop(crop, roi)
         left, top, roi_width, roi_height = (0, 0, width, height) if roi is None else _checked_roi(roi, width, height)
-        if isinstance(mask, (str, Path, os.PathLike)):
+        if isinstance(mask, (str, os.PathLike)):
             mask = load_mask(mask, (width, height))
         elif mask is not None:
             mask = checked_mask(mask, (width, height))
@@ -122,26 +127,44 @@ class PixelFilter:
         return f"PixelFilter(({width}, {height}), roi={self.roi}, {self.n_masked_pixels} pixels masked{crop})"
 
 
+def check_crop(crop: bool, roi: Any) -> None:
+    """Refuse `crop` where there is no region.
+
+    Raises
+    ------
+    ValueError.
+    """
+    if crop and roi is None:
+        raise ValueError("--crop belongs to --roi (in Python, `crop` to `roi`): the region that is to be the sensor")
+
+
 def whole_region(roi: Any) -> tuple[int, int, int, int]:
     """(x, y, width, height) as four Python integers.
 
     Raises
     ------
-    ValueError : not four whole numbers.
+    ValueError : not four whole numbers, or no region of any sensor.
     """
     try:
-        left, top, width, height = (operator.index(number) for number in roi)
-    except (TypeError, ValueError):
-        raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {roi!r}") from None
+        numbers = tuple(roi)
+    except TypeError:
+        numbers = ()
+    if len(numbers) != 4 or not all(map(is_whole, numbers)):
+        raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {roi!r}")
+    left, top, width, height = map(int, numbers)
+    if min(left, top) < 0 or min(width, height) < 1:
+        raise ValueError(
+            "`roi` (x, y, width, height) must lie on the sensor, x and y at least 0, and hold at least one pixel, got "
+            f"({left}, {top}, {width}, {height})"
+        )
     return left, top, width, height
 
 
 def _checked_roi(roi: Any, sensor_width: int, sensor_height: int) -> tuple[int, int, int, int]:
     left, top, width, height = whole_region(roi)
-    fits = left + width <= sensor_width and top + height <= sensor_height
-    if not fits or min(left, top) < 0 or min(width, height) < 1:
+    if left + width > sensor_width or top + height > sensor_height:
         raise ValueError(
-            f"`roi` (x, y, width, height) must lie on the sensor of {sensor_width}x{sensor_height} pixels and hold at "
-            f"least one, got ({left}, {top}, {width}, {height})"
+            f"`roi` (x, y, width, height) must lie on the sensor of {by((sensor_width, sensor_height))} pixels, got "
+            f"({left}, {top}, {width}, {height})"
         )
     return left, top, width, height

@@ -6,14 +6,14 @@ import hashlib
 import os
 import zlib
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..datasets.sizes import by
 from ..recordings.source import Sensor
 from .mask_files import checked_mask, checked_sensor, load_mask
-from .pixel_filter import whole_region
+from .pixel_filter import check_crop, whole_region
 
 Region = tuple[int, int, int, int]
 
@@ -44,12 +44,12 @@ class PackedMask:
 
         Raises
         ------
-        ValueError : another type, or not of two dimensions.
+        ValueError : another type, not of two dimensions, or empty.
         """
-        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.ndim != 2:
-            got = f"{mask.dtype} of shape {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
-            raise ValueError(f"{name}: a mask must be a bool array of shape (height, width), got {got}")
-        height, width = mask.shape
+        try:
+            height, width = checked_mask(mask).shape
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
         sha256 = hashlib.sha256(mask.tobytes()).hexdigest()
         packed = zlib.compress(np.packbits(mask).tobytes())
         return cls((width, height), sha256, int(np.count_nonzero(mask)), packed, name)
@@ -80,7 +80,7 @@ class PackedMask:
             raise ValueError(f"{self.name}: {error}") from None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class PixelSelection:
     """What of a source's pixels a model is to see: frozen and picklable, without any state; `PixelSelector` applies it.
 
@@ -88,12 +88,15 @@ class PixelSelection:
     ----------
     roi : region of interest (x, y, width, height); None: the whole sensor.
     crop : the region is the model's sensor: coordinates are shifted to its upper left corner.
-    mask : pixels whose events are left out, of the whole camera.
+    mask : pixels whose events are left out, of the whole camera: a bool array of shape (H, W), the path of such a
+        `.npy` file, or one packed already; None: no pixel. It is packed here, and its file is not read again.
     sensor : (width, height) of the camera as somebody says it, where sources may be silent.
 
     Raises
     ------
-    ValueError : `crop` without `roi`, a mask of another size than `sensor`, or what is no region or no sensor at all.
+    ValueError : `crop` without `roi`, a mask of another size than `sensor`, an empty or damaged one, or what is no
+        region or no sensor at all.
+    TypeError : a mask of another kind. OSError : its file is missing or not readable.
 
     Example
     -------
@@ -103,38 +106,33 @@ class PixelSelection:
     {}
     """
 
-    roi: Region | None = None
-    crop: bool = False
-    mask: PackedMask | None = None
-    sensor: Sensor | None = None
+    roi: Region | None
+    crop: bool
+    mask: PackedMask | None
+    sensor: Sensor | None
 
-    def __post_init__(self) -> None:
-        if self.crop and self.roi is None:
-            raise ValueError("--crop belongs to --roi: the region that is to be the sensor")
-        if self.roi is not None:  # as a tuple of integers, so that equal ones are equal
-            object.__setattr__(self, "roi", whole_region(self.roi))
-        if self.sensor is not None:
-            object.__setattr__(self, "sensor", checked_sensor(self.sensor))
-        if self.mask is not None and self.sensor not in (None, self.mask.size):
-            assert self.sensor is not None
+    def __init__(
+        self,
+        roi: Region | None = None,
+        crop: bool = False,
+        mask: PackedMask | np.ndarray | str | os.PathLike[str] | None = None,
+        sensor: Sensor | None = None,
+    ) -> None:
+        check_crop(crop, roi)
+        # As tuples of integers, so that equal ones are equal. The mask comes last: it may be a large file.
+        values = {
+            "roi": None if roi is None else whole_region(roi),
+            "crop": bool(crop),
+            "sensor": None if sensor is None else checked_sensor(sensor),
+            "mask": None if mask is None else _packed(mask),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        if self.mask is not None and self.sensor is not None and self.sensor != self.mask.size:
             raise ValueError(
-                f"{self.mask.name}: a mask of {_by(self.mask.size)} pixels, but the camera's are given as "
-                f"{_by(self.sensor)} (--sensor)"
+                f"{self.mask.name}: a mask of {by(self.mask.size)} pixels, but the camera's are given as "
+                f"{by(self.sensor)} (--sensor)"
             )
-
-    @classmethod
-    def read(
-        cls, roi: Region | None = None, crop: bool = False, mask: Path | None = None, sensor: Sensor | None = None
-    ) -> PixelSelection:
-        """As the options say; `mask` is a file.
-
-        Raises
-        ------
-        ValueError, OSError : options that do not go together; a mask that is none, damaged, or missing.
-        """
-        if crop and roi is None:  # before a file is read
-            cls(roi, crop)
-        return cls(roi, crop, None if mask is None else PackedMask.read(mask), sensor)
 
     @property
     def camera(self) -> Sensor | None:
@@ -155,7 +153,9 @@ class PixelSelection:
     def about(self) -> dict[str, Any]:
         """Option -> value of all that decides which events are seen, short and as JSON takes it; {} for all events.
 
-        A mask is told by its size and the first 16 digits of its SHA-256.
+        A mask is told by its size and the first 16 digits of its SHA-256. With it, `sensor` can only repeat its size,
+        and is not told. Without a mask, `sensor` decides which recordings are of this camera, and so of which there is
+        a result at all and of which an error: two results of different ones are not to be mixed.
         """
         told: dict[str, Any] = {}
         if self.roi is not None:
@@ -163,9 +163,9 @@ class PixelSelection:
         if self.crop:
             told["crop"] = True
         if self.mask is not None:
-            told["mask"] = f"{_by(self.mask.size)} {self.mask.sha256[:16]}"
-        if self.sensor is not None:
-            told["sensor"] = _by(self.sensor)
+            told["mask"] = f"{by(self.mask.size)} {self.mask.sha256[:16]}"
+        elif self.sensor is not None:
+            told["sensor"] = by(self.sensor)
         return told
 
     @property
@@ -179,5 +179,11 @@ class PixelSelection:
         return told
 
 
-def _by(size: Sensor) -> str:
-    return f"{size[0]}x{size[1]}"
+def _packed(mask: Any) -> PackedMask:
+    if isinstance(mask, PackedMask):
+        return mask
+    if isinstance(mask, np.ndarray):
+        return PackedMask.of(mask)
+    if isinstance(mask, (str, os.PathLike)):
+        return PackedMask.read(mask)
+    raise TypeError(f"`mask` must be a bool array, a .npy file's path or a PackedMask, got {type(mask).__name__}")

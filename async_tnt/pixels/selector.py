@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from ..datasets.sizes import by
 from ..recordings import Recording, open_recording
-from ..recordings.fitting import TRAIN_ONE, check_sensor, open_for
+from ..recordings.fitting import TRAIN_ONE, check_events, check_sensor, open_for, open_of_known
 from ..recordings.source import Sensor
-from .pixel_filter import PixelFilter
+from .pixel_filter import PixelCounts, PixelFilter
 from .selection import PixelSelection
 
 
@@ -23,8 +24,8 @@ class PixelSelector:
 
     Raises
     ------
-    ValueError : a region of another size than the model's sensor, or, as far as the camera is known by now, a region
-        or a mask that is not on it.
+    ValueError : a region of another size than the model's sensor; without `crop`, a camera of another size, as the
+        selection names it; or, as far as the camera is known by now, a region that is not on it.
     """
 
     def __init__(self, selection: PixelSelection, model: Sensor | None) -> None:
@@ -33,6 +34,8 @@ class PixelSelector:
         self._filters: dict[Sensor, PixelFilter] = {}
         if model is not None:
             check_region(selection, model)
+            if not selection.crop:
+                _check_camera(selection, model)
         if self.expected is not None:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
@@ -44,17 +47,10 @@ class PixelSelector:
         return self._model
 
     @property
-    def advice(self) -> str:
-        """What to do with a camera of another size than the model is for."""
-        if self._model is None:
-            return TRAIN_ONE
-        return f"{TRAIN_ONE}, or cut out a part: --roi X,Y,{self._model[0]},{self._model[1]} --crop"
-
-    @property
     def said_by(self) -> tuple[str, str]:
-        """Who says what is `expected`, and what to do with a camera of another size: words for a refusal."""
+        """Words for a refusal, where there is an `expected`: who says it, and what to do with another camera."""
         if not self.selection.crop and self._model is not None:
-            return "the model is for", f"; {self.advice}"
+            return "the model is for", self._advice(None)
         if self.selection.sensor is None and self.selection.mask is not None:
             return f"{self.selection.mask.name} is a mask of", ""
         return "--sensor says", ""
@@ -77,11 +73,14 @@ class PixelSelector:
                 needs = "--crop" if self.selection.crop else "--roi"
                 raise ValueError(f"{name}: does not say the camera's pixels, which {needs} needs: give --sensor WxH")
             return found[0], found[1]
-        check_sensor(name, found, wanted, *self.said_by)
+        check_sensor(name, found, wanted, self.said_by[0], self._advice(found))
         return wanted
 
     def open(self, path: Path, *, name: str | None = None, strict: bool = False) -> tuple[Recording, Sensor]:
-        """A recording, and the pixels of its events, for `select` or `filter_of`.
+        """A recording, and the pixels of its events, for `filter_of`.
+
+        A `.bin` does not say its sensor. Where the selection names the camera, it is of that; else `open_for` looks
+        at its events.
 
         Parameters
         ----------
@@ -92,17 +91,28 @@ class PixelSelector:
         ------
         ValueError, OSError : unreadable, or of another sensor than the model is for.
         """
-        recording = open_for(path, self.expected, strict=strict)
+        if self.selection.camera is None:
+            recording = open_for(path, self.expected, strict=strict)
+        else:
+            recording = open_of_known(path, strict=strict)
         return recording, self.sensor_of(path if name is None else name, recording.sensor)
 
-    def open_to_learn(self, path: Path, *, strict: bool = False) -> tuple[Recording, Sensor | None]:
-        """A recording that a model is to be trained on, and its pixels, which make the model's; None: unknown so far.
+    def open_to_learn(self, path: Path, *, strict: bool = False) -> Recording:
+        """A recording that a model is to be trained on; its `sensor`, None where unknown so far, makes the model's.
 
         Sensors are not compared here, as others may say what this one does not. That of the selection is somebody's
         word on this very camera, not what a model would need: a `.bin` is of it, wherever its events lie.
         """
-        recording = open_recording(path, strict=strict, sensor=self.selection.camera)
-        return recording, recording.sensor or self.selection.camera
+        return open_recording(path, strict=strict, sensor=self.selection.camera)
+
+    def check_silent(self, packets: Iterable[Any], name: Any, sensor: Sensor) -> None:
+        """Refuse packets of a source that does not say its sensor, if an event is off this one.
+
+        Raises
+        ------
+        ValueError : says who says the sensor, and what to do.
+        """
+        check_events(packets, sensor, name, *self.said_by)
 
     def filter_of(self, name: Any, sensor: Sensor | None) -> Callable[[Any], Any]:
         """What makes of a packet of such a sensor one without the events that are to be left out.
@@ -128,23 +138,43 @@ class PixelSelector:
                 raise ValueError(f"{name}: {error}" if name else str(error)) from None
         return self._filters[sensor]
 
-    def select(self, packets: Iterable[Any], sensor: Sensor, name: Any = "") -> Iterator[Any]:
-        """The packets of a source with such a sensor, without the events that are to be left out."""
-        if not self.selection.leaves_out:
-            return iter(packets)
-        return map(self.filter_of(name, sensor), packets)
+    @property
+    def counts(self) -> PixelCounts:
+        """Events so far, of all sources; none where nothing can be left out."""
+        return sum((pixel_filter.counts for pixel_filter in self._filters.values()), PixelCounts())
 
-    def summary(self) -> str:
-        """What was left out so far, in words; "" where nothing came, or nothing could be."""
-        counts = [pixel_filter.counts for pixel_filter in self._filters.values()]
-        if not any(c.received for c in counts):
+    def summary(self, since: PixelCounts | None = None) -> str:
+        """What was left out, in words; "" where nothing came, or nothing could be.
+
+        Parameters
+        ----------
+        since : `counts` as they were at the start of what is told; None: of all sources.
+        """
+        counts = self.counts if since is None else self.counts - since
+        if not counts.received:
             return ""
         told = []
         if self.selection.roi is not None:
-            told.append(f"{sum(c.dropped_outside for c in counts):,} outside of the region")
+            told.append(f"{counts.dropped_outside:,} outside of the region")
         if self.selection.mask is not None:
-            told.append(f"{sum(c.dropped_masked for c in counts):,} of masked pixels")
+            told.append(f"{counts.dropped_masked:,} of masked pixels")
         return ", ".join(told)
+
+    def nothing_left(self, since: PixelCounts | None = None) -> str:
+        """Why a model has seen nothing of what came, in words; "" where something was left, or nothing came."""
+        left_out = self.summary(since)
+        kept = (self.counts if since is None else self.counts - since).kept
+        return f"no events are left: {left_out}" if left_out and not kept else ""
+
+    def _advice(self, found: Sensor | None) -> str:
+        """What to do with a camera of another size, (width, height), than the model is for; None: of an unknown one."""
+        if self.selection.crop or self._model is None:
+            return ""
+        if found is None:
+            return f"; {TRAIN_ONE}, or cut out a part: {_cut_out(self._model)} --sensor WxH"
+        if _is_part(self._model, found):
+            return f"; {TRAIN_ONE}, or cut out a part: {_cut_out(self._model)}"
+        return f"; {TRAIN_ONE}"
 
 
 def check_region(selection: PixelSelection, model: Sensor) -> None:
@@ -152,9 +182,32 @@ def check_region(selection: PixelSelection, model: Sensor) -> None:
     region = selection.region
     if region is not None and region != model:
         raise ValueError(
-            f"--crop: the model is for {model[0]}x{model[1]} pixels, got a region of {region[0]}x{region[1]}; "
+            f"--crop: the model is for {by(model)} pixels, got a region of {by(region)}; "
             f"give --roi X,Y,{model[0]},{model[1]}"
         )
+
+
+def _check_camera(selection: PixelSelection, model: Sensor) -> None:
+    """Refuse a camera that the selection names, of another size than the model is for."""
+    camera = selection.camera
+    if camera is None or camera == model:
+        return
+    part = f"give {_cut_out(model)} too, or " if _is_part(model, camera) else ""
+    if selection.mask is None:
+        raise ValueError(f"--sensor says {by(camera)} pixels, but the model is for {by(model)}: {part}{TRAIN_ONE}")
+    turned = "; or turn it with .T" if camera == model[::-1] else ""
+    raise ValueError(
+        f"{selection.mask.name}: a mask of a {by(camera)} camera, but the model is for {by(model)} pixels: {part}"
+        f"give the mask of a {by(model)} camera{turned}"
+    )
+
+
+def _is_part(model: Sensor, camera: Sensor) -> bool:
+    return model[0] <= camera[0] and model[1] <= camera[1]
+
+
+def _cut_out(model: Sensor) -> str:
+    return f"--roi X,Y,{model[0]},{model[1]} --crop"
 
 
 def _as_it_is(packet: Any) -> Any:

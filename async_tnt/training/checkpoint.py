@@ -70,29 +70,39 @@ def identity_of(
 def check_run(run_folder: Path, config: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
     """Whether the folder holds a run already; refuses one of others than these, before any data is read.
 
+    Raises
+    ------
+    ValueError : the run's differ; names them. Or its checkpoint is damaged.
+    """
+    differ = differing_settings(run_folder, config, settings)
+    if differ:
+        raise other_run(run_folder, ", ".join(differ))
+    return differ is not None
+
+
+def differing_settings(run_folder: Path, config: Mapping[str, Any], settings: Mapping[str, Any]) -> list[str] | None:
+    """The names of those that are not the ones of the run in the folder; None where there is no run.
+
     Parameters
     ----------
     config, settings : fields of `TNTConfig` and `TrainSettings` and their values; not all need be known yet.
 
     Raises
     ------
-    ValueError : the run's differ; names them. Or its checkpoint is damaged.
+    ValueError : its checkpoint is damaged.
     """
     state = _read(run_folder / CHECKPOINT)
     if state is None:
-        return False
+        return None
     found = json.loads(state["identity"])
     wanted = json.loads(json.dumps({"config": dict(config), "settings": dict(settings)}))
-    differ = sorted(
+    return sorted(
         name
         for part, values in wanted.items()
         for name, value in values.items()
         if (found[part].get(name) or None)
         != (value or None)  # older runs lack names whose value was then False or None
     )
-    if differ:
-        raise other_run(run_folder, ", ".join(differ))
-    return True
 
 
 def load_checkpoint(run_folder: Path, identity: str) -> dict[str, Any] | None:

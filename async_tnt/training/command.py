@@ -80,6 +80,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         own = own_run.load(args, config, start, show_progress, run_folder)
         config, training, validation, data = own.config, own.training, own.validation, own.words
         settings = own_run.settings_of(args, config, len(training), len(validation))
+        if args.test:  # read now: what is wrong with it must not show after hours
+            test, test_left_out = own_run.load_test(args.dataset, own, show_progress)
     else:
         settings = _settings(args)
         check_run(run_folder, config.to_dict(), asdict(settings))
@@ -126,7 +128,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         )
     summary: dict[str, Any] = {
         "data": data,
-        "command": command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged")),
+        "command": _command(args),
         "seed": args.seed,
         "epochs": n_trained,
         "iterations": int(result.history[-1]["iterations"]),
@@ -151,25 +153,39 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         found = evaluate(pipeline, validation, times_ms=times_ms)
         summary["validation"] = found.to_dict()
         scores = Scores(classes, found.recording_confusion, found.confusion)
-    if own is not None and args.test:
-        print("evaluating on Test", file=sys.stderr)
-        windows = own_run.load_test(args, own, show_progress)
-        summary["test"] = evaluate(pipeline, windows, times_ms=times_ms).to_dict()
+    for name, one in (("last", result.last), ("best", result.best)):
+        one.save(run_folder / f"{name}.safetensors")
+    plot_curves(result.history, run_folder / "curves.png")
+
+    def save() -> None:
+        type(model)(config, model.weights, model.classes, summary).save(args.out)
+
+    save()  # and once more with the accuracy on Test, which may take long, or fail
+    written = [args.out]
+    if own is not None:
+        written += own_run.write_beside(args.out, scores, result.history, summary, own.held_out)
+        if args.test:
+            print("evaluating on Test", file=sys.stderr)
+            found = evaluate(pipeline, test, times_ms=times_ms)
+            summary["test"] = {**found.to_dict(), "left_out": list(test_left_out)}
+            own_run.write_numbers(args.out, scores, result.history, summary, own.held_out)
+            save()
+        own_run.say_left_out(summary)
     if test_folder is not None:
         recordings = read_folder(test_folder, skip_damaged=args.skip_damaged, progress=show_progress)
         print("evaluating on Test", file=sys.stderr)
         for name, first_event in (("test", False), ("test_windows_from_first_event", True)):
             windows = lay_windows(recordings, config.window_us, first_event=first_event)
             summary[name] = evaluate(pipeline, windows, times_ms=TIMES_MS).to_dict()
-    for name, one in (("last", result.last), ("best", result.best)):
-        one.save(run_folder / f"{name}.safetensors")
-    type(model)(config, model.weights, model.classes, summary).save(args.out)
-    plot_curves(result.history, run_folder / "curves.png")
-    written = [args.out]
-    if own is not None:
-        written += own_run.write_beside(args.out, scores, result.history, summary, own.held_out)
+        save()
     _print_summary(summary, args, written)
     return 0
+
+
+def _command(args: argparse.Namespace) -> str:
+    """As it was given, without paths; a mask decides what is learned, so it is told that there was one."""
+    words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged"))
+    return words if args.mask is None else f"{words} --mask MASK"
 
 
 def _settings(args: argparse.Namespace) -> TrainSettings:

@@ -137,7 +137,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=size_text,
         metavar="WxH",
         help="with DATASET: the camera's pixels, where recordings are silent, and --mask, which says them by its size; "
-        "a .bin is of 34x34 unless this says otherwise. The model is for as many, or with --crop for the region's",
+        "a .bin is of 34x34 unless one of them says otherwise. Recordings that state another are left out. "
+        "The model is for as many, or with --crop for the region's",
     )
     volume.add_argument(
         "--grid", type=size_text, metavar="WxH", help="with DATASET: the volume's pixels (default: 34x34)"

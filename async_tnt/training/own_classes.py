@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NoReturn
 
-import numpy as np
-
-from async_tnt.datasets.class_folders import find_recordings, name_of
+from async_tnt.datasets.class_folders import find_recordings
 from async_tnt.pixels.selection import PixelSelection
 from async_tnt.pixels.selector import PixelSelector
 from async_tnt.recordings import READERS
+from async_tnt.recordings.source import Sensor
 
+from .own_camera import camera_of, check_named
+from .own_recording import COPY, DAMAGED, OTHER_SENSOR, UNSEEN, OwnRecording, fingerprint, read_own
 from .windows import Progress, Recordings, no_progress
 
-LONGEST_US = 1 << 31  # what a column of int32 holds
+MOST_SAY = "most recordings say"
 
 
 @dataclass(frozen=True)
@@ -30,15 +32,16 @@ class OwnClasses:
     sensor : (width, height) of these events: the camera's, or the region's that was cut out of it.
     left_out : what was left out and why, one line each.
     camera : (width, height) of the camera.
-    left_out_pixels : events that were left out by their pixels, in words; "" where none could be.
+    left_out_events : of `recordings`, by their pixels: how many were `left_out_outside` of the region, and
+        `left_out_masked`. Without a region, or a mask, there is no such name.
     """
 
     recordings: Recordings
     classes: tuple[str, ...]
-    sensor: tuple[int, int]
+    sensor: Sensor
     left_out: tuple[str, ...]
-    camera: tuple[int, int]
-    left_out_pixels: str = ""
+    camera: Sensor
+    left_out_events: dict[str, int] = field(default_factory=dict)
 
 
 def read_classes(
@@ -48,13 +51,22 @@ def read_classes(
     pixels: PixelSelection | None = None,
     classes: tuple[str, ...] | None = None,
     skip_damaged: bool = False,
+    said_by: str | None = None,
     progress: Progress = no_progress,
 ) -> OwnClasses:
     """Read `<folder>/<class>/<recording>`, or `<folder>/<part>/<class>/<recording>` where there is such a folder.
 
     Events older than their recording's first one are left out, as a stream leaves them out; the others are put in
-    order of time. A recording without events is left out, and so is a second copy of one in the same class: on both
-    sides of the split, it would be learned by heart and then asked for.
+    order of time. A recording without events is left out.
+
+    The camera is the one that `pixels` names, else the one that nearly all recordings state. A recording of another
+    is left out, as a damaged one is. But more than one in ten of another are refused where `pixels` names no camera,
+    or one that no recording states: `camera_of` and `check_named` say why.
+
+    Copies are of two kinds. The same recording in two classes is an error: one of its labels is wrong. That is asked
+    of all its events, so that two recordings which differ outside of the region alone are not taken for one. What is
+    the same as another recording of its class in all that the network sees, is left out: on both sides of the split,
+    it would be learned by heart and then asked for.
 
     Parameters
     ----------
@@ -62,82 +74,83 @@ def read_classes(
         is needed where no recording says it, and for `.bin` of another than N-MNIST's 34 x 34. What it leaves out is
         as if it had never been recorded: times count from the first event that is left.
     classes : the classes there must be; by default the folders there are, at least two.
-    skip_damaged : False refuses a recording that cannot be read, with an error that names it; True leaves it out.
+    skip_damaged : False refuses a recording that cannot be read or is of another sensor, with an error that names it;
+        True leaves it out.
+    said_by : who says the sensor in `pixels`, for messages, such as "--start-from is for"; by default as
+        `PixelSelector.said_by`: an option.
 
     Raises
     ------
-    ValueError : fewer than two classes, or others than `classes`; a class without recordings, or without events; the
-        same recording in two classes; recordings of different sensors, or of another one than that of `pixels`; a
-        region or a mask that does not suit the sensor; an event off the sensor; a damaged recording.
+    ValueError : fewer than two classes, or others than `classes`; a class without recordings, or of which none is
+        left; the same recording in two classes; recordings of different sensors, or of another one than is named, as
+        above; a region or a mask that does not suit the sensor; a recording that lasts too long, or that cannot be
+        left out, as `skip_damaged` says.
     OSError : no such folder.
     """
     pixels = PixelSelection() if pixels is None else pixels
     selector = PixelSelector(pixels, None)
+    known = pixels.camera
+    who = _bare(said_by or selector.said_by[0], pixels) if known is not None else MOST_SAY
     found = find_recordings(folder, part)
     names = tuple(found) if classes is None else classes
     _check_classes(folder, found, classes)
     paths = [(label, path) for label, name in enumerate(names) for path in found.get(name, [])]
-    events, labels, kept, left_out = [], [], [], []
-    sensors: dict[tuple[int, int], str] = {}
-    seen: dict[bytes, tuple[int, str]] = {}
+    recordings: list[OwnRecording] = []
     for label, path in progress(paths, "reading", len(paths)):
-        try:
-            recording, sensor = selector.open_to_learn(path, strict=True)
-            read = recording.read()
-        except (ValueError, OSError) as error:
-            if not skip_damaged:
-                raise ValueError(_told(error, path)) from None
-            left_out.append(_told(error, path).replace(str(path), name_of(path)))
-            continue
-        if len(read) == 0:
-            left_out.append(f"{name_of(path)}: no events")
-            continue
-        read = _from_first_event(_seen(read, selector, sensor, path))
-        if len(read) == 0:
-            left_out.append(f"{name_of(path)}: no events at the pixels that are not left out")
-            continue
-        if read["t"][-1] >= LONGEST_US:
-            raise ValueError(
-                f"{path}: lasts {read['t'][-1] / 60e6:.0f} minutes, more than the 35 that training takes; "
-                "cut it into shorter recordings"
-            )
-        twin_label, twin = seen.setdefault(_fingerprint(read), (label, name_of(path)))
-        if twin_label != label:
-            raise ValueError(f"{twin} and {name_of(path)} hold the same events, but are of two classes; remove one")
-        if twin != name_of(path):
-            left_out.append(f"{name_of(path)}: the same events as {twin}")
-            continue
-        if recording.sensor is not None:
-            sensors.setdefault((int(recording.sensor[0]), int(recording.sensor[1])), name_of(path))
-        events.append(read)
-        labels.append(label)
-        kept.append(name_of(path))
-    empty = [name for label, name in enumerate(names) if label not in labels]
-    if empty and (classes is None or not labels):  # of a given list of classes, one recording is enough
-        more = f"{'' if left_out[0].endswith('.') else '.'} And {len(left_out) - 1} more" if len(left_out) > 1 else ""
-        why = f" (left out: {left_out[0]}{more})" if left_out else ""
-        if left_out and pixels.camera is None and any(path.suffix.lower() == ".bin" for _, path in paths):
-            why += "; a .bin of another camera than N-MNIST's 34x34 needs --sensor WxH"
-        raise ValueError(
-            f"{folder}: no event in any recording of class {', '.join(empty)}; record some, or remove the folder{why}"
-        )
-    camera = _one_sensor(folder, sensors, pixels, events)
-    size = pixels.region or camera
-    recordings = Recordings.from_events(events, labels, kept)
-    _check_on_sensor(recordings, size)
-    return OwnClasses(recordings, names, size, tuple(left_out), camera, selector.summary())
+        one = read_own(path, label, selector)
+        if known is not None:
+            one.fit(known, who)
+            one.select(selector, known, who)
+        elif one.sensor is not None:  # now, and not when all are in memory with what the network is not to see
+            one.select(selector, one.sensor, "it says")
+        _refuse_damaged(one, skip_damaged)
+        recordings.append(one)
+    if known is not None:
+        check_named(folder, recordings, known, who)
+        camera: Sensor | None = known
+    else:
+        camera = camera_of(folder, recordings)
+        if camera is not None:
+            selector.filter_of("", camera)  # refuses a region or a mask that does not suit it
+            for one in recordings:
+                one.fit(camera, who)
+                one.select(selector, camera, who)
+                _refuse_damaged(one, skip_damaged)
+    _leave_out_copies(recordings)
+    kept = [one for one in recordings if one.events is not None]
+    empty = [name for label, name in enumerate(names) if label not in {one.label for one in kept}]
+    if empty and (classes is None or not kept):  # of a given list of classes, one recording is enough
+        out = [one for one in recordings if names[one.label] in empty]
+        raise ValueError(f"{folder}: no recording of class {', '.join(empty)} is left; {_advice(out, pixels)}")
+    if camera is None:
+        _ask_for_sensor(folder, kept, selector)
+    left_out_events = {}
+    if pixels.roi is not None:
+        left_out_events["left_out_outside"] = sum(one.n_outside for one in kept)
+    if pixels.mask is not None:
+        left_out_events["left_out_masked"] = sum(one.n_masked for one in kept)
+    return OwnClasses(
+        Recordings.from_events(
+            (one.events for one in kept if one.events is not None),
+            [one.label for one in kept],
+            [one.name for one in kept],
+        ),
+        names,
+        pixels.region or camera,
+        tuple(one.left_out for one in recordings if one.cause),
+        camera,
+        left_out_events,
+    )
 
 
-def _seen(events: np.ndarray, selector: PixelSelector, sensor: tuple[int, int] | None, path: Path) -> np.ndarray:
-    """The events that are not left out by their pixels."""
-    name = name_of(path)
-    select = selector.filter_of(name, sensor)
-    try:
-        seen: np.ndarray = select(events)
-    except ValueError as error:  # of a format that does not state its sensor
-        said = "" if sensor is None else f", as --sensor, --mask or --start-from says {sensor[0]}x{sensor[1]}"
-        raise ValueError(f"{name}: {error}{said}") from None
-    return seen
+def _bare(said_by: str, pixels: PixelSelection) -> str:
+    """Without the mask's folder: a model's record, which names what was left out, may be given away."""
+    return said_by if pixels.mask is None else said_by.replace(pixels.mask.name, Path(pixels.mask.name).name)
+
+
+def _refuse_damaged(one: OwnRecording, skip_damaged: bool) -> None:
+    if one.cause in (DAMAGED, OTHER_SENSOR) and not skip_damaged:
+        raise ValueError(one.refusal)
 
 
 def _check_classes(
@@ -160,62 +173,50 @@ def _check_classes(
         )
 
 
-def _from_first_event(events: np.ndarray) -> np.ndarray:
-    """Times from the first event on, in order."""
-    if len(events) == 0:
-        return events
-    events["t"] -= events["t"][0]
-    if (np.diff(events["t"]) < 0).any():
-        events = events[events["t"] >= 0]
-        events = events[np.argsort(events["t"], kind="stable")]
-    return events
-
-
-def _fingerprint(events: np.ndarray) -> bytes:
-    """Equal for equal events, whatever file they come from."""
-    hashed = hashlib.blake2b(digest_size=16)
-    for name, dtype in (("t", np.int64), ("x", np.uint16), ("y", np.uint16), ("p", np.uint8)):
-        hashed.update(np.ascontiguousarray(events[name], dtype).tobytes())
-    return hashed.digest()
-
-
-def _one_sensor(
-    folder: str | os.PathLike[str],
-    sensors: dict[tuple[int, int], str],
-    pixels: PixelSelection,
-    events: list[np.ndarray],
-) -> tuple[int, int]:
-    """The sensor of all recordings."""
-    given = pixels.camera
-    if given is not None:
-        who = "--sensor" if pixels.mask is None or pixels.sensor is not None else pixels.mask.name
-        sensors = {given: who, **{size: name for size, name in sensors.items() if size != given}}
-    if len(sensors) > 1:
-        said = ", ".join(f"{width}x{height} ({name})" for (width, height), name in sensors.items())
-        raise ValueError(f"{folder}: all recordings must be of one sensor, got {said}")
-    if not sensors:
-        x, y = (max(int(recording[name].max()) for recording in events) for name in "xy")
-        raise ValueError(
-            f"{folder}: no recording says how large its sensor is; give --sensor WxH "
-            f"(the events need at least {x + 1}x{y + 1})"
-        )
-    return next(iter(sensors))
-
-
-def _check_on_sensor(recordings: Recordings, sensor: tuple[int, int]) -> None:
-    for name, side in zip("xy", sensor, strict=True):
-        off = np.flatnonzero(getattr(recordings, name) >= side)
-        if len(off):
-            r = int(np.searchsorted(recordings.offsets, off[0], side="right")) - 1
+def _leave_out_copies(recordings: Iterable[OwnRecording]) -> None:
+    """Of recordings that show the network the same; refuses the same recording in two classes."""
+    recorded: dict[bytes, OwnRecording] = {}
+    seen: dict[tuple[int, bytes], OwnRecording] = {}
+    for one in recordings:
+        if one.events is None:
+            continue
+        twin = recorded.setdefault(one.recorded, one)
+        if twin.label != one.label:
             raise ValueError(
-                f"{recordings.names[r]}: every event must lie on the {sensor[0]}x{sensor[1]} sensor, got {name} = "
-                f"{getattr(recordings, name)[off[0]]} at event {off[0] - recordings.offsets[r]}"
+                f"{twin.name} and {one.name} hold the same events, but are of two classes; remove the wrong one"
             )
+        twin = seen.setdefault((one.label, fingerprint(one.events)), one)
+        if twin is not one:
+            where = "" if twin.recorded == one.recorded else " at the pixels that are not left out"
+            one.leave_out(COPY, f"{one.name}: the same events as {twin.name}{where}")
 
 
-def _told(error: Exception, path: Path) -> str:
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}."
-    text = str(error)
-    text = text if path.name in text else f"{name_of(path)}: {text}"
-    return text if text.endswith(".") else f"{text}."
+def _advice(left_out: Sequence[OwnRecording], pixels: PixelSelection) -> str:
+    """What to do about classes of which these recordings, all there are, were left out."""
+    causes = {one.cause for one in left_out}
+    if UNSEEN in causes:
+        given = {"--roi": pixels.roi, "--mask": pixels.mask}
+        advice = f"look at {' and '.join(option for option, value in given.items() if value is not None)}"
+    elif OTHER_SENSOR in causes:
+        advice = "all recordings must be of one sensor"
+    else:
+        advice = "record some, or remove the folder"
+    if not left_out:
+        return advice
+    first = left_out[0].left_out
+    more = f"{'' if first.endswith('.') else '.'} And {len(left_out) - 1} more" if len(left_out) > 1 else ""
+    advice += f" (left out: {first}{more})"
+    unfit = (DAMAGED, OTHER_SENSOR)
+    if pixels.camera is None and any(one.cause in unfit and one.path.suffix.lower() == ".bin" for one in left_out):
+        advice += "; a .bin of another camera than N-MNIST's 34x34 needs --sensor WxH"
+    return advice
+
+
+def _ask_for_sensor(folder: str | os.PathLike[str], kept: Sequence[OwnRecording], selector: PixelSelector) -> NoReturn:
+    """The refusal of recordings none of which says its sensor."""
+    selector.filter_of(kept[0].name, None)  # has better words where --roi needs it
+    x, y = (max(int(one.events[name].max()) for one in kept if one.events is not None) for name in "xy")
+    raise ValueError(
+        f"{folder}: no recording says how large its sensor is; give --sensor WxH "
+        f"(the events need at least {x + 1}x{y + 1})"
+    )

@@ -16,7 +16,7 @@ import numpy as np
 from async_tnt.commands.pixel_options import selection_of
 from async_tnt.config import TNTConfig
 from async_tnt.datasets.scores import Scores
-from async_tnt.datasets.sizes import parse_size
+from async_tnt.datasets.sizes import by, parse_size
 from async_tnt.model import Model
 from async_tnt.pixels.selection import PixelSelection
 from async_tnt.pixels.selector import check_region
@@ -24,7 +24,7 @@ from async_tnt.whole_files import replacing
 
 from .augment import Augmentation
 from .own_classes import OwnClasses, read_classes
-from .run_folder import check_recordings, note_recordings, sizes_of
+from .run_folder import check_recordings, note_recordings, other_pixels, other_run, sizes_of
 from .settings import TrainSettings
 from .windows import Progress, Windows, lay_windows, split_recordings
 
@@ -87,15 +87,20 @@ def load(
             grid=parse_size(args.grid) if args.grid else config.grid, window_us=args.window_us or config.window_us
         )
         _check_grid(config)
-        if pixels.region is not None:
-            config = config.replace(sensor=pixels.region)  # now, so that one too narrow shows before the data is read
+        if pixels.region is not None and min(pixels.region) < 2:  # now, before the data is read
+            raise ValueError(
+                "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
+                f"got {by(pixels.region)}"
+            )
     share = 0.2 if args.validation is None else args.validation
     sizes = sizes_of(args.dataset)
-    sensor = pixels.region if pixels.crop else pixels.camera
-    goes_on = _check_run(args, config, sensor, run_folder)
+    goes_on = _check_run(args, config, pixels, run_folder)
     if goes_on:
-        check_recordings(run_folder, sizes, share, pixels.record)
-    own = read_classes(args.dataset, pixels=pixels, classes=classes, skip_damaged=True, progress=progress)
+        check_recordings(run_folder, sizes, share)
+    own = read_classes(
+        args.dataset, pixels=pixels, classes=classes, skip_damaged=True, progress=progress,
+        said_by=None if start is None or pixels.crop else "--start-from is for",
+    )  # fmt: skip
     _say_left_out(own)
     config = config.replace(sensor=own.sensor)
     learned, held_out = split_recordings(own.recordings, share, np.random.default_rng(args.seed), at_least=1)
@@ -116,7 +121,7 @@ def load(
         "left_out": list(own.left_out),
     }
     if pixels.leaves_out:
-        words["pixels"] = {**pixels.record, "camera": list(own.camera), "left_out": own.left_out_pixels}
+        words["pixels"] = {**pixels.record, "camera": list(own.camera), **own.left_out_events}
 
     def windows_of(which: np.ndarray) -> Windows:
         return lay_windows(own.recordings, config.window_us, which=which, first_event=True, duration_us=None)
@@ -138,30 +143,40 @@ def _of_start(pixels: PixelSelection, start: Model) -> PixelSelection:
     return replace(pixels, sensor=start.config.sensor)
 
 
-def _check_run(args: argparse.Namespace, config: TNTConfig, sensor: tuple[int, int] | None, run_folder: Path) -> bool:
+def _check_run(args: argparse.Namespace, config: TNTConfig, pixels: PixelSelection, run_folder: Path) -> bool:
     """Whether the folder holds this run; compared are the settings that are known before the data is."""
-    from .checkpoint import check_run
+    from .checkpoint import differing_settings
 
     volume = config.to_dict()
     del volume["sensor"]
-    if sensor is not None:
-        volume["sensor"] = sensor
+    if pixels.region or pixels.camera:
+        volume["sensor"] = pixels.region or pixels.camera
     settings = {
         "seed": args.seed, "learning_rate": args.rate, "precision": args.precision, "iterations": args.iterations,
     }  # fmt: skip
     settings |= {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
     if args.patience is not None:
         settings["patience"] = args.patience or None
-    return check_run(run_folder, volume, settings)
+    differ = differing_settings(run_folder, volume, settings)
+    if differ is None:
+        return False
+    others = other_pixels(run_folder, pixels.record)
+    if others:  # the sensor is another because region or mask is: nobody gave a --sensor that could be mended
+        differ = others + [name for name in differ if name != "sensor" or args.sensor]
+    if differ:
+        raise other_run(run_folder, ", ".join(differ))
+    return True
 
 
-def load_test(args: argparse.Namespace, own: OwnData, progress: Progress) -> Windows:
-    """The windows of DATASET/Test, of the pixels that were trained on."""
+def load_test(dataset: Path, own: OwnData, progress: Progress) -> tuple[Windows, tuple[str, ...]]:
+    """The windows of DATASET/Test, of the pixels that are trained on; and what was left out of it, one line each."""
     test = read_classes(
-        args.dataset / "Test", part="Test", pixels=own.pixels, classes=own.classes, skip_damaged=True, progress=progress
-    )
-    _say_left_out(test)
-    return lay_windows(test.recordings, own.config.window_us, first_event=True, duration_us=None)
+        dataset / "Test", part="Test", pixels=own.pixels, classes=own.classes, skip_damaged=True, progress=progress,
+        said_by="the recordings trained on are of",
+    )  # fmt: skip
+    _say_left_out(test, "Test/")
+    windows = lay_windows(test.recordings, own.config.window_us, first_event=True, duration_us=None)
+    return windows, test.left_out
 
 
 def settings_of(args: argparse.Namespace, config: TNTConfig, n_windows: int, n_held_out: int) -> TrainSettings:
@@ -191,29 +206,13 @@ def write_beside(
 ) -> list[Path]:  # fmt: skip
     """Write <out>.json, and <out>.confusion.png and <out>.curves.png where matplotlib is installed.
 
-    Last of all, it names the recordings that were left out once more: hours may lie between.
-
     Returns
     -------
     The files written.
     """
-    written = _write_beside(out, scores, history, summary, held_out)
-    _say_lines(summary["data"]["left_out"])
-    return written
-
-
-def _write_beside(
-    out: Path, scores: Scores | None, history: Sequence[dict[str, float]], summary: Mapping[str, Any],
-    held_out: Sequence[str],
-) -> list[Path]:  # fmt: skip
     from .curves import plot_curves
 
-    report = {} if scores is None else scores.to_dict()
-    content = {**report, "held_out": list(held_out), "summary": dict(summary), "history": list(history)}
-    path = out.with_suffix(".json")
-    with replacing(path) as part:
-        part.write_text(json.dumps(content, indent=1), encoding="utf-8")
-    written = [path]
+    written = [write_numbers(out, scores, history, summary, held_out)]
     curves = out.with_suffix(".curves.png")
     if not plot_curves(history, curves):
         print("no pictures: matplotlib is not installed (pip install '.[plot]')", file=sys.stderr)
@@ -227,15 +226,39 @@ def _write_beside(
     return written
 
 
+def write_numbers(
+    out: Path, scores: Scores | None, history: Sequence[dict[str, float]], summary: Mapping[str, Any],
+    held_out: Sequence[str],
+) -> Path:  # fmt: skip
+    """Write <out>.json, over an older one."""
+    report = {} if scores is None else scores.to_dict()
+    content = {**report, "held_out": list(held_out), "summary": dict(summary), "history": list(history)}
+    path = out.with_suffix(".json")
+    with replacing(path) as part:
+        part.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    return path
+
+
+def say_left_out(summary: Mapping[str, Any]) -> None:
+    """Name the recordings that were left out once more, last of all: hours may lie between."""
+    _say_lines(summary["data"]["left_out"])
+    _say_lines([f"Test/{line}" for line in summary.get("test", {}).get("left_out", ())])
+
+
 def _check_grid(config: TNTConfig) -> None:
     if min(config.grid) < 4:
         raise ValueError(f"--grid must be at least 4x4 for the network's two poolings, got {config.grid}")
 
 
-def _say_left_out(own: OwnClasses) -> None:
-    _say_lines(own.left_out)
-    if own.left_out_pixels:
-        print(f"left out of the recordings: {own.left_out_pixels}", file=sys.stderr)
+def _say_left_out(own: OwnClasses, where: str = "") -> None:
+    _say_lines([f"{where}{line}" for line in own.left_out])
+    told = [
+        f"{own.left_out_events[name]:,} {where}"
+        for name, where in (("left_out_outside", "outside of the region"), ("left_out_masked", "of masked pixels"))
+        if name in own.left_out_events
+    ]
+    if told:
+        print(f"left out of {where.rstrip('/') or 'the recordings'}: {', '.join(told)}", file=sys.stderr)
 
 
 def _say_lines(lines: Sequence[str]) -> None:

@@ -27,26 +27,23 @@ def sizes_of(dataset: Path) -> dict[str, int]:
     return {name_of(path): _size(path) for paths in find_recordings(dataset, "Train").values() for path in paths}
 
 
-def check_recordings(run_folder: Path, sizes: Mapping[str, int], share: float, pixels: Mapping[str, Any]) -> None:
-    """Refuse recordings that are not those of the run in the folder, as far as names and sizes tell, or other pixels.
+def check_recordings(run_folder: Path, sizes: Mapping[str, int], share: float) -> None:
+    """Refuse recordings that are not those of the run in the folder, as far as names and sizes tell.
 
     Parameters
     ----------
     sizes : as of `sizes_of`, now.
     share : of recordings held out.
-    pixels : `PixelSelection.record`, of what the network sees of the recordings.
 
     Raises
     ------
-    ValueError : a recording is new, of another size, or gone though the run trains on it; another share is held out;
-        or other pixels are left out. A run that noted nothing is not refused: `train` compares the events.
+    ValueError : a recording is new, of another size, or gone though the run trains on it; or another share is held
+        out. A run that noted nothing is not refused: `train` compares the events.
     """
-    try:
-        noted = json.loads((run_folder / RECORDINGS).read_text(encoding="utf-8"))
-        then, used, share_then = dict(noted["sizes"]), set(noted["used"]), float(noted["validation"])
-        pixels_then = dict(noted.get("pixels", {}))  # older runs knew of none
-    except (OSError, ValueError, TypeError, KeyError):  # an older run, or a damaged note
+    noted = _noted(run_folder)
+    if noted is None:
         return
+    then, used, share_then, _ = noted
     differ = [f"{name} is new" for name in sizes if name not in then]
     differ += [f"{name} has changed" for name in sizes if name in then and then[name] != sizes[name]]
     differ += [f"{name} is gone" for name in then if name in used and name not in sizes]
@@ -55,23 +52,40 @@ def check_recordings(run_folder: Path, sizes: Mapping[str, int], share: float, p
         raise other_run(run_folder, f"recordings ({', '.join(differ[:SHOWN])}{more})")
     if share != share_then:
         raise other_run(run_folder, f"validation ({share_then:g}, now {share:g})")
-    others = [
-        name for name in {**pixels_then, **pixels} if (pixels_then.get(name) or None) != (pixels.get(name) or None)
-    ]
-    if others:
-        what = dict.fromkeys("mask" if name in ("masked_pixels", "mask_sha256") else name for name in others)
-        raise other_run(run_folder, ", ".join(what))
+
+
+def other_pixels(run_folder: Path, record: Mapping[str, Any]) -> list[str]:
+    """Which of roi, crop and mask are not those of the run in the folder; of one that noted nothing, none.
+
+    record : `PixelSelection.record`, of what the network is to see of the recordings.
+    """
+    noted = _noted(run_folder)
+    if noted is None:
+        return []
+    then = noted[-1]
+    others = [name for name in {**then, **record} if (then.get(name) or None) != (record.get(name) or None)]
+    return list(dict.fromkeys("mask" if name in ("masked_pixels", "mask_sha256") else name for name in others))
 
 
 def note_recordings(
-    run_folder: Path, sizes: Mapping[str, int], share: float, used: Collection[str], pixels: Mapping[str, Any]
+    run_folder: Path, sizes: Mapping[str, int], share: float, used: Collection[str], record: Mapping[str, Any]
 ) -> None:
-    """Write what `check_recordings` reads; `used`: the names of recordings that were not left out."""
+    """Write what `check_recordings` and `other_pixels` read; `used`: names of recordings that were not left out."""
     run_folder.mkdir(parents=True, exist_ok=True)
-    note = {"validation": share, "sizes": dict(sizes), "used": sorted(used), "pixels": dict(pixels)}
+    note = {"validation": share, "sizes": dict(sizes), "used": sorted(used), "pixels": dict(record)}
     text = json.dumps(note, indent=1)
     with replacing(run_folder / RECORDINGS) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def _noted(run_folder: Path) -> tuple[dict[str, int], set[str], float, dict[str, Any]] | None:
+    """Sizes, used recordings, the share held out, and the record of pixels; None of an older run or a damaged note."""
+    try:
+        noted = json.loads((run_folder / RECORDINGS).read_text(encoding="utf-8"))
+        record = dict(noted.get("pixels", {}))  # older runs knew of none
+        return dict(noted["sizes"]), set(noted["used"]), float(noted["validation"]), record
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
 
 
 def _size(path: Path) -> int:

@@ -119,11 +119,18 @@ def test_evaluate_is_as_of_a_dataset_without_those_events(workers, sets, chosen,
         code, printed, told = program("evaluate", "digits", sets / name, "--json", "--workers", workers, *words)
         assert code == 0 and told == ""
         reports[name] = report_of(printed)
+        roi = {"roi": "40,20,34,34", "crop": True} if name == "large" else {}
+        mask = {"clean": {}, "hot": hot_mask(SIZE), "large": hot_mask(CAMERA, CORNER)}[name]
+        size = f"{mask.shape[1]}x{mask.shape[0]}" if len(mask) else ""
+        expected = {**roi, "mask": f"{size} {PackedMask.of(mask).sha256[:16]}"} if len(mask) else None
+        assert reports[name].pop("pixels", None) == expected
     assert reports["hot"] == reports["large"] == reports["clean"] and reports["clean"]["recordings"] == 10
     disturbed = report_of(program("evaluate", "digits", sets / "hot", "--json")[1])
     assert disturbed["accuracy"] < reports["clean"]["accuracy"]
     with_file = program("evaluate", "digits", sets / "hot", "--json", "--out", tmp_path / "e.jsonl", *chosen["hot"])
-    assert report_of(with_file[1]) == reports["clean"]
+    from_file = report_of(with_file[1])
+    assert from_file.pop("pixels")["mask"].startswith("34x34 ")
+    assert from_file == reports["clean"]
 
 
 @pytest.mark.parametrize("words", [("run",), ("evaluate", "digits")])
@@ -164,7 +171,7 @@ def test_a_finished_parquet_names_the_pixels_that_differ(sets, tmp_path, program
     words = "evaluate", "digits", sets / "large", "--out", out, "--mask", sets / "large.npy", "--crop"
     assert program(*words, "--roi", "40,20,34,34")[0] == 0
     code, _, told = program(*words, "--roi", "41,20,34,34")
-    assert code == 2 and "was begun with roi 40,20,34,34 (now 41,20,34,34): give the same" in told
+    assert code == 2 and "was begun with --roi 40,20,34,34 (now 41,20,34,34): give the same" in told
     assert program(*words, "--roi", "41,20,34,34", "--restart")[0] == 0
 
 
@@ -217,12 +224,15 @@ def test_where_no_file_says_the_camera_the_option_or_the_mask_does(sets, tmp_pat
     ("words", "text"),
     [
         (("--crop",), "--crop belongs to --roi"),
-        (("--sensor", "34x34"), "--sensor belongs to --crop"),
+        (("--sensor", "36x34"), "--sensor says 36x34 pixels, but the model is for 34x34"),
         (("--roi", "0,0,20,20", "--crop"), "is for 34x34 pixels, got a region of 20x20"),
         (("--roi", "20,0,20,34"), "must lie on the sensor of 34x34 pixels"),
         (("--mask", "no_such.npy"), "no_such.npy: No such file"),
         (("--mask", "torn.npy"), "torn.npy: not a readable NumPy file"),
-        (("--mask", "LARGE"), "large.npy: a mask of a 34x34 sensor must be a bool array of shape (34, 34)"),
+        (
+            ("--mask", "LARGE"),
+            "large.npy: a mask of a 100x80 camera, but the model is for 34x34 pixels: give --roi X,Y",
+        ),
         (("--roi", "0,0,34,34", "--crop", "--mask", "LARGE", "--sensor", "90x80"), "given as 90x80 (--sensor)"),
     ],
 )
@@ -243,9 +253,62 @@ def test_workers_need_no_file_of_the_mask(where, sets, tmp_path, request):
     engine = choose_engine("digits", "compiled")
     mask = tmp_path / "m.npy"
     save_mask(mask, hot_mask(SIZE))
-    job = job_of("run", "digits", engine, PixelSelection.read(mask=mask))
+    job = job_of("run", "digits", engine, PixelSelection(mask=mask))
     mask.unlink()
     tasks = [task_of(path.parent.name, path, job) for path in sorted((sets / "hot").glob("*/*"))]
     here, there = (collect(run_recording, tasks, at, Collected()) for at in (Place(), place))
     assert [what_was_decided(r) for r in there] == [what_was_decided(r) for r in here]
     assert len(there) == 10 and all(r["error"] is None for r in there)
+
+
+def test_a_sensor_that_repeats_the_masks_size_goes_on(sets, chosen, tmp_path, program):
+    out = tmp_path / "r.jsonl"
+    words = ("run", sets / "large", "--out", out, *chosen["large"])
+    assert program(*words)[0] == 0
+    before = out.read_bytes()
+    code, printed, told = program(*words, "--sensor", "100x80")
+    assert code == 0 and "streamed now" not in printed, told
+    assert out.read_bytes() == before
+    without_mask = (*words[:4], "--roi", "40,20,34,34", "--crop", "--restart")
+    assert program(*without_mask, "--sensor", "100x80")[0] == 0
+    code, _, told = program(*without_mask[:-1], "--sensor", "101x80")  # of which these recordings are not
+    assert code == 2 and "was made by another model" in told
+
+
+def test_an_event_off_the_camera_is_told_as_by_run(sets, tmp_path, program):
+    """By whom its size is said, in the words of `run`, in a recording's error too."""
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "a.csv").write_text("t,x,y,p\n0,3,5,1\n1,99,90,1\n")
+    save_mask(tmp_path / "m95.npy", np.zeros((95, 95), bool))
+    for words, who in (
+        (("--roi", "0,0,34,34", "--crop", "--mask", tmp_path / "m95.npy"), "m95.npy is a mask of 95x95 pixels"),
+        (("--roi", "0,0,30,30"), "the model is for 34x34 pixels; train one for this camera"),
+        ((), "the model is for 34x34 pixels; train one for this camera"),
+    ):
+        code, _, told = program("run", tmp_path / "set", "--out", tmp_path / "r.jsonl", "--restart", *words)
+        by_run = program("run", tmp_path / "set" / "a.csv", *words)[2].splitlines()[0]
+        assert code == 2 and told.splitlines()[0] == by_run and who in by_run, (told, by_run)
+
+
+def test_a_thread_keeps_one_selector_and_counts_each_recording_of_its_own(sets, tmp_path, monkeypatch):
+    from async_tnt.archive import job as job_module
+
+    made = []
+
+    class Counted(job_module.PixelSelector):
+        def __init__(self, *settings):
+            made.append(settings)
+            super().__init__(*settings)
+
+    monkeypatch.setattr(job_module, "PixelSelector", Counted)
+    write(tmp_path / "1.npz", np.load(sets / "hot" / "3" / "a.npz")["events"], SIZE)
+    at_hot_pixels = np.zeros(7, np.load(sets / "hot" / "3" / "a.npz")["events"].dtype)
+    at_hot_pixels["x"], at_hot_pixels["y"] = HOT[0]
+    write(tmp_path / "2.npz", at_hot_pixels, SIZE)
+    write(tmp_path / "3.npz", at_hot_pixels[:0], SIZE)
+    job = job_of("run", "digits", choose_engine("digits"), PixelSelection(mask=hot_mask(SIZE)), every_us=12_345)
+    records = [run_recording(task_of(path.name, path, job)) for path in sorted(tmp_path.glob("*.npz"))]
+    assert [record["error"] for record in records] == [
+        None, "2.npz: no events are left: 7 of masked pixels", "3.npz: no events",
+    ]  # fmt: skip
+    assert len(made) == 1

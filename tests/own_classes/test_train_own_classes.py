@@ -218,12 +218,12 @@ def _files_only(folder):
     [
         (_one_class, "at least two class folders to tell apart, got upright"),
         (_a_class_with_none, "no recordings in the class folder slanted; expected files in "),
-        (_a_class_of_silence, "no event in any recording of class flat"),
-        (_in_two_classes, "hold the same events, but are of two classes; remove one"),
-        (_two_sensors, "one sensor, got 128x128 (flat/00.npz), 640x480 (flat/other.npz)"),
+        (_a_class_of_silence, "no recording of class flat is left; record some, or remove the folder"),
+        (_in_two_classes, "hold the same events, but are of two classes; remove the wrong one"),
+        (_two_sensors, "one sensor, got 128x128 (flat/00.npz and 5 more), 640x480 (flat/other.npz); take"),
         (
             _a_class_of_torn_files,
-            "recording of class flat; record some, or remove the folder (left out: flat/a.npy: ",
+            "recording of class flat is left; record some, or remove the folder (left out: flat/a.npy: ",
         ),
         (_files_only, "no class folders; expected set/<class name>/<recording>"),
     ],
@@ -270,7 +270,10 @@ def test_an_unreadable_recording_is_left_out_and_named_at_the_end(tmp_path, trai
         (("DATASET", "--saccades", "1"), "--saccades must come without DATASET"),
         (("--smoke", "--grid", "20x20"), "--grid must come with DATASET"),
         (("DATASET", "--grid", "3x20"), "--grid must be at least 4x4"),
-        (("DATASET", "--sensor", "640x480"), "of one sensor, got 640x480 (--sensor), 128x128 (flat/"),
+        (
+            ("DATASET", "--sensor", "640x480"),
+            ": --sensor says 640x480, but the recordings that state their sensor say 128x128 (flat/01.npz and 11 more)",
+        ),
         (("DATASET", "--patience", "-1"), "`patience` must be at least 1, got -1"),
         (("DATASET", "--batch", "0"), "`batch` must be at least 1, got 0"),
         (("nowhere",), "no folder nowhere"),
@@ -283,10 +286,12 @@ def test_options_that_cannot_be_are_one_line(words, text, gestures, program, tmp
     assert code == 2 and text in told, told
 
 
-def test_a_size_is_two_numbers(program, capsys):
+@pytest.mark.parametrize("size", ["128", "0x5"])
+def test_a_size_is_two_numbers(size, program, capsys):
     with pytest.raises(SystemExit) as stopped:
-        program("train", "set", "--sensor", "128")
-    assert stopped.value.code == 2 and "such as 346x260, got '128'" in capsys.readouterr().err
+        program("train", "set", "--sensor", size)
+    told = capsys.readouterr().err
+    assert stopped.value.code == 2 and "--sensor: must be WIDTHxHEIGHT" in told and f"got {size!r}" in told
 
 
 def test_interrupted_and_resumed_gives_the_same_model(gestures, train, monkeypatch):

@@ -9,11 +9,12 @@ import pytest
 from own_classes.gestures import bar, write
 
 from async_tnt.model import load_model
-from async_tnt.pixels import PixelFilter, save_mask
+from async_tnt.pixels import PixelFilter, PixelSelection, save_mask
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.training import own_run
+from async_tnt.training.own_classes import read_classes
 
 QUICK = ("--epochs", "2", "--batch", "4", "--patience", "0")
 SIZE = (64, 64)
@@ -122,10 +123,11 @@ def test_the_record_says_what_was_seen(models, sets):
         "masked_pixels": 2,
         "mask_sha256": hashlib.sha256(mask.tobytes()).hexdigest(),
         "camera": [120, 90],
-        "left_out": "7,500 outside of the region, 9,000 of masked pixels",
+        "left_out_outside": 7500,
+        "left_out_masked": 9000,
     }
     assert told["data"]["sensor"] == [64, 64]
-    assert "--roi 30,10,64,64 --crop" in told["command"]  # to be given again; the mask is a file of one's own
+    assert " --roi 30,10,64,64 --crop " in told["command"] and told["command"].endswith(" --mask MASK")
     beside = json.loads(models["large"].with_suffix(".json").read_text())
     assert beside["summary"]["data"]["pixels"] == told["data"]["pixels"]
 
@@ -142,6 +144,7 @@ def test_such_a_model_is_evaluated_and_run_with_the_same_options(models, sets, c
         code, printed, told = program("evaluate", models[name], sets / name, "--json", *chosen[name])
         assert code == 0 and told == ""
         report = json.loads(printed)
+        report.pop("pixels", None)
         reports.append({k: v for k, v in report.items() if not k.endswith("_per_second") and k != "seconds"})
     assert reports[0] == reports[1] and reports[0]["recordings"] == 10
     words = "run", "--model", models["large"], sets / "large" / "flat" / "0.npz"
@@ -161,8 +164,17 @@ def test_a_region_alone_and_a_region_without_crop(sets, tmp_path, train):
     assert all((got.weights[name] == weights).all() for name, weights in expected.weights.items())
 
 
-def test_the_test_folder_is_seen_through_the_same_pixels(sets, chosen, tmp_path, train):
-    """A region of the region would be refused; without the mask, the accuracy would be another's."""
+def test_the_test_folder_is_seen_through_the_same_pixels(sets, chosen, tmp_path, train, monkeypatch):
+    """Event by event: two models that decide alike may have seen something else."""
+    from async_tnt.training import evaluate as evaluation
+
+    evaluate, seen = evaluation.evaluate, []
+
+    def note(pipeline, windows, **more):
+        seen.append(windows.recordings)
+        return evaluate(pipeline, windows, **more)
+
+    monkeypatch.setattr(evaluation, "evaluate", note)
     tests = []
     for name in ("clean", "large"):
         for part in ("Train", "Test"):
@@ -173,6 +185,57 @@ def test_the_test_folder_is_seen_through_the_same_pixels(sets, chosen, tmp_path,
         assert code == 0, told
         tests.append(load_model(out).record["test"])
     assert tests[0] == tests[1] and tests[0]["recordings"] == 6
+    of_clean, of_large = seen[1], seen[3]  # after those of the held-out recordings
+    assert len(of_clean) == 6
+    for name in ("t", "x", "y", "p", "offsets"):
+        np.testing.assert_array_equal(getattr(of_large, name), getattr(of_clean, name))
+
+
+def test_the_test_folder_need_not_say_the_sensor_again(sets, tmp_path, train):
+    """The recordings trained on have said it: the region is cut out of theirs, and a .bin is of it."""
+    for path in (sets / "large").glob("*/*.npz"):
+        (tmp_path / "set" / "Train" / path.parent.name).mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, tmp_path / "set" / "Train" / path.parent.name)
+        events = np.sort(np.load(path)["events"], order="t", kind="stable")
+        for suffix in (".csv", ".bin"):
+            events = events[100:]  # so that they are no copies of each other
+            write(tmp_path / "set" / "Test" / path.parent.name / f"{path.stem}{suffix}", events)
+    code, _, told, out = train(tmp_path / "set", "--roi", "30,10,64,64", "--crop", "--test")
+    assert code == 0, told
+    record = load_model(out).record["test"]
+    assert record["recordings"] == 12 and record["left_out"] == []
+
+
+def test_the_mask_says_the_sensor_of_silent_recordings_and_bins(sets, tmp_path):
+    """As `--sensor` does, also where their events would fit a smaller one."""
+    for k, suffix in enumerate((".csv", ".npy", ".bin", ".csv")):
+        write(tmp_path / "ab"[k % 2] / f"{k}{suffix}", bar("flat", k, side=30, n=50))
+    for pixels in (PixelSelection(mask=np.zeros((90, 120), bool)), PixelSelection((1, 1, 90, 80), True, None, CAMERA)):
+        own = read_classes(tmp_path, pixels=pixels)
+        assert own.camera == CAMERA and own.sensor == (pixels.region or CAMERA) and len(own.recordings) == 4
+
+
+def test_a_region_is_cut_out_of_silent_recordings_by_the_others_sensor(sets):
+    """Half of the set is CSV. As if `--sensor` had said it; also where the first one read is silent."""
+    for roi in ((30, 10, 64, 64), (0, 0, 100, 90)):
+        got, expected = (
+            read_classes(sets / "large", pixels=PixelSelection(roi, True, None, sensor)) for sensor in (None, CAMERA)
+        )
+        assert got.recordings.names == expected.recordings.names and got.left_out_events == expected.left_out_events
+        np.testing.assert_array_equal(got.recordings.x, expected.recordings.x)
+
+
+def test_events_of_recordings_that_are_left_out_do_not_count(sets, tmp_path):
+    mask = mask_of(SIZE)
+    expected = {"left_out_masked": 9000}
+    folder = shutil.copytree(sets / "hot", tmp_path / "set")
+    assert read_classes(folder, pixels=PixelSelection(mask=mask)).left_out_events == expected
+    _, hot = recorded("flat", 0)
+    shutil.copy(folder / "flat" / "0.npz", folder / "flat" / "copy.npz")
+    write(folder / "flat" / "still.npz", hot[mask[hot["y"], hot["x"]]], sensor=SIZE)
+    own = read_classes(folder, pixels=PixelSelection(mask=mask))
+    assert own.left_out_events == expected and len(own.left_out) == 2
+    assert read_classes(folder).left_out_events == {}
 
 
 def test_another_selection_is_another_run(sets, chosen, tmp_path, train, monkeypatch):
@@ -187,11 +250,24 @@ def test_another_selection_is_another_run(sets, chosen, tmp_path, train, monkeyp
         (("--mask", mask), "mask"),
         ((), "mask"),
         (("--mask", sets / "hot.npy", "--roi", "0,0,64,50"), "roi"),
-        (("--mask", sets / "hot.npy", "--roi", "0,0,50,64", "--crop"), "sensor"),
+        (("--mask", sets / "hot.npy", "--roi", "0,0,50,64", "--crop"), "roi, crop"),
+        (("--mask", sets / "large.npy"), "mask"),
+        (("--mask", sets / "large.npy", "--sensor", "120x90"), "mask, sensor"),
+        (("--mask", mask, "--seed", "3"), "mask, seed"),
     ):
         code, _, told, _ = train(sets / "hot", *words)
         assert code == 2 and told.startswith(f"async-tnt: {run} holds a run with other {what}; give another"), told
         assert told.count("\n") == 1
+
+
+def test_a_moved_region_is_named_as_such(sets, tmp_path, train):
+    words = ("--crop", "--mask", sets / "large.npy")
+    assert train(sets / "large", "--roi", "30,10,64,64", *words)[0] == 0
+    for roi in ("31,10,64,64", "30,10,66,64"):  # of another size or not
+        code, _, told, _ = train(sets / "large", "--roi", roi, *words)
+        assert code == 2 and "holds a run with other roi; give another" in told, told
+    code, _, told, _ = train(sets / "large", *words[1:])
+    assert code == 2 and "holds a run with other roi, crop; give another" in told, told
 
 
 def test_a_run_from_before_there_were_selections_goes_on(sets, tmp_path, train):
@@ -231,17 +307,20 @@ def test_a_recording_of_which_nothing_is_left_is_named(sets, tmp_path, train):
     ("words", "text"),
     [
         (("SET", "--crop"), "--crop belongs to --roi"),
-        (("SET", "--sensor", "0x5"), "`sensor` must have sides in [1, 32768]"),
+        (("SET", "--roi", "40,40,1,1", "--crop"), "the region is the model's sensor and must have sides of at least 2"),
         (("SET", "--mask", "no_such.npy"), "no_such.npy: No such file"),
-        (("SET", "--mask", "HOT"), "hot.npy: a mask of a 120x90 sensor must be a bool array of shape (90, 120)"),
+        (
+            ("SET", "--mask", "HOT"),
+            ": hot.npy is a mask of 64x64, but the recordings that state their sensor say 120x90 (flat/0.npz and 5",
+        ),
         (("SET", "--mask", "HOT", "--sensor", "120x90"), "a mask of 64x64 pixels, but the camera's are given as"),
         (("SET", "--roi", "100,0,64,64", "--crop"), "must lie on the sensor of 120x90 pixels"),
-        (("SET", "--roi", "0,0,1,64", "--crop", "--mask", "LARGE"), "sides"),
+        (("SET", "--roi", "0,0,1,64", "--crop", "--mask", "LARGE"), "sides of at least 2 pixels, got 1x64"),
         (("--smoke", "--roi", "0,0,3,3"), "--roi must come with DATASET"),
         (("--smoke", "--mask", "HOT"), "--mask must come with DATASET"),
         (("SILENT", "--roi", "0,0,64,64", "--crop"), "does not say the camera's pixels, which --crop needs"),
         (("SILENT", "--roi", "0,0,50,50"), "does not say the camera's pixels, which --roi needs"),
-        (("SILENT", "--mask", "HOT"), "flat/1.csv: `x` must be in [0, 64)"),
+        (("SILENT", "--mask", "HOT"), "flat/1.csv: every event must lie on the 64x64 sensor, got x = "),
     ],
 )
 def test_what_cannot_be_is_one_line(words, text, sets, tmp_path, program, monkeypatch):

@@ -171,7 +171,8 @@ def test_a_wrong_packet_counts_nothing():
 
 
 MASK_RULE = r"a mask of a 30x20 sensor must be a bool array of shape \(20, 30\), \(height, width\); got "
-ROI_RULE = r"`roi` \(x, y, width, height\) must lie on the sensor of 30x20 pixels and hold at least one, got "
+ROI_RULE = r"`roi` \(x, y, width, height\) must lie on the sensor of 30x20 pixels, got "
+NO_ROI = r"`roi` \(x, y, width, height\) must lie on the sensor, x and y at least 0, and hold at least one pixel, got "
 
 
 @pytest.mark.parametrize(
@@ -181,12 +182,18 @@ ROI_RULE = r"`roi` \(x, y, width, height\) must lie on the sensor of 30x20 pixel
         ({"sensor": (30.5, 2)}, r"`sensor` must be \(width, height\) in whole pixels, got \(30.5, 2\)"),
         ({"sensor": (30, 40_000)}, r"`sensor` must have sides in \[1, 32768\] pixels, got \(30, 40000\)"),
         ({"roi": (0, 0, 31, 20)}, ROI_RULE + r"\(0, 0, 31, 20\)"),
-        ({"roi": (-1, 0, 3, 2)}, ROI_RULE + r"\(-1, 0, 3, 2\)"),
-        ({"roi": (5, 5, 3, 0)}, ROI_RULE + r"\(5, 5, 3, 0\)"),
+        ({"roi": (-1, 0, 3, 2)}, NO_ROI + r"\(-1, 0, 3, 2\)"),
+        ({"roi": (5, 5, 3, 0)}, NO_ROI + r"\(5, 5, 3, 0\)"),
         ({"roi": (5, 19, 3, 2)}, ROI_RULE + r"\(5, 19, 3, 2\)"),
         ({"roi": (5, 5, 3)}, r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3\)"),
         ({"roi": (5, 5, 3.0, 1)}, r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3.0, 1\)"),
-        ({"crop": True}, r"`crop` needs a region: pass `roi` as \(x, y, width, height\)"),
+        ({"roi": (5, 5, 3, True)}, r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3, True\)"),
+        ({"roi": 5}, r"`roi` must be \(x, y, width, height\) in whole pixels, got 5"),
+        ({"sensor": (True, 20)}, r"`sensor` must be \(width, height\) in whole pixels, got \(True, 20\)"),
+        (
+            {"crop": True},
+            r"--crop belongs to --roi \(in Python, `crop` to `roi`\): the region that is to be the sensor",
+        ),
         ({"mask": np.zeros((30, 20), bool)}, MASK_RULE + r"shape \(30, 20\); turn it with .T"),
         ({"mask": np.zeros((20, 31), bool)}, MASK_RULE + r"shape \(20, 31\)"),
         ({"mask": np.zeros((20, 30), np.uint8)}, MASK_RULE + r"uint8 of shape \(20, 30\)"),

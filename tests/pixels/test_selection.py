@@ -1,5 +1,6 @@
 """PixelSelection and PixelSelector: what a model is to see, as values, and applied to recordings."""
 
+import dataclasses
 import hashlib
 import pickle
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from async_tnt.pixels import PackedMask, PixelFilter, PixelSelection, PixelSelector, load_mask, save_mask
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.recordings import open_recording, sample_recordings, write_nmnist
 
 SAMPLE = sample_recordings()[3]
 EVENTS = open_recording(SAMPLE).read()
@@ -43,7 +44,7 @@ def test_masks_are_equal_by_their_pixels_and_size():
 
 def test_a_selection_goes_to_another_process_with_its_mask(tmp_path):
     save_mask(tmp_path / "m.npy", random_mask((346, 260), 0.001))
-    selection = PixelSelection.read((10, 20, 34, 34), True, tmp_path / "m.npy")
+    selection = PixelSelection((10, 20, 34, 34), True, tmp_path / "m.npy")
     mask = load_mask(tmp_path / "m.npy")
     (tmp_path / "m.npy").unlink()
     sent = pickle.loads(pickle.dumps(selection))
@@ -74,6 +75,30 @@ def test_about_and_record_tell_one_selection_from_another():
     assert "sensor" in PixelSelection((0, 0, 2, 2), crop=True, sensor=(34, 34)).about
 
 
+def test_a_sensor_that_repeats_what_the_mask_says_decides_nothing():
+    mask = PackedMask.of(mask_of((60, 48), (1, 2)))
+    alone, repeated = (PixelSelection((0, 0, 9, 9), True, mask, sensor) for sensor in (None, (60, 48)))
+    assert alone.about == repeated.about and "sensor" not in alone.about
+    one, other = (PixelSelection((0, 0, 9, 9), True, sensor=sensor) for sensor in ((60, 48), (61, 48)))
+    assert one.about != other.about  # which recordings are of the camera, and which are an error
+
+
+def test_a_mask_may_be_an_array_or_a_file(tmp_path):
+    mask = random_mask((34, 34), 0.1)
+    save_mask(tmp_path / "m.npy", mask)
+    packed = PackedMask.of(mask)
+    for given in (mask, packed, tmp_path / "m.npy", str(tmp_path / "m.npy")):
+        assert PixelSelection(mask=given).mask == packed
+    assert PixelSelection(mask=tmp_path / "m.npy").mask.name == str(tmp_path / "m.npy")
+    again = dataclasses.replace(PixelSelection((1, 2, 3, 4), 1, mask), sensor=(34, 34))
+    assert again == PixelSelection((1, 2, 3, 4), True, packed, (34, 34)) and again.crop is True
+    for wrong in ([[True]], 5, b"m.npy"):  # bytes are no path
+        with pytest.raises(TypeError, match=r"`mask` must be a bool array, a .* or a PackedMask, got "):
+            PixelSelection(mask=wrong)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        again.crop = False
+
+
 def test_equal_regions_are_equal_whatever_they_are_written_in():
     one, other = (
         PixelSelection((0, 1, 20, 20), sensor=(34, 34)),
@@ -86,7 +111,7 @@ def test_a_recording_is_opened_and_selected_as_by_a_filter():
     mask = random_mask((34, 34), 0.3)
     selector = PixelSelector(PixelSelection((5, 3, 20, 25), mask=PackedMask.of(mask)), (34, 34))
     recording, sensor = selector.open(SAMPLE)
-    got = np.concatenate(list(selector.select(recording, sensor)))
+    got = np.concatenate(list(map(selector.filter_of("a", sensor), recording)))
     expected = PixelFilter((34, 34), (5, 3, 20, 25), mask)
     np.testing.assert_array_equal(got, expected(EVENTS))
     assert 0 < len(got) < len(EVENTS)
@@ -98,8 +123,8 @@ def test_a_recording_is_opened_and_selected_as_by_a_filter():
 def test_nothing_to_leave_out_is_every_packet_as_it_is():
     selector = PixelSelector(PixelSelection(), (34, 34))
     recording, sensor = selector.open(SAMPLE)
-    assert selector.filter_of("a", sensor)(EVENTS) is EVENTS
-    assert sum(map(len, selector.select(recording, sensor))) == len(EVENTS) and selector.summary() == ""
+    assert selector.filter_of("a", sensor)(EVENTS) is EVENTS and recording.n_events == len(EVENTS)
+    assert selector.summary() == selector.nothing_left() == ""
 
 
 def test_a_masks_size_says_the_camera_where_nobody_does(tmp_path):
@@ -112,13 +137,13 @@ def test_a_masks_size_says_the_camera_where_nobody_does(tmp_path):
 
 
 def test_to_be_trained_any_sensor_is_right_and_a_bin_is_of_the_one_given(tmp_path):
-    assert PixelSelector(PixelSelection(), None).open_to_learn(SAMPLE)[1] == (34, 34)
-    assert PixelSelector(PixelSelection(sensor=(304, 240)), None).open_to_learn(SAMPLE)[1] == (304, 240)
+    assert PixelSelector(PixelSelection(), None).open_to_learn(SAMPLE).sensor == (34, 34)
+    assert PixelSelector(PixelSelection(sensor=(304, 240)), None).open_to_learn(SAMPLE).sensor == (304, 240)
     np.save(tmp_path / "a.npy", EVENTS)
-    assert PixelSelector(PixelSelection(), None).open_to_learn(tmp_path / "a.npy")[1] is None
+    assert PixelSelector(PixelSelection(), None).open_to_learn(tmp_path / "a.npy").sensor is None
     selector = PixelSelector(PixelSelection((0, 0, 20, 20)), None)
     with pytest.raises(ValueError, match=r"^a.npy: does not say the camera's pixels, which --roi needs: give --sensor"):
-        selector.filter_of("a.npy", selector.open_to_learn(tmp_path / "a.npy")[1])
+        selector.filter_of("a.npy", selector.open_to_learn(tmp_path / "a.npy").sensor)
 
 
 @pytest.mark.parametrize(
@@ -130,9 +155,26 @@ def test_to_be_trained_any_sensor_is_right_and_a_bin_is_of_the_one_given(tmp_pat
         ({"roi": (0, 0, 20.5, 3)}, None, "must be .x, y, width, height. in whole pixels, got"),
         ({"sensor": (0, 20)}, None, "`sensor` must have sides in"),
         ({"roi": (20, 0, 20, 20)}, (34, 34), "must lie on the sensor of 34x34 pixels"),
-        ({"roi": (-1, 0, 20, 20), "sensor": (34, 34)}, None, "must lie on the sensor of 34x34 pixels"),
+        ({"roi": (-1, 0, 20, 20)}, None, "must lie on the sensor, x and y at least 0"),
+        ({"roi": (0, 0, 0, 0)}, None, "and hold at least one pixel, got .0, 0, 0, 0.$"),
+        ({"roi": (0, 0, True, 5)}, None, "must be .x, y, width, height. in whole pixels, got"),
+        ({"sensor": (34, True)}, None, "`sensor` must be .width, height. in whole pixels, got"),
+        (
+            {"sensor": (60, 48)},
+            (40, 40),
+            "--sensor says 60x48 pixels, but .* for 40x40: give --roi X,Y,40,40 --crop too",
+        ),
+        ({"sensor": (30, 48)}, (40, 40), "--sensor says 30x48 pixels, but the model is for 40x40: train one for this"),
+        (
+            {"mask": (60, 48)},
+            (40, 40),
+            "^hot.npy: a mask of a 60x48 camera, but the model is for 40x40 pixels: give --roi "
+            "X,Y,40,40 --crop too, or give the mask of a 40x40 camera$",
+        ),
+        ({"mask": (30, 48)}, (40, 40), "^hot.npy: a mask of a 30x48 .* 40x40 pixels: give the mask of a 40x40 camera$"),
         ({"roi": (60, 60, 34, 34), "crop": True, "mask": (80, 80)}, (34, 34), "must lie on the sensor of 80x80 pixels"),
-        ({"mask": (20, 34)}, (34, 34), r"^hot.npy: a mask of a 34x34 sensor must .* got shape \(34, 20\)"),
+        ({"mask": (20, 34)}, (34, 34), "^hot.npy: a mask of a 20x34 camera, but the model is for 34x34 pixels"),
+        ({"mask": (20, 34)}, (34, 20), "the mask of a 34x20 camera; or turn it with .T$"),
         ({"mask": (20, 34), "sensor": (34, 34)}, None, "a mask of 20x34 pixels, but the camera's are given as 34x34"),
     ],
 )
@@ -143,10 +185,65 @@ def test_what_cannot_be_is_refused_before_the_first_event(settings, model, messa
         PixelSelector(PixelSelection(**settings), model)
 
 
-@pytest.mark.parametrize("wrong", [np.zeros((3, 4)), np.zeros(4, bool), [[True]]])
+@pytest.mark.parametrize("wrong", [np.zeros((3, 4)), np.zeros(4, bool), [[True]], np.zeros((4, 0), bool)])
 def test_what_is_no_mask_is_refused(wrong, tmp_path):
     with pytest.raises(ValueError, match="must be a bool array of shape"):
         PackedMask.of(wrong)
     np.save(tmp_path / "m.npy", np.array(wrong, float))
     with pytest.raises(ValueError, match=r"m.npy: a mask .*must be a bool array of shape"):
         PackedMask.read(tmp_path / "m.npy")
+
+
+def bin_within_34(folder):
+    write_nmnist(folder / "inside.bin", EVENTS)
+    return folder / "inside.bin"
+
+
+@pytest.mark.parametrize("said_by", ["sensor", "mask"])
+def test_a_bin_is_of_the_camera_that_somebody_names(said_by, tmp_path):
+    path = bin_within_34(tmp_path)
+    named = {"sensor": {"sensor": (60, 48)}, "mask": {"mask": mask_of((60, 48), (59, 47))}}[said_by]
+    for settings, model in (({"roi": (2, 1, 20, 20), "crop": True}, (20, 20)), ({}, (60, 48))):
+        selector = PixelSelector(PixelSelection(**settings, **named), model)
+        recording, sensor = selector.open(path, strict=True)
+        assert sensor == (60, 48) and recording.sensor is None
+        kept = np.concatenate(list(map(selector.filter_of("a", sensor), recording)))
+        roi = settings.get("roi")
+        np.testing.assert_array_equal(kept, PixelFilter((60, 48), roi, crop=roi is not None)(EVENTS))
+    with pytest.raises(ValueError, match="a sensor of 34x34 pixels, but the model is for 60x48"):
+        PixelSelector(PixelSelection(), (60, 48)).open(path)  # nobody says it, and all its events are on N-MNIST's
+
+
+def test_an_event_off_the_named_camera_is_told_by_who_named_it(tmp_path):
+    write_nmnist(tmp_path / "a.bin", np.array([(1, 200, 3, 1)], EVENTS.dtype), sensor=None)
+    selection = PixelSelection((0, 0, 34, 34), True, PackedMask.of(mask_of((45, 45)), "m45.npy"))
+    selector = PixelSelector(selection, (34, 34))
+    recording, sensor = selector.open(tmp_path / "a.bin", strict=True)
+    with pytest.raises(ValueError) as caught:
+        selector.check_silent(recording, "a.bin", sensor)
+    assert str(caught.value) == "a.bin: `x` must be in [0, 45), got 200 at event 0; m45.npy is a mask of 45x45 pixels"
+
+
+@pytest.mark.parametrize(
+    ("camera", "part"), [((60, 48), True), ((40, 40), True), ((39, 90), False), ((90, 39), False), ((20, 20), False)]
+)
+def test_a_part_is_offered_of_a_camera_that_has_one(camera, part):
+    selector = PixelSelector(PixelSelection(), (40, 40))
+    if camera == (40, 40):
+        assert selector.sensor_of("a", camera) == camera
+        return
+    with pytest.raises(ValueError, match="but the model is for 40x40; train one for this camera") as caught:
+        selector.sensor_of("a", camera)
+    assert ("or cut out a part: --roi X,Y,40,40 --crop" in str(caught.value)) == part
+
+
+def test_nothing_left_is_counted_from_where_one_asks():
+    selector = PixelSelector(PixelSelection((0, 0, 4, 4), mask=np.ones((34, 34), bool)), (34, 34))
+    select = selector.filter_of("", (34, 34))
+    assert selector.nothing_left() == ""  # nothing came
+    select(([1, 2, 3], [1, 2, 20], [1, 2, 20], [1, 1, 1]))
+    before = selector.counts
+    assert selector.nothing_left() == "no events are left: 1 outside of the region, 2 of masked pixels"
+    assert selector.nothing_left(before) == selector.summary(before) == ""
+    select(([4], [9], [9], [1]))
+    assert selector.nothing_left(before) == "no events are left: 1 outside of the region, 0 of masked pixels"

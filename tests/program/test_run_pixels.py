@@ -66,14 +66,17 @@ def test_a_region_without_crop_keeps_the_coordinates(capsys):
     "options, message",
     [
         (["--crop"], "--crop belongs to --roi"),
-        (["--sensor", "34x34"], "--sensor belongs to --crop"),
+        (
+            ["--sensor", "36x34"],
+            "--sensor says 36x34 pixels, but the model is for 34x34: give --roi X,Y,34,34 --crop too",
+        ),
         (
             ["--roi", "0,0,20,20", "--crop"],
             "is for 34x34 pixels, got a region of 20x20; give --roi X,Y,34,34",
         ),
         (["--roi", "20,0,20,34"], "must lie on the sensor of 34x34 pixels"),
         (["--roi", "1,1,34,34", "--crop"], "must lie on the sensor of 34x34 pixels"),
-        (["--roi", "0,0,34,34", "--crop", "--sensor", "50x50"], "a sensor of 34x34 pixels, but --sensor says 50x50"),
+        (["--roi", "0,0,34,34", "--crop", "--sensor", "40x30"], "must lie on the sensor of 40x30 pixels"),
         (["--mask", "no_such.npy"], "no_such.npy"),
     ],
 )

@@ -79,6 +79,16 @@ def test_train_and_test_on_a_folder(nmnist, tmp_path, capsys):
     assert "epoch 2/2" in printed.err and "by recording" in printed.err
 
 
+def test_a_damaged_test_folder_does_not_cost_the_model(nmnist, tmp_path, capsys):
+    torn = sorted((nmnist / "Test").rglob("*.bin"))[3]
+    torn.write_bytes(torn.read_bytes()[:-2])
+    words = ("--nmnist", nmnist, "--epochs", 1, "--test", "--run", tmp_path / "run", "--out")
+    assert run(*words, tmp_path / "m.safetensors") == 2
+    assert torn.name in capsys.readouterr().err
+    record = load_model(tmp_path / "m.safetensors").record
+    assert record["epochs"] == 1 and "test" not in record
+
+
 def test_an_interruption_says_how_to_go_on(nmnist, tmp_path, monkeypatch, capsys):
     words = ["--nmnist", nmnist, "--epochs", 2, "--batch", 8, "--run", tmp_path / "run", "--out"]
     whole = ["--nmnist", nmnist, "--epochs", 2, "--batch", 8, "--run", tmp_path / "whole", "--out"]
