@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from ..model import Model, bundled_models
 from .archive_options import Interrupted, add_archive, place_of, stream_archive
 from .files import complain, model_of
 from .pixel_options import add_pixels, selector_of
+
+SHOWN = 10  # classes that a refusal names
 
 DESCRIPTION = """Stream every recording of a folder of class folders through a model, and count how often it is right.
 
@@ -119,13 +122,16 @@ def labelled_recordings(folder: Path, model: Model) -> tuple[list[Path], list[in
     found = find_recordings(folder, "Test")
     unknown = [name for name in found if name not in model.classes]
     if unknown:
-        raise ValueError(
-            f"{folder}: the model does not know class {', '.join(unknown)}; it knows {', '.join(model.classes)}"
-        )
+        raise ValueError(f"{folder}: the model does not know class {_some(unknown)}; it knows {_some(model.classes)}")
     paths = [path for name in found for path in found[name]]
     if not paths:
         raise ValueError(f"{folder}: no recordings in its class folders ({', '.join(found)})")
     return paths, [model.classes.index(name) for name in found for _ in found[name]]
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f", and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more
 
 
 def report_of(

@@ -14,6 +14,8 @@ from ..model import Model, bundled_models, load_model
 from ..recordings import READERS, Recording, check_sensor, open_for, sample_recordings
 from ..recordings.fitting import check_events
 
+SAMPLES = Path("samples")
+
 
 class HasConfig(Protocol):
     """A Model, or an engine that runs one."""
@@ -31,7 +33,7 @@ def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False, streams: b
         nargs="*",
         metavar="FILE",
         type=_file_or_stream if streams else Path,
-        help=f"{sources}recordings ({', '.join(sorted(READERS))}); the ten bundled samples by default",
+        help=f"{sources}recordings ({', '.join(sorted(READERS))}); the ten bundled `samples` by default",
     )
     parser.add_argument(
         "--model",
@@ -55,7 +57,11 @@ def add_start(parser: argparse.ArgumentParser) -> None:
 
 
 def paths_of(args: argparse.Namespace) -> list[Any]:
-    return args.files or list(sample_recordings().values())
+    """What was given as FILE; the bundled samples for nothing, and for `samples` where there is no such file."""
+    bundled = list(sample_recordings().values())
+    if not args.files:
+        return bundled
+    return [f for file in args.files for f in (bundled if file == SAMPLES and not SAMPLES.exists() else [file])]
 
 
 def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:

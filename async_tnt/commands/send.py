@@ -15,9 +15,9 @@ import numpy as np
 from ..network.datagrams import EVENT_BYTES
 from ..network.sender import PACKET_EVENTS, UdpSender
 from ..network.url import parse_udp_url
-from ..recordings import open_recording, sample_recordings
+from ..recordings import open_recording
 from ..sources import replay, wait_until
-from .files import complain, positive_int
+from .files import complain, paths_of, positive_int
 
 DESCRIPTION = """Send recordings as UDP datagrams to whoever listens, at the pace at which they were recorded. Several
 recordings come one after the other, their times continued, so that the receiver sees one stream.
@@ -35,7 +35,9 @@ PACKET_US = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("files", nargs="+", metavar="FILE", help="recordings, or `samples` for the ten bundled ones")
+    parser.add_argument(
+        "files", nargs="+", metavar="FILE", type=Path, help="recordings, or `samples` for the ten bundled ones"
+    )
     parser.add_argument("url", metavar="udp://HOST:PORT", help="where to")
     parser.add_argument(
         "--format", choices=tuple(EVENT_BYTES), help="bytes of an event (default: what the URL says, t64_x16_y16_on8)"
@@ -62,9 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     url = parse_udp_url(args.url)
-    paths: list[Path] = []
-    for name in args.files:
-        paths += sample_recordings().values() if name == "samples" else [Path(name)]
+    paths = paths_of(args)
     recordings = [open_recording(path).read() for path in paths]
     if not any(map(len, recordings)):
         raise ValueError(f"{', '.join(map(str, paths))}: no event, nothing to send")

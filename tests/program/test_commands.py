@@ -184,3 +184,13 @@ def test_interrupt_exits_with_130(monkeypatch, capsys):
     monkeypatch.setattr(run, "main", interrupt)
     assert main(["run"]) == 130
     assert capsys.readouterr().err == "async-tnt: interrupted\n"
+
+
+def test_samples_are_the_bundled_ones_where_no_such_file_is(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "samples", "--json"]) == 0
+    assert len({json.loads(line)["recording"] for line in capsys.readouterr().out.splitlines()}) == 10
+    (tmp_path / "samples").mkdir()
+    assert main(["run", "samples"]) == 2
+    assert "samples is a folder, expected a recording" in capsys.readouterr().err
+    assert main(["run"]) == 0
