@@ -61,9 +61,9 @@ class Oracle:
             self._open_windows(start_us)
 
     def change(self, **triggers: object) -> None:
-        """Another activity begins with no potential."""
+        """Another activity begins as on a new stream: no potential, and none charged before."""
         if triggers.get("activity", self.activity) != self.activity:
-            self.potential = 0.0
+            self.potential, self.charged_us = 0.0, 0
         vars(self).update(triggers)
 
     def push(self, event: tuple[int, int, int, int]) -> list[Said]:

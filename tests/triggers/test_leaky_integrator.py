@@ -149,3 +149,14 @@ def test_a_busy_scene_is_decided_more_often_than_a_slow_one(model):
         t = np.sort(random_events(300, seed=1, duration_us=duration_us)["t"]).tolist()
         counts.append(len(fired(t, integrator, model)))
     assert 0 < counts[0] < counts[1]
+
+
+@pytest.mark.parametrize(("last", "fires"), [(10, True), (11, False)])
+def test_another_one_in_midstream_begins_as_on_a_new_stream(model, last, fires):
+    """What came before counts neither as charge nor as time: 0.4 at 9 us, then 0.4/e + 0.4 = 0.547 or 0.4/e^2 + 0.4."""
+    one = {"start_us": 0} | ({"classifier": total_and_size} if model is None else {})
+    processor = Processor(CONFIG if model is None else model, activity=LeakyIntegrator(1.5, 1.0), **one)
+    assert processor.push(at([10])) == []
+    processor.activity = LeakyIntegrator(0.5, 1.0, 0.4)
+    assert processor.push(at([9])) == []  # older than the newest, and taken
+    assert bool(processor.push(at([last]))) == fires
