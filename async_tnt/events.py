@@ -47,7 +47,8 @@ def empty_columns(n: int) -> Columns:
     return Columns(t, x, y, p, 0)
 
 
-_DTYPES = tuple(map(np.dtype, (np.int64, np.uint16, np.uint16, np.uint8)))
+_T, _XY, _P = map(np.dtype, (np.int64, np.uint16, np.uint8))
+_DTYPES = (_T, _XY, _XY, _P)
 NO_EVENTS = empty_columns(0)
 _new_tuple = tuple.__new__  # what Columns(...) does, without a call of Python code
 
@@ -154,8 +155,9 @@ class EventDoor:
             return None
         t, x, y, p = events
         width, height = self.sensor
-        try:  # what is easily told first: an exception costs microseconds
-            if t.dtype is not _DTYPES[0] or x.dtype is not _DTYPES[1] or p.dtype is not _DTYPES[3]:
+        try:
+            # All four: Numba may take a column of the other byte order for one of ours, as its cache of types knows none.
+            if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
                 return None
             if check_columns(t, x, y, p, width, height) != FINE:
                 return None

@@ -11,6 +11,7 @@ import torch
 
 from async_tnt import events as door_module
 from async_tnt.events import EVENT_DTYPE, EventDoor, as_events
+from async_tnt.kernels.columns import FINE
 
 SENSOR = (346, 260)
 T = [16_777_217, 16_777_219, 16_777_219, 16_777_218, 2_000_000_003, 2_000_000_004, 2_000_000_005]
@@ -404,3 +405,15 @@ def test_empty_packets(form, late):
     assert taken(door, EMPTY[form]) == [[], [], [], []]
     assert (door.newest_us, door.n_dropped) == ((-1, 0) if late == "accept" else (T[0], 0))
     assert len(as_events(EMPTY[form], SENSOR)) == 0
+
+
+@pytest.mark.parametrize("swapped", range(3))
+@pytest.mark.parametrize("rows", [[], [(5, 3, 2, 1)]])
+def test_columns_of_the_other_byte_order_are_turned_whatever_numba_takes_them_for(monkeypatch, swapped, rows):
+    door = EventDoor((34, 34))
+    monkeypatch.setattr(door_module, "check_columns", lambda *columns: FINE)  # as if all had the right form
+    columns = [np.array([row[k] for row in rows], dtype) for k, dtype in enumerate(("<i8", "<u2", "<u2", "u1"))]
+    columns[swapped] = columns[swapped].astype(columns[swapped].dtype.newbyteorder(">"))
+    taken = door(tuple(columns))
+    assert [column.dtype.str for column in taken[:4]] == ["<i8", "<u2", "<u2", "|u1"]
+    assert list(zip(*(column[: taken.n].tolist() for column in taken[:4]), strict=True)) == rows
