@@ -156,7 +156,7 @@ class EventDoor:
         t, x, y, p = events
         width, height = self.sensor
         try:
-            # All four: Numba may take a column of the other byte order for one of ours, as its cache of types knows none.
+            # All four: Numba's dispatch refuses the other byte order, but was once seen to take an empty column of it.
             if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
                 return None
             if check_columns(t, x, y, p, width, height) != FINE:
