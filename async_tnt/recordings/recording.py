@@ -59,7 +59,8 @@ class Recording:
         self.strict = strict
         self.unsorted = unsorted
         self._source = ArraySource(source, sensor) if isinstance(source, np.ndarray) else source
-        self._stated_sensor = self._source.sensor  # `sensor` may be the caller's word
+        self.stated_sensor = self._source.sensor
+        """As the file itself says, or its format; `sensor` may be the caller's word."""
         self._totals: _Totals | None = None
         self._has_warned = False
 
@@ -133,7 +134,7 @@ class Recording:
             except Damage as found:
                 block, damage = None, found.reason
             if block is not None:
-                good, damage = _on_sensor(block, self._stated_sensor, n_read)
+                good, damage = _on_sensor(block, self.stated_sensor, n_read)
                 n_read += len(good)
                 block = self._sorted(good, totals)
                 if len(block):
@@ -256,7 +257,7 @@ def open_recording(
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits for ever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
     if sensor is not None and path.suffix.lower() == ".bin":
-        source: Source = ArraySource(read_nmnist(path, sensor=sensor), sensor)
+        source: Source = ArraySource(read_nmnist(path, sensor=sensor), None)
     else:
         found = reader(path)
         source = found if isinstance(found, Source) else ArraySource(*found)

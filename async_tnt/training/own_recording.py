@@ -117,8 +117,8 @@ def read_own(path: Path, label: int, selector: PixelSelector) -> OwnRecording:
     if len(events) == 0:
         own.leave_out(EMPTY, f"{own.name}: no events")
         return own
-    if recording.sensor is not None:
-        own.sensor = int(recording.sensor[0]), int(recording.sensor[1])
+    if recording.stated_sensor is not None:
+        own.sensor = int(recording.stated_sensor[0]), int(recording.stated_sensor[1])
     own.events, own.recorded = events, fingerprint(events)
     return own
 

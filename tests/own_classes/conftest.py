@@ -28,3 +28,15 @@ def trained(gestures, tmp_path_factory):
     out = folder / "gestures.safetensors"
     assert main(["train", str(gestures), "--out", str(out), "--run", str(folder / "run"), *QUICK]) == 0
     return out
+
+
+@pytest.fixture
+def train(program, tmp_path):
+    """Train on a set for two epochs, by the program; returns exit code, stdout, stderr and the model's file."""
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+
+    def run(dataset, *words, name="m", quick=("--epochs", "2", "--batch", "8", "--patience", "0")):
+        out = tmp_path / f"{name}.safetensors"
+        return *program("train", dataset, "--out", out, "--run", tmp_path / f"run {name}", *quick, *words), out
+
+    return run

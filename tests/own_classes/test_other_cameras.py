@@ -148,18 +148,6 @@ def test_recordings_that_differ_outside_of_the_region_alone(tmp_path):
             read_classes(tmp_path, pixels=pixels)
 
 
-@pytest.fixture
-def train(program, tmp_path):
-    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
-    out = tmp_path / "m.safetensors"
-
-    def run(dataset, *words):
-        quick = ("--epochs", "1", "--batch", "8", "--patience", "0")
-        return *program("train", dataset, "--out", out, "--run", tmp_path / "run", *quick, *words), out
-
-    return run
-
-
 def test_a_stray_in_test_is_left_out_and_named_once_more_at_the_end(tmp_path, train):
     fill(tmp_path / "set" / "Train", {"upright": 4, "flat": 4})
     fill(tmp_path / "set" / "Test", {"upright": 2, "flat": 2}, seed=1)
@@ -203,7 +191,7 @@ def test_the_model_is_written_whatever_happens_with_test(error, tmp_path, train,
     assert record["validation"]["recordings"] == 2 and "test" not in record
     assert json.loads(out.with_suffix(".json").read_text())["accuracy"] >= 0
     for name in ("best", "last"):
-        assert load_model(tmp_path / "run" / f"{name}.safetensors").classes == ("flat", "upright")
+        assert load_model(tmp_path / "run m" / f"{name}.safetensors").classes == ("flat", "upright")
 
 
 def test_training_on_names_the_model_that_says_the_sensor(tmp_path, train):

@@ -13,17 +13,6 @@ pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.training import command, own_run
 
-QUICK = ("--epochs", "2", "--batch", "8", "--patience", "0")
-
-
-@pytest.fixture
-def train(program, tmp_path):
-    def run(dataset, *words, name="m", quick=QUICK):
-        out = tmp_path / f"{name}.safetensors"
-        return *program("train", dataset, "--out", out, "--run", tmp_path / f"run {name}", *quick, *words), out
-
-    return run
-
 
 def test_the_model_has_the_folders_classes_and_the_recordings_sensor(trained):
     model = load_model(trained)

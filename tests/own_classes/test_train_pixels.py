@@ -77,15 +77,6 @@ def chosen(sets):
     }
 
 
-@pytest.fixture
-def train(program, tmp_path):
-    def run(dataset, *words, name="m", quick=QUICK):
-        out = tmp_path / f"{name}.safetensors"
-        return *program("train", dataset, "--out", out, "--run", tmp_path / f"run {name}", *quick, *words), out
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def models(sets, chosen, tmp_path_factory):
     """A model of each set, and one that has seen the hot pixels."""
