@@ -20,11 +20,12 @@ class Counts:
     dropped_tau_zero: int = 0
     """At the very start of its window, where TNT time is zero."""
     dropped_late: int = 0
-    """Before the start of the open window, or late under late="drop"."""
+    """Before the start of every open window and not `dropped_decided`, or late under late="drop"."""
     dropped_unstored: int = 0
     """The replay buffer of landmark "window" or "regressor" was full."""
     dropped_decided: int = 0
-    """Its window had been closed before its end, with a decision that was sure enough."""
+    """Late, and the newest window that holds it had been closed early by `confidence`. Remembered are the 1024 windows
+    before the oldest open one; what is older than those counts as `dropped_late`."""
 
     @property
     def moved_off(self) -> int:

@@ -15,7 +15,6 @@ import numpy as np
 from .config import TNTConfig
 from .events import Columns
 from .kernels import state as S
-from .snapshot import Arrays
 
 if TYPE_CHECKING:
     from .volume import TNTVolume
@@ -40,12 +39,6 @@ class LandmarkAtRead(Protocol):
         buffer : the volume's, see `kernels.state`.
         """
 
-    def snapshot(self) -> Arrays:
-        """What it remembers of the window."""
-
-    def restore(self, arrays: Arrays) -> None:
-        """The inverse."""
-
 
 class WindowMean:
     """Landmark `window`: the centroid of all events so far, of those that could not be stored, too."""
@@ -63,12 +56,6 @@ class WindowMean:
         ints = buffer.view(np.int64)
         n = int(ints[S.N])
         return self._config.to_grid(int(ints[S.SUM_X]) / n, int(ints[S.SUM_Y]) / n)
-
-    def snapshot(self) -> Arrays:
-        return {}
-
-    def restore(self, arrays: Arrays) -> None:
-        pass
 
 
 class RegressedLandmark:
@@ -96,12 +83,6 @@ class RegressedLandmark:
 
     def find(self, buffer: np.ndarray) -> tuple[float, float]:
         return checked_landmark(self._regressor(self._raw.array))
-
-    def snapshot(self) -> Arrays:
-        return self._raw.snapshot()
-
-    def restore(self, arrays: Arrays) -> None:
-        self._raw.restore(arrays)
 
 
 def checked_landmark(answer: Any) -> tuple[float, float]:

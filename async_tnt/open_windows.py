@@ -10,8 +10,10 @@ import numpy as np
 from .config import TNTConfig
 from .counts import Counts
 from .events import Columns
+from .kernels.columns import MAX_TIME_US
+from .kernels.state import REMEMBERED
 from .landmark_at_read import Regressor
-from .snapshot import Arrays, part, under
+from .snapshot import MAX_EVENTS, Arrays, part, taken, under
 from .volume import TNTVolume
 from .whole_numbers import positive_int
 
@@ -53,7 +55,8 @@ class OpenWindows:
         self._open: deque[TNTVolume] = deque()
         self._free = list(self.volumes)
         self._next_start_us: int | None = self._start_us  # of the next window to be opened; None: at the first event
-        self._decided_us: int | None = None  # start of the window before, where it was closed early
+        # Bit k: the window k + 1 hops before the oldest open one, or before the next where none is, was closed early.
+        self._closed_early = 0
         self._n_received = 0
         self._n_late = 0
         self._n_decided = 0
@@ -103,16 +106,18 @@ class OpenWindows:
         if self._next_start_us is None:
             self._next_start_us = t_us
         start_us = self._next_start_us
-        if start_us + self._window_us <= t_us:
-            start_us += ((t_us - self._window_us - start_us) // self.hop_us + 1) * self.hop_us
+        if start_us + self._window_us <= t_us:  # then none is open
+            hops = (t_us - self._window_us - start_us) // self.hop_us + 1
+            start_us += hops * self.hop_us
+            self._remember(hops, 0)
         while start_us <= t_us or not self._open:
             volume = self._free.pop()
             volume.open(start_us)
-            if self._decided_us is not None:
-                volume.set_decided(self._decided_us)
             self._open.append(volume)
             start_us += self.hop_us
         self._next_start_us = start_us
+        if was_empty:
+            self._tell_oldest()
         return was_empty
 
     def limit(self, trigger_us: int) -> None:
@@ -122,44 +127,80 @@ class OpenWindows:
         for volume in self._open:
             volume.set_limit(limit_us)
 
-    def drop_oldest(self) -> None:
-        """The oldest window is over; its volume is free for the next one to be opened."""
-        self._free.append(self._open.popleft())
-        self._decided_us = None
+    def close_oldest(self, early: bool = False) -> None:
+        """The oldest window is over, and its volume empty and free for the next one to be opened.
 
-    def close_oldest(self, decided: bool = False) -> None:
-        """The oldest window is over, and its volume empty at once, for events may come before the next one is opened.
-
-        decided : it is over before its end. Events that still come for it are counted as such.
+        early : it is over before its end. Events that still come for it are counted as `dropped_decided`.
         """
-        start_us = self.oldest.start_us
-        self.oldest.close()
-        self.drop_oldest()
-        self._decided_us = start_us if decided else None
+        volume = self._open.popleft()
+        volume.close()
+        self._free.append(volume)
+        self._remember(1, early)
+        if self._open:
+            self._tell_oldest()
+
+    def _remember(self, hops: int, early: int) -> None:
+        """The window to look back from is so many hops later; `early`: the one before it was closed early."""
+        before = self._closed_early << hops if hops < REMEMBERED else 0
+        self._closed_early = (before | early) & ((1 << REMEMBERED) - 1)
+
+    def _tell_oldest(self) -> None:
+        """The oldest volume counts the late events."""
+        if self._closed_early:
+            self.oldest.set_closed_early(self._closed_early, self.hop_us)
 
     def snapshot(self) -> Arrays:
         """All volumes, which of them are open, and the counts."""
         number = {id(volume): k for k, volume in enumerate(self.volumes)}
         order = [number[id(volume)] for volume in (*self._open, *self._free)]
-        times = [-1 if us is None else us for us in (self._next_start_us, self._decided_us)]
-        counts = [len(self._open), *times, self._n_received, self._n_late, self._n_decided]
+        next_us = -1 if self._next_start_us is None else self._next_start_us
+        counts = [len(self._open), next_us, -1, self._n_received, self._n_late, self._n_decided]
         arrays = {"order": np.array(order, np.int64), "counts": np.array(counts, np.int64)}
+        closed_early = self._closed_early.to_bytes(REMEMBERED // 8, "little")
+        arrays["closed_early"] = np.frombuffer(closed_early, np.uint8)
         for k, volume in enumerate(self.volumes):
             arrays |= under(str(k), volume.snapshot())
         return arrays
 
     def restore(self, arrays: Arrays) -> None:
-        """The inverse."""
-        order, counts = arrays["order"].tolist(), arrays["counts"].tolist()
-        if sorted(order) != list(range(len(self.volumes))) or len(counts) != 6 or not 0 <= counts[0] <= len(order):
-            raise ValueError(f"it has {len(order)} volumes, here there are {len(self.volumes)} (hop_us)")
-        for k, volume in enumerate(self.volumes):
-            volume.restore(part(str(k), arrays))
-        n_open, next_start_us, decided_us, self._n_received, self._n_late, self._n_decided = counts
-        self._open = deque(self.volumes[k] for k in order[:n_open])
-        self._free = [self.volumes[k] for k in order[n_open:]]
-        self._next_start_us = None if next_start_us < 0 else next_start_us
-        self._decided_us = None if decided_us < 0 else decided_us
+        """The inverse.
+
+        Raises
+        ------
+        ValueError : some number is not one that such windows can have left. Call `reset` then.
+        """
+        order = taken(arrays, "order", np.int64, (len(self.volumes),)).tolist()
+        if sorted(order) != list(range(len(order))):
+            raise ValueError(f"its volumes cannot be in the order {order}")
+        n_open, next_start_us, decided_us, *counted = taken(arrays, "counts", np.int64, (6,)).tolist()
+        if not 0 <= n_open <= len(order):
+            raise ValueError(f"it has {n_open} open windows of {len(order)}")
+        if min(counted) < 0 or not sum(counted[1:]) <= counted[0] <= MAX_EVENTS:
+            raise ValueError(f"its counts {counted} are no parts of one another")
+        first_us = next_start_us - n_open * self.hop_us
+        for k, number in enumerate(order):
+            volume = self.volumes[number]
+            volume.restore(part(str(number), arrays), is_open=k < n_open)
+            if k < n_open and volume.start_us != first_us + k * self.hop_us:
+                raise ValueError(f"its windows do not lie {self.hop_us} us apart")
+        on_grid = self._start_us is None or (first_us - self._start_us) % self.hop_us == 0
+        if next_start_us == -1 and n_open == 0 and self._start_us is None:
+            self._next_start_us = None
+        elif 0 <= first_us < MAX_TIME_US + self._window_us and on_grid:
+            self._next_start_us = next_start_us
+        else:
+            raise ValueError(f"its next window cannot start at {next_start_us} us")
+        self._n_received, self._n_late, self._n_decided = counted
+        self._open = deque(self.volumes[number] for number in order[:n_open])
+        self._free = [self.volumes[number] for number in order[n_open:]]
+        self._closed_early = 0
+        if "closed_early" in arrays:
+            words = taken(arrays, "closed_early", np.uint8, (REMEMBERED // 8,))
+            self._closed_early = int.from_bytes(words.tobytes(), "little")
+        elif 0 <= decided_us < first_us:  # older states: of such windows the newest alone
+            self._closed_early = 1
+            self._remember((first_us - decided_us) // self.hop_us - 1, 0)
+        self._tell_oldest()
 
     def counts(self, n_dropped_at_door: int) -> Counts:
         """What became of the events. Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an

@@ -16,7 +16,7 @@ from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
 from .landmark_at_read import Regressor
 from .model import Model
 from .open_windows import OpenWindows
-from .stream_state import read_stream, restore_stream, save_stream
+from .stream_state import TRIGGERS, read_stream, restore_stream, save_stream
 from .timeline import Timeline
 from .triggers import LeakyIntegrator, Triggers
 from .whole_numbers import checked_time
@@ -221,11 +221,11 @@ class Processor:
         ValueError : damaged, or of a processor of other settings; the message names them. This one is then reset, or
             as it was before.
         """
-        before = {name: getattr(self, name) for name in ("every_us", "every_events", "confidence", "activity")}
+        before = {name: getattr(self, name) for name in TRIGGERS}
         arrays, triggers = read_stream(state, self._fixed_settings())
         try:
             restore_stream(arrays, triggers, self._windows, self._triggers, self._door)
-        except (KeyError, ValueError) as error:
+        except (TypeError, ValueError) as error:
             self._triggers.set(**before)
             self.reset()
             raise ValueError(f"`state` cannot be restored here: {error}") from None

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import reprlib
 from typing import Any
 
 import numpy as np
 
 from .events import EventDoor
+from .kernels.columns import MAX_TIME_US
 from .open_windows import OpenWindows
-from .snapshot import Arrays, from_bytes, part, to_bytes, under
+from .snapshot import MAX_EVENTS, Arrays, from_bytes, part, taken, to_bytes, under
 from .triggers import LeakyIntegrator, Triggers
+
+TRIGGERS = ("every_us", "every_events", "confidence", "activity")
 
 
 def save_stream(fixed: dict[str, Any], windows: OpenWindows, triggers: Triggers, door: EventDoor) -> bytes:
@@ -27,12 +31,16 @@ def read_stream(state: bytes, fixed: dict[str, Any]) -> tuple[Arrays, dict[str, 
     ValueError : no such state, damaged, or with other fixed settings; the message names them.
     """
     arrays, about = from_bytes(state)
-    theirs = about["fixed"]
-    wrong = [f"{name} = {theirs.get(name)}" for name in fixed if theirs.get(name) != fixed[name]]
+    try:
+        theirs, settings = about["fixed"], {name: about["triggers"][name] for name in TRIGGERS}
+        wrong = [f"{name} = {reprlib.repr(theirs.get(name))}" for name in fixed if theirs.get(name) != fixed[name]]
+        if settings["activity"] is not None:
+            settings["activity"] = LeakyIntegrator(**settings["activity"])
+    except (AttributeError, KeyError, TypeError) as error:
+        raise ValueError(f"`state` does not say its settings: {error!r}") from None
     if wrong:
         raise ValueError(f"`state` is of another processor, with {', '.join(wrong)}; here {fixed}")
-    activity = about["triggers"]["activity"]
-    return arrays, about["triggers"] | {"activity": None if activity is None else LeakyIntegrator(**activity)}
+    return arrays, settings
 
 
 def restore_stream(
@@ -42,9 +50,14 @@ def restore_stream(
 
     Raises
     ------
-    KeyError, ValueError : it does not fit; some of it is put back then.
+    TypeError, ValueError : it does not fit; some of it is put back then.
     """
     windows.restore(arrays)
     triggers.set(**settings)
     triggers.restore(part("triggers", arrays))
-    door.newest_us, door.n_dropped = arrays["door"].tolist()
+    if len(windows):
+        windows.limit(triggers.due_us)
+    newest_us, n_dropped = taken(arrays, "door", np.int64, (2,)).tolist()
+    if not (-1 <= newest_us < MAX_TIME_US and 0 <= n_dropped <= MAX_EVENTS):
+        raise ValueError(f"its newest event cannot be at {newest_us} us, after {n_dropped} dropped ones")
+    door.newest_us, door.n_dropped = newest_us, n_dropped

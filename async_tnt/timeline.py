@@ -63,7 +63,7 @@ class Timeline:
             elif end_us <= t_us:
                 if windows.oldest.n_events:  # first: should the classifier raise, the window stays open
                     decisions.append(self._decider.decide(windows.oldest, "window", complete=True))
-                windows.drop_oldest()
+                windows.close_oldest()
                 self._begin_oldest(end_us)
             else:
                 break
@@ -98,7 +98,7 @@ class Timeline:
         decisions += new
         self._triggers.n_decided = new[-1].events
         if new[-1].complete:
-            self._windows.close_oldest(decided=True)
+            self._windows.close_oldest(early=True)
             self._begin_oldest(now_us)
             if len(self._windows):
                 self._windows.limit(self._triggers.due_us)

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from .kernels import trigger as T
+from .kernels.columns import MAX_TIME_US
 from .kernels.state import NEVER_US
-from .snapshot import Arrays
+from .snapshot import Arrays, taken
 from .whole_numbers import positive_int
 
 
@@ -112,9 +113,21 @@ class Triggers:
         return {"state": self.state, "times": np.array((self.due_us, self.n_decided), np.int64)}
 
     def restore(self, arrays: Arrays) -> None:
-        """Go on where triggers of the same settings gave a `snapshot`."""
-        self.state[:] = arrays["state"]
-        self.due_us, self.n_decided = arrays["times"].tolist()
+        """Go on where triggers of the same settings gave a `snapshot`.
+
+        Raises
+        ------
+        ValueError : some number is not one that they can have remembered.
+        """
+        state = taken(arrays, "state", np.float64, self.state.shape)
+        potential, charged_us = float(state[T.POTENTIAL]), int(state.view(np.int64)[T.CHARGED_US])
+        due_us, n_decided = taken(arrays, "times", np.int64, (2,)).tolist()
+        if not (0 <= potential < self.state[T.THRESHOLD] and 0 <= charged_us < MAX_TIME_US):
+            raise ValueError(f"its activity cannot be {potential} at {charged_us} us")
+        if not (0 <= due_us <= NEVER_US and n_decided >= 0):
+            raise ValueError(f"its triggers cannot be due at {due_us} us, after {n_decided} events")
+        self.state[T.POTENTIAL], self._ints[T.CHARGED_US] = potential, charged_us
+        self.due_us, self.n_decided = due_us, n_decided
 
     def settings(self) -> dict[str, Any]:
         """As JSON can say them."""

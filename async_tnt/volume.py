@@ -15,7 +15,7 @@ from .kernels.read import copy_cells, empty_volume
 from .kernels.update import ABSORBED, REFUSED, absorb, absorb_one
 from .landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
 from .new_state import new_state, next_epoch
-from .snapshot import Arrays, buffer_arrays, part, restore_buffer, under
+from .snapshot import Arrays, buffer_arrays, part, restore_counts, restore_window, under
 from .whole_numbers import checked_time
 from .window_replay import Replay
 
@@ -118,9 +118,14 @@ class TNTVolume:
         """Make `take` stop before events at or after `limit_us`, or at the window's end if that comes first."""
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
-    def set_decided(self, from_us: int) -> None:
-        """Count events from this time on, up to the open window's start, as `dropped_decided` instead of late."""
-        self._ints[S.DECIDED_US] = from_us
+    def set_closed_early(self, closed_early: int, hop_us: int) -> None:
+        """Say which windows before the open one were closed before their end, for `dropped_decided`.
+
+        Bit k of `closed_early` is the window that starts k + 1 times `hop_us` before the open one.
+        """
+        self._ints[S.HOP_US] = hop_us
+        words = closed_early.to_bytes(S.REMEMBERED // 8, "little")
+        self._ints[S.CLOSED_EARLY : S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS] = np.frombuffer(words, np.int64)
 
     def warn(self) -> None:
         """Give the warnings that the last packet made due."""
@@ -206,12 +211,23 @@ class TNTVolume:
         arrays = buffer_arrays(self._buffer, with_cells=self._replay is None)
         return arrays if self._replay is None else arrays | under("replay", self._replay.snapshot())
 
-    def restore(self, arrays: Arrays) -> None:
-        """Go on where a volume of the same configuration gave a `snapshot`."""
+    def restore(self, arrays: Arrays, is_open: bool) -> None:
+        """Go on where a volume of the same configuration gave a `snapshot`.
+
+        Parameters
+        ----------
+        is_open : False takes over the counts alone.
+
+        Raises
+        ------
+        ValueError : some number is not one that a volume of this configuration can hold.
+        """
         self.reset()
-        restore_buffer(self._buffer, arrays, self.config.bins)
+        restore_counts(self._buffer, arrays)
+        if is_open:
+            restore_window(self._buffer, arrays, self.config)
         if self._replay is not None:
-            self._replay.restore(part("replay", arrays))
+            self._replay.restore(part("replay", arrays), self._buffer, is_open)
 
     # -- what came of them -------------------------------------------------------------------------------
 

@@ -20,11 +20,13 @@ def is_whole(value: Any) -> bool:
 
 
 def positive_int(name: str, value: Any) -> int:
-    """A whole number of at least 1."""
+    """A whole number of at least 1, which compiled code can hold."""
     if not is_whole(value):
         raise TypeError(f"`{name}` must be a whole number, got {value!r}")
     if value < 1:
         raise ValueError(f"`{name}` must be at least 1, got {value}")
+    if value >= 1 << 62:
+        raise ValueError(f"`{name}` must be below 2**62, got {value:.3g}")
     return int(value)
 
 

@@ -7,18 +7,18 @@ import warnings
 import numpy as np
 
 from .config import TNTConfig
-from .events import Columns, empty_columns
+from .events import Columns, checked_columns, empty_columns
 from .kernels import state as S
 from .kernels.read import empty_volume
 from .kernels.store import store_events
 from .kernels.update import absorb
 from .landmark_at_read import LandmarkAtRead
 from .new_state import next_epoch
-from .snapshot import Arrays, part, under
+from .snapshot import Arrays, taken
 
 FIRST_CAPACITY = 4096
 UNCHANGED_BY_REPLAY = (S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE,
-                       S.DECIDED_US, S.DECIDED)  # fmt: skip
+                       S.DECIDED, *range(S.CLOSED_EARLY, S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS))  # fmt: skip
 
 
 class ReplayBufferFull(UserWarning):
@@ -123,26 +123,39 @@ class Replay:
 
     def snapshot(self) -> Arrays:
         """The stored events, and the counts of closed windows."""
-        counts = self.n_unstored, self._closed_kept, self._closed_tau_zero, self._warned, self._warning_due
+        counts = self.n_unstored, self._closed_kept, self._closed_tau_zero, self._warned, 0
         stored = {f"stored_{name}": column[: self.n] for name, column in zip("txyp", self._columns[:4], strict=True)}
-        return {"counts": np.array(counts, np.int64), **stored, **under("landmark", self._at_read.snapshot())}
+        return {"counts": np.array(counts, np.int64), **stored}
 
-    def restore(self, arrays: Arrays) -> None:
-        """The inverse; replayed at the next read."""
-        columns = [arrays[f"stored_{name}"] for name in "txyp"]
-        n = len(columns[0])
-        if any(c.shape != (n,) or c.dtype != own.dtype for c, own in zip(columns, self._columns[:4], strict=True)):
-            raise ValueError("its stored events are no columns of one length")
-        if n > self.capacity:
-            raise ValueError(f"it stores {n} events, but `replay_events` is {self.capacity}")
-        self._grow(n)
-        for column, stored in zip(self._columns[:4], columns, strict=True):
-            column[:n] = stored
-        self.n = n
-        self.n_unstored, self._closed_kept, self._closed_tau_zero = (int(k) for k in arrays["counts"][:3])
-        self._warned, self._warning_due = (bool(k) for k in arrays["counts"][3:5])
-        self._landmark, self._is_replayed = None, n == 0
-        self._at_read.restore(part("landmark", arrays))
+    def restore(self, arrays: Arrays, buffer: np.ndarray, is_open: bool) -> None:
+        """The inverse, for a volume whose own numbers are back; replayed at the next read."""
+        ints = buffer.view(np.int64)
+        *counts, warned, _ = taken(arrays, "counts", np.int64, (5,)).tolist()
+        if not is_open:  # the replay is in the volume's own counts
+            counts[1:] = int(ints[S.KEPT]), int(ints[S.TAU_ZERO])
+        if min(counts) < 0 or sum(counts) > int(ints[S.RECEIVED]):
+            raise ValueError(f"its replay counts {counts} of {int(ints[S.RECEIVED])} events")
+        self.n_unstored, self._closed_kept, self._closed_tau_zero = counts
+        self._warned = warned != 0
+        if not is_open:
+            return
+        size, start_us = np.shape(arrays.get("stored_t", 0)), int(ints[S.START_US])
+        own = [
+            taken(arrays, f"stored_{name}", c.dtype, size) for name, c in zip("txyp", self._columns[:4], strict=True)
+        ]
+        stored = checked_columns(own[0], own[1], own[2], own[3], self._config.sensor)
+        if stored.n > self.capacity:
+            raise ValueError(f"it stores {stored.n} events, but `replay_events` is {self.capacity}")
+        t_us, end_us = stored.t[: stored.n], start_us + self._config.window_us
+        if stored.n > self._counted(buffer) or np.any((t_us < start_us) | (t_us >= end_us)):
+            raise ValueError(f"its stored events are not of the window from {start_us} us on")
+        self._at_read.open(start_us)
+        self._grow(stored.n)
+        for column, values in zip(self._columns[:4], stored[:4], strict=True):
+            column[: stored.n] = values
+        self.n = stored.n
+        self._landmark, self._is_replayed = None, self.n == 0
+        self._at_read.see(self._columns, 0, self.n)
 
     @staticmethod
     def _counted(buffer: np.ndarray) -> int:

@@ -5,10 +5,13 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parent.parent
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+settings.register_profile("async_tnt", deadline=None)  # how long an example takes depends on what else the machine does
+settings.load_profile("async_tnt")
 
 # A shell's background job ignores SIGINT, and so would each program that a test starts to interrupt it.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:

@@ -46,7 +46,8 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     ints[S.SUM_Y] = 0
     ints[S.SUM_T] = 0
     ints[S.NEWEST_US] = -1
-    ints[S.DECIDED_US] = S.NEVER_US
+    for k in range(S.CLOSED_EARLY, S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS):
+        ints[k] = 0
 
 
 @compiled

@@ -65,12 +65,15 @@ N_READ = 37  # of them known to the array that people see
 BIN_LO = 38  # intervals that changed since the array was read; BIN_HI < BIN_LO: none
 BIN_HI = 39
 # ints: of windows that were closed before their end
-DECIDED_US = 40  # late events from then on belong to one
-DECIDED = 41  # how many, since the volume was made
+HOP_US = 40  # from one window's start to the next one's
+DECIDED = 41  # late events whose newest window was such a one, since the volume was made
+CLOSED_EARLY = 48  # bit k: the window that starts k + 1 hops before the open one was closed early
+CLOSED_EARLY_WORDS = 16
+REMEMBERED = 64 * CLOSED_EARLY_WORDS  # windows: those of MAX_OPEN_WINDOWS overlapping ones four times over
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 BLOCK = 336  # so that all rows together (27 kB) and an interval's cells share the first-level cache
-NUM_X = 48  # buffer: displacement from the landmark
+NUM_X = CLOSED_EARLY + CLOSED_EARLY_WORDS  # buffer: displacement from the landmark
 NUM_Y = NUM_X + BLOCK
 DEN = NUM_Y + BLOCK
 Y_FRAC = DEN + BLOCK  # buffer: place in the volume

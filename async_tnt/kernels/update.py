@@ -104,11 +104,10 @@ def _absorb_event(buffer, ints, t, x, y, p):
 
 @inlined
 def count_late(ints, t):
-    """Count an event before the open window."""
-    if t >= ints[S.DECIDED_US]:
-        ints[S.DECIDED] += 1
-    else:
-        ints[S.LATE] += 1
+    """Count an event before the open window: as DECIDED where the newest window that holds it was closed early."""
+    hops = (ints[S.START_US] - 1 - t) // ints[S.HOP_US]  # 0: that window is the one before the open one
+    decided = hops < S.REMEMBERED and (ints[S.CLOSED_EARLY + (hops >> 6)] >> (hops & 63)) & 1 == 1
+    ints[S.DECIDED if decided else S.LATE] += 1
 
 
 @compiled

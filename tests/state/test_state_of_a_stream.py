@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model, random_regressor_model
 
-from async_tnt import LeakyIntegrator, Processor
+from async_tnt import LeakyIntegrator, Processor, TNTConfig
 from async_tnt.snapshot import from_bytes, to_bytes
 
 SETTINGS = [
@@ -171,3 +172,24 @@ def test_where_restoring_fails_the_triggers_are_as_before():
     with pytest.raises(ValueError, match="cannot be restored here"):
         here.restore_state(to_bytes(arrays, about))
     assert here.every_us == 777 and here.counts.received == 0
+
+
+def attracted(volume):
+    return [0.3 * float(np.abs(volume).sum()), 2.0]
+
+
+@pytest.mark.parametrize(
+    "landmark, settings",
+    [("line", {"confidence": 0.9, "every_us": 130}), ("window", {"hop_us": 400, "every_events": 7})],
+)
+def test_states_written_by_earlier_versions(landmark, settings):
+    """Files of commit 9f851ae, after 90 of these events."""
+    config = TNTConfig(sensor=(12, 10), grid=(12, 10), bins=2, window_us=1000, t_max=2.0, landmark=landmark)
+    events = random_events(160, seed=1, duration_us=4000, sensor=(12, 10))
+    events["t"][::13] = np.maximum(0, events["t"][::13] - 700)
+    whole, resumed = (Processor(config, classifier=attracted, **settings) for _ in range(2))
+    whole.push(events[:90])
+    resumed.restore_state(Path(__file__).with_name("written_before").joinpath(f"{landmark}.state").read_bytes())
+    assert whole.fire().events > 10
+    assert seen(whole, []) == seen(resumed, [])
+    assert seen(whole, go_on(whole, events[90:])) == seen(resumed, go_on(resumed, events[90:]))

@@ -22,9 +22,8 @@ Said = tuple[str, int, int, int, bool, bytes]
 class Window:
     """An open window."""
 
-    def __init__(self, config: TNTConfig, start_us: int, follows_decided_us: int | None) -> None:
+    def __init__(self, config: TNTConfig, start_us: int) -> None:
         self.start_us, self.end_us = start_us, start_us + config.window_us
-        self.follows_decided_us = follows_decided_us  # start of the window before, where confidence closed that
         self.volume = TNTVolume(config)
         self.volume.open(start_us)
         self.times: list[int] = []
@@ -45,7 +44,7 @@ class Oracle:
         self.hop_us = hop_us or config.window_us
         self.windows: list[Window] = []
         self.next_start_us = start_us
-        self.decided_us: int | None = None
+        self.decided: set[int] = set()  # starts of windows that confidence closed
         self.newest_us = -1  # of all events, for `late`
         self.potential, self.charged_us = 0.0, 0
         self.n_said = 0  # events of the oldest window when it last spoke
@@ -78,7 +77,8 @@ class Oracle:
         self._open_windows(t_us)
         oldest = self.windows[0]
         if t_us < oldest.start_us:
-            decided = oldest.follows_decided_us is not None and t_us >= oldest.follows_decided_us
+            newest_us = oldest.start_us - -(-(oldest.start_us - t_us) // self.hop_us) * self.hop_us  # that holds it
+            decided = newest_us in self.decided
             self.dropped_decided += decided
             self.dropped_late += not decided
             return said
@@ -95,7 +95,7 @@ class Oracle:
 
     def finish(self) -> list[Said]:
         said = [self._decision(window, "end")[0] for window in self.windows if window.times]
-        self.windows, self.decided_us = [], None
+        self.windows = []
         return said
 
     def _pass_time(self, t_us: int) -> list[Said]:
@@ -133,13 +133,14 @@ class Oracle:
         while self.next_start_us <= t_us or not self.windows:
             if not self.windows:
                 self.n_said, self.passed_us = 0, max(t_us, self.next_start_us)
-            self.windows.append(Window(self.config, self.next_start_us, self.decided_us))
+            self.windows.append(Window(self.config, self.next_start_us))
             self.next_start_us += self.hop_us
 
     def _close(self, decided: bool, now_us: int) -> None:
         """The oldest window is over; the next one speaks from now on."""
         oldest = self.windows.pop(0)
-        self.decided_us = oldest.start_us if decided else None
+        if decided:
+            self.decided.add(oldest.start_us)
         self.n_said, self.passed_us = 0, now_us
 
     def _charge(self, t_us: int) -> bool:
