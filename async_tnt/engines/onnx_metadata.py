@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..config import TNTConfig
-from ..model import FORMAT, Model
+from ..model import Model
 
+FORMAT = "async_tnt 1"  # of the metadata of ONNX files
 CLASSIFIER, REGRESSOR = "classifier", "regressor"
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..config import MAX_CELLS
+from ..messages import one_line
 from .onnx_metadata import Exported, read_metadata
 
 if TYPE_CHECKING:
@@ -124,11 +125,6 @@ def _spelled(sides: Sequence[Any]) -> str:
 def _type_name(name: str) -> str:
     """In NumPy's words: float16 and int64 have one name here and there."""
     return np.dtype(DTYPES[name]).name if name in DTYPES else name.removeprefix("tensor(").removesuffix(")")
-
-
-def one_line(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text if len(text) <= 300 else text[:300] + " ..."
 
 
 def whole_number(name: str, value: Any) -> int:

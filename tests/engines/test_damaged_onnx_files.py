@@ -12,7 +12,7 @@ from made import random_model, random_regressor_model
 
 from async_tnt import TNTConfig
 from async_tnt.engines import OnnxClassifier, OnnxRegressor, regressor_to_onnx, to_onnx
-from async_tnt.model import FORMAT
+from async_tnt.engines.onnx_metadata import FORMAT
 
 SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)
 LANDMARKED = random_regressor_model(SMALL, classes=3, widths=(2, 3, 4), regressor_widths=(2, 3, 2))
