@@ -56,9 +56,10 @@ def read_tensors(file: BinaryIO, formats: Collection[str]) -> tuple[dict[str, np
     if written not in formats:
         raise ValueError(f"`format` must be {' or '.join(map(repr, formats))}, got {written!r}")
     try:
-        return load(size + text + file.read()), metadata
+        tensors = load(size + text + file.read())
     except KeyError as error:
         raise SafetensorError(f"NumPy has no type {error.args[0]}") from None
+    return dict(sorted(tensors.items())), metadata  # `load` gives them in another order at each call
 
 
 def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
