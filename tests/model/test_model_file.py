@@ -1,6 +1,7 @@
 """A model survives its file bit for bit, and a failed save leaves what was there."""
 
 import json
+import os
 import re
 import threading
 from pathlib import Path
@@ -188,9 +189,12 @@ def test_a_name_that_is_none_lists_the_bundled_ones(name, tmp_path, monkeypatch)
         load_model(name)
 
 
-def test_a_folder_is_no_model(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no model file"):
-        load_model(tmp_path)
+def test_only_a_regular_file_is_a_model(tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "link").symlink_to(tmp_path / "fifo")
+    for path in (tmp_path, tmp_path / "fifo", tmp_path / "link", "/dev/zero", "/dev/null"):
+        with pytest.raises(FileNotFoundError, match=f"^no model file {path}, "):
+            load_model(path)
 
 
 def test_bundled_names_are_sorted_and_load():
