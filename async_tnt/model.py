@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -10,17 +11,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 
+from .checked_tensors import checksum, read_tensors, tensor_bytes
 from .config import TNTConfig
-from .tensor_bytes import tensor_bytes
+from .layer_graph import check_layer_graph, layer_graph
+from .messages import one_line
 from .whole_files import replacing
 
-FORMAT = "async_tnt 1"
+FORMAT = "async_tnt 2"
+UNCHECKED_FORMAT = "async_tnt 1"  # the one before, without a checksum
 LAYERS = ("conv1", "conv2", "fc1", "fc2")
 REGRESSOR_LAYERS = ("regressor.conv1", "regressor.conv2", "regressor.conv3")
 HEATMAP = "regressor.heatmap.weight"  # no bias: the centroid would not feel it
 REGRESSOR_HINT = '; those of the regressor belong to landmark="regressor" with transform="tnt", and only to that'
+
+
+class UncheckedModelWarning(UserWarning):
+    """A model file of a format without a checksum: damage to its weights cannot be noticed."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
@@ -75,7 +83,9 @@ class Model:
             "config": json.dumps(self.config.to_dict()),
             "classes": json.dumps(self.classes),
             "record": json.dumps(self.record),
+            "network": json.dumps(layer_graph(self.config)),
         }
+        metadata["sha256"] = _checksum(self.weights, metadata)
         content = tensor_bytes(self.weights, metadata)
         with replacing(path) as part:
             part.write_bytes(content)
@@ -95,7 +105,11 @@ def load_model(name_or_path: str | Path) -> Model:
     Raises
     ------
     FileNotFoundError : neither; the message lists the bundled names.
-    ValueError : the file is damaged, or no model of this package.
+    ValueError : the file is damaged, needs a network that this release cannot run, or is not a model of this package.
+
+    Warns
+    -----
+    UncheckedModelWarning : the file is of format 1, which has no checksum.
     """
     if str(name_or_path) in bundled_models():
         path = Path(str(resources.files("async_tnt") / "assets" / f"{name_or_path}.safetensors"))
@@ -105,31 +119,50 @@ def load_model(name_or_path: str | Path) -> Model:
             names = ", ".join(bundled_models())
             raise FileNotFoundError(f"no model file {path}, and no bundled model of that name (bundled: {names})")
     try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            # before the tensors: other people's may be huge, or of types that NumPy lacks (bfloat16)
-            if metadata.get("format") != FORMAT:
-                raise ValueError(
-                    f"{path} is not a model of this package: metadata `format` must be {FORMAT!r}, "
-                    f"got {metadata.get('format')!r}"
-                )
-            weights = {}
-            for name in file.keys():  # noqa: SIM118 (not a dict)
-                dtype = file.get_slice(name).get_dtype()
-                if dtype != "F32":
-                    raise ValueError(f"{path} holds a damaged model: `{name}` must be F32, got {dtype}")
-                weights[name] = file.get_tensor(name)
+        with path.open("rb") as file:
+            weights, metadata = read_tensors(file, (FORMAT, UNCHECKED_FORMAT))
+    except ValueError as error:
+        raise ValueError(f"{path} is not a model that this release can read: {one_line(error)}") from None
     except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path} is not a readable .safetensors file: {error}") from None
-    missing = [name for name in ("config", "classes") if name not in metadata]
-    if missing:
-        raise ValueError(f"{path} holds a damaged model: no {' and no '.join(missing)} in its metadata")
+        raise ValueError(f"{path} is not a readable .safetensors file: {one_line(error)}") from None
     try:
-        config = TNTConfig.from_dict(json.loads(metadata["config"]))
-        classes, record = json.loads(metadata["classes"]), json.loads(metadata.get("record", "{}"))
-        return Model(config, weights, classes, record)
+        model = _model_of(weights, metadata)
+    except NotImplementedError as error:
+        raise ValueError(f"{path} holds a network that this release cannot run: {one_line(error)}") from None
     except (TypeError, ValueError, RecursionError) as error:  # the last: JSON nested too deep
-        raise ValueError(f"{path} holds a damaged model: {error}") from None
+        raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
+    if metadata["format"] == UNCHECKED_FORMAT:
+        warnings.warn(
+            f"{path} has no checksum, so damage to it would go unnoticed; load_model(path).save(path) adds one",
+            UncheckedModelWarning,
+            stacklevel=2,
+        )
+    return model
+
+
+def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> Model:
+    """What a file holds, checked; raises NotImplementedError for a network that only another release can run."""
+    checked = metadata["format"] == FORMAT
+    needed = ("config", "classes", "record", "network", "sha256") if checked else ("config", "classes")
+    missing = [name for name in needed if name not in metadata]
+    if missing:
+        raise ValueError(f"no {' and no '.join(missing)} in its metadata")
+    if checked and metadata["sha256"] != _checksum(weights, metadata):
+        raise ValueError("its checksum differs; copy or download it again")
+    if not checked and ("sha256" in metadata or "network" in metadata):
+        raise ValueError(f"its `format` must be {FORMAT!r}, as it has a checksum, got {UNCHECKED_FORMAT!r}")
+    for name, values in weights.items():
+        if values.dtype != np.float32:
+            raise ValueError(f"`{name}` must be float32, got {values.dtype}")
+    config = TNTConfig.from_dict(json.loads(metadata["config"]))
+    if checked:
+        check_layer_graph(json.loads(metadata["network"]), config)
+    return Model(config, weights, json.loads(metadata["classes"]), json.loads(metadata.get("record", "{}")))
+
+
+def _checksum(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
+    """Of the weights and all metadata other than itself."""
+    return checksum(weights, json.dumps({name: metadata[name] for name in sorted(metadata) if name != "sha256"}))
 
 
 def _float32(name: str, values: Any) -> np.ndarray:

@@ -6,19 +6,19 @@ compiled code writes. Cells are kept where they are not zero, and the events of 
 
 from __future__ import annotations
 
-import hashlib
+import io
 import json
 from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError
-from safetensors.numpy import load
 
+from .checked_tensors import checksum, read_tensors, tensor_bytes
 from .config import TNTConfig
 from .kernels import state as S
 from .kernels.columns import MAX_TIME_US
+from .messages import one_line
 from .new_state import next_epoch
-from .tensor_bytes import tensor_bytes
 
 FORMAT = "async_tnt stream 2"
 Arrays = dict[str, np.ndarray]
@@ -123,7 +123,7 @@ def to_bytes(arrays: Arrays, about: dict[str, Any]) -> bytes:
     """Arrays, and what JSON can say, as the content of a .safetensors file with a checksum."""
     arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     text = json.dumps(about, sort_keys=True)
-    return tensor_bytes(arrays, {"format": FORMAT, "about": text, "sha256": _checksum(arrays, text)})
+    return tensor_bytes(arrays, {"format": FORMAT, "about": text, "sha256": checksum(arrays, text)})
 
 
 def from_bytes(content: bytes) -> tuple[Arrays, dict[str, Any]]:
@@ -134,22 +134,13 @@ def from_bytes(content: bytes) -> tuple[Arrays, dict[str, Any]]:
     ValueError : it is something else, or damaged.
     """
     try:
-        content = bytes(content)
-        arrays = load(content)
-        size = int.from_bytes(content[:8], "little")
-        metadata = json.loads(content[8 : 8 + size]).get("__metadata__", {})
+        arrays, metadata = read_tensors(io.BytesIO(bytes(content)), (FORMAT,))
     except (SafetensorError, TypeError, ValueError) as error:
-        raise ValueError(f"`state` must be what `save_state` returned, got something else: {error}") from None
-    if metadata.get("format") != FORMAT:
-        raise ValueError(f"`state` must have the format {FORMAT!r}, got {metadata.get('format')!r}")
-    if metadata.get("sha256") != _checksum(arrays, metadata.get("about", "")):
+        raise ValueError(f"`state` must be what `save_state` returned, got something else: {one_line(error)}") from None
+    text = metadata.get("about", "")
+    if metadata.get("sha256") != checksum(arrays, text):
         raise ValueError("`state` is damaged: its checksum differs")
-    return arrays, json.loads(metadata["about"])
-
-
-def _checksum(arrays: Arrays, text: str) -> str:
-    digest = hashlib.sha256(text.encode())
-    for name in sorted(arrays):
-        digest.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode())
-        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
-    return digest.hexdigest()
+    try:
+        return arrays, json.loads(text)
+    except (ValueError, RecursionError) as error:  # the latter: nested too deep
+        raise ValueError(f"`state` is damaged: {one_line(error)}") from None

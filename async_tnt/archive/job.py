@@ -9,13 +9,14 @@ import hashlib
 import json
 import os
 import threading
+import warnings
 from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
 
 from .. import __version__
 from ..engines.choice import Engine, choose_engine, is_onnx, regressor_path
-from ..model import Model, bundled_models
+from ..model import Model, UncheckedModelWarning, bundled_models
 from ..pixels.selection import PixelSelection
 from ..pixels.selector import PixelSelector
 from ..processor import Processor
@@ -136,7 +137,9 @@ def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
             raise ValueError(
                 f"a worker has async_tnt {__version__}, but this program is {job.version}: install the same"
             )
-        engine = choose_engine(job.model, job.engine)
+        with warnings.catch_warnings():  # whoever made the job has seen it, and each worker would repeat it
+            warnings.simplefilter("ignore", UncheckedModelWarning)
+            engine = choose_engine(job.model, job.engine)
         if sha256_of(engine, job.model) != job.model_sha256:
             raise ValueError(
                 f"{job.model}: not the model that the work was begun with; it has changed, or a worker sees another"

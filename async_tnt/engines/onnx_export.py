@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..model import HEATMAP, REGRESSOR_LAYERS, Model
-from .onnx_metadata import CLASSIFIER, REGRESSOR, metadata_of
+from .onnx_metadata import CLASSIFIER, REGRESSOR, metadata_of, seal
 
 if TYPE_CHECKING:
     import onnx
@@ -26,7 +26,8 @@ def to_onnx(model: Model) -> onnx.ModelProto:
         Conv, Relu, AveragePool, Conv, Relu, AveragePool, Flatten, Gemm, Relu, Gemm
 
     Weights are initializers under their names in `Model.weights`. `metadata_props` hold what a model file's metadata
-    holds (`format`, `config`, `classes`, `record`), `network`, and `weights`, a hash of all weights.
+    holds (`format`, `config`, `classes`, `record`), `network`, `weights`, a hash of all weights, and `sha256`, one of
+    the whole file.
 
     Raises
     ------
@@ -130,5 +131,6 @@ def _model(
         producer_name="async_tnt", producer_version=__version__,
     )  # fmt: skip
     make.set_model_props(made, metadata_of(model, network))
+    seal(made)
     onnx.checker.check_model(made, full_check=True)
     return made

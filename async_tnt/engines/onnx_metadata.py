@@ -6,11 +6,16 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ..checked_tensors import checksum
 from ..config import TNTConfig
-from ..model import FORMAT, Model
+from ..model import FORMAT, UNCHECKED_FORMAT, Model
 
+if TYPE_CHECKING:
+    import onnx
+
+BLANK = 64 * "0"  # in place of the checksum while it is computed
 CLASSIFIER, REGRESSOR = "classifier", "regressor"
 
 
@@ -34,18 +39,31 @@ def metadata_of(model: Model, network: str) -> dict[str, str]:
     ------
     TypeError : the record holds what JSON cannot.
     """
-    weights = hashlib.sha256()
-    for name in sorted(model.weights):
-        weights.update(name.encode())
-        weights.update(model.weights[name].tobytes())
     return {
         "format": FORMAT,
         "network": network,
         "config": json.dumps(model.config.to_dict()),
         "classes": json.dumps(model.classes),
         "record": json.dumps(model.record),
-        "weights": weights.hexdigest(),
+        "weights": checksum(model.weights, ""),
+        "sha256": BLANK,
     }
+
+
+def seal(made: onnx.ModelProto) -> None:
+    """Write the checksum of all of a file's bytes into its metadata."""
+    (entry,) = (entry for entry in made.metadata_props if entry.key == "sha256")
+    entry.value = BLANK
+    entry.value = _checksum(made.SerializeToString(), BLANK)
+
+
+def is_damaged(metadata: Mapping[str, str], content: bytes) -> bool:
+    """Whether a file of ours is not as `seal` left it; False where it never had a checksum."""
+    return "sha256" in metadata and metadata["sha256"] != _checksum(content, metadata["sha256"])
+
+
+def _checksum(content: bytes, sha256: str) -> str:
+    return hashlib.sha256(content.replace(sha256.encode(), BLANK.encode())).hexdigest()
 
 
 def read_metadata(metadata: Mapping[str, str]) -> Exported | None:
@@ -58,9 +76,10 @@ def read_metadata(metadata: Mapping[str, str]) -> Exported | None:
     written = metadata.get("format", "")
     if not written.startswith(FORMAT.split()[0] + " "):
         return None
-    if written != FORMAT:
-        raise ValueError(f"metadata `format` must be {FORMAT!r}, got {written!r}")
-    missing = [name for name in ("network", "config", "classes", "record", "weights") if name not in metadata]
+    if written not in (FORMAT, UNCHECKED_FORMAT):
+        raise ValueError(f"metadata `format` must be {FORMAT!r} or {UNCHECKED_FORMAT!r}, got {written!r}")
+    needed = ["network", "config", "classes", "record", "weights", *(["sha256"] if written == FORMAT else [])]
+    missing = [name for name in needed if name not in metadata]
     if missing:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")
     if metadata["network"] not in (CLASSIFIER, REGRESSOR):

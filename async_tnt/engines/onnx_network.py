@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..messages import one_line
 from .onnx_metadata import CLASSIFIER, REGRESSOR, Exported
-from .onnx_session import DTYPES, check_input, check_output, one_line, open_session, source_of, whole_number
+from .onnx_session import DTYPES, check_input, check_output, open_session, source_of, whole_number
 
 
 class _OnnxNetwork:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..config import MAX_CELLS
-from .onnx_metadata import Exported, read_metadata
+from ..messages import one_line
+from ..model import UncheckedModelWarning
+from .onnx_metadata import Exported, is_damaged, read_metadata
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -70,9 +73,22 @@ def open_session(
     except Exception as error:  # of many types, none of them a ValueError
         raise ValueError(f"{name} is not a readable ONNX network: {one_line(error)}") from None
     try:
-        return session, inputs, outputs, read_metadata(metadata)
+        exported = read_metadata(metadata)
     except ValueError as error:
-        raise ValueError(f"{name} is damaged: {error}") from None
+        raise ValueError(f"{name} is damaged: {one_line(error)}") from None
+    if exported is not None:
+        if is_damaged(metadata, Path(source).read_bytes() if isinstance(source, str) else source):
+            raise ValueError(
+                f"{name} is damaged: its checksum differs; copy or export it again (where another program has changed "
+                "it, remove `format` from its metadata)"
+            )
+        if "sha256" not in metadata:
+            warnings.warn(
+                f"{name} has no checksum, so damage to it would go unnoticed; export it again",
+                UncheckedModelWarning,
+                stacklevel=4,  # whoever made the OnnxClassifier
+            )
+    return session, inputs, outputs, exported
 
 
 def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
@@ -124,11 +140,6 @@ def _spelled(sides: Sequence[Any]) -> str:
 def _type_name(name: str) -> str:
     """In NumPy's words: float16 and int64 have one name here and there."""
     return np.dtype(DTYPES[name]).name if name in DTYPES else name.removeprefix("tensor(").removesuffix(")")
-
-
-def one_line(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text if len(text) <= 300 else text[:300] + " ..."
 
 
 def whole_number(name: str, value: Any) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -137,6 +138,9 @@ def _read(path: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
+        with zipfile.ZipFile(path) as archive:
+            if archive.testzip() is not None:  # torch.load does not compare checksums
+                raise zipfile.BadZipFile
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
         json.loads(state["identity"])
         return state

@@ -1,4 +1,4 @@
-"""A small model, its parts and its file's metadata; for the tests in this folder."""
+"""A small model, its parts and files of any content; for the tests in this folder."""
 
 import json
 
@@ -6,6 +6,8 @@ import numpy as np
 from made import random_model
 
 from async_tnt import TNTConfig
+from async_tnt.checked_tensors import checksum, tensor_bytes
+from async_tnt.layer_graph import layer_graph
 from async_tnt.model import FORMAT
 
 SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)
@@ -33,12 +35,26 @@ def assert_same(one, other):
         assert values.tobytes() == other.weights[name].tobytes()
 
 
-def metadata(**changes):
+def write_file(path, weights, of=SMALL, /, **changes):
+    """A model file with a valid checksum, whatever it holds.
+
+    of : its configuration. changes : its metadata; None leaves a name out.
+    """
     values = {
         "format": FORMAT,
-        "config": json.dumps(SMALL.to_dict()),
+        "config": json.dumps(of.to_dict()),
         "classes": '["a", "b", "c"]',
         "record": "{}",
+        "network": json.dumps(layer_graph(of)),
         **changes,
     }
-    return {name: value for name, value in values.items() if value is not None}
+    values = {name: value for name, value in values.items() if value is not None}
+    text = json.dumps({name: values[name] for name in sorted(values)})
+    sha256 = {} if "sha256" in changes else {"sha256": checksum(weights, text)}
+    path.write_bytes(tensor_bytes(weights, values | sha256))
+    return path
+
+
+def write_format_1(path, weights, **changes):
+    """The file before checksums."""
+    return write_file(path, weights, **{"format": "async_tnt 1", "network": None, "sha256": None, **changes})

@@ -4,8 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from model.small import SMALL, changed, metadata
-from safetensors.numpy import save_file
+from model.small import SMALL, changed, write_file
 
 from async_tnt import Model, load_model
 
@@ -58,7 +57,7 @@ def test_wrong_weights(weights, error, message):
 def test_wrong_weights_in_a_file(tmp_path, weights, message):
     with np.errstate(over="ignore"):
         arrays = {name: np.asarray(values, np.float32) for name, values in changed(**weights).items()}
-    save_file(arrays, tmp_path / "m", metadata())
+    write_file(tmp_path / "m", arrays)
     with pytest.raises(
         ValueError, match=f"^{re.escape(str(tmp_path / 'm'))} holds a damaged model: {re.escape(message)}$"
     ):

@@ -1,13 +1,11 @@
 """The weights of a landmark regressor in a model: there exactly where the landmark needs them, and fitting."""
 
-import json
 import re
 
 import numpy as np
 import pytest
 from made import random_model, random_regressor_model
-from model.small import SMALL, assert_same, metadata
-from safetensors.numpy import save_file
+from model.small import SMALL, assert_same, write_file
 
 from async_tnt import Model, TNTConfig, load_model
 from async_tnt.regressor import CompiledRegressor
@@ -75,7 +73,7 @@ def test_wrong_weights(tmp_path, weights, message):
         Model(WITH, changed(**weights), CLASSES)
     with np.errstate(over="ignore"):
         arrays = {name: np.asarray(values, np.float32) for name, values in changed(**weights).items()}
-    save_file(arrays, tmp_path / "m", metadata(config=json.dumps(WITH.to_dict())))
+    write_file(tmp_path / "m", arrays, WITH)
     path = re.escape(str(tmp_path / "m"))
     with pytest.raises(ValueError, match=f"^{path} holds a damaged model: {re.escape(message)}$"):
         load_model(tmp_path / "m")
@@ -87,7 +85,7 @@ def test_a_regressor_where_none_belongs(tmp_path, changes):
     config = WITH.replace(**changes)
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         Model(config, changed(), CLASSES)
-    save_file(dict(small_regressor_model().weights), tmp_path / "m", metadata(config=json.dumps(config.to_dict())))
+    write_file(tmp_path / "m", small_regressor_model().weights, config)
     with pytest.raises(ValueError, match=re.escape(f"m holds a damaged model: {message}")):
         load_model(tmp_path / "m")
 
@@ -97,7 +95,7 @@ def test_no_regressor_where_one_belongs(tmp_path):
     message = f"`weights` must hold {ALL}, got {CLASSIFIER}{HINT}"
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         Model(WITH, plain.weights, CLASSES)
-    save_file(dict(plain.weights), tmp_path / "m", metadata(config=json.dumps(WITH.to_dict())))
+    write_file(tmp_path / "m", plain.weights, WITH)
     with pytest.raises(ValueError, match=re.escape(f"m holds a damaged model: {message}")):
         load_model(tmp_path / "m")
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model, random_regressor_model
 
 from async_tnt import LeakyIntegrator, Processor, TNTConfig
-from async_tnt.snapshot import from_bytes, to_bytes
+from async_tnt.checked_tensors import checksum, tensor_bytes
+from async_tnt.snapshot import FORMAT, from_bytes, to_bytes
 
 SETTINGS = [
     {}, {"hop_us": 300}, {"every_us": 170}, {"every_events": 7, "late": "drop"},
@@ -149,6 +150,19 @@ def test_damage_is_noticed():
     for nonsense in (b"", b"hello", "text", None, 5):
         with pytest.raises(ValueError, match="`state` must be what `save_state` returned"):
             Processor(CONFIG, classifier=total_and_size).restore_state(nonsense)
+
+
+@pytest.mark.parametrize("text", [None, "", "[" * 100_000, "nonsense"], ids=["none", "empty", "deep", "no JSON"])
+def test_a_valid_checksum_over_no_state(text):
+    metadata = {"format": FORMAT, "sha256": checksum({}, text or "")} | ({} if text is None else {"about": text})
+    with pytest.raises(ValueError, match=r"^`state` is damaged: .+$"):
+        from_bytes(tensor_bytes({}, metadata))
+
+
+def test_a_state_of_another_type():
+    state = tensor_bytes({"slots": np.zeros(4, np.float16)}, {"format": FORMAT})
+    with pytest.raises(ValueError, match="something else: NumPy has no type BF16"):
+        from_bytes(state.replace(b'"F16"', b'"BF16"').replace(state[:8], (state[0] + 1).to_bytes(8, "little"), 1))
 
 
 def test_what_the_door_dropped_is_remembered():

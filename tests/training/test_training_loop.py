@@ -12,7 +12,7 @@ from async_tnt.events import EVENT_DTYPE  # noqa: E402
 from async_tnt.model import load_model  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
-from async_tnt.training.checkpoint import CHECKPOINT  # noqa: E402
+from async_tnt.training.checkpoint import CHECKPOINT, load_checkpoint, save_checkpoint  # noqa: E402
 from async_tnt.training.evaluate import evaluate  # noqa: E402
 from async_tnt.training.networks import export, network_of  # noqa: E402
 from async_tnt.training.pipelines import Pipeline, input_scale, new_pipeline  # noqa: E402
@@ -102,6 +102,27 @@ def test_a_run_folder_of_other_settings_or_data_is_refused(windows, tmp_path):
     (tmp_path / CHECKPOINT).write_bytes(b"damaged")
     with pytest.raises(ValueError, match=r"not a readable checkpoint .* remove it"):
         train(CONFIG, windows, windows[:0], settings, tmp_path)
+
+
+def test_a_damaged_checkpoint_is_not_believed(tmp_path):
+    """Any bit: `torch.load` alone takes weights as they come."""
+    zeros = dict.fromkeys(("format", "training_windows", "validation_windows", "data", "classes", "start"), 0)
+    identity = json.dumps({"config": {}, "settings": {}, **zeros})
+    save_checkpoint(tmp_path, {"identity": identity, "history": [], "weights": torch.ones(500)})
+    content = (tmp_path / CHECKPOINT).read_bytes()
+    rng, n_refused = np.random.default_rng(0), 0
+    for at in rng.integers(0, len(content), 300).tolist():
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << int(rng.integers(8))
+        (tmp_path / CHECKPOINT).write_bytes(damaged)
+        try:
+            state = load_checkpoint(tmp_path, identity)
+        except ValueError as error:
+            assert "not a readable checkpoint" in str(error)
+            n_refused += 1
+        else:  # padding, or what nobody reads
+            assert torch.equal(state["weights"], torch.ones(500)) and state["identity"] == identity
+    assert n_refused > 100
 
 
 def test_the_exported_network_takes_raw_volumes(windows, tmp_path):
