@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..compile_ahead import warmup
 from ..engines.choice import choose_engine
 from ..pixels.selector import PixelSelector
 from ..progress import progress
@@ -15,7 +16,6 @@ from ..recordings import Recording
 from ..sources import replay
 from ..views import RerunView
 from ..views.sinks import SUFFIXES, import_rerun
-from ..warmup import warmup
 from ..whole_files import check_writable
 from .files import add_files, add_start, complain, paths_of, positive_number
 from .live_packets import add_latest, live_packets
