@@ -74,7 +74,7 @@ class Model:
 
         Raises
         ------
-        OSError : the file cannot be written.
+        OSError : the file cannot be written, or what is there is no file.
         TypeError : the record holds what JSON cannot.
         """
         path = Path(path)

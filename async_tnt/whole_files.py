@@ -1,22 +1,120 @@
-"""Files that are there whole or not at all."""
+"""Files that are there whole or not at all, and that replace nothing but files."""
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import stat
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFLNK: "a symbolic link",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
 
-@contextmanager
-def replacing(path: Path, *, shared: bool = False) -> Iterator[Path]:
-    """Write the file that this gives, `path` with a further suffix: after the block it takes the place of `path`.
 
-    Where the block fails, `path` stays as it was. A kill leaves the old file or the new one, and maybe a `.part`.
+def check_writable(path: Path, suffixes: Sequence[str] = (), *, option: str = "--out") -> Path:
+    """The file to write, that of a symbolic link; refuses, before any work, what `Replacement` could not replace.
 
     Parameters
     ----------
+    suffixes : of which `path` must have one, in any case; none: it may have any.
+    option : what names the suffixes' file in an error.
+
+    Raises
+    ------
+    ValueError : another suffix.
+    OSError : something else than a regular file is there, the folder is missing, or there is no permission.
+    """
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise ValueError(f"{option} must end in {', '.join(suffixes)}, got {path}")
+    target = file_of(path)
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"no folder {target.parent} to write {target.name} to")
+    there = _regular(path, follow_symlinks=True)
+    if there is not None and any(os.path.samestat(there, stream) for stream in _standard_streams()):
+        raise FileExistsError(f"{path} is what this program prints to: name another file")
+    if not os.access(target.parent, os.W_OK) or (there is not None and not os.access(target, os.W_OK)):
+        raise PermissionError(f"{path} cannot be written: no permission")
+    check_own(_part_of(target))
+    return target
+
+
+def check_own(path: Path) -> None:
+    """Refuse a file that only this package writes, such as a `.part`, where something else has its name, a link too.
+
+    Raises
+    ------
+    OSError.
+    """
+    _regular(path, follow_symlinks=False)
+
+
+def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
+    """Refuse, before any work, a folder that could not be made or written to, or files of these names in it.
+
+    Raises
+    ------
+    OSError.
+    """
+    there = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    if not there.is_dir():
+        raise NotADirectoryError(f"{there} is not a folder; expected a folder to write to")
+    if not os.access(there, os.W_OK):
+        raise PermissionError(f"{folder} cannot be written: no permission")
+    for name in names if folder.is_dir() else ():
+        check_writable(folder / name)
+
+
+def file_of(path: Path) -> Path:
+    """The file itself where `path` is a symbolic link, in whose place another would leave it as it was."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
+
+
+class Replacement:
+    """A file that takes the place of another when it is complete; until then it is NAME.part, at first empty.
+
+    Parameters
+    ----------
+    path : the file to replace, or that of a symbolic link; need not be there. Its permissions stay.
     shared : several processes may write it at once; each has a `.part` of its own.
+    like : a file whose permissions it gets where it replaces none; None: the usual ones.
+
+    Raises
+    ------
+    OSError : as `check_writable`; or the part cannot be made.
+    """
+
+    def __init__(self, path: Path, *, shared: bool = False, like: Path | None = None) -> None:
+        self._target = check_writable(path)
+        self.part = _part_of(self._target, f".{os.getpid()}" if shared else "")
+        model = self._target if self._target.exists() else like
+        self._mode = None if model is None else model.stat().st_mode
+        self.part.unlink(missing_ok=True)  # a kill has left it: anything else of that name is refused
+        # O_EXCL follows no link that has just been put there; meanwhile nobody reads who may not read the file
+        os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666 if model is None else 0o600))
+
+    def complete(self) -> None:
+        """Take the file's place."""
+        if self._mode is not None:
+            set_mode(self.part, self._mode)
+        self.part.replace(self._target)
+
+    def discard(self) -> None:
+        """Leave the file as it was; after `complete` there is nothing to discard."""
+        self.part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def replacing(path: Path, *, shared: bool = False, like: Path | None = None) -> Iterator[Path]:
+    """Write the file that this gives, a `Replacement.part`: after the block it takes the place of `path`.
+
+    Where the block fails, `path` stays as it was. A kill leaves the old file or the new one, and maybe a `.part`.
 
     Raises
     ------
@@ -32,10 +130,43 @@ def replacing(path: Path, *, shared: bool = False) -> Iterator[Path]:
     ...     path.read_text(), part.exists()
     ('whole', False)
     """
-    part = path.with_name(f"{path.name}.{os.getpid()}.part" if shared else f"{path.name}.part")
+    file = Replacement(path, shared=shared, like=like)
     try:
-        yield part
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+        yield file.part
+        file.complete()
+    finally:
+        file.discard()
+
+
+def write_text(path: Path, text: str, *, shared: bool = False) -> None:
+    """Write a whole file of UTF-8."""
+    with replacing(path, shared=shared) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def set_mode(path: Path, mode: int) -> None:
+    """Say who may read and write a file, where the file system knows of that."""
+    with contextlib.suppress(OSError):
+        path.chmod(stat.S_IMODE(mode))
+
+
+def _part_of(target: Path, process: str = "") -> Path:
+    return target.with_name(f"{target.name}{process}.part")
+
+
+def _regular(path: Path, *, follow_symlinks: bool) -> os.stat_result | None:
+    """What is there, None for nothing; refuses anything but a regular file."""
+    try:
+        status = os.stat(path, follow_symlinks=follow_symlinks)
+    except FileNotFoundError:
+        return None
+    if not stat.S_ISREG(status.st_mode):
+        kind = KINDS.get(stat.S_IFMT(status.st_mode), "something else")
+        raise FileExistsError(f"{path} is {kind}, expected a regular file or a new name")
+    return status
+
+
+def _standard_streams() -> Iterator[os.stat_result]:
+    for descriptor in (1, 2):
+        with contextlib.suppress(OSError):  # closed
+            yield os.fstat(descriptor)

@@ -20,6 +20,8 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
 from typing import Any, Generic, TypeVar
 
+from .signals import handled_by
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -67,7 +69,7 @@ def run_all(
     waiting = deque((task, 1) for task in tasks)
     team: list[_Worker[Task, Result]] = []
     try:
-        with _interrupt_ignored():
+        with _signals_wait():
             team += [_Worker(function) for _ in range(workers)]
         while waiting or any(worker.tasks for worker in team):
             for ready in wait([worker.pipe for worker in team]):
@@ -89,7 +91,7 @@ def run_all(
                         else:
                             yield lost(task)
                     if waiting:
-                        with _interrupt_ignored():
+                        with _signals_wait():
                             team.append(_Worker(function))
                     continue
                 kind, answer = _unpickled(data)
@@ -237,13 +239,19 @@ def _told(exitcode: int | None) -> str:
 
 
 @contextlib.contextmanager
-def _interrupt_ignored() -> Iterator[None]:
-    """Processes spawned meanwhile ignore Ctrl-C from their first instruction on, before `_work` is reached."""
-    if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+def _signals_wait() -> Iterator[None]:
+    """Signals that come while processes are spawned are handled afterwards; the processes ignore Ctrl-C.
+
+    A process that was left halfway would complain that what it has to do was never written into its pipe.
+    """
+    came: list[int] = []
+    with handled_by(lambda number, frame: came.append(number)):
+        # What is blocked here is blocked there, too, from the first instruction on, before `_work` is reached.
+        unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if os.name == "posix" else []
+        try:
+            yield
+        finally:
+            if os.name == "posix":
+                signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
+    for number in came:
+        signal.raise_signal(number)

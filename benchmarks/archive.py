@@ -33,10 +33,12 @@ from async_tnt.archive.place import Place
 from async_tnt.archive.records import evaluate_recording
 from async_tnt.archive.streamed import evaluation_settings
 from async_tnt.bench.timing import machine
+from async_tnt.commands.files import writable_file
 from async_tnt.datasets.class_folders import find_recordings
 from async_tnt.engines.choice import choose_engine
 from async_tnt.progress import progress
 from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.whole_files import write_text
 
 QUICK = 40  # recordings
 REPEAT_US = 315_000  # three windows
@@ -158,7 +160,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2], metavar="N", help="(default: 1 2)")
     parser.add_argument("--rounds", type=int, default=5, metavar="R", help="(default: %(default)s)")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} recordings, 1 round: does it all run?")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     args = parser.parse_args(argv)
     if min(args.rounds, args.length, *args.workers, 2 if args.recordings is None else args.recordings - 1) < 1:
         parser.error("--rounds, --length and --workers must be at least 1, --recordings at least 2")
@@ -179,7 +181,7 @@ def main(argv: list[str] | None = None) -> int:
             return 1
     print("\n".join(lines(report)))
     if args.json:
-        args.json.write_text(json.dumps({"machine": machine(), **report}, indent=1) + "\n", encoding="utf-8")
+        write_text(args.json, json.dumps({"machine": machine(), **report}, indent=1) + "\n")
     return 0
 
 

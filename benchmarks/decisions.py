@@ -30,6 +30,9 @@ from async_tnt.bench.network import bench_network, bench_on_noise, fastest
 from async_tnt.bench.timing import Progress, is_installed, machine, one_thread
 from async_tnt.bench.touched import bench_touched
 from async_tnt.bench.turns import WorkDiffers
+from async_tnt.commands.files import writable_file
+from async_tnt.figures.style import check_picture
+from async_tnt.whole_files import write_text
 
 MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
@@ -147,7 +150,7 @@ def _cell(figure: dict[str, float]) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if contenders do not agree."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
     parser.add_argument("--from", dest="source", type=Path, metavar="FILE",
                         help="take the figures from such a JSON file instead of measuring")  # fmt: skip
@@ -155,9 +158,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     try:
         if args.picture:
-            from async_tnt.figures.style import check_out
-
-            check_out(args.picture)
+            check_picture(args.picture)
         if args.source:
             report = json.loads(args.source.read_text(encoding="utf-8"))
         else:
@@ -169,7 +170,7 @@ def main(argv: list[str] | None = None) -> int:
         return 1
     print("\n".join(lines(report)))
     if args.json:
-        args.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_text(args.json, json.dumps(report, indent=1) + "\n")
     if args.picture:
         from async_tnt.bench.decision_picture import draw_decisions
         from async_tnt.figures.style import save, styled

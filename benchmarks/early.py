@@ -19,7 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.bench.early import measure_early, n_settings
+from async_tnt.commands.files import writable_file
+from async_tnt.figures.style import check_picture
 from async_tnt.progress import progress
+from async_tnt.whole_files import write_text
 from async_tnt.workers import available_cores
 
 QUICK = 20  # recordings
@@ -74,7 +77,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} recordings: does it all run?")
     parser.add_argument("--workers", type=int, default=available_cores(), metavar="N",
                         help="processes; nothing is timed here (default: one for each core)")  # fmt: skip
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
     parser.add_argument("--from", dest="source", type=Path, metavar="FILE",
                         help="take the figures from such a JSON file instead of measuring")  # fmt: skip
@@ -85,9 +88,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.error(f"--workers must be at least 1, got {args.workers}")
     try:
         if args.picture:
-            from async_tnt.figures.style import check_out
-
-            check_out(args.picture)
+            check_picture(args.picture)
         if args.source:
             report = json.loads(args.source.read_text(encoding="utf-8"))
         else:
@@ -98,7 +99,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.error(str(error))
     print("\n".join(lines(report)))
     if args.json:
-        args.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_text(args.json, json.dumps(report, indent=1) + "\n")
     if args.picture:
         from async_tnt.bench.early_picture import draw_early
         from async_tnt.figures.style import save, styled

@@ -17,6 +17,8 @@ from typing import Any
 from page_parts import ROOT, about_machine, percent, results, short, table
 from stream_tables import archive, udp_latency, udp_load, udp_machine, udp_overload
 
+from async_tnt.whole_files import write_text
+
 PAGES = ("README.md", "docs/performance.md", "docs/network.md", "docs/archive.md", "benchmarks/README.md")
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -267,7 +269,7 @@ def main(argv: list[str] | None = None) -> int:
         stale = True
         print(f"{page}: {'is not what the results say' if args.check else 'written'}")
         if not args.check:
-            path.write_text(after, encoding="utf-8")
+            write_text(path, after)
     return int(stale and args.check)
 
 

@@ -14,7 +14,6 @@ import json
 import os
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 if __name__ == "__main__":  # before any library reads them
@@ -25,6 +24,8 @@ import numpy as np
 from async_tnt import EVENT_DTYPE, TNTConfig, TNTVolume, warmup
 from async_tnt.bench.timing import Progress, interleave, is_installed, machine, one_thread, spread, work_clock
 from async_tnt.bench.volumes import GRIDS, made_events
+from async_tnt.commands.files import writable_file
+from async_tnt.whole_files import write_text
 
 BINS = 9
 PACKET = 1300
@@ -261,7 +262,7 @@ def lines(report: dict[str, Any]) -> list[str]:
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON if asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     parser.add_argument("--quick", action="store_true", help="the small grid only, few rounds: does it all run?")
     args = parser.parse_args(argv)
     warmup()
@@ -280,7 +281,7 @@ def main(argv: list[str] | None = None) -> int:
     }  # fmt: skip
     print("\n".join(lines(report)))
     if args.json:
-        args.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_text(args.json, json.dumps(report, indent=1) + "\n")
     return 0
 
 

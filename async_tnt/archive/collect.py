@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ..whole_files import check_writable, set_mode
 from .job import Task
 from .journal import FOLDER, Journal
 from .place import Place
 from .records import TIMED, Record, lost
-from .results import check_ours, file_of, is_record, read_results, set_mode, write_results
+from .results import check_ours, is_record, journal_of, read_results, write_results
 
 
 @dataclass
@@ -43,12 +44,6 @@ def counted(n: int, noun: str) -> str:
     ('1 recording', '1,000 recordings')
     """
     return f"{n:,} {noun}{'' if n == 1 else 's'}"
-
-
-def journal_of(out: Path) -> Path:
-    """Where the journal of a result file lies: beside it, the file itself if `out` is a link."""
-    out = file_of(out)
-    return out.with_name(out.name + ".partial")
 
 
 def collect(
@@ -103,7 +98,7 @@ def collect_to_file(
         are there but not in `tasks`, or none that is as it was. OSError : another program is writing it, or it cannot
         be written.
     """
-    out = file_of(out)
+    out = check_writable(out)
     job = tasks[0].job
     wanted = {task.recording: task for task in tasks}
     collected.total = len(wanted)
@@ -144,7 +139,7 @@ def collect_to_file(
         if to_do or in_journal or found.others:
             seconds = {name: journal.read(name)[TIMED] for name in wanted.keys() - in_file}
             timeless = ({k: v for k, v in record.items() if k != TIMED} for record in merged())
-            write_results(out, job.kind, job.about, timeless, like=out if out.exists() else journal.path)
+            write_results(out, job.kind, job.about, timeless, like=journal.path)
         else:
             seconds = {}
         journal.remove()

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..compile_ahead import warmup
 from ..engines.choice import Engine, choose_engine, is_onnx, regressor_path
 from ..model import Model, UncheckedModelWarning, bundled_models
 from ..pixels.selection import PixelSelection
 from ..pixels.selector import PixelSelector
 from ..processor import Processor
-from ..warmup import warmup
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
+from ..whole_files import check_own
 from .records import Record
 
 HEADER = "async_tnt_journal"
@@ -168,7 +169,9 @@ def _said(value: Any) -> str:
 
 def _open_locked(path: Path, who: Path) -> IO[bytes]:
     while True:
-        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666), "r+b")
+        check_own(path)
+        flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+        file = os.fdopen(os.open(path, flags, 0o666), "r+b")
         try:
             _lock(file)
             if os.name == "nt" or _is_at(file, path):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from ..whole_files import replacing
+from ..whole_files import check_own, check_writable, file_of, replacing
 from .journal import WHAT_TO_DO, parsed
 from .records import TIMED, Record, fields_of
 
@@ -22,27 +20,19 @@ def check_out(out: Path) -> None:
 
     Raises
     ------
-    ValueError, OSError, ImportError : another suffix; no folder; Parquet without pyarrow.
+    ValueError, OSError : see `check_writable`; also of the journal. ImportError : Parquet without pyarrow.
     """
-    if out.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"--out must end in {' or '.join(SUFFIXES)}, got {out}")
-    if out.is_dir() or not file_of(out).parent.is_dir():
-        raise ValueError(f"--out must be a file in a folder that is there, got {out}")
+    check_own(journal_of(check_writable(out, SUFFIXES)))
     if is_parquet(out):
         from .parquet import import_pyarrow
 
         import_pyarrow()
 
 
-def file_of(out: Path) -> Path:
-    """The file itself where `out` is a link, in whose place another would leave it as it was."""
-    return Path(os.path.realpath(out)) if out.is_symlink() else out
-
-
-def set_mode(path: Path, mode: int) -> None:
-    """Say who may read and write a file, where the file system knows of that."""
-    with contextlib.suppress(OSError):
-        path.chmod(stat.S_IMODE(mode))
+def journal_of(out: Path) -> Path:
+    """Where the journal of a result file lies: beside it, the file itself if `out` is a link."""
+    out = file_of(out)
+    return out.with_name(out.name + ".partial")
 
 
 def is_parquet(out: Path) -> bool:
@@ -107,13 +97,11 @@ def read_results(out: Path, kind: str, about: dict[str, Any], settings: str) -> 
 
 
 def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable[Record], like: Path) -> None:
-    """Write a result file, in its place at once when it is complete, readable by those who may read the file `like`.
+    """Write a result file, in its place at once when it is complete; a new one as readable as the file `like`.
 
-    `records` are in order, without `seconds`; `out` is no link (`file_of`).
+    `records` are in order, without `seconds`.
     """
-    with replacing(out) as part:
-        os.close(os.open(part, os.O_CREAT | os.O_WRONLY, 0o600))  # nobody else may read it meanwhile
-        set_mode(part, 0o600)  # one that a kill has left, too
+    with replacing(out, like=like) as part:
         if is_parquet(out):
             from .parquet import write_parquet
 
@@ -123,7 +111,6 @@ def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable
                 for record in records:
                     file.write(json.dumps(record).encode() + b"\n")
         _sync(part)
-        set_mode(part, like.stat().st_mode)
     if os.name != "nt":  # the name, too, outlives a loss of power
         _sync(out.parent)
 

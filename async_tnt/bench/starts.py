@@ -28,13 +28,13 @@ WORK = {
 NEEDS = {"onnxruntime": ("onnx", "onnxruntime"), "torch": ("torch", "tnt_reference")}
 
 _OURS = """
-import async_tnt
+from async_tnt import Processor, load_model, warmup
 step("import")
-model = async_tnt.load_model(arguments["model"])
+model = load_model(arguments["model"])
 step("load")
-async_tnt.warmup(model)
+warmup(model)
 step("warmup")
-processor = async_tnt.Processor(model, start_us=0)
+processor = Processor(model, start_us=0)
 processor.push_one(1000, 1, 1, 1)
 processor.fire()
 step("decision")

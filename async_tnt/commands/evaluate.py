@@ -18,6 +18,7 @@ from ..archive.streamed import Outcome, evaluation_settings, moments
 from ..datasets.class_folders import find_recordings
 from ..datasets.scores import Scores, score_recordings
 from ..engines.choice import Engine
+from ..figures.style import check_picture
 from ..model import Model, bundled_models
 from .archive_options import Interrupted, add_archive, place_of, stream_archive
 from .files import complain, model_of
@@ -63,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     if args.picture is not None:
-        _check_picture(args.picture)
+        check_picture(args.picture)
     place = place_of(args)
     model = model_of(args)
     pixels = selector_of(args, model)
@@ -191,17 +192,3 @@ def text_of(report: dict[str, Any]) -> str:
         rates = f"{report['decisions_per_second']:,.0f} decisions and {report['events_per_second']:,.0f} events"
         lines += ["", f"{rates} per second on one core"]
     return "\n".join(lines)
-
-
-def _check_picture(path: Path) -> None:
-    """Refuse what could not be drawn, before any work is done."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"--picture draws with matplotlib: pip install '.[plot]' ({error})") from None
-    from ..figures.style import FORMATS
-
-    if path.suffix.lower() not in FORMATS:
-        raise ValueError(f"--picture must end in {', '.join(FORMATS)}, got {path}")
-    if not path.parent.is_dir() or path.is_dir():
-        raise ValueError(f"--picture must be a file in a folder that is there, got {path}")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..model import Model, bundled_models
+from ..whole_files import Replacement, check_writable
 from .files import model_of
 
 DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
@@ -39,34 +40,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     from ..engines.agreement import compare_engines
-    from ..engines.choice import is_onnx, regressor_path
+    from ..engines.choice import regressor_path
     from ..engines.onnx_export import regressor_to_onnx, to_onnx
     from ..engines.onnx_network import OnnxClassifier, OnnxRegressor
     from ..engines.onnx_session import import_onnxruntime
 
     out: Path = args.out
-    if not is_onnx(out):
-        raise ValueError(f"--out must end in .onnx, got {out}")
-    if not out.parent.is_dir() or out.is_dir():
-        raise ValueError(f"--out must be a file in a folder that is there, got {out}")
+    check_writable(out, (".onnx",))
     model = model_of(args)
+    if model.config.needs_regressor:
+        check_writable(regressor_path(out))
     onnxruntime = import_onnxruntime()  # now, so that a missing one shows before any work
     contents = {out: to_onnx(model).SerializeToString()}
     if model.config.needs_regressor:
         contents[regressor_path(out)] = regressor_to_onnx(model).SerializeToString()
-    parts = {path: path.with_name(path.name + ".part") for path in contents}
+    files: dict[Path, Replacement] = {}
     try:
         for path, content in contents.items():
-            parts[path].write_bytes(content)
+            files[path] = Replacement(path)
+            files[path].part.write_bytes(content)
         # from the files, and not from memory: what is checked is what stays
-        regressor = OnnxRegressor(parts[regressor_path(out)]) if model.config.needs_regressor else None
-        agreement = compare_engines(model, OnnxClassifier(parts[out]), regressor)
+        regressor = OnnxRegressor(files[regressor_path(out)].part) if model.config.needs_regressor else None
+        agreement = compare_engines(model, OnnxClassifier(files[out].part), regressor)
         if agreement.holds:
-            for path, part in parts.items():
-                part.replace(path)
+            for file in files.values():
+                file.complete()
     finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)
+        for file in files.values():
+            file.discard()
     report = {
         "model": args.model,
         "agrees": agreement.holds,

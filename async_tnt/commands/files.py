@@ -13,6 +13,7 @@ from ..live_sources import is_live
 from ..model import Model, bundled_models, load_model
 from ..recordings import READERS, Recording, check_sensor, open_for, sample_recordings
 from ..recordings.fitting import check_events
+from ..whole_files import check_writable
 
 SAMPLES = Path("samples")
 
@@ -88,6 +89,15 @@ def complain(error: BaseException | str) -> None:
     if isinstance(error, OSError) and error.filename is not None:
         error = f"{error.filename}: {error.strerror}"
     print(f"async-tnt: {error}", file=sys.stderr, flush=True)
+
+
+def writable_file(text: str) -> Path:
+    """An argparse type: a file that can be written, or one that can be replaced."""
+    try:
+        check_writable(Path(text))
+    except (OSError, ValueError) as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return Path(text)
 
 
 def positive_int(text: str) -> int:

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from ..datasets.sizes import by, size_of
+from ..figures.style import check_picture
 from ..pixels import count_pixels, hot_pixels, save_mask
 from ..pixels.hot_pixels import FACTOR
 from ..pixels.mask_files import checked_out
 from ..progress import progress
 from ..recordings import READERS, open_recording
-from .files import complain
 
 DESCRIPTION = """Find the hot pixels of a camera: those that send far more events than their neighbours and the whole
 sensor make plausible. Several recordings of one camera count as one.
@@ -70,14 +70,7 @@ def main(args: argparse.Namespace) -> int:
             )
     checked_out(args.out)
     if args.picture is not None:
-        try:
-            import matplotlib  # noqa: F401
-        except ImportError as error:
-            complain(f"--picture draws with matplotlib: pip install '.[plot]' ({error})")
-            return 2
-        from ..figures.style import check_out
-
-        check_out(args.picture)
+        check_picture(args.picture)
     counts = _count(args.files, args.sensor)
     n_events = int(counts.sum())
     if n_events == 0:

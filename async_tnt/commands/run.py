@@ -6,8 +6,8 @@ import argparse
 import errno
 from pathlib import Path
 
+from ..compile_ahead import warmup
 from ..engines.choice import ENGINES, choose_engine
-from ..warmup import warmup
 from .archive_options import add_archive, check_no_archive, run_archive
 from .decision_lines import HEADER, json_line, text_line
 from .files import add_files, add_start, complain, paths_of, positive_int, positive_number

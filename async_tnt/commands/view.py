@@ -8,14 +8,15 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..compile_ahead import warmup
 from ..engines.choice import choose_engine
 from ..pixels.selector import PixelSelector
 from ..progress import progress
 from ..recordings import Recording
 from ..sources import replay
 from ..views import RerunView
-from ..views.sinks import check_out, import_rerun
-from ..warmup import warmup
+from ..views.sinks import SUFFIXES, import_rerun
+from ..whole_files import check_writable
 from .files import add_files, add_start, complain, paths_of, positive_number
 from .live_packets import add_latest, live_packets
 from .pixel_options import add_pixels, selector_of
@@ -72,7 +73,7 @@ def main(args: argparse.Namespace) -> int:
         raise ValueError("--latest belongs to a camera or the network; a recording waits")
     import_rerun()  # now, so that a missing one shows before any work
     if args.out is not None:
-        check_out(args.out)
+        check_writable(args.out, SUFFIXES)
     engine = choose_engine(args.model)
     pixels = selector_of(args, engine.model)
     sources = [path if isinstance(path, str) else open_selected(path, pixels) for path in paths_of(args)]

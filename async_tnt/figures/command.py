@@ -12,6 +12,7 @@ from ..datasets.sizes import size_of
 from ..events import EVENT_DTYPE, as_events
 from ..model import Model, bundled_models, load_model
 from ..recordings import READERS, Recording, open_recording, sample_recordings
+from ..whole_files import check_writable
 from .style import FORMATS
 from .subject import Subject
 
@@ -109,12 +110,12 @@ def main(args: argparse.Namespace) -> int:
     except ImportError as error:
         complain(f"plot draws with matplotlib: pip install '.[plot]' ({error})")
         return 2
-    from .style import check_out, save, styled
+    from .style import save, styled
 
     _check_options(args)
     paths = _paths(args)
     out = args.out or Path("-".join(path.stem for path in paths) + f"-{args.figure}.png")
-    check_out(out)
+    check_writable(out, FORMATS)
     subjects = [subject_of(path, args) for path in paths]
     with styled():
         figure = _draw(subjects, args)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..whole_files import replacing
+from ..whole_files import check_writable, replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,20 +56,18 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
     return Figure(figsize=(width, height), facecolor="white")
 
 
-def check_out(path: Path) -> None:
-    """Refuse a file that `save` could not write, before any work is done.
+def check_picture(path: Path) -> None:
+    """Refuse a file of --picture that `save` could not write, before any work is done.
 
     Raises
     ------
-    ValueError : the suffix is none of `FORMATS`.
-    OSError : there is no such folder, or the path is a folder.
+    ImportError : matplotlib is missing. ValueError, OSError : see `check_writable`.
     """
-    if path.suffix.lower() not in FORMATS:
-        raise ValueError(f"--out must end in {', '.join(FORMATS)}, got {path}")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"no folder {path.parent} to write {path.name} to")
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder; --out must name a file")
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"--picture draws with matplotlib: pip install '.[plot]' ({error})") from None
+    check_writable(path, FORMATS, option="--picture")
 
 
 def save(figure: Figure, path: Path, dpi: int) -> None:

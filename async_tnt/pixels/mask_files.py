@@ -10,7 +10,7 @@ import numpy as np
 
 from ..config import MAX_SIDE
 from ..datasets.sizes import by
-from ..whole_files import replacing
+from ..whole_files import check_writable, replacing
 from ..whole_numbers import is_whole
 
 MAGIC = b"\x93NUMPY"  # that every .npy file begins with
@@ -113,6 +113,5 @@ def checked_out(path: str | os.PathLike[str]) -> Path:
     path = Path(path)
     if path.suffix.lower() != ".npy":
         raise ValueError(f"{path}: a mask is written as .npy, got the suffix {path.suffix!r}")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(2, "no such folder to write to", str(path.parent))
+    check_writable(path)
     return path

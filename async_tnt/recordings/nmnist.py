@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.events import EVENT_DTYPE
+from async_tnt.whole_files import replacing
 
 SENSOR = (34, 34)
 """Width and height of N-MNIST's sensor crop, in pixels."""
@@ -119,6 +120,7 @@ def write_nmnist(path: str | os.PathLike[str], events: np.ndarray, *, sensor: tu
     ------
     TypeError : `events` is not such an array.
     ValueError : a value does not fit the format; names field, rule, value and index. Nothing is written then.
+    OSError : the file cannot be written.
     """
     names = getattr(getattr(events, "dtype", None), "names", None) or ()
     missing = [name for name in ("t", "x", "y", "p") if name not in names]
@@ -143,7 +145,8 @@ def write_nmnist(path: str | os.PathLike[str], events: np.ndarray, *, sensor: tu
     rows[:, 2] = t_us >> 16 | events["p"].astype(np.int64) << 7
     rows[:, 3] = t_us >> 8 & 0xFF
     rows[:, 4] = t_us & 0xFF
-    Path(path).write_bytes(rows.tobytes())
+    with replacing(Path(path)) as part:
+        part.write_bytes(rows.tobytes())
 
 
 def _first_damage(events: np.ndarray, event_rows: np.ndarray, sensor: tuple[int, int] | None) -> tuple[int, str | None]:

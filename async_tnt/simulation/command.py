@@ -16,8 +16,9 @@ from async_tnt.recordings import write_nmnist
 from async_tnt.simulation.comparison import compare, recordings_by_image
 from async_tnt.simulation.motions import KINDS
 from async_tnt.simulation.moving_mnist import build
-from async_tnt.simulation.set_manifest import MovingMnist
+from async_tnt.simulation.set_manifest import MANIFEST, MovingMnist
 from async_tnt.simulation.statistics import side_by_side
+from async_tnt.whole_files import check_folder
 from async_tnt.workers import available_cores
 
 DESCRIPTION = """\
@@ -87,8 +88,8 @@ def main(args: argparse.Namespace) -> int:
     if mnist is None:
         raise FileNotFoundError("no MNIST: give --mnist FOLDER, or set TNT_DATA to the folder with mnist/")
     for folder in (args.out, args.bin):
-        if folder is not None and folder.exists() and not folder.is_dir():
-            raise NotADirectoryError(f"{folder} is a file; expected a folder to write to")
+        if folder is not None:
+            check_folder(folder, (MANIFEST,))
     if nmnist is not None:
         recordings_by_image(nmnist, args.split)  # raises before the long work rather than after it
     started = time.monotonic()

@@ -18,7 +18,7 @@ from typing import Any
 
 from async_tnt.simulation.motions import Motion, motions_of
 from async_tnt.simulation.shards import Shard, open_shard
-from async_tnt.whole_files import replacing
+from async_tnt.whole_files import write_text
 
 MANIFEST = "set.json"
 FORMAT = "async_tnt.moving_mnist"
@@ -94,8 +94,7 @@ def write_manifest(made: MovingMnist) -> None:
         "motions": [dataclasses.asdict(motion) for motion in made.motions],
         "shards": [path.name for path in made.shards],
     }
-    with replacing(path, shared=True) as part:
-        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(content, indent=1) + "\n", shared=True)
 
 
 def read_manifest(folder: Path) -> MovingMnist:

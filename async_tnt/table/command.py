@@ -13,7 +13,7 @@ from async_tnt.bench.timing import machine
 from async_tnt.commands.files import positive_int
 from async_tnt.commands.record import command_words, data_folder
 from async_tnt.training.settings import PRECISIONS, TrainSettings
-from async_tnt.whole_files import replacing
+from async_tnt.whole_files import check_folder, write_text
 from async_tnt.workers import available_cores
 
 from .rows import ROWS, TRAINED_ON
@@ -113,6 +113,7 @@ def main(args: argparse.Namespace) -> int:
     from .run import Run
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
+    check_folder(args.out, ("results.json", "table.md"))
     if args.smoke:
         args.seeds, args.iterations = args.seeds[:1], min(args.iterations, 30)
     per_digit = 8 if args.smoke else None
@@ -147,12 +148,12 @@ def main(args: argparse.Namespace) -> int:
             Run(r["row"], r["trained_on"], r["seed"]).name: r["validation"] for r in results
         },
     }  # fmt: skip
-    _write(args.out / "results.json", json.dumps(record, indent=1) + "\n")
+    write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")
     pages = [markdown_table(table)]
     for column in ("1/all", "all/sim", "1/sim"):
         if any(column in columns for columns in table.values()):
             pages.append(f"{column}, by motion:\n\n{motions_table(table, column)}")
-    _write(args.out / "table.md", "\n\n".join(pages) + "\n")
+    write_text(args.out / "table.md", "\n\n".join(pages) + "\n")
     if args.json:
         print(json.dumps(record))
     else:
@@ -199,11 +200,6 @@ def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) 
         "images that no training recording shows.\n"
         f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)"
     )
-
-
-def _write(path: Path, text: str) -> None:
-    with replacing(path) as part:
-        part.write_text(text, encoding="utf-8")
 
 
 def _seed(text: str) -> int:

@@ -19,7 +19,7 @@ from async_tnt.training.pipelines import Pipeline
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.train import train
 from async_tnt.training.windows import Windows
-from async_tnt.whole_files import replacing
+from async_tnt.whole_files import write_text
 
 from .data import RealData, on_first_saccade, saccade, simulated_windows
 from .rows import ROWS, columns_of
@@ -104,8 +104,7 @@ def do_run(
     }  # fmt: skip
     plot_curves(trained.history, folder / "curves.png")
     Model(row.config, trained.last.weights, trained.last.classes, result).save(folder / "model.safetensors")
-    with replacing(finished) as part:
-        part.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    write_text(finished, json.dumps(result, indent=1))
     return result
 
 

@@ -15,15 +15,13 @@ import torch
 
 from async_tnt.config import TNTConfig
 from async_tnt.model import Model
-from async_tnt.whole_files import replacing
+from async_tnt.whole_files import replacing, write_text
 
-from .run_folder import other_run
+from .run_folder import CHECKPOINT, HISTORY, other_run
 from .settings import TrainSettings
 from .windows import CLASSES, Windows
 
 FORMAT = 2
-CHECKPOINT = "checkpoint.pt"
-HISTORY = "history.json"
 
 
 def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
@@ -34,8 +32,7 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     with replacing(run_folder / CHECKPOINT) as part:
         torch.save(dict(state), part)
     text = json.dumps({"settings": json.loads(state["identity"]), "history": state["history"]}, indent=1)
-    with replacing(run_folder / HISTORY) as part:
-        part.write_text(text, encoding="utf-8")
+    write_text(run_folder / HISTORY, text)
 
 
 def identity_of(

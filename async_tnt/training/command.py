@@ -20,10 +20,12 @@ from async_tnt.commands.record import command_words, data_folder
 from async_tnt.config import TNTConfig
 from async_tnt.datasets.scores import Scores
 from async_tnt.model import load_model
+from async_tnt.whole_files import check_folder, check_writable
 
 from . import own_run
 from .augment import Augmentation
 from .options import add_arguments
+from .run_folder import BEST, CURVES, LAST, RUN_FILES
 from .settings import TrainSettings
 from .simulated import read_samples, simulate_recordings
 from .windows import CLASSES, Recordings, Windows, lay_windows, no_progress, read_folder, split_recordings
@@ -41,10 +43,12 @@ def main(args: argparse.Namespace) -> int:
     except ImportError as error:
         return _fail(f"training needs torch ({error}); install it with: pip install '.[train]'")
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
-    if args.out.suffix != ".safetensors":  # q.pt beside q.safetensors would share its run folder, and its q.json
-        return _fail(f"--out must end in .safetensors, got {args.out}")
     run_folder = args.run_folder or Path("runs") / args.out.stem
     try:
+        check_writable(args.out, (".safetensors",))  # q.pt beside q.safetensors would share its run folder, its q.json
+        for suffix in own_run.BESIDE if args.dataset is not None else ():
+            check_writable(args.out.with_suffix(suffix))
+        check_folder(run_folder, RUN_FILES)
         return _train(args, run_folder)
     except KeyboardInterrupt:
         complain(f"interrupted; the finished epochs are kept in {run_folder}. Give the same command again to go on.")
@@ -70,8 +74,6 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         bins=args.bins, t_max=args.t_max, landmark=args.landmark, polarity=args.polarity,
         transform=args.transform, remove_flow=args.remove_flow,
     )  # fmt: skip
-    if not args.out.parent.is_dir():
-        raise FileNotFoundError(f"no folder {args.out.parent} to write {args.out.name} to")
     own: own_run.OwnData | None = None
     test_folder = None
     if args.dataset is not None:
@@ -153,9 +155,9 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         found = evaluate(pipeline, validation, times_ms=times_ms)
         summary["validation"] = found.to_dict()
         scores = Scores(classes, found.recording_confusion, found.confusion)
-    for name, one in (("last", result.last), ("best", result.best)):
-        one.save(run_folder / f"{name}.safetensors")
-    plot_curves(result.history, run_folder / "curves.png")
+    result.last.save(run_folder / LAST)
+    result.best.save(run_folder / BEST)
+    plot_curves(result.history, run_folder / CURVES)
 
     def save() -> None:
         type(model)(config, model.weights, model.classes, summary).save(args.out)

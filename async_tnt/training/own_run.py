@@ -20,7 +20,7 @@ from async_tnt.datasets.sizes import by, parse_size
 from async_tnt.model import Model
 from async_tnt.pixels.selection import PixelSelection
 from async_tnt.pixels.selector import check_region
-from async_tnt.whole_files import replacing
+from async_tnt.whole_files import write_text
 
 from .augment import Augmentation
 from .own_classes import OwnClasses, read_classes
@@ -29,6 +29,9 @@ from .settings import TrainSettings
 from .windows import Progress, Windows, lay_windows, split_recordings
 
 FEWEST_STEPS = 1_500  # of the optimizer, of which patience may leave some undone
+NUMBERS, PICTURES = ".json", (".curves.png", ".confusion.png")
+BESIDE = (NUMBERS, *PICTURES)
+"""Suffixes of the files that are written beside the model."""
 NMNIST_ONLY = {
     "nmnist": "--nmnist", "mnist": "--mnist", "simulated": "--simulated", "smoke": "--smoke",
 }  # fmt: skip
@@ -213,7 +216,7 @@ def write_beside(
     from .curves import plot_curves
 
     written = [write_numbers(out, scores, history, summary, held_out)]
-    curves = out.with_suffix(".curves.png")
+    curves, confusion = (out.with_suffix(suffix) for suffix in PICTURES)
     if not plot_curves(history, curves):
         print("no pictures: matplotlib is not installed (pip install '.[plot]')", file=sys.stderr)
         return written
@@ -222,7 +225,7 @@ def write_beside(
         from async_tnt.figures.confusion import write_confusion
 
         title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
-        written.append(write_confusion(scores.confusion, scores.classes, out.with_suffix(".confusion.png"), title))
+        written.append(write_confusion(scores.confusion, scores.classes, confusion, title))
     return written
 
 
@@ -233,9 +236,8 @@ def write_numbers(
     """Write <out>.json, over an older one."""
     report = {} if scores is None else scores.to_dict()
     content = {**report, "held_out": list(held_out), "summary": dict(summary), "history": list(history)}
-    path = out.with_suffix(".json")
-    with replacing(path) as part:
-        part.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    path = out.with_suffix(NUMBERS)
+    write_text(path, json.dumps(content, indent=1))
     return path
 
 

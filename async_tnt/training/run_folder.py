@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.datasets.class_folders import find_recordings, name_of
-from async_tnt.whole_files import replacing
+from async_tnt.whole_files import write_text
 
 RECORDINGS = "recordings.json"
+CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"
+LAST, BEST = "last.safetensors", "best.safetensors"
+RUN_FILES = (RECORDINGS, CHECKPOINT, HISTORY, CURVES, LAST, BEST)
 SHOWN = 3  # recordings that a refusal names
 
 
@@ -73,9 +76,7 @@ def note_recordings(
     """Write what `check_recordings` and `other_pixels` read; `used`: names of recordings that were not left out."""
     run_folder.mkdir(parents=True, exist_ok=True)
     note = {"validation": share, "sizes": dict(sizes), "used": sorted(used), "pixels": dict(record)}
-    text = json.dumps(note, indent=1)
-    with replacing(run_folder / RECORDINGS) as part:
-        part.write_text(text, encoding="utf-8")
+    write_text(run_folder / RECORDINGS, json.dumps(note, indent=1))
 
 
 def _noted(run_folder: Path) -> tuple[dict[str, int], set[str], float, dict[str, Any]] | None:

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-SUFFIX = ".rrd"
+from ..whole_files import Replacement, check_writable
+
+SUFFIXES = (".rrd",)
 DEFAULT_PORT = 9876  # where a Rerun viewer listens
 VIEWER_MEMORY = "25%"
 PATIENCE_S = 5.0  # for a viewer that does not take what is sent
@@ -38,37 +40,20 @@ def import_rerun() -> Any:
     return rerun
 
 
-def check_out(path: Path) -> None:
-    """Refuse a file that could not be written, before any work is done.
-
-    Raises
-    ------
-    ValueError : the suffix is not .rrd.
-    OSError : there is no such folder, the path is a folder, or it must not be written.
-    """
-    if path.suffix.lower() != SUFFIX:
-        raise ValueError(f"--out must end in {SUFFIX}, Rerun's format, got {path}")
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder; --out must name a file")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"no folder {path.parent} to write {path.name} to")
-    if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
-        raise PermissionError(f"{path} cannot be written: no permission")
-
-
 class FileSink:
     """A .rrd file. It appears, or replaces the one before, when it is closed; until then it is NAME.rrd.part."""
 
     def __init__(self, path: Path) -> None:
-        check_out(path)
-        self._path, self._part = path, path.with_name(path.name + ".part")
+        check_writable(path, SUFFIXES)
+        self._path = path
 
     def open(self, stream: Any) -> None:
+        self._file = Replacement(self._path)
         try:
             with _told(self._path):
-                stream.save(self._part)
+                stream.save(self._file.part)
         except OSError:
-            self._part.unlink(missing_ok=True)
+            self._file.discard()
             raise
 
     def close(self, stream: Any, keep: bool) -> None:
@@ -83,12 +68,12 @@ class FileSink:
         except OSError as error:
             if not keep:
                 raise
-            raise OSError(f"{error}; what was written before is in {self._part}") from None
+            raise OSError(f"{error}; what was written before is in {self._file.part}") from None
         finally:
             if not keep:
-                self._part.unlink(missing_ok=True)
+                self._file.discard()
         if keep:
-            self._part.replace(self._path)
+            self._file.complete()
 
     def check(self, stream: Any) -> None:
         """Wait until all is written that was logged.

@@ -174,8 +174,8 @@ def test_one_class_that_differs_is_one_too_many():
     "argv, message",
     [
         (["digits", "--out", "{}/m.pt"], "--out must end in .onnx, got {}/m.pt"),
-        (["digits", "--out", "{}/no/m.onnx"], "--out must be a file in a folder that is there, got {}/no/m.onnx"),
-        (["digits", "--out", "{}/folder.onnx"], "--out must be a file in a folder that is there, got {}/folder.onnx"),
+        (["digits", "--out", "{}/no/m.onnx"], "no folder {}/no to write m.onnx to"),
+        (["digits", "--out", "{}/folder.onnx"], "{}/folder.onnx is a folder, expected a regular file or a new name"),
         (["digitz", "--out", "{}/m.onnx"], "no model file digitz, and no bundled model of that name (bundled: digits)"),
         (["{}/x.onnx", "--out", "{}/m.onnx"], "{}/x.onnx: an .onnx file can only be run (async-tnt run --model); here "
          "a bundled model (digits) or a .safetensors file is needed"),

@@ -172,7 +172,7 @@ def _none(folder):
         (_none, (), "no recordings in its class folders (upright)"),
         (lambda folder: None, (), "no folder"),
         (_none, ("--picture", "c.gif"), "--picture must end in .png, .svg, .pdf, got c.gif"),
-        (_none, ("--picture", "nowhere/c.png"), "--picture must be a file in a folder that is there"),
+        (_none, ("--picture", "nowhere/c.png"), "no folder nowhere to write c.png to"),
     ],
 )
 def test_what_cannot_be_is_one_line_and_exit_code_2(make, words, text, saved, tmp_path, program):

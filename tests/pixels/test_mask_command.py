@@ -173,7 +173,7 @@ def _wrong_suffix(folder):
 
 
 def _no_folder(folder):
-    return [str(SAMPLE), "--out", str(folder / "no" / "m.npy")], "no: no such folder to write to"
+    return [str(SAMPLE), "--out", str(folder / "no" / "m.npy")], "no to write m.npy to"
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import pytest
 from made import random_events, random_model
 
 from async_tnt import TNTConfig, TNTVolume
-from async_tnt.cli import COMMANDS, main
+from async_tnt.cli import main
+from async_tnt.commands.program import COMMANDS
 from async_tnt.recordings import sample_recordings, write_nmnist
 
 SAMPLES = sample_recordings()

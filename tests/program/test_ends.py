@@ -35,12 +35,12 @@ def test_a_signal_ends_a_stream_with_its_last_decision_and_its_counts(number, co
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
-def test_output_that_cannot_be_written_is_no_fault_of_the_recordings():
+@pytest.mark.parametrize("words, unbuffered", [(["run", "--json"], "1"), (["run", "--json"], ""), (["--help"], "")])
+def test_output_that_cannot_be_written_is_no_fault_of_the_recordings(words, unbuffered):
+    env = ENV | {"PYTHONUNBUFFERED": unbuffered}
     with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "async_tnt.cli", "run", "--json"], stdout=full, stderr=subprocess.PIPE, text=True,
-            env=ENV,
-        )  # fmt: skip
+        command = [sys.executable, "-m", "async_tnt.cli", *words]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=env)
     assert done.returncode == 2
     assert done.stderr.count("No space left on device") == 1
 

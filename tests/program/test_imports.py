@@ -1,30 +1,64 @@
 """What importing costs, and what it must not bring along."""
 
+import importlib
+import inspect
 import os
+import pickle
+import pydoc
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import async_tnt
 
-CODE = """
-import sys, time
-import numba, numpy, safetensors.numpy  # what they cost is not ours to change: 0.1 to 0.3 s
-started = time.process_time()  # other processes must not decide
-import async_tnt
-took = time.process_time() - started
-print(took, "torch" in sys.modules, "matplotlib" in sys.modules, "tqdm" in sys.modules)
-"""
+
+def modules_after(code):
+    """The names of all modules that are loaded after this code."""
+    told = subprocess.run(
+        [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"], capture_output=True, text=True, check=True
+    )
+    return set(told.stdout.split())
 
 
-def test_import_brings_no_torch_and_is_quick():
-    times = []
-    for _ in range(3):
-        out = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True).stdout.split()
-        assert out[1:] == ["False", "False", "False"]
-        times.append(float(out[0]))
-    assert min(times) < 0.15
+def test_import_brings_only_what_is_used():
+    heavy = {"numpy", "numba", "torch", "matplotlib", "tqdm", "argparse", "typing", "signal"}
+    nothing = modules_after("pass")
+    for code in ("import async_tnt", "import async_tnt.cli"):
+        assert not heavy & (modules_after(code) - nothing)
+    assert "numba" not in modules_after("import async_tnt; async_tnt.TNTConfig()")
+    used = modules_after("import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.recordings")
+    assert "numba" in used and not {"torch", "matplotlib", "tqdm"} & used
+
+
+def test_public_names_are_there_in_every_way():
+    """Whatever has been imported before: a module's import sets its name in the package."""
+    for path in Path(async_tnt.__file__).parent.glob("*.py"):
+        if path.stem not in ("__init__", "__main__"):
+            importlib.import_module(f"async_tnt.{path.stem}")
+    starred = {}
+    exec("from async_tnt import *", starred)
+    for name in async_tnt.__all__:
+        value = getattr(async_tnt, name)
+        assert starred[name] is value and name in dir(async_tnt)
+        assert value is async_tnt.recordings or value is async_tnt.EVENT_DTYPE or value.__name__ == name
+        if isinstance(value, type) or inspect.isfunction(value):
+            assert pickle.loads(pickle.dumps(value)) is value
+    helped = pydoc.plain(pydoc.render_doc(async_tnt))
+    assert "class Processor" in helped and "load_model(name_or_path" in helped
+    assert async_tnt.pixels.PixelFilter is async_tnt.PixelFilter
+    with pytest.raises(AttributeError, match=r"^module 'async_tnt' has no attribute 'procesor'$"):
+        async_tnt.procesor  # noqa: B018
+    with pytest.raises(ImportError, match="cannot import name 'procesor'"):
+        from async_tnt import procesor  # noqa: F401
+
+
+def test_a_package_that_is_missing_is_named():
+    code = "import sys; sys.modules['numba'] = None; import async_tnt; async_tnt.Processor"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert told.returncode == 1 and "import of numba halted" in told.stderr.splitlines()[-1]
 
 
 def test_kernels_import_nothing_of_the_package():
@@ -54,11 +88,10 @@ def test_works_where_nothing_can_be_cached(tmp_path):
 
 
 def test_warmup_tells_a_terminal_what_takes_so_long(monkeypatch, capsys):
-    import importlib
+    from async_tnt import compile_ahead
 
-    module = importlib.import_module("async_tnt.warmup")  # the package's `warmup` is the function
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    monkeypatch.setattr(module, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(compile_ahead, "PATIENCE_S", 0.0)
     async_tnt.warmup()
     assert "compiling kernels, once on this machine" in capsys.readouterr().err
 

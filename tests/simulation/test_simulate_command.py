@@ -159,7 +159,7 @@ def damaged(mnist, tmp_path):
         (lambda mnist, tmp: ["--mnist", str(mnist), "--digits", "25"], "`digits` must be at most 24"),
         (lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(tmp / "nowhere")], "no folder .*nowhere; --nmnist"),
         (lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(mnist)], "no N-MNIST recordings there; expected"),
-        (lambda mnist, tmp: ["--mnist", str(mnist), "--bin", str(mnist / "t10k-labels-idx1-ubyte.gz")], "is a file"),
+        (lambda mnist, tmp: ["--mnist", str(mnist), "--bin", str(mnist / "t10k-labels-idx1-ubyte.gz")], "not a folder"),
     ],
 )  # fmt: skip
 def test_missing_and_damaged_input_is_told_in_one_line(mnist, tmp_path, options, complaint, capsys):
@@ -173,7 +173,7 @@ def test_missing_and_damaged_input_is_told_in_one_line(mnist, tmp_path, options,
 def test_output_that_is_a_file_and_sets_made_otherwise_are_told(mnist, tmp_path, capsys):
     (tmp_path / "file").write_bytes(b"")
     assert main(["simulate", "--mnist", str(mnist), "--out", str(tmp_path / "file")]) == 2
-    assert "file is a file; expected a folder to write to" in capsys.readouterr().err
+    assert "file is not a folder; expected a folder to write to" in capsys.readouterr().err
     build(mnist, tmp_path / "set", digits=1, kind="nmnist", workers=1, frame_us=50_000.0)
     assert main(["simulate", "--mnist", str(mnist), "--out", str(tmp_path / "set"), "--digits", "1"]) == 2
     captured = capsys.readouterr()

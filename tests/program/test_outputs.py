@@ -1,0 +1,209 @@
+"""What is there already: files are replaced and keep their permissions, everything else stays as it is."""
+
+import contextlib
+import os
+import socket
+import stat
+
+import numpy as np
+import pytest
+from made import random_events, random_model
+
+from async_tnt.archive.collect import Collected, collect_to_file
+from async_tnt.archive.job import job_of, task_of
+from async_tnt.archive.place import Place
+from async_tnt.archive.records import run_recording
+from async_tnt.cli import main
+from async_tnt.engines.choice import choose_engine
+from async_tnt.pixels import save_mask
+from async_tnt.recordings import sample_recordings, write_nmnist
+from async_tnt.simulation.shards import write_shard
+from async_tnt.whole_files import Replacement, replacing, write_text
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="FIFOs, devices and links of POSIX")
+
+
+def draw(path):
+    from async_tnt.figures.style import new_figure, save
+
+    save(new_figure(1.0, 1.0), path, 50)
+
+
+def plot_curves(path):
+    from async_tnt.training.curves import plot_curves
+
+    plot_curves([{"epoch": 1, "loss": 1.0, "training": 0.5}], path)
+
+
+def view(path):
+    from async_tnt.views import RerunView
+
+    with RerunView(random_model(), out=path) as shown:
+        shown.push(random_events(50))
+
+
+def collect(path):
+    sample = sample_recordings()[1]
+    task = task_of("1.bin", sample, job_of("run", "digits", choose_engine("digits"), None))
+    list(collect_to_file(run_recording, [task], Place(), path, Collected()))
+
+
+def shard(path):
+    write_shard(
+        path, [random_events(20)], labels=[1], image=[0], flow=np.zeros((1, 2, 2)), flow_times_us=[0, 105_000],
+        sensor=(34, 34), duration_us=105_000,
+    )  # fmt: skip
+
+
+WRITERS = {
+    "model.safetensors": lambda path: random_model().save(path),
+    "mask.npy": lambda path: save_mask(path, np.zeros((3, 4), bool)),
+    "recording.bin": lambda path: write_nmnist(path, random_events(20)),
+    "figure.png": draw,
+    "curves.png": plot_curves,
+    "view.rrd": view,
+    "results.jsonl": collect,
+    "shard.safetensors": shard,
+    "numbers.json": lambda path: write_text(path, "{}"),
+}
+SAMPLE = str(sample_recordings()[3])
+COMMANDS = {  # nothing that they would read is there: to name it in an error, work must have begun
+    "run.jsonl": ["run", SAMPLE, "--model", "nowhere", "--out", "OUT"],
+    "evaluate.jsonl": ["evaluate", "nowhere", "nowhere", "--out", "OUT"],
+    "evaluate.png": ["evaluate", "nowhere", "nowhere", "--picture", "OUT"],
+    "export.onnx": ["export", "nowhere", "--out", "OUT"],
+    "mask.npy": ["mask", "nowhere.npy", "--out", "OUT"],
+    "mask.png": ["mask", "nowhere.npy", "--out", "m.npy", "--picture", "OUT"],
+    "plot.svg": ["plot", "nowhere.npy", "--out", "OUT"],
+    "view.rrd": ["view", "nowhere.npy", "--model", "nowhere", "--out", "OUT"],
+    "train.safetensors": ["train", "nowhere", "--out", "OUT"],
+    "train.json": ["train", "nowhere", "--out", "train.safetensors"],
+    "checkpoint.pt": ["train", "nowhere", "--out", "m.safetensors", "--run", "."],
+    "results.json": ["table", "--nmnist", "nowhere", "--out", "."],
+    "set.json": ["simulate", "--mnist", ".", "--out", "."],
+}
+
+
+def obstacles(path):
+    """Put what must not be replaced at `path`, one after the other; gives what must be as it was, None at the end."""
+    other = path.with_name("other")
+    for make in (os.mkdir, os.mkfifo, listen, make_device):
+        for place in (path, other):
+            with contextlib.suppress(PermissionError):  # only root makes devices
+                make(place)
+                if place is other:
+                    path.symlink_to(other)
+                yield place
+                if place is other:
+                    path.unlink()
+                (os.rmdir if make is os.mkdir else os.unlink)(place)
+    for target in (path.name, "/dev/null", "/dev/stdout"):
+        path.symlink_to(target)
+        yield path
+        path.unlink()
+    part = path.with_name(f"{path.name}.part")
+    for make in (os.mkfifo, lambda part: part.symlink_to("precious")):
+        make(part)
+        yield part
+        part.unlink()
+
+
+def listen(path):
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(os.path.relpath(path))  # such a name has at most 107 bytes
+
+
+def make_device(path):
+    os.mknod(path, stat.S_IFCHR | 0o666, os.makedev(1, 3))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "precious").write_text("precious")
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_writer_replaces_only_files(name, folder):
+    for obstacle in obstacles(folder / name):
+        before = os.lstat(obstacle)
+        with pytest.raises(OSError, match=r"expected a regular file or a new name|Too many levels|prints to"):
+            WRITERS[name](folder / name)
+        assert os.lstat(obstacle) == before
+    assert (folder / "precious").read_text() == "precious" and os.listdir(folder) == ["precious"]
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_link_stays_and_its_file_is_replaced_with_its_permissions(name, folder):
+    link, real = folder / name, folder / "far" / f"real_{name}"
+    real.parent.mkdir()
+    link.symlink_to(real)  # to nothing yet
+    WRITERS[name](link)
+    assert link.is_symlink() and real.stat().st_size > 0
+    real.chmod(0o640)
+    if name != "results.jsonl":  # which goes on with what is there
+        real.write_text("before")
+    WRITERS[name](link)
+    assert link.is_symlink() and real.read_bytes() != b"before" and stat.S_IMODE(real.stat().st_mode) == 0o640
+    assert os.listdir(real.parent) == [real.name]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_refuses_its_output_before_any_work(name, folder, capsys):
+    if name.startswith("train") or name == "checkpoint.pt":
+        pytest.importorskip("torch")
+    path = folder / name
+    for obstacle in obstacles(path):
+        before = os.lstat(obstacle)
+        assert main([str(path) if word == "OUT" else word for word in COMMANDS[name]]) == 2
+        captured = capsys.readouterr()
+        assert captured.err.count("\n") == 1 and name in captured.err and "nowhere" not in captured.err
+        assert captured.out == "" and os.lstat(obstacle) == before
+    assert os.listdir(folder) == ["precious"]
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("precious")])
+def test_a_journal_is_a_file(make, folder, capsys):
+    make(folder / "r.jsonl.partial")
+    assert main(["run", SAMPLE, "--out", "r.jsonl"]) == 2
+    assert "r.jsonl.partial is a " in capsys.readouterr().err
+    with pytest.raises(FileExistsError, match="expected a regular file or a new name"):
+        collect(folder / "r.jsonl")
+    assert (folder / "precious").read_text() == "precious"
+
+
+def test_what_the_program_prints_to_is_not_replaced(folder, capfd):
+    """As of `--out x > x`, or of --out /dev/stdout where a shell has made it a file."""
+    printed = folder / "printed"
+    with printed.open("w") as file:
+        before = os.dup(1)
+        os.dup2(file.fileno(), 1)
+        try:
+            with pytest.raises(FileExistsError, match="is what this program prints to"), replacing(printed):
+                pass
+        finally:
+            os.dup2(before, 1)
+            os.close(before)
+
+
+def test_a_new_file_has_the_usual_permissions_and_a_private_one_is_private_all_the_while(folder):
+    umask = os.umask(0o027)
+    try:
+        write_text(folder / "new", "")
+        assert stat.S_IMODE((folder / "new").stat().st_mode) == 0o640
+        (folder / "new").chmod(0o600)
+        file = Replacement(folder / "new")
+        assert stat.S_IMODE(file.part.stat().st_mode) == 0o600
+        file.discard()
+    finally:
+        os.umask(umask)
+
+
+def test_what_a_kill_has_left_is_written_afresh_and_not_into(folder):
+    """A second name of the left-over file keeps what it holds."""
+    (folder / "new.part").write_text("left")
+    os.link(folder / "new.part", folder / "linked")
+    write_text(folder / "new", "new")
+    assert (folder / "linked").read_text() == "left" and (folder / "new").read_text() == "new"
+    assert sorted(os.listdir(folder)) == ["linked", "new", "precious"]
