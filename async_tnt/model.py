@@ -13,6 +13,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from .config import TNTConfig
+from .plain_arrays import plain_array
 from .tensor_bytes import tensor_bytes
 from .whole_files import replacing
 
@@ -133,7 +134,7 @@ def load_model(name_or_path: str | Path) -> Model:
 
 
 def _float32(name: str, values: Any) -> np.ndarray:
-    array = np.asarray(values)
+    array = plain_array(name, values)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
     with np.errstate(over="ignore"):  # becomes inf, which `_check_weights` refuses

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..config import MAX_SIDE
 from ..datasets.sizes import by
+from ..plain_arrays import plain_array
 from ..whole_files import replacing
 from ..whole_numbers import is_whole
 
@@ -43,7 +44,7 @@ def checked_mask(mask: Any, sensor: tuple[int, int] | None = None) -> np.ndarray
 
     Raises
     ------
-    ValueError : another type or another shape; says what came.
+    ValueError, TypeError : another type or another shape; says what came.
     """
     if sensor is None:
         rule = f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]"
@@ -53,6 +54,7 @@ def checked_mask(mask: Any, sensor: tuple[int, int] | None = None) -> np.ndarray
         )
     if not isinstance(mask, np.ndarray):
         raise ValueError(f"{rule}; got {type(mask).__name__}")
+    mask = plain_array("mask", mask)
     if mask.dtype != np.bool_:
         raise ValueError(f"{rule}; got {mask.dtype} of shape {mask.shape}")
     fits = mask.ndim == 2 and min(mask.shape) >= 1 and max(mask.shape) <= MAX_SIDE
@@ -103,7 +105,7 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
     OSError : not writeable.
     """
     path = checked_out(path)
-    mask = checked_mask(np.asarray(mask))
+    mask = checked_mask(plain_array("mask", mask))
     with replacing(path) as part, part.open("wb") as file:
         np.save(file, mask, allow_pickle=False)
 
