@@ -7,7 +7,7 @@
     an object               with .t .x .y .p, with .polarity_events (neuromorphic-drivers' packets), or with .numpy()
     None, or anything empty no events
 
-Times are integer microseconds, polarity bool, 0/1 or -1/+1.
+Times are integer microseconds, polarity bool, 0/1 or -1/+1. A field under two names, and masked arrays, are refused.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
         try:
             array = events.numpy()
         except RuntimeError as error:  # torch: a tensor that requires grad
-            raise TypeError(f"{type(events).__name__}.numpy() failed: {error}") from error
+            raise TypeError(f"{type(events).__name__}.numpy() failed: {one_line(error)}") from error
         return named_columns(array, depth + 1)
     raise TypeError(f"events must be {FORMS}; got {type(events).__name__}")
 
@@ -90,7 +90,7 @@ def _as_column(field: str, values: Any) -> np.ndarray:
     try:
         column = np.atleast_1d(np.asarray(values))
     except Exception as error:  # whatever a foreign object's __array__ raises
-        raise ValueError(f"`{field}` must be a column of whole numbers: {error}") from error
+        raise ValueError(f"`{field}` must be a column of whole numbers: {one_line(error)}") from error
     if column.size == 0:
         return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
     if column.dtype.kind == "f" and isinstance(values, (list, tuple)) and all(type(v) is int for v in values):
@@ -111,6 +111,11 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
     if found:
         raise ValueError(f"events need one field `{field}`, got {' and '.join(found)} in {what}; leave out all but one")
     raise ValueError(f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}")
+
+
+def one_line(error: Exception) -> str:
+    """What another library's error says, in one line."""
+    return " ".join(str(error).split())[:300] or type(error).__name__
 
 
 def brief(value: Any) -> str:

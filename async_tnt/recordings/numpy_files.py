@@ -20,7 +20,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from async_tnt.event_forms import NAMES, Four, named_columns, the_name
+from async_tnt.event_forms import NAMES, Four, named_columns, one_line, the_name
 from async_tnt.events import EVENT_DTYPE, checked_columns
 from async_tnt.npy_arrays import MAGIC, map_npy, read_npy_header
 from async_tnt.recordings.damage import Damage
@@ -80,7 +80,7 @@ class NpzSource(Source):
                 wanted = _wanted(members)
                 strips = [_Strip(files.enter_context(archive.open(info)), info) for info in wanted]
         except Exception as error:  # of a damaged archive: BadZipFile, zlib.error, NotImplementedError, ...
-            raise ValueError(f"{path}: not a readable NumPy file: {_one_line(error)}") from None
+            raise ValueError(f"{path}: not a readable NumPy file: {one_line(error)}") from None
         arrays = tuple(strip.claimed for strip in strips)
         sizes = [len(column) for column in _columns(path, arrays if len(arrays) > 1 else arrays[0])]
         if len(set(sizes)) != 1:
@@ -102,7 +102,7 @@ class NpzSource(Source):
                     arrays = tuple(strip.read(min(step, self.n_events - start)) for strip in strips)
                     yield _columns(self.path, arrays if len(arrays) > 1 else arrays[0])
         except Exception as error:  # as above
-            raise Damage(f"not a readable NumPy file: {_one_line(error)}") from None
+            raise Damage(f"not a readable NumPy file: {one_line(error)}") from None
 
 
 class _Strip:
@@ -192,7 +192,7 @@ def _columns(path: Path, array: Any) -> Four:
             checked_columns(t, x, y, p, ANY_SENSOR)  # raises, and says what is wrong
         return columns
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {_one_line(error)}") from None
+        raise ValueError(f"{path}: {one_line(error)}") from None
 
 
 def _form(array: np.ndarray) -> Any:
@@ -205,10 +205,6 @@ def _form(array: np.ndarray) -> Any:
         "expected a structured array with fields t, x, y, p or an (N, 4) array of those columns, "
         f"got shape {array.shape} of {array.dtype}"
     )
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:300] or type(error).__name__
 
 
 def open_npy(path: Path) -> Source:

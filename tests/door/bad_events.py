@@ -179,7 +179,7 @@ class Store:
 
 
 def never_ready():
-    raise RuntimeError("not ready")
+    raise RuntimeError("not\n  ready")
 
 
 T, X, Y, P = GOOD.values()
