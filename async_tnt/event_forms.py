@@ -7,14 +7,17 @@
     an object               with .t .x .y .p, with .polarity_events (neuromorphic-drivers' packets), or with .numpy()
     None, or anything empty no events
 
-Times are integer microseconds, polarity bool, 0/1 or -1/+1.
+Times are integer microseconds, polarity bool, 0/1 or -1/+1. A field under two names, and masked arrays, are refused.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
+
+from .plain_arrays import refuse_mask
 
 NAMES = {
     "t": ("t", "ts", "timestamp"),
@@ -22,6 +25,7 @@ NAMES = {
     "y": ("y",),
     "p": ("p", "on", "polarity", "pol"),
 }
+UNMASKED = "`.compressed()` of each column, or `.data` to use every event"
 MAX_DEPTH = 4  # an object's .numpy() may be events in another form, but not itself for ever
 FORMS = (
     "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
@@ -41,13 +45,14 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
     if events is None:
         return None
     if isinstance(events, (np.ndarray, np.void)):
+        refuse_mask("events", events, UNMASKED)
         names = events.dtype.names
         if names is None:
             if isinstance(events, np.ndarray) and events.size == 0:
                 return None
             raise TypeError(f"events must be {FORMS}; got a plain array of shape {np.shape(events)}")
         what = f"a structured array with fields {', '.join(names)}"
-        t, x, y, p = (np.atleast_1d(events[_pick(field, names, what)]) for field in NAMES)
+        t, x, y, p = (np.atleast_1d(events[the_name(field, names, what)]) for field in NAMES)
         return t, x, y, p
     by_name = hasattr(events, "x") and hasattr(events, "y")
     if isinstance(events, (tuple, list)):
@@ -69,22 +74,23 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
     if by_name:
         have = [name for names in NAMES.values() for name in names if hasattr(events, name)]
         what = f"a {type(events).__name__} with attributes {', '.join(have)}"
-        t, x, y, p = (_as_column(field, getattr(events, _pick(field, have, what))) for field in NAMES)
+        t, x, y, p = (_as_column(field, getattr(events, the_name(field, have, what))) for field in NAMES)
         return t, x, y, p
     if depth < MAX_DEPTH and callable(getattr(events, "numpy", None)):
         try:
             array = events.numpy()
         except RuntimeError as error:  # torch: a tensor that requires grad
-            raise TypeError(f"{type(events).__name__}.numpy() failed: {error}") from error
+            raise TypeError(f"{type(events).__name__}.numpy() failed: {one_line(error)}") from error
         return named_columns(array, depth + 1)
     raise TypeError(f"events must be {FORMS}; got {type(events).__name__}")
 
 
 def _as_column(field: str, values: Any) -> np.ndarray:
+    refuse_mask(field, values, UNMASKED)
     try:
         column = np.atleast_1d(np.asarray(values))
     except Exception as error:  # whatever a foreign object's __array__ raises
-        raise ValueError(f"`{field}` must be a column of whole numbers: {error}") from error
+        raise ValueError(f"`{field}` must be a column of whole numbers: {one_line(error)}") from error
     if column.size == 0:
         return np.empty(column.shape, np.int64)  # [] is float64 to NumPy
     if column.dtype.kind == "f" and isinstance(values, (list, tuple)) and all(type(v) is int for v in values):
@@ -92,11 +98,24 @@ def _as_column(field: str, values: Any) -> np.ndarray:
     return column
 
 
-def _pick(field: str, have: Any, what: str) -> str:
-    for name in NAMES[field]:
-        if name in have:
-            return name
+def the_name(field: str, have: Collection[str], what: str) -> str:
+    """The one name among `have` that says `field`.
+
+    Raises
+    ------
+    ValueError : there is none, or there are several: which of them is meant, nobody can tell.
+    """
+    found = [name for name in have if name in NAMES[field]]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise ValueError(f"events need one field `{field}`, got {' and '.join(found)} in {what}; leave out all but one")
     raise ValueError(f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}")
+
+
+def one_line(error: Exception) -> str:
+    """What another library's error says, in one line."""
+    return " ".join(str(error).split())[:300] or type(error).__name__
 
 
 def brief(value: Any) -> str:

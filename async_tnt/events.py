@@ -48,6 +48,8 @@ def empty_columns(n: int) -> Columns:
 
 
 _T, _XY, _P = map(np.dtype, (np.int64, np.uint16, np.uint8))
+_ARRAY = np.ndarray
+_RECORDS = (np.ndarray, np.memmap, np.recarray)  # no other subclass: compiled code would not see a mask
 _DTYPES = (_T, _XY, _XY, _P)
 NO_EVENTS = empty_columns(0)
 _new_tuple = tuple.__new__  # what Columns(...) does, without a call of Python code
@@ -95,7 +97,7 @@ class EventDoor:
         if type(events) is tuple:
             columns = self._pass(events)
         else:
-            columns = self._load(events) if isinstance(events, np.ndarray) else None
+            columns = self._load(events) if type(events) in _RECORDS else None
         if columns is None:
             named = named_columns(events)
             columns = NO_EVENTS if named is None else checked_columns(*named, self.sensor)
@@ -154,6 +156,8 @@ class EventDoor:
         if len(events) != 4:
             return None
         t, x, y, p = events
+        if not (type(t) is type(x) is type(y) is type(p) is _ARRAY):
+            return None
         width, height = self.sensor
         try:
             # All four: Numba's dispatch refuses the other byte order, but was once seen to take an empty column of it.
@@ -161,7 +165,7 @@ class EventDoor:
                 return None
             if check_columns(t, x, y, p, width, height) != FINE:
                 return None
-        except (AttributeError, TypeError, NumbaError):  # not one-dimensional, contiguous, aligned, writeable
+        except (TypeError, NumbaError):  # not one-dimensional, contiguous, aligned, writeable
             return None
         return _new_tuple(Columns, (t, x, y, p, len(t)))
 
@@ -261,10 +265,10 @@ def _record_layout(dtype: np.dtype) -> np.ndarray | None:
         return None
     layout = []
     for field, names in NAMES.items():
-        name = next((n for n in names if n in dtype.names), None)
-        if name is None:
+        found = [name for name in names if name in dtype.names]
+        if len(found) != 1:
             return None
-        number, offset = dtype.fields[name][:2]
+        number, offset = dtype.fields[found[0]][:2]
         kind = KIND.get(number.str[1:])
         if kind is None or number.str[0] == ">" or (field != "p" and number.kind == "b"):
             return None

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .kernels.strip import FILTERS, PLACES, TAPS
+from .plain_arrays import plain_array
 
 
 def pack_filters(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.ndarray, np.ndarray]:
@@ -50,6 +51,7 @@ class VolumeInput:
         ------
         ValueError : another shape.
         """
+        volume = plain_array("volume", volume)
         if volume.shape != self.shape:
             raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
         if volume.dtype == np.float32 and volume.flags.c_contiguous and not volume.flags.writeable:

@@ -17,6 +17,7 @@ from .checked_tensors import checksum, read_tensors, tensor_bytes
 from .config import TNTConfig
 from .layer_graph import check_layer_graph, layer_graph
 from .messages import one_line
+from .plain_arrays import plain_array
 from .whole_files import replacing
 
 FORMAT = "async_tnt 2"
@@ -166,7 +167,7 @@ def _checksum(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) ->
 
 
 def _float32(name: str, values: Any) -> np.ndarray:
-    array = np.asarray(values)
+    array = plain_array(name, values)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
     with np.errstate(over="ignore"):  # becomes inf, which `_check_weights` refuses

@@ -10,10 +10,10 @@ import numpy as np
 
 from ..config import MAX_SIDE
 from ..datasets.sizes import by
+from ..npy_arrays import map_npy
+from ..plain_arrays import plain_array
 from ..whole_files import check_writable, replacing
 from ..whole_numbers import is_whole
-
-MAGIC = b"\x93NUMPY"  # that every .npy file begins with
 
 
 def checked_sensor(sensor: Any) -> tuple[int, int]:
@@ -43,7 +43,7 @@ def checked_mask(mask: Any, sensor: tuple[int, int] | None = None) -> np.ndarray
 
     Raises
     ------
-    ValueError : another type or another shape; says what came.
+    ValueError, TypeError : another type or another shape; says what came.
     """
     if sensor is None:
         rule = f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]"
@@ -53,6 +53,7 @@ def checked_mask(mask: Any, sensor: tuple[int, int] | None = None) -> np.ndarray
         )
     if not isinstance(mask, np.ndarray):
         raise ValueError(f"{rule}; got {type(mask).__name__}")
+    mask = plain_array("mask", mask)
     if mask.dtype != np.bool_:
         raise ValueError(f"{rule}; got {mask.dtype} of shape {mask.shape}")
     fits = mask.ndim == 2 and min(mask.shape) >= 1 and max(mask.shape) <= MAX_SIDE
@@ -78,18 +79,9 @@ def load_mask(path: str | os.PathLike[str], sensor: tuple[int, int] | None = Non
     ValueError : damaged, or no mask of this sensor.
     OSError : missing or not readable.
     """
-    with Path(path).open("rb") as file:  # here, so that a missing file is an OSError and nothing below is
-        if file.read(len(MAGIC)) != MAGIC:  # NumPy would take it for pickled objects, and advise to load them
-            raise ValueError(f"{path}: not a readable NumPy file: a mask is a .npy file, as `async-tnt mask` writes it")
-        file.seek(0)
-        try:
-            mask = np.load(file, allow_pickle=False)
-        # Everything: one damaged byte of the header can surface as a dozen kinds of errors.
-        except Exception as error:
-            why = "it holds Python objects, which a mask does not" if "allow_pickle" in str(error) else error
-            raise ValueError(f"{path}: not a readable NumPy file: {why}") from error
+    mapped = map_npy(path)
     try:
-        return checked_mask(mask, sensor)
+        return np.array(checked_mask(mapped, sensor))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -103,7 +95,7 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
     OSError : not writeable.
     """
     path = checked_out(path)
-    mask = checked_mask(np.asarray(mask))
+    mask = checked_mask(plain_array("mask", mask))
     with replacing(path) as part, part.open("wb") as file:
         np.save(file, mask, allow_pickle=False)
 

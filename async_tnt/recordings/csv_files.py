@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from async_tnt.event_forms import NAMES
+from async_tnt.event_forms import NAMES, the_name
 from async_tnt.recordings.source import Source
 from async_tnt.recordings.text_kernel import SKIPPED
 from async_tnt.recordings.text_rows import COMMENTS, ROLES, RowSource, head_rows
@@ -32,7 +32,7 @@ def open_csv(path: Path) -> Source:
         if not text.startswith(COMMENTS):
             break
         names = _split(text.lstrip("".join(COMMENTS)))
-        if _roles(names) is not None:  # `# x,y,p,t`: a comment that is a header
+        if _is_header(names):  # `# x,y,p,t`: a comment that is a header
             header = names
     else:
         return RowSource(path, start, line, tuple(ROLES.values()), ord(","), 0, "t,x,y,p")
@@ -45,7 +45,7 @@ def open_csv(path: Path) -> Source:
     separator = _separator(text)
     if header is None and any(re.search("[A-Za-z]", column) for column in columns[:2]):
         header = columns
-        if _roles(header) is None:
+        if not _is_header(header):
             wanted = ", ".join("|".join(names) for names in NAMES.values())
             raise ValueError(f"{path}: the header must name {wanted}; got {text[:80]!r} at line {line}")
         if len(rows) == 1 and path.stat().st_size == end:
@@ -58,8 +58,13 @@ def open_csv(path: Path) -> Source:
                 f"{text[:80]!r} at line {line}; with one, further columns are left out"
             )
         header = list(ROLES)
-    roles = _roles(header)
-    assert roles is not None  # looked up above
+    lower = [name.lower() for name in header]
+    roles = [SKIPPED] * len(header)
+    for field in ROLES:
+        try:
+            roles[lower.index(the_name(field, lower, "the header"))] = ROLES[field]
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
     expected = separator.join(header) + ", t in whole microseconds"
     return RowSource(path, start, line, roles, ord(separator), 0, expected)
 
@@ -72,13 +77,7 @@ def _split(text: str) -> list[str]:
     return [column.strip(" \r\"'") for column in text.split(_separator(text))]
 
 
-def _roles(header: list[str]) -> list[int] | None:
-    """What each column is; None if one of the four is missing."""
-    lower = [name.lower() for name in header]
-    roles = [SKIPPED] * len(header)
-    for field, aliases in NAMES.items():
-        name = next((alias for alias in aliases if alias in lower), None)
-        if name is None:
-            return None
-        roles[lower.index(name)] = ROLES[field]
-    return roles
+def _is_header(columns: list[str]) -> bool:
+    """Whether all of t, x, y and p are named."""
+    lower = {name.lower() for name in columns}
+    return all(lower.intersection(names) for names in NAMES.values())

@@ -18,7 +18,7 @@ from async_tnt.recordings.es import open_es
 from async_tnt.recordings.evt import open_evt
 from async_tnt.recordings.hdf5 import open_hdf5
 from async_tnt.recordings.nmnist import SENSOR, read_nmnist
-from async_tnt.recordings.numpy_files import open_npy, read_npz
+from async_tnt.recordings.numpy_files import open_npy, open_npz
 from async_tnt.recordings.source import Sensor, Source
 from async_tnt.recordings.text_rows import first_row
 from async_tnt.recordings.uzh_text import open_uzh_text
@@ -61,7 +61,7 @@ def _open_by_content(path: Path) -> Source:
 READERS: dict[str, Reader] = {
     ".bin": _read_bin,
     ".npy": open_npy,
-    ".npz": read_npz,
+    ".npz": open_npz,
     ".txt": _open_text,
     ".csv": open_csv,
     ".tsv": open_csv,

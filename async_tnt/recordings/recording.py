@@ -15,7 +15,7 @@ from async_tnt.events import EVENT_DTYPE, LATE_POLICIES
 from async_tnt.recordings.damage import Damage, DamagedRecording
 from async_tnt.recordings.formats import READERS
 from async_tnt.recordings.nmnist import checked_sensor, read_nmnist
-from async_tnt.recordings.source import ArraySource, Sensor, Source
+from async_tnt.recordings.source import ArraySource, Sensor, Source, on_sensor
 
 PACKED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
 
@@ -38,9 +38,9 @@ class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
     Iterating yields packets lazily, and afresh each time: copies, so that what is done to a packet stays
-    there. Formats that can be long (all but `.bin` and `.npz`) are read block by block, so that memory
-    does not grow with the file. `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over such a file,
-    unless one was made before.
+    there. All formats but `.bin` are read block by block, so that memory does not grow with the file
+    (a `.npz` of up to 4 million events is kept in memory). `n_events`, `n_unsorted`, `duration_us` and
+    `len` take a pass over such a file, unless one was made before.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class Recording:
             except Damage as found:
                 block, damage = None, found.reason
             if block is not None:
-                good, damage = _on_sensor(block, self.stated_sensor, n_read)
+                good, damage = on_sensor(block, self.stated_sensor, n_read)
                 n_read += len(good)
                 block = self._sorted(good, totals)
                 if len(block):
@@ -179,18 +179,6 @@ class Recording:
             self._has_warned = True
             until = f", up to {newest_us} us" if n_read else ""
             warnings.warn(f"{text}. Keeping the {n_read} events before{until}.", DamagedRecording, stacklevel=4)
-
-
-def _on_sensor(block: np.ndarray, sensor: Sensor | None, n_before: int) -> tuple[np.ndarray, str | None]:
-    """The events before the first one off the sensor, and what is said of it."""
-    if sensor is None:
-        return block, None
-    off = (block["x"] >= sensor[0]) | (block["y"] >= sensor[1])
-    if not off.any():
-        return block, None
-    i = int(np.argmax(off))
-    x, y = block["x"][i], block["y"][i]
-    return block[:i], f"event {n_before + i} at x = {x}, y = {y} is off the {sensor[0]} x {sensor[1]} sensor"
 
 
 def open_recording(

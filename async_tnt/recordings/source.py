@@ -66,3 +66,15 @@ def packed(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[
     if n == len(t):
         return events, None
     return events, f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is no event"
+
+
+def on_sensor(block: np.ndarray, sensor: Sensor | None, n_before: int) -> tuple[np.ndarray, str | None]:
+    """The events before the first one off the sensor, and what is said of it."""
+    if sensor is None:
+        return block, None
+    off = (block["x"] >= sensor[0]) | (block["y"] >= sensor[1])
+    if not off.any():
+        return block, None
+    i = int(np.argmax(off))
+    x, y = block["x"][i], block["y"][i]
+    return block[:i], f"event {n_before + i} at x = {x}, y = {y} is off the {sensor[0]} x {sensor[1]} sensor"

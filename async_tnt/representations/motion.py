@@ -14,6 +14,7 @@ import numpy as np
 
 from ..config import TNTConfig
 from ..kernels.columns import MAX_TIME_US
+from ..plain_arrays import plain_array
 from ..whole_numbers import checked_time
 
 Array = np.ndarray
@@ -91,7 +92,7 @@ def _displacements(t: Any, x: Any, y: Any, flow: Sequence[float], start_us: int,
         raise ValueError(f"`t` must be in [0, 2**62) microseconds, got {times.min()} to {times.max()}")
     if not times.size == x.size == y.size:
         raise ValueError(f"t, x and y must have equal lengths, got {times.size}, {x.size}, {y.size}")
-    v = np.asarray(flow)
+    v = plain_array("flow", flow)
     if v.shape != (2,) or v.dtype.kind not in "iuf" or not np.isfinite(v).all():
         raise ValueError(f"`flow` must be two finite numbers (v_x, v_y) in pixels per window, got {flow!r}")
     # the difference in int64: uint64 minus int would be float64, which loses microseconds
@@ -100,7 +101,7 @@ def _displacements(t: Any, x: Any, y: Any, flow: Sequence[float], start_us: int,
 
 
 def _column(name: str, values: Any) -> np.ndarray:
-    column = np.asarray(values)
+    column = plain_array(name, values)
     if column.ndim != 1:
         raise ValueError(f"`{name}` must have one dimension, got shape {column.shape}")
     if column.size == 0:

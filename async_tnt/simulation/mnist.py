@@ -17,6 +17,7 @@ import math
 import os
 import zlib
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -37,13 +38,18 @@ def read_idx(path: str | os.PathLike[str]) -> np.ndarray:
     OSError : missing or not readable.
     """
     path = Path(path)
-    raw = path.read_bytes()
-    if raw[:2] == b"\x1f\x8b":
+    with path.open("rb") as file:
+        if file.peek(2)[:2] != b"\x1f\x8b":
+            return _read_idx(path, file)
         try:
-            raw = gzip.decompress(raw)
+            with gzip.GzipFile(fileobj=file) as unpacked:
+                return _read_idx(path, unpacked)
         except (OSError, EOFError, zlib.error) as error:
             raise ValueError(f"{path}: damaged gzip file: {error}") from error
 
+
+def _read_idx(path: Path, file: IO[bytes] | gzip.GzipFile) -> np.ndarray:
+    raw = _read_up_to(file, 4)
     if len(raw) < 4 or raw[0] or raw[1] or raw[2] not in _TYPES:
         raise ValueError(
             f"{path}: not an IDX file: must begin with 00 00, a type in {[hex(code) for code in _TYPES]} and "
@@ -51,19 +57,28 @@ def read_idx(path: str | os.PathLike[str]) -> np.ndarray:
         )
     dtype, n_dims = np.dtype(_TYPES[raw[2]]), raw[3]
     n_header = 4 + 4 * n_dims
+    raw += _read_up_to(file, 4 * n_dims)
     if len(raw) < n_header:
         raise ValueError(f"{path}: damaged IDX file: the header takes {n_header} bytes, got {len(raw)}")
     shape = tuple(int(n) for n in np.frombuffer(raw, ">u4", n_dims, offset=4))
     n_expected = n_header + math.prod(shape) * dtype.itemsize  # in Python integers: these cannot wrap
+    raw += _read_up_to(file, n_expected + 1 - n_header)
     if len(raw) != n_expected:
-        raise ValueError(
-            f"{path}: damaged IDX file: shape {shape} of {dtype.name} takes {n_expected} bytes, got {len(raw)}"
-        )
+        got = "more" if len(raw) > n_expected else len(raw)
+        raise ValueError(f"{path}: damaged IDX file: shape {shape} of {dtype.name} takes {n_expected} bytes, got {got}")
     try:
         values = np.frombuffer(raw, dtype, offset=n_header).reshape(shape)
     except ValueError as error:  # over 64 dimensions, or a zero beside sides beyond numpy's limits
         raise ValueError(f"{path}: damaged IDX file: numpy cannot hold the stated shape: {error}") from error
     return values.astype(dtype.newbyteorder("="))
+
+
+def _read_up_to(file: IO[bytes] | gzip.GzipFile, n: int) -> bytearray:
+    """At most n bytes. In pieces: n is the file's word, and asked for n bytes at once, Python makes room for n."""
+    data = bytearray()
+    while len(data) < n and (piece := file.read(min(n - len(data), 1 << 20))):
+        data += piece
+    return data
 
 
 def load_mnist(folder: str | os.PathLike[str], split: str) -> tuple[np.ndarray, np.ndarray]:

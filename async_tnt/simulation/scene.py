@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from async_tnt.kernels.jit import compiled
+from async_tnt.plain_arrays import plain_array
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def render(
     """
     scene = Scene() if scene is None else scene
     strokes = _checked_image(image) ** scene.gamma
-    dx, dy = np.ascontiguousarray(dx, np.float64), np.ascontiguousarray(dy, np.float64)
+    dx, dy = (np.ascontiguousarray(plain_array(name, d), np.float64) for name, d in (("dx", dx), ("dy", dy)))
     if dx.ndim != 1 or dx.shape != dy.shape:
         raise ValueError(f"`dx` and `dy` must be 1-D and equally long, got shapes {dx.shape} and {dy.shape}")
     if not (np.isfinite(dx).all() and np.isfinite(dy).all()):
@@ -131,7 +132,7 @@ def translate(frames: np.ndarray, image: np.ndarray, dx: np.ndarray, dy: np.ndar
 
 
 def _checked_image(image: np.ndarray) -> np.ndarray:
-    image = np.asarray(image)
+    image = plain_array("image", image)
     if image.ndim != 2 or image.size == 0:
         raise ValueError(f"`image` must be 2-D and not empty, got shape {image.shape}")
     if image.dtype == np.uint8:

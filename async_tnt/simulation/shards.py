@@ -28,6 +28,7 @@ import numpy as np
 from safetensors.numpy import save
 
 from async_tnt.events import EVENT_DTYPE
+from async_tnt.plain_arrays import plain_array
 from async_tnt.simulation.mapped_tensors import map_tensors
 from async_tnt.whole_files import replacing
 
@@ -211,7 +212,7 @@ def _column_types(metadata: Mapping[str, Any]) -> dict[str, np.dtype]:
 
 def _as_type(name: str, values: Any, dtype: np.dtype) -> np.ndarray:
     """The values in the column's type; refuses those it cannot hold."""
-    array = np.asarray(values)
+    array = plain_array(name, values)
     if dtype.kind != "f" and array.size:
         if array.dtype.kind not in "iub":
             raise ValueError(f"`{name}` must be whole numbers, got {array.dtype}")

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.kernels.jit import compiled
+from async_tnt.plain_arrays import plain_array
 
 MIN_THRESHOLD = 1e-3
 """Smallest threshold: one thousandth of log luminance is a 0.1 % change, far below any pixel's."""
@@ -245,8 +246,8 @@ def _sorted(events: np.ndarray) -> np.ndarray:
 
 
 def _checked_frames(log_frames: np.ndarray, frame_times_us: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    frames = np.ascontiguousarray(log_frames, np.float64)
-    times = np.ascontiguousarray(frame_times_us, np.float64)
+    frames = np.ascontiguousarray(plain_array("log_frames", log_frames), np.float64)
+    times = np.ascontiguousarray(plain_array("frame_times_us", frame_times_us), np.float64)
     if frames.ndim != 3 or frames.shape[0] == 0:
         raise ValueError(f"`log_frames` must have shape (K, H, W) with K >= 1, got {frames.shape}")
     if max(frames.shape[1:]) > 1 << 16:
@@ -261,7 +262,7 @@ def _checked_frames(log_frames: np.ndarray, frame_times_us: np.ndarray) -> tuple
 
 
 def _per_pixel(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    array = np.asarray(value, np.float64)
+    array = plain_array(name, value, np.float64)
     if array.shape not in ((), shape):
         raise ValueError(f"`{name}` must be a number or of shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():

@@ -179,7 +179,7 @@ class Store:
 
 
 def never_ready():
-    raise RuntimeError("not ready")
+    raise RuntimeError("not\n  ready")
 
 
 T, X, Y, P = GOOD.values()
@@ -319,6 +319,43 @@ BAD |= {
         "`t` must be whole numbers, got object (function at event 0)",
     ),
 }  # fmt: skip
+
+# -- masked arrays ---------------------------------------------------------------------------------------------
+
+MASKED = (
+    "`{}` must not be a masked array, whose mask would be ignored; "
+    "pass `.compressed()` of each column, or `.data` to use every event"
+)
+_masked = {field: np.ma.array(column, EVENT_DTYPE[field], mask=[0, 1, 0, 0, 0]) for field, column in GOOD.items()}
+_records = np.ma.array(as_records(columns_of()), mask=[0, 1, 0, 0, 0])
+BAD |= {
+    "masked columns": (tuple(_masked.values()), TypeError, MASKED.format("t")),
+    "one masked column, nothing masked": (
+        (*tuple(np.array(GOOD[f], EVENT_DTYPE[f]) for f in "txy"), np.ma.array(GOOD["p"], "u1")),
+        TypeError,
+        MASKED.format("p"),
+    ),
+    "an object with masked columns": (SimpleNamespace(**GOOD | {"x": _masked["x"]}), TypeError, MASKED.format("x")),
+    "masked records": (_records, TypeError, MASKED.format("events")),
+    "one record of masked ones": (_records[1], TypeError, MASKED.format("events")),
+    "a store of masked records": (Store(_records), TypeError, MASKED.format("events")),
+}
+
+# -- one field under two names -----------------------------------------------------------------------------------
+
+TWICE = "events need one field `{}`, got {} in {}; leave out all but one"
+BAD |= {
+    "two times in records": (
+        np.zeros(5, [("ts", "<i8"), *EVENT_DTYPE.descr]),
+        ValueError,
+        TWICE.format("t", "ts and t", "a structured array with fields ts, t, x, y, p"),
+    ),
+    "two polarities in an object": (
+        SimpleNamespace(**GOOD, on=P),
+        ValueError,
+        TWICE.format("p", "p and on", "a SimpleNamespace with attributes t, x, y, p, on"),
+    ),
+}
 
 # -- one event: (t, x, y, p) as numbers ------------------------------------------------------------------------
 

@@ -251,13 +251,13 @@ def test_files_that_are_no_masks(tmp_path):
     with pytest.raises(ValueError, match=r"a.npy: a mask of a 6x4 sensor must be a bool array.*got float64 of shape"):
         load_mask(tmp_path / "a.npy", (6, 4))
     np.savez(tmp_path / "a.npz", mask=np.zeros((4, 6), bool))
-    with pytest.raises(ValueError, match=r"a.npz: not a readable NumPy file: a mask is a .npy file, as"):
+    with pytest.raises(ValueError, match=r"a.npz: not a readable NumPy file: it must begin with .*, got b.PK"):
         load_mask(tmp_path / "a.npz", (6, 4))
     np.save(tmp_path / "o.npy", np.array([[None]]), allow_pickle=True)
     with pytest.raises(ValueError, match=r"o.npy: not a readable NumPy file: it holds Python objects, which"):
         load_mask(tmp_path / "o.npy", (1, 1))
     (tmp_path / "t.npy").write_text("x,y\n1,2\n")  # of which NumPy says that it may be loaded unsafely
-    with pytest.raises(ValueError, match=r"t.npy: not a readable NumPy file: a mask is a .npy file") as caught:
+    with pytest.raises(ValueError, match=r"t.npy: not a readable NumPy file: it must begin with") as caught:
         load_mask(tmp_path / "t.npy")
     assert "pickle" not in str(caught.value)
     with pytest.raises(FileNotFoundError):

@@ -139,7 +139,7 @@ def test_an_archive_that_lies_about_its_sizes_takes_no_memory(tmp_path):
     place = data.rindex(b"PK\x01\x02") + 24  # the central directory: size when unpacked
     data[place : place + 4] = claimed.to_bytes(4, "little")
     path.write_bytes(data)
-    with pytest.raises(ValueError, match=rf"claims {claimed} bytes, more than \d+ bytes of file can hold"):
+    with pytest.raises(ValueError, match=r"a\.npz: not a readable NumPy file: events\.npy ends before its array does$"):
         open_recording(path)
 
 

@@ -114,6 +114,19 @@ def test_csv_columns_are_found_by_name(text, separator, header, row):
     assert text("a.csv", "\ufeff" + content.replace("\n", "\r\n")).read().tolist() == [(7, 1, 2, 1)]
 
 
+@pytest.mark.parametrize(
+    ("header", "field", "names"),
+    [
+        ("t,x,x,y,p", "x", "x and x"),
+        ("t,x,y,p,TS", "t", "t and ts"),
+        ("# id,x,y,on,t,Pol", "p", "on and pol"),
+    ],
+)
+def test_csv_with_a_column_twice_is_refused(text, header, field, names):
+    with pytest.raises(ValueError, match=rf"a\.csv: events need one field `{field}`, got {names} in the header; leave"):
+        text("a.csv", f"{header}\n1,2,3,1,5,6\n")
+
+
 def test_csv_in_a_txt_file(text):
     assert text("a.txt", "t,x,y,p\n7,1,2,False\n").read().tolist() == [(7, 1, 2, 0)]
 

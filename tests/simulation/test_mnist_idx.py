@@ -1,6 +1,7 @@
 """MNIST's IDX files: hand-worked bytes, made folders, damage."""
 
 import gzip
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -61,8 +62,19 @@ def test_truncation_at_every_byte(tmp_path, size):
 
 def test_sizes_that_do_not_fit_are_told(tmp_path):
     (tmp_path / "a").write_bytes(idx_bytes(np.zeros((2, 3))) + b"x")
-    with pytest.raises(ValueError, match=r"shape \(2, 3\) of uint8 takes 18 bytes, got 19"):
+    with pytest.raises(ValueError, match=r"shape \(2, 3\) of uint8 takes 18 bytes, got more"):
         read_idx(tmp_path / "a")
+
+
+def test_no_more_is_unpacked_than_the_header_says(tmp_path):
+    (tmp_path / "a.gz").write_bytes(gzip.compress(idx_bytes(np.zeros((2, 3))) + bytes(50_000_000)))
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=r"shape \(2, 3\) of uint8 takes 18 bytes, got more"):
+            read_idx(tmp_path / "a.gz")
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_sides_whose_product_passes_64_bits_are_told(tmp_path):
