@@ -11,24 +11,24 @@ Start with `Processor` (events in, decisions out), `TNTVolume` (the representati
 
 TYPE_CHECKING = False  # what type checkers take for `typing.TYPE_CHECKING`; importing `typing` takes milliseconds
 if TYPE_CHECKING:
-    from . import recordings
-    from .classifier import CompiledClassifier
-    from .compile_ahead import warmup
-    from .config import TNTConfig
-    from .counts import Counts
-    from .decision import Decision
-    from .events import EVENT_DTYPE
-    from .fresh import BackgroundReader, PacketQueue
-    from .model import Model, bundled_models, load_model
-    from .pixels import PixelFilter
-    from .processor import Processor
-    from .recordings import open_recording
-    from .regressor import CompiledRegressor
-    from .sources import replay
-    from .streams import astream, stream
-    from .triggers import LeakyIntegrator
-    from .volume import TNTVolume
-    from .window_replay import ReplayBufferFull
+    from async_tnt.compile_ahead import warmup
+    from async_tnt.config import TNTConfig
+    from async_tnt.decision import Decision
+    from async_tnt.decision_counts import Counts
+    from async_tnt.events import EVENT_DTYPE
+    from async_tnt.networks.classifier import CompiledClassifier
+    from async_tnt.networks.model import Model, bundled_models, load_model
+    from async_tnt.networks.regressor import CompiledRegressor
+    from async_tnt.processor import Processor
+    from async_tnt.sources.background_reader import BackgroundReader
+    from async_tnt.sources.files.recording import open_recording
+    from async_tnt.sources.pixel_filter import PixelFilter
+    from async_tnt.sources.queue import PacketQueue
+    from async_tnt.sources.replay import replay
+    from async_tnt.streams import astream, stream
+    from async_tnt.triggers import LeakyIntegrator
+    from async_tnt.volume import TNTVolume
+    from async_tnt.window_replay import ReplayBufferFull
 
 __version__ = "0.1.0"
 
@@ -51,7 +51,6 @@ __all__ = [
     "bundled_models",
     "load_model",
     "open_recording",
-    "recordings",
     "replay",
     "stream",
     "warmup",
@@ -59,24 +58,24 @@ __all__ = [
 
 _MODULES = {
     "EVENT_DTYPE": "events",
-    "BackgroundReader": "fresh",
-    "CompiledClassifier": "classifier",
-    "CompiledRegressor": "regressor",
-    "Counts": "counts",
+    "BackgroundReader": "sources.background_reader",
+    "CompiledClassifier": "networks.classifier",
+    "CompiledRegressor": "networks.regressor",
+    "Counts": "decision_counts",
     "Decision": "decision",
     "LeakyIntegrator": "triggers",
-    "Model": "model",
-    "PacketQueue": "fresh",
-    "PixelFilter": "pixels",
+    "Model": "networks.model",
+    "PacketQueue": "sources.queue",
+    "PixelFilter": "sources.pixel_filter",
     "Processor": "processor",
     "ReplayBufferFull": "window_replay",
     "TNTConfig": "config",
     "TNTVolume": "volume",
     "astream": "streams",
-    "bundled_models": "model",
-    "load_model": "model",
-    "open_recording": "recordings",
-    "replay": "sources",
+    "bundled_models": "networks.model",
+    "load_model": "networks.model",
+    "open_recording": "sources.files.recording",
+    "replay": "sources.replay",
     "stream": "streams",
     "warmup": "compile_ahead",
 }
@@ -92,7 +91,7 @@ if not TYPE_CHECKING:  # a type checker would take it that every name is there
     def __getattr__(name):
         import importlib
 
-        module = _MODULES.get(name, name)  # async_tnt.recordings and other modules are themselves
+        module = _MODULES.get(name, name)  # async_tnt.sources.files and other modules are themselves
         try:
             value = importlib.import_module(f".{module}", __name__)
         except ModuleNotFoundError as error:

@@ -8,10 +8,10 @@ import time
 
 import numpy as np
 
-from .config import TNTConfig
-from .events import EVENT_DTYPE
-from .model import HEATMAP, REGRESSOR_LAYERS, Model
-from .processor import Processor
+from async_tnt.config import TNTConfig
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.networks.model import HEATMAP, REGRESSOR_LAYERS, Model
+from async_tnt.processor import Processor
 
 PATIENCE_S, PATIENCE_OF_LOGS_S = 1.0, 5.0  # silent until then, on a terminal and elsewhere
 

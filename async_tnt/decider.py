@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from .classifier import CompiledClassifier
-from .config import TNTConfig
-from .decision import Decision
-from .events import Columns
-from .kernels import trigger as T
-from .kernels.classify import FULL, NOT_FINITE, NOTED, classify_stretch, softmax
-from .landmark_at_read import Regressor
-from .model import Model
-from .open_windows import OpenWindows
-from .regressor import CompiledRegressor
-from .triggers import Triggers
-from .volume import TNTVolume
+from async_tnt.config import TNTConfig
+from async_tnt.decision import Decision
+from async_tnt.events import Columns
+from async_tnt.kernels import trigger as T
+from async_tnt.kernels.classify import FULL, NOT_FINITE, NOTED, classify_stretch, softmax
+from async_tnt.landmark_at_read import Regressor
+from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.networks.model import Model
+from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.triggers import Triggers
+from async_tnt.volume import TNTVolume
+from async_tnt.windows import OpenWindows
 
 Classifier = Callable[[np.ndarray], Any]
 WHY = {T.BY_EVENTS: "every_events", T.BY_ACTIVITY: "activity", T.BY_CONFIDENCE: "confidence"}
@@ -129,9 +129,14 @@ class Decider:
         return taken, [decision] if decision.trigger else []
 
     def _take_compiled(
-        self, classifier: CompiledClassifier, windows: OpenWindows, triggers: Triggers, columns: Columns,
-        first: int, last: int,
-    ) -> tuple[int, list[Decision]]:  # fmt: skip
+        self,
+        classifier: CompiledClassifier,
+        windows: OpenWindows,
+        triggers: Triggers,
+        columns: Columns,
+        first: int,
+        last: int,
+    ) -> tuple[int, list[Decision]]:
         """The same in compiled code, from decision to decision, with the GIL released."""
         classes = self._classes_for(classifier.n_classes)
         oldest = windows.oldest
@@ -146,9 +151,16 @@ class Decider:
             probabilities = np.empty(logits.shape)
             notes = np.empty((len(logits), NOTED), np.int64)
             taken, n, end = classify_stretch(
-                oldest.buffer, *columns[:4], taken, last, triggers.state, *classifier.network,
-                logits, probabilities, notes,
-            )  # fmt: skip
+                oldest.buffer,
+                *columns[:4],
+                taken,
+                last,
+                triggers.state,
+                *classifier.network,
+                logits,
+                probabilities,
+                notes,
+            )
             made.append((notes[:n].tolist(), probabilities, logits))
         if windows.overlap:
             windows.note_taken(columns, first, taken, before)
@@ -157,12 +169,19 @@ class Decider:
         start_us = oldest.start_us
         return taken, [
             Decision(
-                classes[index], index, chunk_probabilities[k], chunk_logits[k], start_us, time_us, n_events,
-                why == T.BY_CONFIDENCE, WHY[why],
+                classes[index],
+                index,
+                chunk_probabilities[k],
+                chunk_logits[k],
+                start_us,
+                time_us,
+                n_events,
+                why == T.BY_CONFIDENCE,
+                WHY[why],
             )
             for rows, chunk_probabilities, chunk_logits in made
             for k, (n_events, time_us, why, index) in enumerate(rows)
-        ]  # fmt: skip
+        ]
 
     def _classes_for(self, n: int) -> tuple[str, ...]:
         """The names of n classes, from the first answer on where nobody named them."""

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from .plain_arrays import refuse_mask
+from async_tnt.plain_arrays import refuse_mask
 
 NAMES = {
     "t": ("t", "ts", "timestamp"),

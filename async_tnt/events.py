@@ -12,9 +12,18 @@ import numpy as np
 from numba import int64
 from numba.core.errors import NumbaError
 
-from .event_forms import NAMES, brief, named_columns
-from .kernels.columns import COLUMN_TYPES, FINE, KIND, MAX_TIME_US, RAW_TYPE, check_columns, find_late, load_records
-from .kernels.jit import compile_only
+from async_tnt.event_forms import NAMES, brief, named_columns
+from async_tnt.kernels.jit import compile_only
+from async_tnt.kernels.records import (
+    COLUMN_TYPES,
+    FINE,
+    KIND,
+    MAX_TIME_US,
+    RAW_TYPE,
+    check_columns,
+    find_late,
+    load_records,
+)
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 

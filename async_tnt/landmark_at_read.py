@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from .config import TNTConfig
-from .events import Columns
-from .kernels import state as S
+from async_tnt.config import TNTConfig
+from async_tnt.events import Columns
+from async_tnt.kernels import state as S
 
 if TYPE_CHECKING:
-    from .volume import TNTVolume
+    from async_tnt.volume import TNTVolume
 
 Regressor = Callable[[np.ndarray], Any]
 

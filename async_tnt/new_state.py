@@ -6,8 +6,8 @@ import itertools
 
 import numpy as np
 
-from .config import TNTConfig
-from .kernels import state as S
+from async_tnt.config import TNTConfig
+from async_tnt.kernels import state as S
 
 _epochs = itertools.count(1)
 

@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from .config import TNTConfig
-from .counts import Counts
-from .decider import Classifier, Decider, networks_of
-from .decision import Decision
-from .events import Columns, EventDoor
-from .kernels.update import ABSORBED, AT_LIMIT, REFUSED
-from .landmark_at_read import Regressor
-from .model import Model
-from .open_windows import OpenWindows
-from .stream_state import TRIGGERS, read_stream, restore_stream, save_stream
-from .timeline import Timeline
-from .triggers import LeakyIntegrator, Triggers
-from .whole_numbers import checked_time
+from async_tnt.checks import checked_time
+from async_tnt.config import TNTConfig
+from async_tnt.decider import Classifier, Decider, networks_of
+from async_tnt.decision import Decision
+from async_tnt.decision_counts import Counts
+from async_tnt.events import Columns, EventDoor
+from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
+from async_tnt.landmark_at_read import Regressor
+from async_tnt.networks.model import Model
+from async_tnt.stream_state import TRIGGERS, read_stream, restore_stream, save_stream
+from async_tnt.timeline import Timeline
+from async_tnt.triggers import LeakyIntegrator, Triggers
+from async_tnt.windows import OpenWindows
 
 
 def _trigger(name: str) -> property:
@@ -39,7 +39,7 @@ class Processor:
     model : a Model, or a TNTConfig together with `classifier`.
     classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during the call)
         to logits, finite ones; by default the model's own network, compiled, which computes only what has changed
-        since the last decision. Others are in `async_tnt.engines`.
+        since the last decision. Others are in `async_tnt.networks`.
     regressor : with landmark `regressor`, see `TNTVolume`; by default the model's own network, compiled. What it
         raises is treated as the classifier's errors are, see `push`.
     classes : class names; by default the model's, or else "0", "1", ...
@@ -232,8 +232,12 @@ class Processor:
         self._choose_ways()
 
     def _fixed_settings(self) -> dict[str, Any]:
-        return {"config": self.config.to_dict(), "hop_us": self._windows.hop_us, "start_us": self.start_us,
-                "late": self.late}  # fmt: skip
+        return {
+            "config": self.config.to_dict(),
+            "hop_us": self._windows.hop_us,
+            "start_us": self.start_us,
+            "late": self.late,
+        }
 
     # -- decisions out -----------------------------------------------------------------------------------
 

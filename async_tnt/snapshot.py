@@ -13,22 +13,36 @@ from typing import Any
 import numpy as np
 from safetensors import SafetensorError
 
-from .checked_tensors import checksum, read_tensors, tensor_bytes
-from .config import TNTConfig
-from .kernels import state as S
-from .kernels.columns import MAX_TIME_US
-from .messages import one_line
-from .new_state import next_epoch
+from async_tnt.checked_tensors import checksum, read_tensors, tensor_bytes
+from async_tnt.config import TNTConfig
+from async_tnt.kernels import state as S
+from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.messages import one_line
+from async_tnt.new_state import next_epoch
 
 FORMAT = "async_tnt stream 2"
 Arrays = dict[str, np.ndarray]
 DERIVED = 0  # a slot that follows from the others, and is not believed
 SLOTS = {
-    "start_us": S.START_US, "limit_us": DERIVED, "n": S.N, "sum_x": S.SUM_X, "sum_y": S.SUM_Y, "sum_t": S.SUM_T,
-    "newest_us": S.NEWEST_US, "received": S.RECEIVED, "kept": S.KEPT, "late": S.LATE, "tau_zero": S.TAU_ZERO,
-    "decided_us": DERIVED, "decided": S.DECIDED, "c_xf": S.C_XF, "c_yf": S.C_YF, "c_ff": S.C_FF,
-    "fixed_x": DERIVED, "fixed_y": DERIVED,
-}  # fmt: skip
+    "start_us": S.START_US,
+    "limit_us": DERIVED,
+    "n": S.N,
+    "sum_x": S.SUM_X,
+    "sum_y": S.SUM_Y,
+    "sum_t": S.SUM_T,
+    "newest_us": S.NEWEST_US,
+    "received": S.RECEIVED,
+    "kept": S.KEPT,
+    "late": S.LATE,
+    "tau_zero": S.TAU_ZERO,
+    "decided_us": DERIVED,
+    "decided": S.DECIDED,
+    "c_xf": S.C_XF,
+    "c_yf": S.C_YF,
+    "c_ff": S.C_FF,
+    "fixed_x": DERIVED,
+    "fixed_y": DERIVED,
+}
 MAX_EVENTS = 1 << 53  # a century of a busy camera; sums of counts stay far from the end of int64
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from .events import EventDoor
-from .kernels.columns import MAX_TIME_US
-from .open_windows import OpenWindows
-from .snapshot import MAX_EVENTS, Arrays, from_bytes, part, taken, to_bytes, under
-from .triggers import LeakyIntegrator, Triggers
+from async_tnt.events import EventDoor
+from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.snapshot import MAX_EVENTS, Arrays, from_bytes, part, taken, to_bytes, under
+from async_tnt.triggers import LeakyIntegrator, Triggers
+from async_tnt.windows import OpenWindows
 
 TRIGGERS = ("every_us", "every_events", "confidence", "activity")
 

@@ -6,10 +6,10 @@ from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from .config import TNTConfig
-from .decision import Decision
-from .model import Model, load_model
-from .processor import Processor
+from async_tnt.config import TNTConfig
+from async_tnt.decision import Decision
+from async_tnt.networks.model import Model, load_model
+from async_tnt.processor import Processor
 
 
 def stream(
@@ -30,7 +30,7 @@ def stream(
 
     Examples
     --------
-    >>> from async_tnt.recordings import open_recording, sample_recordings
+    >>> from async_tnt.sources.files import open_recording, sample_recordings
     >>> [decision.label for decision in stream(open_recording(sample_recordings()[3]), "digits")]
     ['3', '3', '3']
     """

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from .decider import Decider
-from .decision import Decision
-from .events import Columns
-from .kernels.state import NEVER_US
-from .open_windows import OpenWindows
-from .triggers import Triggers
+from async_tnt.decider import Decider
+from async_tnt.decision import Decision
+from async_tnt.events import Columns
+from async_tnt.kernels.state import NEVER_US
+from async_tnt.triggers import Triggers
+from async_tnt.windows import OpenWindows
 
 
 class Timeline:

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from .kernels import trigger as T
-from .kernels.columns import MAX_TIME_US
-from .kernels.state import NEVER_US
-from .snapshot import Arrays, taken
-from .whole_numbers import positive_int
+from async_tnt.checks import positive_int
+from async_tnt.kernels import trigger as T
+from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.kernels.state import NEVER_US
+from async_tnt.snapshot import Arrays, taken
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,12 @@ class Triggers:
     def settings(self) -> dict[str, Any]:
         """As JSON can say them."""
         activity = None if self.activity is None else vars(self.activity)
-        return {"every_us": self.every_us, "every_events": self.every_events, "confidence": self.confidence,
-                "activity": activity}  # fmt: skip
+        return {
+            "every_us": self.every_us,
+            "every_events": self.every_events,
+            "confidence": self.confidence,
+            "activity": activity,
+        }
 
     @property
     def each_event(self) -> bool:

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from .config import TNTConfig
-from .counts import Counts
-from .events import Columns, EventDoor
-from .kernels import state as S
-from .kernels.read import copy_cells, empty_volume
-from .kernels.update import ABSORBED, REFUSED, absorb, absorb_one
-from .landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
-from .new_state import new_state, next_epoch
-from .snapshot import Arrays, buffer_arrays, part, restore_counts, restore_window, under
-from .whole_numbers import checked_time
-from .window_replay import Replay
+from async_tnt.checks import checked_time
+from async_tnt.config import TNTConfig
+from async_tnt.decision_counts import Counts
+from async_tnt.events import Columns, EventDoor
+from async_tnt.kernels import state as S
+from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
+from async_tnt.kernels.readout import copy_cells, empty_volume
+from async_tnt.landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
+from async_tnt.new_state import new_state, next_epoch
+from async_tnt.snapshot import Arrays, buffer_arrays, part, restore_counts, restore_window, under
+from async_tnt.window_replay import Replay
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
 

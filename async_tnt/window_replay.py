@@ -6,19 +6,30 @@ import warnings
 
 import numpy as np
 
-from .config import TNTConfig
-from .events import Columns, checked_columns, empty_columns
-from .kernels import state as S
-from .kernels.read import empty_volume
-from .kernels.store import store_events
-from .kernels.update import absorb
-from .landmark_at_read import LandmarkAtRead
-from .new_state import next_epoch
-from .snapshot import Arrays, taken
+from async_tnt.config import TNTConfig
+from async_tnt.events import Columns, checked_columns, empty_columns
+from async_tnt.kernels import state as S
+from async_tnt.kernels.absorb import absorb
+from async_tnt.kernels.readout import empty_volume
+from async_tnt.kernels.store import store_events
+from async_tnt.landmark_at_read import LandmarkAtRead
+from async_tnt.new_state import next_epoch
+from async_tnt.snapshot import Arrays, taken
 
 FIRST_CAPACITY = 4096
-UNCHANGED_BY_REPLAY = (S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE,
-                       S.DECIDED, *range(S.CLOSED_EARLY, S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS))  # fmt: skip
+UNCHANGED_BY_REPLAY = (
+    S.N,
+    S.SUM_X,
+    S.SUM_Y,
+    S.SUM_T,
+    S.NEWEST_US,
+    S.START_US,
+    S.LIMIT_US,
+    S.RECEIVED,
+    S.LATE,
+    S.DECIDED,
+    *range(S.CLOSED_EARLY, S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS),
+)
 
 
 class ReplayBufferFull(UserWarning):

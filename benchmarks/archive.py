@@ -28,17 +28,17 @@ import numpy as np
 
 from async_tnt import load_model, warmup
 from async_tnt.archive.collect import Collected, collect_to_file
+from async_tnt.archive.executor import Place
 from async_tnt.archive.job import Task, job_of, task_of
-from async_tnt.archive.place import Place
 from async_tnt.archive.records import evaluate_recording
 from async_tnt.archive.streamed import evaluation_settings
-from async_tnt.bench.timing import machine
-from async_tnt.commands.files import writable_file
-from async_tnt.datasets.class_folders import find_recordings
-from async_tnt.engines.choice import choose_engine
+from async_tnt.checking.timing import machine
+from async_tnt.cli.arguments import writable_file
+from async_tnt.files import write_text
+from async_tnt.networks.engines import choose_engine
 from async_tnt.progress import progress
-from async_tnt.recordings import open_recording, sample_recordings
-from async_tnt.whole_files import write_text
+from async_tnt.sources.class_folders import find_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 QUICK = 40  # recordings
 REPEAT_US = 315_000  # three windows
@@ -142,8 +142,10 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
     yield f"{'':22}{'seconds':>20}{'recordings/s':>14}{'first after s':>15}{'speed-up':>20}{'steady':>20}"
     for name, row in report["ways"].items():
         told = [_told(row[key]) if key in row else "" for key in ("speedup", "steady_speedup")]
-        yield (f"{name:22}{_told(row['seconds']):>20}{row['recordings_per_s']:>14,.0f}"
-               f"{row['first_s']['median']:>15.2f}{told[0]:>20}{told[1]:>20}")  # fmt: skip
+        yield (
+            f"{name:22}{_told(row['seconds']):>20}{row['recordings_per_s']:>14,.0f}"
+            f"{row['first_s']['median']:>15.2f}{told[0]:>20}{told[1]:>20}"
+        )
 
 
 def _told(found: dict[str, float]) -> str:
@@ -154,8 +156,9 @@ def main(argv: list[str] | None = None) -> int:
     """Measure, print, and write JSON if asked."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=int, metavar="N", help="so many (default: 500, or all of --folder)")
-    parser.add_argument("--length", type=int, default=20, metavar="K",
-                        help="samples of 0.3 s in a recording (default: %(default)s)")  # fmt: skip
+    parser.add_argument(
+        "--length", type=int, default=20, metavar="K", help="samples of 0.3 s in a recording (default: %(default)s)"
+    )
     parser.add_argument("--folder", type=Path, metavar="FOLDER", help="<class>/<recording>, such as N-MNIST")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2], metavar="N", help="(default: 1 2)")
     parser.add_argument("--rounds", type=int, default=5, metavar="R", help="(default: %(default)s)")

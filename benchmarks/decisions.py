@@ -23,16 +23,18 @@ if __name__ == "__main__":  # before any library reads them
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", RAYON_NUM_THREADS="1")
 
 from async_tnt import load_model, warmup
-from async_tnt.bench import contenders, end_to_end, starts
-from async_tnt.bench.every_event import bench_every_event, bench_singles
-from async_tnt.bench.moments import NEW_EVENTS, bench_recordings, windows_of
-from async_tnt.bench.network import bench_network, bench_on_noise, fastest
-from async_tnt.bench.timing import Progress, is_installed, machine, one_thread
-from async_tnt.bench.touched import bench_touched
-from async_tnt.bench.turns import WorkDiffers
-from async_tnt.commands.files import writable_file
-from async_tnt.figures.style import check_picture
-from async_tnt.whole_files import write_text
+from async_tnt.checking import backends as contenders
+from async_tnt.checking import bench_end_to_end as end_to_end
+from async_tnt.checking import bench_starts as starts
+from async_tnt.checking.bench_every_event import bench_every_event, bench_singles
+from async_tnt.checking.bench_network import bench_network, bench_on_noise, fastest
+from async_tnt.checking.bench_touched import bench_touched
+from async_tnt.checking.interleaved import WorkDiffers
+from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
+from async_tnt.checking.timing import Progress, is_installed, machine, one_thread
+from async_tnt.cli.arguments import writable_file
+from async_tnt.files import write_text
+from async_tnt.views.style import check_picture
 
 MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
@@ -82,25 +84,34 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     return {
         "machine": machine(*PACKAGES),
         "settings": {"quick": quick, "threads": 1, **settings, "onnxruntime_way": way},
-        "model": {"name": MODEL, "config": model.config.to_dict(), "events": sum(map(len, recordings)),
-                  "windows": len(windows)},
+        "model": {
+            "name": MODEL,
+            "config": model.config.to_dict(),
+            "events": sum(map(len, recordings)),
+            "windows": len(windows),
+        },
         "work": {"network": contenders.WORK, "end_to_end": end_to_end.WORK, "starts": starts.WORK},
         "network": network,
         "end_to_end": whole,
         "every_event": {"packets": rates, "singles": singles},
         "touched": touched,
         "starts": started,
-        "left_out": {"network": contenders.left_out(), "end_to_end": end_to_end.left_out(),
-                     "starts": starts.left_out(cold=not quick)},
-    }  # fmt: skip
+        "left_out": {
+            "network": contenders.left_out(),
+            "end_to_end": end_to_end.left_out(),
+            "starts": starts.left_out(cold=not quick),
+        },
+    }
 
 
 def lines(report: dict[str, Any]) -> Iterator[str]:
     """The report as text."""
     about, settings = report["machine"], report["settings"]
     packages = ("python", "async_tnt", "numpy", "numba", *PACKAGES)
-    yield (f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}, one thread; "
-           + ", ".join(f"{name} {about[name]}" for name in packages if about[name]))  # fmt: skip
+    yield (
+        f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}, one thread; "
+        + ", ".join(f"{name} {about[name]}" for name in packages if about[name])
+    )
     titles = {"network": "The network alone", "end_to_end": "From a packet of new events to the decision"}
     for part, title in titles.items():
         for mode, words in MODES.items():
@@ -116,8 +127,10 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
     yield ""
     yield f"Single decisions, push_one, {settings['single_decisions']:,} each: us"
     for name, row in report["every_event"]["singles"].items():
-        yield (f"  {name:22}{_cell(row):>26}  p99 {row['p99']:.1f}  p99.9 {row['p999']:.1f}  max {row['max']:.0f}  "
-               f"p99 / median {row['p99_over_median']:.1f}")  # fmt: skip
+        yield (
+            f"  {name:22}{_cell(row):>26}  p99 {row['p99']:.1f}  p99.9 {row['p999']:.1f}  max {row['max']:.0f}  "
+            f"p99 / median {row['p99_over_median']:.1f}"
+        )
     yield ""
     yield "What new events touch, means: places of each map computed; multiplications; weights read"
     for name, row in report["touched"].items():
@@ -152,8 +165,13 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
-    parser.add_argument("--from", dest="source", type=Path, metavar="FILE",
-                        help="take the figures from such a JSON file instead of measuring")  # fmt: skip
+    parser.add_argument(
+        "--from",
+        dest="source",
+        type=Path,
+        metavar="FILE",
+        help="take the figures from such a JSON file instead of measuring",
+    )
     parser.add_argument("--quick", action="store_true", help="few rounds: does it all run?")
     args = parser.parse_args(argv)
     try:
@@ -172,8 +190,8 @@ def main(argv: list[str] | None = None) -> int:
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")
     if args.picture:
-        from async_tnt.bench.decision_picture import draw_decisions
-        from async_tnt.figures.style import save, styled
+        from async_tnt.views.decision_picture import draw_decisions
+        from async_tnt.views.style import save, styled
 
         with styled():
             save(draw_decisions(report), args.picture, dpi=100)

@@ -18,12 +18,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from async_tnt.bench.early import measure_early, n_settings
-from async_tnt.commands.files import writable_file
-from async_tnt.figures.style import check_picture
+from async_tnt.archive.workers import available_cores
+from async_tnt.checking.bench_early import measure_early, n_settings
+from async_tnt.cli.arguments import writable_file
+from async_tnt.files import write_text
 from async_tnt.progress import progress
-from async_tnt.whole_files import write_text
-from async_tnt.workers import available_cores
+from async_tnt.views.style import check_picture
 
 QUICK = 20  # recordings
 
@@ -46,17 +46,23 @@ def words(settings: dict[str, Any]) -> str:
 
 def lines(report: dict[str, Any]) -> Iterator[str]:
     """The report as text."""
-    yield (f"{report['recordings']:,} recordings, {report['windows_a_recording']} windows each, "
-           f"model {report['model']}; first decision by a trigger, or else the window's end")  # fmt: skip
-    yield (f"{'':34}{'right %':>8}{'mean ms':>9}{'median':>8}{'events':>8}{'at end %':>10}{'asked':>8}"
-           f"{'asked, all':>12}{'emitted':>9}{'< {} events %'.format(report['soon_events']):>15}")  # fmt: skip
+    yield (
+        f"{report['recordings']:,} recordings, {report['windows_a_recording']} windows each, "
+        f"model {report['model']}; first decision by a trigger, or else the window's end"
+    )
+    yield (
+        f"{'':34}{'right %':>8}{'mean ms':>9}{'median':>8}{'events':>8}{'at end %':>10}{'asked':>8}"
+        f"{'asked, all':>12}{'emitted':>9}{'< {} events %'.format(report['soon_events']):>15}"
+    )
     for group in report["results"].values():
         yield ""
         for r in group:
             soon = f"{100 * r['soon']:.1f}"
-            yield (f"{words(r['settings']):34}{100 * r['accuracy']:>8.1f}{r['mean_ms']:>9.1f}{r['median_ms']:>8.1f}"
-                   f"{r['mean_events']:>8.0f}{100 * r['at_end']:>10.1f}{r['evaluations_until']:>8.1f}"
-                   f"{r['evaluations']:>12.1f}{r['emitted']:>9.1f}{soon:>15}")  # fmt: skip
+            yield (
+                f"{words(r['settings']):34}{100 * r['accuracy']:>8.1f}{r['mean_ms']:>9.1f}{r['median_ms']:>8.1f}"
+                f"{r['mean_events']:>8.0f}{100 * r['at_end']:>10.1f}{r['evaluations_until']:>8.1f}"
+                f"{r['evaluations']:>12.1f}{r['emitted']:>9.1f}{soon:>15}"
+            )
     yield ""
     yield "Events that show nothing, uniform over pixels, time and polarity: windows closed early"
     for r in report["noise"]:
@@ -75,12 +81,22 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("folder", nargs="?", type=Path, default=default_folder(), metavar="FOLDER")
     parser.add_argument("--recordings", type=int, metavar="N", help="so many, the same number of each digit")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} recordings: does it all run?")
-    parser.add_argument("--workers", type=int, default=available_cores(), metavar="N",
-                        help="processes; nothing is timed here (default: one for each core)")  # fmt: skip
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=available_cores(),
+        metavar="N",
+        help="processes; nothing is timed here (default: one for each core)",
+    )
     parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
-    parser.add_argument("--from", dest="source", type=Path, metavar="FILE",
-                        help="take the figures from such a JSON file instead of measuring")  # fmt: skip
+    parser.add_argument(
+        "--from",
+        dest="source",
+        type=Path,
+        metavar="FILE",
+        help="take the figures from such a JSON file instead of measuring",
+    )
     args = parser.parse_args(argv)
     if args.recordings is not None and args.recordings < 1:
         parser.error(f"--recordings must be at least 1, got {args.recordings}")
@@ -101,8 +117,8 @@ def main(argv: list[str] | None = None) -> int:
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")
     if args.picture:
-        from async_tnt.bench.early_picture import draw_early
-        from async_tnt.figures.style import save, styled
+        from async_tnt.views.early_picture import draw_early
+        from async_tnt.views.style import save, styled
 
         with styled():
             save(draw_early(report), args.picture, dpi=100)

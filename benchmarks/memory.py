@@ -17,8 +17,8 @@ import time
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Processor, TNTConfig, warmup
-from async_tnt.bench.latency import bench_model
-from async_tnt.bench.timing import machine
+from async_tnt.checking.bench_latency import bench_model
+from async_tnt.checking.timing import machine
 
 FIRST = 1_000_000
 PACKET = 1300
@@ -98,10 +98,16 @@ def main(argv: list[str] | None = None) -> int:
     assert first_mb is not None  # FIRST was passed
     grown_mb = last_mb - first_mb
     result = {
-        "machine": machine(), "model": name, "events": n_events, "decisions": n_decisions,
-        "seconds": round(time.perf_counter() - started, 1), "first_million_mb": round(first_mb, 2),
-        "end_mb": round(last_mb, 2), "grown_mb": round(grown_mb, 2), "limit_mb": args.limit_mb,
-    }  # fmt: skip
+        "machine": machine(),
+        "model": name,
+        "events": n_events,
+        "decisions": n_decisions,
+        "seconds": round(time.perf_counter() - started, 1),
+        "first_million_mb": round(first_mb, 2),
+        "end_mb": round(last_mb, 2),
+        "grown_mb": round(grown_mb, 2),
+        "limit_mb": args.limit_mb,
+    }
     if args.json:
         print(json.dumps(result))
     else:

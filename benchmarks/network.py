@@ -32,10 +32,11 @@ from typing import Any
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Processor, load_model, warmup
-from async_tnt.bench.timing import latency, machine
-from async_tnt.fresh import BackgroundReader
-from async_tnt.network import UdpSender, UdpSource
-from async_tnt.sources import wait_until
+from async_tnt.checking.timing import latency, machine
+from async_tnt.sources.background_reader import BackgroundReader
+from async_tnt.sources.replay import wait_until
+from async_tnt.sources.udp import UdpSource
+from async_tnt.sources.udp_sender import UdpSender
 
 EVERY_US = 5_000
 SILENCE_S = 2.0
@@ -83,9 +84,13 @@ def send_load(port: int, seconds: float, rate: float, datagram_events: int) -> d
             sender.send(events)
         took_s = (time.monotonic_ns() - started_ns) / 1e9
         return {
-            "events": sender.events, "datagrams": sender.datagrams, "bytes": sender.bytes, "refused": sender.refused,
-            "seconds": round(took_s, 3), "events_per_s": round(sender.events / took_s),
-        }  # fmt: skip
+            "events": sender.events,
+            "datagrams": sender.datagrams,
+            "bytes": sender.bytes,
+            "refused": sender.refused,
+            "seconds": round(took_s, 3),
+            "events_per_s": round(sender.events / took_s),
+        }
 
 
 def other_process(*task: Any) -> subprocess.Popen[str]:
@@ -132,9 +137,7 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
             sending.wait()
     result: dict[str, Any] = {way: latency(np.array(values)) for way, values in late_us.items()}
     for way in WAYS[1:3]:
-        result[f"{way}_adds"] = {
-            key: result[way][key] - result["plain_socket"][key] for key in ("median", "p99")
-        }  # fmt: skip
+        result[f"{way}_adds"] = {key: result[way][key] - result["plain_socket"][key] for key in ("median", "p99")}
     return result
 
 
@@ -191,15 +194,29 @@ def measure_load(
     delays, of = np.array(delays_us), np.array(seconds_of)
     by_second = [delays[of == k] for k in range(max(seconds_of, default=-1) + 1)]
     return {
-        "rate_wanted": rate, "datagram_events": datagram_events, "slow_s": slow_s, "sent": sent,
-        "received": {"datagrams": counts.datagrams, "events": counts.events, "malformed": counts.malformed,
-                     "late": counts.late},
-        "datagrams_missing": sent["datagrams"] - counts.datagrams, "datagrams_lost_by_the_system": counts.lost,
-        "events_skipped": skipped, "events_pushed": n_received, "decisions": len(delays),
-        "delay_us": {**latency(delays), "by_second_median": [round(float(np.median(d))) for d in by_second if len(d)],
-                     "by_second_max": [round(float(d.max())) for d in by_second if len(d)]},
-        "cpu_share": round(cpu_s / sent["seconds"], 3), "buffer_bytes": source.buffer_bytes,
-    }  # fmt: skip
+        "rate_wanted": rate,
+        "datagram_events": datagram_events,
+        "slow_s": slow_s,
+        "sent": sent,
+        "received": {
+            "datagrams": counts.datagrams,
+            "events": counts.events,
+            "malformed": counts.malformed,
+            "late": counts.late,
+        },
+        "datagrams_missing": sent["datagrams"] - counts.datagrams,
+        "datagrams_lost_by_the_system": counts.lost,
+        "events_skipped": skipped,
+        "events_pushed": n_received,
+        "decisions": len(delays),
+        "delay_us": {
+            **latency(delays),
+            "by_second_median": [round(float(np.median(d))) for d in by_second if len(d)],
+            "by_second_max": [round(float(d.max())) for d in by_second if len(d)],
+        },
+        "cpu_share": round(cpu_s / sent["seconds"], 3),
+        "buffer_bytes": source.buffer_bytes,
+    }
 
 
 def wrong_with_load(result: dict[str, Any]) -> list[str]:

@@ -32,8 +32,15 @@ def percent(share: float) -> str:
 
 def about_machine(report: dict[str, Any]) -> str:
     about = report["machine"]
-    names = {"torch": "torch", "onnxruntime": "onnxruntime", "openvino": "OpenVINO", "eventcv": "eventcv",
-             "tonic": "tonic"}  # fmt: skip
+    names = {
+        "torch": "torch",
+        "onnxruntime": "onnxruntime",
+        "openvino": "OpenVINO",
+        "eventcv": "eventcv",
+        "tonic": "tonic",
+    }
     versions = [f"{words} {about[name]}" for name, words in names.items() if about.get(name)]
-    return (f"{about['cpu']}, one thread, load {about['load_1min']}; Python {about['python']}, NumPy {about['numpy']}, "
-            f"Numba {about['numba']}" + "".join(", " + v for v in versions) + ".")  # fmt: skip
+    return (
+        f"{about['cpu']}, one thread, load {about['load_1min']}; Python {about['python']}, NumPy {about['numpy']}, "
+        f"Numba {about['numba']}" + "".join(", " + v for v in versions) + "."
+    )

@@ -17,7 +17,7 @@ from typing import Any
 from page_parts import ROOT, about_machine, percent, results, short, table
 from stream_tables import archive, udp_latency, udp_load, udp_machine, udp_overload
 
-from async_tnt.whole_files import write_text
+from async_tnt.files import write_text
 
 PAGES = ("README.md", "docs/performance.md", "docs/network.md", "docs/archive.md", "benchmarks/README.md")
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -36,8 +36,11 @@ WAYS = {
     "torch": "torch: the window's volume anew, its network",
     "eventcv_onnxruntime": "eventcv's voxel grid anew, onnxruntime",
 }
-LAYERS = {"pooled_1": "places of the first pooled map", "pooled_2": "places of the second",
-          "partial": "partial sums of the dense layer"}  # fmt: skip
+LAYERS = {
+    "pooled_1": "places of the first pooled map",
+    "pooled_2": "places of the second",
+    "partial": "partial sums of the dense layer",
+}
 
 
 def decisions_machine() -> str:
@@ -54,8 +57,11 @@ def _turns(part: str, mode: str, names: dict[str, str]) -> str:
         for n in counts:
             us = rows[n][mode]["us"].get(name)
             ratio = rows[n][mode]["ratio"].get(name)
-            cells.append("" if us is None else f"{short(us['median'])} ({short(us['p99'])})"
-                         + (f" {ratio['median']:.1f}x" if ratio else ""))  # fmt: skip
+            cells.append(
+                ""
+                if us is None
+                else f"{short(us['median'])} ({short(us['p99'])})" + (f" {ratio['median']:.1f}x" if ratio else "")
+            )
         if any(cells[1:]):
             body.append(cells)
     return table(head, body)
@@ -81,8 +87,10 @@ def touched() -> str:
     """What new events change, and what is computed for it."""
     found = results("decisions")["touched"]
     columns = [*(n for n in found if n != "whole"), "whole"]
-    head = ["means", *("the whole network" if n == "whole" else f"{int(n):,} new event{'s' * (n != '1')}"
-                       for n in columns)]  # fmt: skip
+    head = [
+        "means",
+        *("the whole network" if n == "whole" else f"{int(n):,} new event{'s' * (n != '1')}" for n in columns),
+    ]
     rows = [["cells of the volume that change", *(_count(found[n]["changed"]["input"]) for n in columns)]]
     for layer, words in LAYERS.items():
         rows.append([f"{words} computed", *(_count(found[n]["reached"][layer]) for n in columns)])
@@ -100,30 +108,58 @@ def every_event() -> str:
     names = NETWORKS | {"ours": "ours: `Processor(model, every_events=1)`"}
     rows = results("decisions")["every_event"]["packets"]
     words = {name: names[name] for name in rows}
-    body = [[words[name], f"{row['a_second']:,.0f}", short(row["us"]["median"]),
-             f"{row['ratio']['median']:.1f}" if "ratio" in row else ""] for name, row in rows.items()]  # fmt: skip
+    body = [
+        [
+            words[name],
+            f"{row['a_second']:,.0f}",
+            short(row["us"]["median"]),
+            f"{row['ratio']['median']:.1f}" if "ratio" in row else "",
+        ]
+        for name, row in rows.items()
+    ]
     return table(["", "decisions a second", "us each", "times ours"], body)
 
 
 def singles() -> str:
     """The tail of single decisions."""
-    names = {"collector": "garbage collector as users have it", "no_collector": "without it",
-             "machine": "additions in Python that take as long"}  # fmt: skip
+    names = {
+        "collector": "garbage collector as users have it",
+        "no_collector": "without it",
+        "machine": "additions in Python that take as long",
+    }
     rows = results("decisions")["every_event"]["singles"]
-    body = [[names[name], *(short(row[key]) for key in ("median", "p99", "p999")), f"{row['max']:,.0f}",
-             f"{row['p99_over_median']:.1f}"] for name, row in rows.items()]  # fmt: skip
+    body = [
+        [
+            names[name],
+            *(short(row[key]) for key in ("median", "p99", "p999")),
+            f"{row['max']:,.0f}",
+            f"{row['p99_over_median']:.1f}",
+        ]
+        for name, row in rows.items()
+    ]
     first = f"us, {rows['collector']['n']:,} decisions each"
     return table([first, "median", "p99", "p99.9", "max", "p99 / median"], body)
 
 
 def starts() -> str:
     """Seconds to a first decision."""
-    names = {"ours_cold": "ours, nothing compiled yet", "ours_warm": "ours, compiled before",
-             "onnxruntime": "onnxruntime", "torch": "torch"}  # fmt: skip
-    steps = {"import": "import", "load": "load the model", "warmup": "`warmup`", "decision": "first decision",
-             "first_decision": "all of it"}  # fmt: skip
-    body = [[names[name], *(f"{row[step]['median']:.3f}" if step in row else "" for step in steps)]
-            for name, row in results("decisions")["starts"].items()]  # fmt: skip
+    names = {
+        "ours_cold": "ours, nothing compiled yet",
+        "ours_warm": "ours, compiled before",
+        "onnxruntime": "onnxruntime",
+        "torch": "torch",
+    }
+    steps = {
+        "import": "import",
+        "load": "load the model",
+        "warmup": "`warmup`",
+        "decision": "first decision",
+        "first_decision": "all of it",
+    }
+    body = [
+        [names[name], *(f"{row[step]['median']:.3f}" if step in row else "" for step in steps)]
+        for name, row in results("decisions")["starts"].items()
+    ]
     return table(["seconds", *steps.values()], body)
 
 
@@ -132,18 +168,39 @@ def early() -> str:
     found = results("early")
     moments = {r["settings"].get("every_us", found["window_us"]): r for r in found["results"]["moment"]}
     chosen = [(f"at {us / 1000:g} ms", moments[us]) for us in (20_000, 30_000, 40_000, 50_000, found["window_us"])]
-    for group, words in (("confidence", ""), ("confidence_every_10_events", ", looked for every 10 events"),
-                         ("confidence_every_ms", ", looked for every 1 ms")):  # fmt: skip
+    for group, words in (
+        ("confidence", ""),
+        ("confidence_every_10_events", ", looked for every 10 events"),
+        ("confidence_every_ms", ", looked for every 1 ms"),
+    ):
         for r in found["results"][group]:
             if r["settings"]["confidence"] in (0.5, 0.8, 0.9, 0.95, 0.98):
                 chosen.append((f"confidence {r['settings']['confidence']:g}{words}", r))
-    head = ["decided", "right", "mean ms", "median ms", "a fixed moment as often right, ms", "evaluations up to it",
-            "decisions a window", "not before the end"]  # fmt: skip
+    head = [
+        "decided",
+        "right",
+        "mean ms",
+        "median ms",
+        "a fixed moment as often right, ms",
+        "evaluations up to it",
+        "decisions a window",
+        "not before the end",
+    ]
     rows = []
     for words, r in chosen:
         moment = same_moment_ms(found, r["accuracy"]) if words.startswith("confidence") else ""
-        rows.append([words, percent(r["accuracy"]), short(r["mean_ms"]), short(r["median_ms"]), moment,
-                     short(r["evaluations_until"]), short(r["emitted"]), percent(r["at_end"])])  # fmt: skip
+        rows.append(
+            [
+                words,
+                percent(r["accuracy"]),
+                short(r["mean_ms"]),
+                short(r["median_ms"]),
+                moment,
+                short(r["evaluations_until"]),
+                short(r["emitted"]),
+                percent(r["at_end"]),
+            ]
+        )
     return table(head, rows)
 
 
@@ -167,26 +224,49 @@ def of_nothing() -> str:
 def soon() -> str:
     """Whether confidence alone falls for a window's first events."""
     found = results("early")
-    rows = [[f"{r['settings']['confidence']:g}", str(r["fewest_events"]), percent(r["soon"]),
-             "" if r["soon_accuracy"] is None else percent(r["soon_accuracy"]), percent(noise["closed_early"])]
-            for r, noise in zip(found["results"]["confidence"], found["noise"], strict=True)]  # fmt: skip
-    return table(["confidence, looked for at every event", "fewest events of a decision",
-                  f"decided by fewer than {found['soon_events']} events", "of these right",
-                  "windows of noise decided"], rows)  # fmt: skip
+    rows = [
+        [
+            f"{r['settings']['confidence']:g}",
+            str(r["fewest_events"]),
+            percent(r["soon"]),
+            "" if r["soon_accuracy"] is None else percent(r["soon_accuracy"]),
+            percent(noise["closed_early"]),
+        ]
+        for r, noise in zip(found["results"]["confidence"], found["noise"], strict=True)
+    ]
+    return table(
+        [
+            "confidence, looked for at every event",
+            "fewest events of a decision",
+            f"decided by fewer than {found['soon_events']} events",
+            "of these right",
+            "windows of noise decided",
+        ],
+        rows,
+    )
 
 
-PEERS = {"eventcv": "eventcv", "tonic": "tonic", "dsec_torch": "DSEC's method in torch",
-         "torch_scatter": "torch with the transform, one `scatter_add_`"}  # fmt: skip
+PEERS = {
+    "eventcv": "eventcv",
+    "tonic": "tonic",
+    "dsec_torch": "DSEC's method in torch",
+    "torch_scatter": "torch with the transform, one `scatter_add_`",
+}
 
 
 def volumes() -> str:
     """Nanoseconds per event, and peers."""
-    ways = {"single": "`update_one`", "packet_10_columns": "packets of 10, columns",
-            "packet_1300_columns": "packets of 1300, columns",
-            "packet_1300_structured": "packets of 1300, structured"}  # fmt: skip
+    ways = {
+        "single": "`update_one`",
+        "packet_10_columns": "packets of 10, columns",
+        "packet_1300_columns": "packets of 1300, columns",
+        "packet_1300_structured": "packets of 1300, structured",
+    }
     grids = results("bench")["volume"]
-    rows = [[f"ns per event, {words}", *(short(v["ns_per_event"][way]["median"]) for v in grids)]
-            for way, words in ways.items()]  # fmt: skip
+    rows = [
+        [f"ns per event, {words}", *(short(v["ns_per_event"][way]["median"]) for v in grids)]
+        for way, words in ways.items()
+    ]
     return table(_grids(), rows + _peers("packets of 1300, volume read after each: {} / ours"))
 
 
@@ -196,17 +276,23 @@ def _grids() -> list[str]:
 
 def _peers(words: str) -> list[list[str]]:
     small = [r for r in results("peers")["results"] if r["events_a_packet"] == 1300]
-    return [[words.format(peer), *(short(r["rows"][name]["times_ours_update_read"]) for r in small)]
-            for name, peer in PEERS.items() if name in small[0]["rows"]]  # fmt: skip
+    return [
+        [words.format(peer), *(short(r["rows"][name]["times_ours_update_read"]) for r in small)]
+        for name, peer in PEERS.items()
+        if name in small[0]["rows"]
+    ]
 
 
 def large_packets() -> str:
     """A volume of one large packet: peers over ours."""
     large = [r for r in results("peers")["results"] if r["events_a_packet"] != 1300]
     head = ["one packet", *("{} x {}, ".format(*r["grid"]) + f"{r['events_a_packet']:,} events" for r in large)]
-    rows = [[f"{peer} / ours, window {words}", *(short(r["rows"][name][ratio]) for r in large)]
-            for ratio, words in (("times_ours_update_read", "open"), ("times_ours_fresh", "new"))
-            for name, peer in PEERS.items() if name in large[0]["rows"]]  # fmt: skip
+    rows = [
+        [f"{peer} / ours, window {words}", *(short(r["rows"][name][ratio]) for r in large)]
+        for ratio, words in (("times_ours_update_read", "open"), ("times_ours_fresh", "new"))
+        for name, peer in PEERS.items()
+        if name in large[0]["rows"]
+    ]
     return table(head, rows)
 
 
@@ -215,8 +301,10 @@ def splat() -> str:
     found = _by_packet()
     head = ["", *found]
     ours = {"ours_update": "ours", "ours_update_read": "ours, volume read after each packet"}
-    rows = [[f"{words}, ns an event", *(short(rows[name]["ns_per_event"]["median"]) for rows in found.values())]
-            for name, words in ours.items()]  # fmt: skip
+    rows = [
+        [f"{words}, ns an event", *(short(rows[name]["ns_per_event"]["median"]) for rows in found.values())]
+        for name, words in ours.items()
+    ]
     for name, words in PEERS.items():
         cells = []
         for peers in found.values():
@@ -227,15 +315,37 @@ def splat() -> str:
 
 
 def _by_packet() -> dict[str, dict[str, Any]]:
-    return {"{} x {}".format(*r["grid"]) + f", packets of {r['events_a_packet']:,}": r["rows"]
-            for r in results("peers")["results"]}  # fmt: skip
+    return {
+        "{} x {}".format(*r["grid"]) + f", packets of {r['events_a_packet']:,}": r["rows"]
+        for r in results("peers")["results"]
+    }
 
 
-TABLES: dict[str, Callable[[], str]] = {f.__name__: f for f in (
-    decisions_machine, network_in_blocks, network_call_by_call, end_to_end_in_blocks, end_to_end_call_by_call, touched,
-    every_event, singles, starts, early, of_nothing, soon, volumes, splat, large_packets,
-    udp_machine, udp_latency, udp_load, udp_overload, archive,
-)}  # fmt: skip
+TABLES: dict[str, Callable[[], str]] = {
+    f.__name__: f
+    for f in (
+        decisions_machine,
+        network_in_blocks,
+        network_call_by_call,
+        end_to_end_in_blocks,
+        end_to_end_call_by_call,
+        touched,
+        every_event,
+        singles,
+        starts,
+        early,
+        of_nothing,
+        soon,
+        volumes,
+        splat,
+        large_packets,
+        udp_machine,
+        udp_latency,
+        udp_load,
+        udp_overload,
+        archive,
+    )
+}
 
 
 def written(page: str) -> str:

@@ -22,10 +22,10 @@ if __name__ == "__main__":  # before any library reads them
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, TNTConfig, TNTVolume, warmup
-from async_tnt.bench.timing import Progress, interleave, is_installed, machine, one_thread, spread, work_clock
-from async_tnt.bench.volumes import GRIDS, made_events
-from async_tnt.commands.files import writable_file
-from async_tnt.whole_files import write_text
+from async_tnt.checking.bench_volumes import GRIDS, made_events
+from async_tnt.checking.timing import Progress, interleave, is_installed, machine, one_thread, spread, work_clock
+from async_tnt.cli.arguments import writable_file
+from async_tnt.files import write_text
 
 BINS = 9
 PACKET = 1300
@@ -37,16 +37,21 @@ WORK = {
     "ours_fresh": "open an empty window, TNT, 8 cells, read: a volume of the packet alone, as the peers make it",
     "ours_fresh_raw": "the same without the transform: the volume that dsec_torch and eventcv make",
     "eventcv": "EventStream.voxel() of a stream made beforehand: 2 cells an event, whole pixels, no transform; "
-               "left in eventcv's own frame",
+    "left in eventcv's own frame",
     "eventcv_numpy": "from_numpy() of an (N, 4) array, .voxel(), .numpy(): the same, array to array",
     "tonic": "transforms.ToVoxelGrid: 2 cells an event, whole pixels, no transform, float64",
     "dsec_torch": "the method of DSEC's VoxelGrid: 8 cells an event, each a mask and a put_, no transform; "
-                  "tensors made beforehand",
-    "torch_scatter": "TNT, 8 cells, one scatter_add_ (async_tnt.bench.torch_batch): the work of ours_fresh; tensors "
-                     "made beforehand",
-}  # fmt: skip
-PACKAGES = {"eventcv": "eventcv", "eventcv_numpy": "eventcv", "tonic": "tonic", "dsec_torch": "torch",
-            "torch_scatter": "torch"}  # fmt: skip
+    "tensors made beforehand",
+    "torch_scatter": "TNT, 8 cells, one scatter_add_ (async_tnt.checking.torch_batch): the work of ours_fresh; tensors "
+    "made beforehand",
+}
+PACKAGES = {
+    "eventcv": "eventcv",
+    "eventcv_numpy": "eventcv",
+    "tonic": "tonic",
+    "dsec_torch": "torch",
+    "torch_scatter": "torch",
+}
 
 Case = Callable[[], Any]
 
@@ -80,8 +85,12 @@ def our_cases(volume: TNTVolume, packets: list[np.ndarray]) -> dict[str, Case]:
             array = volume.array
         return array
 
-    return {"ours_update": update, "ours_update_read": update_read, "ours_fresh": lambda: fresh(volume),
-            "ours_fresh_raw": lambda: fresh(raw)}  # fmt: skip
+    return {
+        "ours_update": update,
+        "ours_update_read": update_read,
+        "ours_fresh": lambda: fresh(volume),
+        "ours_fresh_raw": lambda: fresh(raw),
+    }
 
 
 def eventcv_cases(grid: tuple[int, int], packets: list[np.ndarray]) -> dict[str, Case]:
@@ -126,7 +135,7 @@ def tonic_cases(grid: tuple[int, int], packets: list[np.ndarray]) -> dict[str, C
 def torch_cases(grid: tuple[int, int], packets: list[np.ndarray], window_us: int) -> dict[str, Case]:
     import torch
 
-    from async_tnt.bench.torch_batch import TorchBatch, as_tensors
+    from async_tnt.checking.torch_batch import TorchBatch, as_tensors
 
     batch = TorchBatch(TNTConfig(sensor=grid, grid=grid, bins=BINS, window_us=window_us))
     tensors = [as_tensors(packet, 0) for packet in packets]
@@ -220,8 +229,14 @@ def compare(grid: tuple[int, int], size: int, n_packets: int, rounds: int) -> di
         if not name.startswith("ours"):
             for ours in ("ours_update_read", "ours_fresh"):  # paired in each round: the machine's load cancels
                 rows[name][f"times_{ours}"] = float(np.median(ns / measured[ours]))
-    return {"grid": list(grid), "events_a_packet": size, "packets": n_packets, "rounds": rounds, "rows": rows,
-            "largest_difference": checked}  # fmt: skip
+    return {
+        "grid": list(grid),
+        "events_a_packet": size,
+        "packets": n_packets,
+        "rounds": rounds,
+        "rows": rows,
+        "largest_difference": checked,
+    }
 
 
 def _timed(case: Case, volume: TNTVolume, n_events: int) -> Callable[[], float]:
@@ -240,8 +255,10 @@ def lines(report: dict[str, Any]) -> list[str]:
     """The report as text."""
     about = report["machine"]
     packages = ("python", "async_tnt", "numpy", "numba", "torch", "eventcv", "tonic")
-    text = [f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}, one thread; "
-            + ", ".join(f"{name} {about[name]}" for name in packages if about[name])]  # fmt: skip
+    text = [
+        f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}, one thread; "
+        + ", ".join(f"{name} {about[name]}" for name in packages if about[name])
+    ]
     for result in report["results"]:
         text += [
             "",
@@ -276,9 +293,13 @@ def main(argv: list[str] | None = None) -> int:
             results.append(compare(grid, size, n_packets, rounds=3 if args.quick else 15))
     missing = {row: package for row, package in PACKAGES.items() if not is_installed(package)}
     report = {
-        "machine": machine("torch", "eventcv", "tonic"), "bins": BINS, "threads": 1, "work": WORK,
-        "results": results, "left_out": {row: f"{package} is not installed" for row, package in missing.items()},
-    }  # fmt: skip
+        "machine": machine("torch", "eventcv", "tonic"),
+        "bins": BINS,
+        "threads": 1,
+        "work": WORK,
+        "results": results,
+        "left_out": {row: f"{package} is not installed" for row, package in missing.items()},
+    }
     print("\n".join(lines(report)))
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")

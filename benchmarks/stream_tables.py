@@ -43,8 +43,17 @@ def udp_overload() -> str:
     return table(_HEAD, rows)
 
 
-_HEAD = ["", "events sent", "received", "lost by the system", "skipped", "decisions", "late by ms: median", "99 %",
-         "at most"]  # fmt: skip
+_HEAD = [
+    "",
+    "events sent",
+    "received",
+    "lost by the system",
+    "skipped",
+    "decisions",
+    "late by ms: median",
+    "99 %",
+    "at most",
+]
 
 
 def _row(run: dict[str, Any]) -> list[str]:
@@ -53,8 +62,14 @@ def _row(run: dict[str, Any]) -> list[str]:
     lost = run["datagrams_lost_by_the_system"] * run["datagram_events"]
     skipped = run["events_skipped"] / received
     share = f"{100 * skipped:.3f} %" if 0 < skipped < 1e-3 else percent(skipped)
-    return [f"{events:,}", f"{received:,}", f"{lost:,}", share if skipped else "0",
-            f"{run['decisions']:,}", *(f"{late[name] / 1e3:.1f}" for name in ("median", "p99", "max"))]  # fmt: skip
+    return [
+        f"{events:,}",
+        f"{received:,}",
+        f"{lost:,}",
+        share if skipped else "0",
+        f"{run['decisions']:,}",
+        *(f"{late[name] / 1e3:.1f}" for name in ("median", "p99", "max")),
+    ]
 
 
 def archive() -> str:

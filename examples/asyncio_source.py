@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator
 import numpy as np
 
 import async_tnt
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources import open_recording, sample_recordings
 
 
 async def camera(packet_us: int = 5_000) -> AsyncIterator[np.ndarray]:

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 import async_tnt
-from async_tnt.fresh import BackgroundReader
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources import BackgroundReader, open_recording, sample_recordings
 
 PACKET_US = 2_000
 events = open_recording(sample_recordings()[8]).read()
@@ -35,9 +34,11 @@ def run(name: str, processor: async_tnt.Processor, **settings: object) -> None:
             time.sleep(0.005)  # what else has to be done
         decision = processor.fire()
         counters = reader.counters
-    print(f"{name:<11} {counters.received} events = {counters.handed_out} handed out + {counters.skipped} skipped; "
-          f"waited up to {counters.longest_wait_us / 1000:.0f} ms; last decision of {decision.events} events: "
-          f"{decision.label}")  # fmt: skip
+    print(
+        f"{name:<11} {counters.received} events = {counters.handed_out} handed out + {counters.skipped} skipped; "
+        f"waited up to {counters.longest_wait_us / 1000:.0f} ms; last decision of {decision.events} events: "
+        f"{decision.label}"
+    )
 
 
 model = async_tnt.load_model("digits")

@@ -9,7 +9,7 @@ done, and prove nothing about accuracy.)
 import torch
 
 import async_tnt
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources import open_recording, sample_recordings
 
 SACCADES_US = (0, 105_000, 210_000)
 

@@ -5,7 +5,7 @@
 """
 
 import async_tnt
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources import open_recording, sample_recordings
 
 model = async_tnt.load_model("digits")
 async_tnt.warmup(model)  # compile now, not at the first packet
@@ -14,8 +14,10 @@ processor = async_tnt.Processor(model)
 
 def show(decision: async_tnt.Decision) -> None:
     time_ms = decision.time_us / 1000
-    print(f"{time_ms:7.1f} ms  {decision.trigger:<6}  {decision.events:5} events  "
-          f"{decision.label} ({decision.probability:.0%})")  # fmt: skip
+    print(
+        f"{time_ms:7.1f} ms  {decision.trigger:<6}  {decision.events:5} events  "
+        f"{decision.label} ({decision.probability:.0%})"
+    )
 
 
 packets = open_recording(sample_recordings()[3], packet_events=250)  # stands for the camera
@@ -28,5 +30,7 @@ for decision in processor.finish():  # the camera is off: what the last window h
     show(decision)
 
 counts = processor.counts
-print(f"{counts.received} events: {counts.kept} kept, {counts.dropped_outside} transformed out of the grid, "
-      f"{counts.dropped_tau_zero} at a window's very start")  # fmt: skip
+print(
+    f"{counts.received} events: {counts.kept} kept, {counts.dropped_outside} transformed out of the grid, "
+    f"{counts.dropped_tau_zero} at a window's very start"
+)

@@ -9,7 +9,7 @@ import numpy as np
 import tnt_reference
 
 import async_tnt
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources import open_recording, sample_recordings
 
 config = async_tnt.TNTConfig(landmark="line", t_max=2.0)
 events = open_recording(sample_recordings()[5]).read()
@@ -23,9 +23,18 @@ for t, x, y, p in window.tolist():
 stream = volume.array
 
 batch = tnt_reference.tnt_volume(
-    window["t"], window["x"], window["y"], window["p"], start_us=start_us, window_us=config.window_us,
-    sensor=config.sensor, grid=config.grid, bins=config.bins, t_max=config.t_max, landmark=config.landmark,
-).numpy()  # fmt: skip
+    window["t"],
+    window["x"],
+    window["y"],
+    window["p"],
+    start_us=start_us,
+    window_us=config.window_us,
+    sensor=config.sensor,
+    grid=config.grid,
+    bins=config.bins,
+    t_max=config.t_max,
+    landmark=config.landmark,
+).numpy()
 
 largest = np.abs(batch).max()
 difference = np.abs(stream - batch).max()

@@ -14,9 +14,15 @@ def total_and_size(volume):
 
 def key(decision):
     return (
-        decision.trigger, decision.window_start_us, decision.time_us, decision.events, decision.complete,
-        decision.label, decision.logits.tobytes(), decision.probabilities.tobytes(),
-    )  # fmt: skip
+        decision.trigger,
+        decision.window_start_us,
+        decision.time_us,
+        decision.events,
+        decision.complete,
+        decision.label,
+        decision.logits.tobytes(),
+        decision.probabilities.tobytes(),
+    )
 
 
 def at(times):

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from async_tnt.network import UdpSender
+from async_tnt.sources.udp_sender import UdpSender
 
 
 def free_port(kind=socket.SOCK_DGRAM) -> int:

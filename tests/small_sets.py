@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.recordings import read_nmnist, sample_recordings, write_nmnist
+from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+from async_tnt.sources.files.recording import sample_recordings
 
 
 def write_small_nmnist(folder: Path, *, n_train: int, first_number: int) -> Path:

@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..whole_files import check_writable, set_mode
-from .job import Task
-from .journal import FOLDER, Journal
-from .place import Place
-from .records import TIMED, Record, lost
-from .results import check_ours, is_record, journal_of, read_results, write_results
+from async_tnt.archive.executor import Place
+from async_tnt.archive.job import Task
+from async_tnt.archive.journal import FOLDER, Journal
+from async_tnt.archive.records import TIMED, Record, lost
+from async_tnt.archive.results import check_ours, is_record, journal_of, read_results, write_results
+from async_tnt.files import check_writable, set_mode
 
 
 @dataclass

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from .. import __version__
-from .job import Task
+from async_tnt import __version__
+from async_tnt.archive.job import Task
 
 Result = TypeVar("Result")
 

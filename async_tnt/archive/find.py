@@ -6,8 +6,8 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from ..datasets.class_folders import is_recording
-from ..recordings import READERS
+from async_tnt.sources.class_folders import is_recording
+from async_tnt.sources.files.formats import READERS
 
 
 def recordings_under(paths: Iterable[Path]) -> list[Path]:

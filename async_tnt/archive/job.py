@@ -14,13 +14,13 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
-from ..compile_ahead import warmup
-from ..engines.choice import Engine, choose_engine, is_onnx, regressor_path
-from ..model import Model, UncheckedModelWarning, bundled_models
-from ..pixels.selection import PixelSelection
-from ..pixels.selector import PixelSelector
-from ..processor import Processor
+from async_tnt import __version__
+from async_tnt.compile_ahead import warmup
+from async_tnt.networks.engines import Engine, choose_engine, is_onnx, regressor_path
+from async_tnt.networks.model import Model, UncheckedModelWarning, bundled_models
+from async_tnt.processor import Processor
+from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixel_selector import PixelSelector
 
 
 @dataclass(frozen=True)

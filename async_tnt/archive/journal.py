@@ -14,8 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from ..whole_files import check_own
-from .records import Record
+from async_tnt.archive.records import Record
+from async_tnt.files import check_own
 
 HEADER = "async_tnt_journal"
 FOLDER = "folder"
@@ -146,10 +146,11 @@ def other_settings(who: Path, before: dict[str, Any], now: dict[str, Any]) -> st
     if "command" in names:  # whose settings are others
         names = ["command"]
     told = ", ".join(
-        "another model" if name == "model_sha256"
+        "another model"
+        if name == "model_sha256"
         else f"{_option(name, before)} {_said(before.get(name))} (now {_said(now.get(name))})"
         for name in names
-    )  # fmt: skip
+    )
     return f"{who} was begun with {told}: {WHAT_TO_DO}"
 
 

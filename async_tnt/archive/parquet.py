@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from .journal import other_settings
-from .records import Record
+from async_tnt.archive.journal import other_settings
+from async_tnt.archive.records import Record
 
 KEY = b"async_tnt"  # of the metadata
 GROUP_ROWS = 512
@@ -31,19 +31,38 @@ def schema_of(kind: str, about: dict[str, Any]) -> Any:
     floats, int64 = pa.list_(pa.float64()), pa.int64()
     if kind == "evaluate":
         own = {
-            "class": pa.string(), "label": pa.string(), "probabilities": floats, "window_start_us": pa.list_(int64),
-            "window_probabilities": pa.list_(floats), "decided_at": pa.list_(pa.list_(int64)), "decisions": int64,
-            "events": int64, "late": int64,
-        }  # fmt: skip
+            "class": pa.string(),
+            "label": pa.string(),
+            "probabilities": floats,
+            "window_start_us": pa.list_(int64),
+            "window_probabilities": pa.list_(floats),
+            "decided_at": pa.list_(pa.list_(int64)),
+            "decisions": int64,
+            "events": int64,
+            "late": int64,
+        }
     else:
-        decision = pa.struct({
-            "time_us": int64, "window_start_us": int64, "label": pa.string(), "probability": pa.float64(),
-            "probabilities": floats, "events": int64, "complete": pa.bool_(), "trigger": pa.string(),
-        })  # fmt: skip
+        decision = pa.struct(
+            {
+                "time_us": int64,
+                "window_start_us": int64,
+                "label": pa.string(),
+                "probability": pa.float64(),
+                "probabilities": floats,
+                "events": int64,
+                "complete": pa.bool_(),
+                "trigger": pa.string(),
+            }
+        )
         own = {
-            "label": pa.string(), "probability": pa.float64(), "probabilities": floats, "windows": int64,
-            "events": int64, "late": int64, "decisions": pa.list_(decision),
-        }  # fmt: skip
+            "label": pa.string(),
+            "probability": pa.float64(),
+            "probabilities": floats,
+            "windows": int64,
+            "events": int64,
+            "late": int64,
+            "decisions": pa.list_(decision),
+        }
     about_file = {"error": pa.string(), "bytes": int64, "modified_ns": int64, "settings": pa.string()}
     columns = {"recording": pa.string(), **own, **about_file}
     return pa.schema(columns, {KEY: json.dumps({"kind": kind, "about": about}, sort_keys=True).encode()})

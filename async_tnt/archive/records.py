@@ -10,17 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from .job import Task, processor_of
-from .streamed import Outcome, decisions_of, stream_recording, told
+from async_tnt.archive.job import Task, processor_of
+from async_tnt.archive.streamed import Outcome, decisions_of, stream_recording, told
 
 FIELDS = ("recording", "error", "bytes", "modified_ns", "settings")
 OF_KIND = {
     "evaluate": (
-        "class", "label", "probabilities", "window_start_us", "window_probabilities", "decided_at", "decisions",
-        "events", "late",
+        "class",
+        "label",
+        "probabilities",
+        "window_start_us",
+        "window_probabilities",
+        "decided_at",
+        "decisions",
+        "events",
+        "late",
     ),
     "run": ("label", "probability", "probabilities", "windows", "events", "late", "decisions"),
-}  # fmt: skip
+}
 TIMED = "seconds"
 
 Record = dict[str, Any]

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from ..whole_files import check_own, check_writable, file_of, replacing
-from .journal import WHAT_TO_DO, parsed
-from .records import TIMED, Record, fields_of
+from async_tnt.archive.journal import WHAT_TO_DO, parsed
+from async_tnt.archive.records import TIMED, Record, fields_of
+from async_tnt.files import check_own, check_writable, file_of, replacing
 
 SUFFIXES = (".jsonl", ".parquet")
 
@@ -24,7 +24,7 @@ def check_out(out: Path) -> None:
     """
     check_own(journal_of(check_writable(out, SUFFIXES)))
     if is_parquet(out):
-        from .parquet import import_pyarrow
+        from async_tnt.archive.parquet import import_pyarrow
 
         import_pyarrow()
 
@@ -58,7 +58,7 @@ def check_ours(out: Path) -> None:
     ValueError.
     """
     if is_parquet(out):
-        from .parquet import is_our_parquet
+        from async_tnt.archive.parquet import is_our_parquet
 
         ours = is_our_parquet(out)
     else:
@@ -76,7 +76,7 @@ def read_results(out: Path, kind: str, about: dict[str, Any], settings: str) -> 
     ValueError : the file is another program's, damaged, or one of other settings.
     """
     if is_parquet(out):
-        from .parquet import read_parquet
+        from async_tnt.archive.parquet import read_parquet
 
         records = read_parquet(out, about)
     else:
@@ -103,7 +103,7 @@ def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable
     """
     with replacing(out, like=like) as part:
         if is_parquet(out):
-            from .parquet import write_parquet
+            from async_tnt.archive.parquet import write_parquet
 
             write_parquet(part, kind, about, records)
         else:

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..config import TNTConfig
-from ..decision import Decision
-from ..pixels.selector import PixelSelector
-from ..processor import Processor
-from .job import Task, processor_of
+from async_tnt.archive.job import Task, processor_of
+from async_tnt.config import TNTConfig
+from async_tnt.decision import Decision
+from async_tnt.processor import Processor
+from async_tnt.sources.pixel_selector import PixelSelector
 
 N_MOMENTS = 10
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from . import plan as P
+from . import layout as P
 from . import state as S
 from . import trigger as T
+from .absorb import absorb
+from .forward import renew
 from .jit import compiled, compiled_without_gil
-from .renew import renew
-from .update import absorb
-from .watch import watch_array, watch_cells
+from .sync_input import watch_array, watch_cells
 
 WENT_ON, FULL, CLOSE, NOT_FINITE = 0, 1, 2, 3  # how a stretch ended
 NOTED = 4  # what a decision notes: events, newest time, trigger, class

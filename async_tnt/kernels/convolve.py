@@ -6,8 +6,8 @@ read. A network's output depends on the order of its sums: here input channel by
 each with one rounding (`fma`).
 """
 
+from .conv_rows import PLACES, convolve_strip
 from .jit import compiled
-from .strip import PLACES, convolve_strip
 
 
 @compiled
@@ -45,6 +45,14 @@ def convolve(framed, weights, bias, width, out):
     for block in range(n_blocks):
         for start in range(0, out.shape[1], PLACES):
             convolve_strip(
-                flat_framed, framed.shape[1], width + 2, n_channels, start, flat_weights, flat_bias, block, flat_out,
+                flat_framed,
+                framed.shape[1],
+                width + 2,
+                n_channels,
+                start,
+                flat_weights,
+                flat_bias,
+                block,
+                flat_out,
                 out.shape[1],
-            )  # fmt: skip
+            )

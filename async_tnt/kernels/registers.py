@@ -38,8 +38,11 @@ class Registers:
 
     def __init__(self, context, builder, signature, args):
         self.builder = builder
-        self._data = {k: context.make_array(kind)(context, builder, args[k]).data
-                      for k, kind in enumerate(signature.args) if isinstance(kind, types.Array)}  # fmt: skip
+        self._data = {
+            k: context.make_array(kind)(context, builder, args[k]).data
+            for k, kind in enumerate(signature.args)
+            if isinstance(kind, types.Array)
+        }
         name, kind = f"llvm.fma.v{LANES}f32", ir.FunctionType(VECTOR, [VECTOR] * 3)
         self._fma = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
 

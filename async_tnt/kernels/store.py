@@ -3,8 +3,8 @@
 import numpy as np
 
 from . import state as S
+from .absorb import count_late
 from .jit import compiled
-from .update import count_late
 
 
 @compiled

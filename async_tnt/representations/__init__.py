@@ -8,9 +8,9 @@
 The event volume and the Temporal Normalization Transform are `async_tnt.TNTVolume`.
 """
 
-from .images import count_image, count_timestamp_image
-from .motion import move_by_flow, undo_flow
-from .saccades import SACCADE_CUTS_US, find_pauses, segment, split_saccades
+from async_tnt.representations.images import count_image, count_timestamp_image
+from async_tnt.representations.motion import move_by_flow, undo_flow
+from async_tnt.representations.saccades import SACCADE_CUTS_US, find_pauses, segment, split_saccades
 
 __all__ = [
     "SACCADE_CUTS_US",

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..config import TNTConfig
-from ..events import EventDoor
-from ..whole_numbers import checked_time
-from .scatter import add_counts, add_counts_and_times
+from async_tnt.checks import checked_time
+from async_tnt.config import TNTConfig
+from async_tnt.events import EventDoor
+from async_tnt.representations.scatter import add_counts, add_counts_and_times
 
 
 def count_image(events: Any, *, sensor: tuple[int, int], out: np.ndarray | None = None) -> np.ndarray:

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ..config import TNTConfig
-from ..kernels.columns import MAX_TIME_US
-from ..plain_arrays import plain_array
-from ..whole_numbers import checked_time
+from async_tnt.checks import checked_time
+from async_tnt.config import TNTConfig
+from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.plain_arrays import plain_array
 
 Array = np.ndarray
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..config import MAX_SIDE
-from ..events import as_events
-from ..whole_numbers import checked_time
+from async_tnt.checks import checked_time
+from async_tnt.config import MAX_SIDE
+from async_tnt.events import as_events
 
 SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
 """Where N-MNIST's saccades begin, and where the third ends, in microseconds (Orchard et al. 2015)."""

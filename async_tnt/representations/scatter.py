@@ -5,7 +5,7 @@ Columns are those of `async_tnt.events.Columns`, checked; the first n places cou
 
 import numpy as np
 
-from ..kernels.jit import compiled
+from async_tnt.kernels.jit import compiled
 
 
 @compiled

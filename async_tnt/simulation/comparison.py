@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from async_tnt.progress import progress
-from async_tnt.recordings import read_nmnist
 from async_tnt.representations.saccades import SACCADE_CUTS_US
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
@@ -25,6 +24,7 @@ from async_tnt.simulation.set_manifest import MovingMnist
 from async_tnt.simulation.shards import Shard, open_shard
 from async_tnt.simulation.statistics import describe
 from async_tnt.simulation.trajectories import nmnist_saccades
+from async_tnt.sources.files.nmnist import read_nmnist
 
 N_RECORDINGS = 200
 OFFICIAL_TRAIN = 60_000
@@ -66,8 +66,10 @@ def compare(
         if nmnist_folder is not None:
             for image in shown:
                 if image >= len(labels) or labels[image] != int(found[image].parent.name):
-                    raise ValueError(f"{found[image]}: MNIST's {shown_split} image {image + 1}, which it should show, "
-                                     "is no such digit")  # fmt: skip
+                    raise ValueError(
+                        f"{found[image]}: MNIST's {shown_split} image {image + 1}, which it should show, "
+                        "is no such digit"
+                    )
             real = _counted((read_nmnist(found[image]) for image in shown), bar)
             columns["N-MNIST"] = describe(real, directions_deg=directions)
         simulated = (simulate_digit(images[i], np.random.default_rng((0, i))) for i in shown)
@@ -81,8 +83,9 @@ def compare(
 def _describe_set(made: MovingMnist, images: list[int], bar: Any, nmnist_directions: list[float]) -> dict[str, float]:
     """Each image under three motions (or the only one), so that all motions take equal part."""
     n_motions = len(made.motions)
-    pairs = sorted({((k + turn * n_motions // 3) % n_motions, image) for k, image in enumerate(images)
-                    for turn in range(3)})  # fmt: skip
+    pairs = sorted(
+        {((k + turn * n_motions // 3) % n_motions, image) for k, image in enumerate(images) for turn in range(3)}
+    )
     recordings = _counted(_recordings(made, pairs), bar)
     if made.motions[0].direction_deg is None:
         return describe(recordings, sensor=made.sensor, directions_deg=nmnist_directions)

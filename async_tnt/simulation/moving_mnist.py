@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 import async_tnt
+from async_tnt.archive.workers import available_cores, run_all
 from async_tnt.progress import progress
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
@@ -28,7 +29,6 @@ from async_tnt.simulation.scene import Scene
 from async_tnt.simulation.set_manifest import MovingMnist, made_otherwise, read_manifest, write_manifest
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
-from async_tnt.workers import available_cores, run_all
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,21 @@ def build(
     folder = Path(out_folder)
     jobs = [
         _Job(
-            folder / f"{motion.name}_{first:05}.safetensors", motion, first,
-            images[first : first + recordings_per_shard], labels[first : first + recordings_per_shard],
-            seed, scene, pixels, frame_us, sensor,
+            folder / f"{motion.name}_{first:05}.safetensors",
+            motion,
+            first,
+            images[first : first + recordings_per_shard],
+            labels[first : first + recordings_per_shard],
+            seed,
+            scene,
+            pixels,
+            frame_us,
+            sensor,
             {"motion": dataclasses.asdict(motion), **shared},
         )
-        for motion in moving for first in range(0, len(images), recordings_per_shard)
-    ]  # fmt: skip
+        for motion in moving
+        for first in range(0, len(images), recordings_per_shard)
+    ]
     made = MovingMnist(folder, tuple(job.path for job in jobs), moving, parameters)
     folder.mkdir(parents=True, exist_ok=True)
     write_manifest(made)
@@ -179,15 +187,27 @@ def _make_shard(job: _Job) -> int:
         trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.sensor)
         flow[i] = np.stack(trajectory.flow(times_us), axis=1)
         events = simulate_digit(
-            image, rng, trajectory=trajectory, scene=job.scene, pixels=job.pixels, sensor=job.sensor,
+            image,
+            rng,
+            trajectory=trajectory,
+            scene=job.scene,
+            pixels=job.pixels,
+            sensor=job.sensor,
             frame_us=job.frame_us,
-        )  # fmt: skip
+        )
         # The last half microsecond rounds up to `duration_us`, where the next window would begin.
         recordings.append(events[events["t"] < duration_us])
     write_shard(
-        job.path, recordings, labels=job.labels, image=job.first + np.arange(len(job.images)), flow=flow,
-        flow_times_us=times_us, sensor=job.sensor, duration_us=duration_us, metadata=job.metadata,
-    )  # fmt: skip
+        job.path,
+        recordings,
+        labels=job.labels,
+        image=job.first + np.arange(len(job.images)),
+        flow=flow,
+        flow_times_us=times_us,
+        sensor=job.sensor,
+        duration_us=duration_us,
+        metadata=job.metadata,
+    )
     return len(recordings)
 
 

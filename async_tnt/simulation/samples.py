@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.recordings import write_nmnist
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
+from async_tnt.sources.files.nmnist import write_nmnist
 
 FIRST_INDEX = 2_000
 

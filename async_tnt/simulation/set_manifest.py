@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from async_tnt.files import write_text
 from async_tnt.simulation.motions import Motion, motions_of
 from async_tnt.simulation.shards import Shard, open_shard
-from async_tnt.whole_files import write_text
 
 MANIFEST = "set.json"
 FORMAT = "async_tnt.moving_mnist"
@@ -67,8 +67,10 @@ class MovingMnist:
         """
         digits, step = self.parameters["digits"], self.parameters["recordings_per_shard"]
         if not (0 <= motion < len(self.motions) and 0 <= image < digits):
-            raise IndexError(f"motion must be in [0, {len(self.motions)}) and image in [0, {digits}), got "
-                             f"{motion} and {image}: {self.folder}")  # fmt: skip
+            raise IndexError(
+                f"motion must be in [0, {len(self.motions)}) and image in [0, {digits}), got "
+                f"{motion} and {image}: {self.folder}"
+            )
         return self.shards[motion * -(-digits // step) + image // step], image % step
 
 

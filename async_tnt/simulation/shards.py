@@ -28,9 +28,9 @@ import numpy as np
 from safetensors.numpy import save
 
 from async_tnt.events import EVENT_DTYPE
+from async_tnt.files import replacing
 from async_tnt.plain_arrays import plain_array
 from async_tnt.simulation.mapped_tensors import map_tensors
-from async_tnt.whole_files import replacing
 
 FORMAT = "async_tnt.shard"
 VERSION = 1
@@ -148,8 +148,11 @@ def write_shard(
     given = {
         **{name: events[name] for name in "txyp"},
         "offsets": np.cumsum([0, *(len(events) for events in recordings)]),
-        "labels": labels, "image": image, "flow": flow, "flow_times_us": flow_times_us,
-    }  # fmt: skip
+        "labels": labels,
+        "image": image,
+        "flow": flow,
+        "flow_times_us": flow_times_us,
+    }
     columns = {name: _as_type(name, given[name], types[name]) for name in COLUMNS}
     _check_columns(columns, about)
     content = save(columns, metadata={"shard": json.dumps(about)})
@@ -228,10 +231,16 @@ def _check_columns(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any
     t, offsets, times = columns["t"], columns["offsets"], columns["flow_times_us"]
     n_events, n_recordings, n_times = t.size, columns["labels"].size, times.size
     expected = {
-        "t": (n_events,), "x": (n_events,), "y": (n_events,), "p": (n_events,),
-        "offsets": (n_recordings + 1,), "labels": (n_recordings,), "image": (n_recordings,),
-        "flow": (n_recordings, n_times, 2), "flow_times_us": (n_times,),
-    }  # fmt: skip
+        "t": (n_events,),
+        "x": (n_events,),
+        "y": (n_events,),
+        "p": (n_events,),
+        "offsets": (n_recordings + 1,),
+        "labels": (n_recordings,),
+        "image": (n_recordings,),
+        "flow": (n_recordings, n_times, 2),
+        "flow_times_us": (n_times,),
+    }
     for name, shape in expected.items():
         if columns[name].shape != shape:
             raise ValueError(f"`{name}` must have shape {shape}, got {columns[name].shape}")

@@ -8,11 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from async_tnt.config import TNTConfig
+from async_tnt.training.augment import Draws, unchanged
+from async_tnt.training.gather import GIVEN, MEAN, OWN, landmark_gradients, window_volumes
+from async_tnt.training.windows import Windows
 from async_tnt.volume import new_state
-
-from .augment import Draws, unchanged
-from .gather import GIVEN, MEAN, OWN, landmark_gradients, window_volumes
-from .windows import Windows
 
 
 class BatchVolumes:
@@ -88,9 +87,20 @@ class BatchVolumes:
         start_us = windows.start_us + draws.start_us
         limit_us = start_us + np.minimum(draws.until_us, self.config.window_us)
         return (
-            self._state(draws.sensor), *self._scratch, recordings.t, recordings.x, recordings.y, recordings.p,
-            first, last, start_us, limit_us, draws.matrix, draws.keep, draws.seed,
-        )  # fmt: skip
+            self._state(draws.sensor),
+            *self._scratch,
+            recordings.t,
+            recordings.x,
+            recordings.y,
+            recordings.p,
+            first,
+            last,
+            start_us,
+            limit_us,
+            draws.matrix,
+            draws.keep,
+            draws.seed,
+        )
 
     def _to_sensor(self, landmarks: np.ndarray | None, n: int, draws: Draws) -> np.ndarray:
         if landmarks is None:

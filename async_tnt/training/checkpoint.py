@@ -14,12 +14,11 @@ import numpy as np
 import torch
 
 from async_tnt.config import TNTConfig
-from async_tnt.model import Model
-from async_tnt.whole_files import replacing, write_text
-
-from .run_folder import CHECKPOINT, HISTORY, other_run
-from .settings import TrainSettings
-from .windows import CLASSES, Windows
+from async_tnt.files import replacing, write_text
+from async_tnt.networks.model import Model
+from async_tnt.training.run_folder import CHECKPOINT, HISTORY, other_run
+from async_tnt.training.settings import TrainSettings
+from async_tnt.training.windows import CLASSES, Windows
 
 FORMAT = 2
 

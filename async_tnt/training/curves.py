@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from async_tnt.whole_files import replacing
+from async_tnt.files import replacing
 
 
 def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
@@ -19,9 +19,15 @@ def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
     epochs = [row["epoch"] for row in history]
     for axes, names in (
         (losses, {"loss": "training (smoothed labels)", "validation_loss": "validation"}),
-        (accuracies, {"training": "training (augmented)", "per_window": "validation, by window",
-                      "per_recording": "validation, by recording"}),
-    ):  # fmt: skip
+        (
+            accuracies,
+            {
+                "training": "training (augmented)",
+                "per_window": "validation, by window",
+                "per_recording": "validation, by recording",
+            },
+        ),
+    ):
         for name, label in names.items():
             if all(name in row for row in history):
                 axes.plot(epochs, [row[name] for row in history], marker=".", label=label)

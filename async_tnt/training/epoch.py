@@ -7,10 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from async_tnt.config import TNTConfig
-
-from .augment import Draws
-from .settings import TrainSettings
-from .windows import Windows
+from async_tnt.training.augment import Draws
+from async_tnt.training.settings import TrainSettings
+from async_tnt.training.windows import Windows
 
 
 def batches_of(

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from .augment import unchanged
-from .pipelines import Pipeline
-from .windows import Windows
+from async_tnt.training.augment import unchanged
+from async_tnt.training.pipelines import Pipeline
+from async_tnt.training.windows import Windows
 
 BATCH = 256
 

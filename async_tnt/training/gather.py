@@ -6,11 +6,11 @@ a loss on its volume with respect to its landmark."""
 import numpy as np
 
 from async_tnt.kernels import state as S
+from async_tnt.kernels.absorb import absorb
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.landmark import displace_fixed
-from async_tnt.kernels.read import copy_cells, empty_volume
+from async_tnt.kernels.readout import copy_cells, empty_volume
 from async_tnt.kernels.splat import grid_of, place_event
-from async_tnt.kernels.update import absorb
 
 OWN, MEAN, GIVEN = 0, 1, 2
 """Landmark: the one of the volume's own mode; the centroid of the window's events; given for each window."""
@@ -18,9 +18,27 @@ OWN, MEAN, GIVEN = 0, 1, 2
 
 @compiled
 def window_volumes(
-    buffer, scratch_t, scratch_x, scratch_y, scratch_p,
-    t, x, y, p, first, last, start_us, limit_us, matrix, keep, seed, about, landmarks, n_bins, out,
-):  # fmt: skip
+    buffer,
+    scratch_t,
+    scratch_x,
+    scratch_y,
+    scratch_p,
+    t,
+    x,
+    y,
+    p,
+    first,
+    last,
+    start_us,
+    limit_us,
+    matrix,
+    keep,
+    seed,
+    about,
+    landmarks,
+    n_bins,
+    out,
+):
     """The volume of each window into `out`.
 
     Parameters
@@ -39,10 +57,24 @@ def window_volumes(
     ints = buffer.view(np.int64)
     for i in range(out.shape[0]):
         n = _take_events(
-            scratch_t, scratch_x, scratch_y, scratch_p, t, x, y, p,
-            first[i], last[i], start_us[i], limit_us[i], matrix[i], keep[i], seed[i],
-            ints[S.SENSOR_W], ints[S.SENSOR_H],
-        )  # fmt: skip
+            scratch_t,
+            scratch_x,
+            scratch_y,
+            scratch_p,
+            t,
+            x,
+            y,
+            p,
+            first[i],
+            last[i],
+            start_us[i],
+            limit_us[i],
+            matrix[i],
+            keep[i],
+            seed[i],
+            ints[S.SENSOR_W],
+            ints[S.SENSOR_H],
+        )
         empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)  # nobody asks for its epoch
         ints[S.N_READ] = S.UNREAD  # every volume goes to another array, whole
         ints[S.BIN_LO] = 0
@@ -64,9 +96,26 @@ def window_volumes(
 
 @compiled
 def landmark_gradients(
-    buffer, scratch_t, scratch_x, scratch_y, scratch_p,
-    t, x, y, p, first, last, start_us, limit_us, matrix, keep, seed, landmarks, gradient, out,
-):  # fmt: skip
+    buffer,
+    scratch_t,
+    scratch_x,
+    scratch_y,
+    scratch_p,
+    t,
+    x,
+    y,
+    p,
+    first,
+    last,
+    start_us,
+    limit_us,
+    matrix,
+    keep,
+    seed,
+    landmarks,
+    gradient,
+    out,
+):
     """dL/dl of each window into `out`, from dL/dV: the chain rule through
 
         V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)        u_i = (x_i - l_x) / tau_i + c_x
@@ -91,10 +140,24 @@ def landmark_gradients(
     per_time = buffer[S.SCALE_X] * (ints[S.SENSOR_W] - 1) / buffer[S.MAX_U]  # window_us / t_max
     for i in range(out.shape[0]):
         n = _take_events(
-            scratch_t, scratch_x, scratch_y, scratch_p, t, x, y, p,
-            first[i], last[i], start_us[i], limit_us[i], matrix[i], keep[i], seed[i],
-            ints[S.SENSOR_W], ints[S.SENSOR_H],
-        )  # fmt: skip
+            scratch_t,
+            scratch_x,
+            scratch_y,
+            scratch_p,
+            t,
+            x,
+            y,
+            p,
+            first[i],
+            last[i],
+            start_us[i],
+            limit_us[i],
+            matrix[i],
+            keep[i],
+            seed[i],
+            ints[S.SENSOR_W],
+            ints[S.SENSOR_H],
+        )
         grid = grid_of(buffer, ints)
         total_x = 0.0
         total_y = 0.0
@@ -137,9 +200,24 @@ def _cell(gradient, i, b, y, x):
 
 @compiled
 def _take_events(
-    scratch_t, scratch_x, scratch_y, scratch_p, t, x, y, p, first, last, start_us, limit_us,
-    matrix, keep, seed, width, height,
-):  # fmt: skip
+    scratch_t,
+    scratch_x,
+    scratch_y,
+    scratch_p,
+    t,
+    x,
+    y,
+    p,
+    first,
+    last,
+    start_us,
+    limit_us,
+    matrix,
+    keep,
+    seed,
+    width,
+    height,
+):
     """One window's events, moved and thinned, into the scratch columns; returns how many."""
     i = first + np.searchsorted(t[first:last], start_us)
     n = 0

@@ -8,10 +8,9 @@ from typing import Any
 import torch
 from tnt_reference import Classifier, LandmarkRegressor
 
-from async_tnt.model import Model
-
-from .pipelines import Pipeline, input_scales
-from .windows import Windows
+from async_tnt.networks.model import Model
+from async_tnt.training.pipelines import Pipeline, input_scales
+from async_tnt.training.windows import Windows
 
 
 def export(pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, Any]) -> Model:
@@ -73,7 +72,10 @@ def regressor_of(model: Model) -> LandmarkRegressor | None:
     network = LandmarkRegressor(model.config.channels, model.config.grid, widths.pop())
     prefix = "regressor."
     network.load_state_dict(
-        {name.removeprefix(prefix): torch.from_numpy(w.copy()) for name, w in model.weights.items()
-         if name.startswith(prefix)}
-    )  # fmt: skip
+        {
+            name.removeprefix(prefix): torch.from_numpy(w.copy())
+            for name, w in model.weights.items()
+            if name.startswith(prefix)
+        }
+    )
     return network.eval()

@@ -17,10 +17,9 @@ from tnt_reference import Classifier, LandmarkRegressor
 from torch import nn
 
 from async_tnt.config import TNTConfig
-
-from .augment import Draws
-from .batches import BatchVolumes
-from .windows import Windows
+from async_tnt.training.augment import Draws
+from async_tnt.training.batches import BatchVolumes
+from async_tnt.training.windows import Windows
 
 
 class Pipeline(nn.Module):
@@ -38,9 +37,14 @@ class Pipeline(nn.Module):
     raw_scale: torch.Tensor
 
     def __init__(
-        self, config: TNTConfig, classifier: nn.Module, regressor: nn.Module | None = None,
-        *, scale: float = 1.0, raw_scale: float = 1.0,
-    ) -> None:  # fmt: skip
+        self,
+        config: TNTConfig,
+        classifier: nn.Module,
+        regressor: nn.Module | None = None,
+        *,
+        scale: float = 1.0,
+        raw_scale: float = 1.0,
+    ) -> None:
         super().__init__()
         if config.needs_regressor != (regressor is not None):
             raise ValueError(

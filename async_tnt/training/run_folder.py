@@ -7,8 +7,8 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from async_tnt.datasets.class_folders import find_recordings, name_of
-from async_tnt.whole_files import write_text
+from async_tnt.files import write_text
+from async_tnt.sources.class_folders import find_recordings, name_of
 
 RECORDINGS = "recordings.json"
 CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from .augment import Augmentation
+from async_tnt.training.augment import Augmentation
 
 PRECISIONS = ("float32", "bfloat16")
 

@@ -6,10 +6,11 @@ import os
 
 import numpy as np
 
-from async_tnt.recordings import read_nmnist, sample_recordings
-from async_tnt.simulation import load_mnist, simulate_digit
-
-from .windows import Progress, Recordings, no_progress
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.files.recording import sample_recordings
+from async_tnt.training.windows import Progress, Recordings, no_progress
 
 FIRST_INDEX = 5_000
 """Images from here on. N-MNIST's recordings 1-1,000 show the first 1,000, some of which are held out for

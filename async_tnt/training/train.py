@@ -14,15 +14,14 @@ import torch
 from torch.nn import functional as F
 
 from async_tnt.config import TNTConfig
-from async_tnt.model import Model
-
-from .checkpoint import identity_of, load_checkpoint, save_checkpoint
-from .epoch import batches_of
-from .evaluate import accuracy_by_recording, class_probabilities
-from .networks import export, pipeline_before_export
-from .pipelines import Pipeline, new_pipeline
-from .settings import TrainSettings
-from .windows import CLASSES, Progress, Windows, no_progress
+from async_tnt.networks.model import Model
+from async_tnt.training.checkpoint import identity_of, load_checkpoint, save_checkpoint
+from async_tnt.training.epoch import batches_of
+from async_tnt.training.evaluate import accuracy_by_recording, class_probabilities
+from async_tnt.training.networks import export, pipeline_before_export
+from async_tnt.training.pipelines import Pipeline, new_pipeline
+from async_tnt.training.settings import TrainSettings
+from async_tnt.training.windows import CLASSES, Progress, Windows, no_progress
 
 
 @dataclass(frozen=True)
@@ -124,17 +123,24 @@ def train(
             right += int((logits.argmax(1) == target).sum())
             seen += len(windows)
         row = {
-            "epoch": epoch + 1, "iterations": epoch * steps + here, "loss": total_loss / seen, "training": right / seen,
-        }  # fmt: skip
+            "epoch": epoch + 1,
+            "iterations": epoch * steps + here,
+            "loss": total_loss / seen,
+            "training": right / seen,
+        }
         row.update(_validate(pipeline, validation, balance=settings.balance))
         history.append(row)
         if _is_best(history, by_loss=settings.patience is not None):
             best_epoch = epoch + 1
             best = {name: w.detach().clone() for name, w in pipeline.state_dict().items()}
         checkpoint = {
-            "identity": identity, "pipeline": pipeline.state_dict(), "optimizer": optimizer.state_dict(),
-            "history": history, "best": best, "best_epoch": best_epoch,
-        }  # fmt: skip
+            "identity": identity,
+            "pipeline": pipeline.state_dict(),
+            "optimizer": optimizer.state_dict(),
+            "history": history,
+            "best": best,
+            "best_epoch": best_epoch,
+        }
         save_checkpoint(run_folder, checkpoint)
         report(row)
 

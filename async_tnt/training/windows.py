@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.recordings import read_nmnist
+from async_tnt.sources.files.nmnist import read_nmnist
 
 CLASSES = tuple("0123456789")
 COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}

@@ -7,6 +7,6 @@
 Needs the extra `view`. What is logged, and under which names, is in `layout`.
 """
 
-from .rerun_view import RerunView
+from async_tnt.views.rerun_view import RerunView
 
 __all__ = ["RerunView"]

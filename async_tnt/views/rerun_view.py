@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from ..config import TNTConfig
-from ..decision import Decision
-from ..events import as_events
-from ..model import Model
-from ..processor import Processor
-from ..streams import as_processor
-from . import layout
-from .log import StreamLog
-from .moments import next_moment
-from .raw_twin import RawTwin
-from .sinks import import_rerun, sink_of
+from async_tnt.config import TNTConfig
+from async_tnt.decision import Decision
+from async_tnt.events import as_events
+from async_tnt.networks.model import Model
+from async_tnt.processor import Processor
+from async_tnt.streams import as_processor
+from async_tnt.views import rerun_layout as layout
+from async_tnt.views.rerun_log import StreamLog
+from async_tnt.views.rerun_moments import next_moment
+from async_tnt.views.rerun_sinks import import_rerun, sink_of
+from async_tnt.views.untransformed_volume import RawTwin
 
 CHECK_S = 1.0  # so often the sink is asked whether it still works; what waits for a slow viewer stays small, too
 LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits

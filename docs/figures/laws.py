@@ -16,7 +16,7 @@ import tnt_reference
 import torch
 
 import async_tnt
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources import open_recording, sample_recordings
 
 LANDMARKS = ("center", "running", "line", "window")
 WINDOW_US, N = 104_000, 1_300
@@ -123,9 +123,17 @@ def streamed(window: np.ndarray, start_us: int, shift: int, options: dict[str, A
 def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, Any]) -> np.ndarray:
     """The same, by any shift."""
     return tnt_reference.tnt_volume(
-        window["t"], window["x"] + shift, window["y"] - shift, window["p"], start_us=start_us, window_us=105_000,
-        sensor=(34, 34), grid=(34, 34), dtype=torch.float64, **options,
-    ).numpy()  # fmt: skip
+        window["t"],
+        window["x"] + shift,
+        window["y"] - shift,
+        window["p"],
+        start_us=start_us,
+        window_us=105_000,
+        sensor=(34, 34),
+        grid=(34, 34),
+        dtype=torch.float64,
+        **options,
+    ).numpy()
 
 
 def translation_table() -> None:
@@ -176,12 +184,24 @@ def t_max_table() -> None:
             if landmark == "running":
                 lost = [1 - keep_all[quarter_all == q].mean() for q in range(4)]
                 shrunk, expected = np.mean(spread) / np.mean(spread_raw), np.mean(inverse)
-        rows.append([
-            f"{t_max:g}", *(f"{100 * kept_by[name]:.1f} %" for name in ("center", "running", "line")),
-            *(f"{100 * q:.1f} %" for q in lost), f"{shrunk:.2f}", f"{expected:.2f}",
-        ])  # fmt: skip
-    head = ["t_max", "kept, `center`", "kept, `running`", "kept, `line`",
-            *(f"lost in quarter {q}" for q in range(1, 5)), "size in the last quarter", "1 / tau there"]  # fmt: skip
+        rows.append(
+            [
+                f"{t_max:g}",
+                *(f"{100 * kept_by[name]:.1f} %" for name in ("center", "running", "line")),
+                *(f"{100 * q:.1f} %" for q in lost),
+                f"{shrunk:.2f}",
+                f"{expected:.2f}",
+            ]
+        )
+    head = [
+        "t_max",
+        "kept, `center`",
+        "kept, `running`",
+        "kept, `line`",
+        *(f"lost in quarter {q}" for q in range(1, 5)),
+        "size in the last quarter",
+        "1 / tau there",
+    ]
     print_table(head, rows)
 
 
@@ -247,5 +267,7 @@ if __name__ == "__main__":
     print(border_counts())
     print(cancellation())
     for width, height in ((346, 260), (1280, 720)):
-        print(f"{width}x{height} onto 34x34 by x W / Ws: {fallen_off(width, 34)} columns and "
-              f"{fallen_off(height, 34)} rows fall off; corner to corner: none")  # fmt: skip
+        print(
+            f"{width}x{height} onto 34x34 by x W / Ws: {fallen_off(width, 34)} columns and "
+            f"{fallen_off(height, 34)} rows fall off; corner to corner: none"
+        )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from .coordinates import window_fraction
-from .window import Column, check_size, signs, window_events
+from reference.tnt_reference.coordinates import window_fraction
+from reference.tnt_reference.window import Column, check_size, signs, window_events
 
 
 def count_image(t: Column, x: Column, y: Column, p: Column, *, sensor: tuple[int, int]) -> torch.Tensor:
@@ -41,9 +41,16 @@ def count_image(t: Column, x: Column, y: Column, p: Column, *, sensor: tuple[int
 
 
 def count_timestamp_image(
-    t: Column, x: Column, y: Column, p: Column, *, start_us: int, window_us: int, sensor: tuple[int, int],
+    t: Column,
+    x: Column,
+    y: Column,
+    p: Column,
+    *,
+    start_us: int,
+    window_us: int,
+    sensor: tuple[int, int],
     dtype: torch.dtype = torch.float32,
-) -> torch.Tensor:  # fmt: skip
+) -> torch.Tensor:
     """The four channels of EV-FlowNet: counts ON and OFF, time of the newest event ON and OFF.
 
         I[c, y, x]     = #{i : x_i = x, y_i = y, p_i = 1 - c}          c = 0: ON, c = 1: OFF

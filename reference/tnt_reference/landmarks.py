@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import torch
 
-from .coordinates import image_centre, to_grid, window_fraction
-from .window import Column, check_size, window_events
+from reference.tnt_reference.coordinates import image_centre, to_grid, window_fraction
+from reference.tnt_reference.window import Column, check_size, window_events
 
 LANDMARKS = ("center", "running", "line", "window")
 
@@ -19,9 +19,16 @@ _CHUNK_CELLS = 1 << 16  # prefixes x events held at once by `line`: 512 KiB an a
 
 
 def landmark(
-    name: str, t: Column, x: Column, y: Column, *, start_us: int, window_us: int,
-    sensor: tuple[int, int], grid: tuple[int, int],
-) -> torch.Tensor:  # fmt: skip
+    name: str,
+    t: Column,
+    x: Column,
+    y: Column,
+    *,
+    start_us: int,
+    window_us: int,
+    sensor: tuple[int, int],
+    grid: tuple[int, int],
+) -> torch.Tensor:
     """The landmark on which each event is centred, in grid pixels.
 
         center   l_i = c
@@ -59,8 +66,9 @@ def landmark(
     if name == "regressor":
         raise ValueError("landmark 'regressor' needs a network: use Pipeline, or pass the (x, y) it found")
     if name not in LANDMARKS:
-        raise ValueError(f"`landmark` must be one of {', '.join(LANDMARKS)}, or (x, y), or a tensor (N, 2); "
-                         f"got {name!r}")  # fmt: skip
+        raise ValueError(
+            f"`landmark` must be one of {', '.join(LANDMARKS)}, or (x, y), or a tensor (N, 2); got {name!r}"
+        )
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
     pixels = events.pixels[events.inside]  # (M, 2), the events that take part
     f = window_fraction(events.dt[events.inside], window_us)  # (M,)
@@ -77,9 +85,15 @@ def landmark(
 
 
 def fitted_flow(
-    t: Column, x: Column, y: Column, *, start_us: int, window_us: int,
-    sensor: tuple[int, int], grid: tuple[int, int],
-) -> torch.Tensor:  # fmt: skip
+    t: Column,
+    x: Column,
+    y: Column,
+    *,
+    start_us: int,
+    window_us: int,
+    sensor: tuple[int, int],
+    grid: tuple[int, int],
+) -> torch.Tensor:
     """The slope m_i that goes with landmark `line`: the flow fitted to events 1..i.
 
         m_i = C_xf / (C_ff + 1),   C_xf = sum_j (x_j - mean_x)(f_j - mean_f),   C_ff = sum_j (f_j - mean_f)^2

@@ -8,10 +8,10 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from .landmarks import LANDMARKS
-from .transform import tnt_coordinates
-from .volume import check_bins, event_volume, tnt_volume
-from .window import Column, check_polarity, check_size, whole_number
+from reference.tnt_reference.landmarks import LANDMARKS
+from reference.tnt_reference.transform import tnt_coordinates
+from reference.tnt_reference.volume import check_bins, event_volume, tnt_volume
+from reference.tnt_reference.window import Column, check_polarity, check_size, whole_number
 
 
 class Classifier(nn.Module):
@@ -34,9 +34,12 @@ class Classifier(nn.Module):
     """
 
     def __init__(
-        self, channels: int = 9, grid: tuple[int, int] = (34, 34), n_classes: int = 10,
+        self,
+        channels: int = 9,
+        grid: tuple[int, int] = (34, 34),
+        n_classes: int = 10,
         widths: tuple[int, int, int] = (16, 32, 64),
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__()
         width, height = grid_for_two_pools(grid)
         self.channels, self.grid = channels, (width, height)
@@ -122,19 +125,30 @@ class Pipeline(nn.Module):
     """
 
     def __init__(
-        self, classifier: nn.Module, *, sensor: tuple[int, int], window_us: int,
-        grid: tuple[int, int] | None = None, bins: int = 9, t_max: float = 8.0, polarity: str = "signed",
-        landmark: str = "running", transform: str = "tnt", remove_flow: bool = False,
+        self,
+        classifier: nn.Module,
+        *,
+        sensor: tuple[int, int],
+        window_us: int,
+        grid: tuple[int, int] | None = None,
+        bins: int = 9,
+        t_max: float = 8.0,
+        polarity: str = "signed",
+        landmark: str = "running",
+        transform: str = "tnt",
+        remove_flow: bool = False,
         regressor: nn.Module | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__()
         if transform not in ("tnt", "none"):
             raise ValueError(f"`transform` must be 'tnt' or 'none', got {transform!r}")
         if landmark not in (*LANDMARKS, "regressor"):
             raise ValueError(f"`landmark` must be one of {', '.join(LANDMARKS)}, regressor; got {landmark!r}")
         if (landmark == "regressor") != (regressor is not None):
-            raise ValueError(f"landmark 'regressor' and a `regressor` network go together: got landmark "
-                             f"{landmark!r} and regressor {type(regressor).__name__}")  # fmt: skip
+            raise ValueError(
+                f"landmark 'regressor' and a `regressor` network go together: got landmark "
+                f"{landmark!r} and regressor {type(regressor).__name__}"
+            )
         self.classifier, self.regressor = classifier, regressor
         self.sensor = check_size("sensor", sensor)
         self.grid = check_size("grid", grid if grid is not None else sensor)
@@ -144,15 +158,24 @@ class Pipeline(nn.Module):
         check_polarity(polarity)
         # No events: every remaining setting is checked where it is used.
         tnt_coordinates(
-            [], [], [], start_us=0, window_us=window_us, sensor=self.sensor, grid=self.grid, t_max=t_max,
-            landmark=(0.0, 0.0) if landmark == "regressor" else landmark, remove_flow=remove_flow,
-        )  # fmt: skip
+            [],
+            [],
+            [],
+            start_us=0,
+            window_us=window_us,
+            sensor=self.sensor,
+            grid=self.grid,
+            t_max=t_max,
+            landmark=(0.0, 0.0) if landmark == "regressor" else landmark,
+            remove_flow=remove_flow,
+        )
         channels = 2 * bins if polarity == "split" else bins
         for name, network in (("classifier", classifier), ("regressor", regressor)):
             expected = (getattr(network, "channels", channels), getattr(network, "grid", self.grid))
             if expected != (channels, self.grid):
-                raise ValueError(f"the {name} is built for (channels, grid) {expected}, "
-                                 f"these settings give {(channels, self.grid)}")  # fmt: skip
+                raise ValueError(
+                    f"the {name} is built for (channels, grid) {expected}, these settings give {(channels, self.grid)}"
+                )
 
     def volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
         """(C, H, W): what the classifier sees of one window, in the type of the networks' weights."""
@@ -162,17 +185,37 @@ class Pipeline(nn.Module):
         if self.regressor is not None:
             landmark = self.regressor(self.raw_volume(t, x, y, p, start_us))  # (2,)
         return tnt_volume(
-            t, x, y, p, start_us=start_us, window_us=self.window_us, sensor=self.sensor, grid=self.grid,
-            bins=self.bins, t_max=self.t_max, polarity=self.polarity, landmark=landmark,
-            remove_flow=self.remove_flow, dtype=self.dtype,
-        )  # fmt: skip
+            t,
+            x,
+            y,
+            p,
+            start_us=start_us,
+            window_us=self.window_us,
+            sensor=self.sensor,
+            grid=self.grid,
+            bins=self.bins,
+            t_max=self.t_max,
+            polarity=self.polarity,
+            landmark=landmark,
+            remove_flow=self.remove_flow,
+            dtype=self.dtype,
+        )
 
     def raw_volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
         """(C, H, W): the untransformed event volume of one window."""
         return event_volume(
-            t, x, y, p, start_us=start_us, window_us=self.window_us, sensor=self.sensor, grid=self.grid,
-            bins=self.bins, polarity=self.polarity, dtype=self.dtype,
-        )  # fmt: skip
+            t,
+            x,
+            y,
+            p,
+            start_us=start_us,
+            window_us=self.window_us,
+            sensor=self.sensor,
+            grid=self.grid,
+            bins=self.bins,
+            polarity=self.polarity,
+            dtype=self.dtype,
+        )
 
     @property
     def dtype(self) -> torch.dtype:

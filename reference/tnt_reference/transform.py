@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import torch
 
-from . import landmarks
-from .coordinates import image_centre, tnt_time, to_grid, window_fraction
-from .window import Column, check_size, window_events
+from reference.tnt_reference import landmarks
+from reference.tnt_reference.coordinates import image_centre, tnt_time, to_grid, window_fraction
+from reference.tnt_reference.window import Column, check_size, window_events
 
 BORDER_TOLERANCE = 1e-9  # pixels
 
@@ -22,10 +22,18 @@ class TNTCoordinates(NamedTuple):
 
 
 def tnt_coordinates(
-    t: Column, x: Column, y: Column, *, start_us: int, window_us: int,
-    sensor: tuple[int, int], grid: tuple[int, int], t_max: float = 8.0,
-    landmark: str | Sequence[float] | torch.Tensor = "running", remove_flow: bool = False,
-) -> TNTCoordinates:  # fmt: skip
+    t: Column,
+    x: Column,
+    y: Column,
+    *,
+    start_us: int,
+    window_us: int,
+    sensor: tuple[int, int],
+    grid: tuple[int, int],
+    t_max: float = 8.0,
+    landmark: str | Sequence[float] | torch.Tensor = "running",
+    remove_flow: bool = False,
+) -> TNTCoordinates:
     """Transformed position of each event, and whether the event is kept.
 
         u_i = (x_i - l_x) / tau_i + c_x                    v_i likewise with y

@@ -7,16 +7,25 @@ from itertools import product
 
 import torch
 
-from .coordinates import bin_position, to_grid
-from .transform import tnt_coordinates
-from .window import Column, check_polarity, check_size, signs, whole_number, window_events
+from reference.tnt_reference.coordinates import bin_position, to_grid
+from reference.tnt_reference.transform import tnt_coordinates
+from reference.tnt_reference.window import Column, check_polarity, check_size, signs, whole_number, window_events
 
 
 def event_volume(
-    t: Column, x: Column, y: Column, p: Column, *, start_us: int, window_us: int,
-    sensor: tuple[int, int], grid: tuple[int, int], bins: int = 9, polarity: str = "signed",
+    t: Column,
+    x: Column,
+    y: Column,
+    p: Column,
+    *,
+    start_us: int,
+    window_us: int,
+    sensor: tuple[int, int],
+    grid: tuple[int, int],
+    bins: int = 9,
+    polarity: str = "signed",
     dtype: torch.dtype = torch.float32,
-) -> torch.Tensor:  # fmt: skip
+) -> torch.Tensor:
     """The raw event volume of one window: every event at its own place, nothing transformed.
 
         V[b, y, x] = sum_i s_i k(b - b_i) k(y - y_i) k(x - x_i),     k(a) = max(0, 1 - |a|)
@@ -63,11 +72,22 @@ def event_volume(
 
 
 def tnt_volume(
-    t: Column, x: Column, y: Column, p: Column, *, start_us: int, window_us: int,
-    sensor: tuple[int, int], grid: tuple[int, int], bins: int = 9, t_max: float = 8.0,
-    polarity: str = "signed", landmark: str | Sequence[float] | torch.Tensor = "running",
-    remove_flow: bool = False, dtype: torch.dtype = torch.float32,
-) -> torch.Tensor:  # fmt: skip
+    t: Column,
+    x: Column,
+    y: Column,
+    p: Column,
+    *,
+    start_us: int,
+    window_us: int,
+    sensor: tuple[int, int],
+    grid: tuple[int, int],
+    bins: int = 9,
+    t_max: float = 8.0,
+    polarity: str = "signed",
+    landmark: str | Sequence[float] | torch.Tensor = "running",
+    remove_flow: bool = False,
+    dtype: torch.dtype = torch.float32,
+) -> torch.Tensor:
     """The event volume after the Temporal Normalization Transform.
 
         V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)      over the kept events
@@ -85,16 +105,31 @@ def tnt_volume(
     sign = signs(p, len(events.dt))
     b = bin_position(events.dt, window_us, check_bins(bins))  # (N,)
     u, v, kept = tnt_coordinates(
-        t, x, y, start_us=start_us, window_us=window_us, sensor=sensor, grid=grid, t_max=t_max,
-        landmark=landmark, remove_flow=remove_flow,
-    )  # fmt: skip
+        t,
+        x,
+        y,
+        start_us=start_us,
+        window_us=window_us,
+        sensor=sensor,
+        grid=grid,
+        t_max=t_max,
+        landmark=landmark,
+        remove_flow=remove_flow,
+    )
     return volume_of(b, v, u, sign, kept, bins, grid, polarity, dtype)
 
 
 def volume_of(
-    b: torch.Tensor, v: torch.Tensor, u: torch.Tensor, sign: torch.Tensor, kept: torch.Tensor, bins: int,
-    grid: tuple[int, int], polarity: str, dtype: torch.dtype,
-) -> torch.Tensor:  # fmt: skip
+    b: torch.Tensor,
+    v: torch.Tensor,
+    u: torch.Tensor,
+    sign: torch.Tensor,
+    kept: torch.Tensor,
+    bins: int,
+    grid: tuple[int, int],
+    polarity: str,
+    dtype: torch.dtype,
+) -> torch.Tensor:
     """Splat the kept events with the weights that `polarity` asks for. All columns (N,)."""
     check_polarity(polarity)
     if not dtype.is_floating_point:

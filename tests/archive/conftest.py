@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from async_tnt.recordings import sample_recordings
+from async_tnt.sources.files.recording import sample_recordings
 
 ROOT = Path(__file__).resolve().parents[2]
 

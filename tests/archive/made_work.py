@@ -26,14 +26,27 @@ def record_of(task):
     """A whole record, by the file's content alone, but for the seconds."""
     text = task.path.read_text()
     decision = {
-        "time_us": len(text), "window_start_us": 0, "label": text, "probability": 0.5, "probabilities": [0.5, 0.5],
-        "events": len(text), "complete": True, "trigger": "window",
-    }  # fmt: skip
+        "time_us": len(text),
+        "window_start_us": 0,
+        "label": text,
+        "probability": 0.5,
+        "probabilities": [0.5, 0.5],
+        "events": len(text),
+        "complete": True,
+        "trigger": "window",
+    }
     return {
-        **failed(task, ""), "label": text, "probability": 0.25, "probabilities": [0.1 + 0.2, 0.75], "windows": 1,
-        "events": len(text), "late": 0, "decisions": [decision] * (1 + len(text) % 3), "error": None,
+        **failed(task, ""),
+        "label": text,
+        "probability": 0.25,
+        "probabilities": [0.1 + 0.2, 0.75],
+        "windows": 1,
+        "events": len(text),
+        "late": 0,
+        "decisions": [decision] * (1 + len(text) % 3),
+        "error": None,
         "seconds": time.monotonic(),
-    }  # fmt: skip
+    }
 
 
 def deadly(task):
@@ -118,14 +131,14 @@ def long_in(folder):
 
 def longs(folder):
     """Two workers that are long in a task, for a program that is killed."""
-    from async_tnt.workers import run_all
+    from async_tnt.archive.workers import run_all
 
     list(run_all(long_in, [Path(folder)] * 2, 2))
 
 
 def shorts():
     """Workers that answer all the time, for a program that is killed."""
-    from async_tnt.workers import run_all
+    from async_tnt.archive.workers import run_all
 
     for _ in run_all(double, range(10**6), 2):
         print(end=".", flush=True)

@@ -94,10 +94,16 @@ def test_a_second_program_is_refused(samples, tmp_path, program, start, wait_for
 
 def test_evaluate_reports_the_same_with_a_file_and_without(few, tmp_path, program):
     pytest.importorskip("pyarrow", reason="Parquet needs pyarrow (extra `cluster`)")
-    reports = [report_of(program("evaluate", "digits", few, "--json", *words)[1]) for words in (
-        (), ("--workers", 2), ("--out", tmp_path / "r.jsonl"), ("--out", tmp_path / "r.parquet"),
-        ("--out", tmp_path / "r.parquet"),
-    )]  # fmt: skip
+    reports = [
+        report_of(program("evaluate", "digits", few, "--json", *words)[1])
+        for words in (
+            (),
+            ("--workers", 2),
+            ("--out", tmp_path / "r.jsonl"),
+            ("--out", tmp_path / "r.parquet"),
+            ("--out", tmp_path / "r.parquet"),
+        )
+    ]
     assert all(report == reports[0] for report in reports) and reports[0]["recordings"] == 20
     again = json.loads(program("evaluate", "digits", few, "--json", "--out", tmp_path / "r.jsonl")[1])
     assert [again[name] for name in TIMES] == [None] * 3
@@ -223,7 +229,7 @@ def test_an_interrupted_run_is_not_gone_on_with_in_another_folder(words, few, tm
 
 
 def test_late_events_are_counted_and_said(few, tmp_path, program):
-    from async_tnt.recordings import open_recording
+    from async_tnt.sources.files.recording import open_recording
 
     events = open_recording(few / "3" / "00.bin").read()
     folder = tmp_path / "set" / "3"

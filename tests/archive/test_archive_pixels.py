@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from async_tnt.archive.collect import Collected, collect
+from async_tnt.archive.executor import Place
 from async_tnt.archive.job import Job, job_of, task_of
-from async_tnt.archive.place import Place
 from async_tnt.archive.records import run_recording
-from async_tnt.engines.choice import choose_engine
-from async_tnt.pixels import PackedMask, PixelFilter, PixelSelection, save_mask
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.networks.engines import choose_engine
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import save_mask
+from async_tnt.sources.pixel_selection import PackedMask, PixelSelection
 
 TIMES = {"seconds", "decisions_per_second", "events_per_second"}
 HOT = [(3, 4), (30, 29), (4, 30)]
@@ -179,8 +181,12 @@ def test_without_a_selection_the_job_is_the_one_of_older_results():
     """The settings as they were written before there were selections: a change would make all results begin anew."""
     job = Job("run", "digits", "compiled", {"every_us": 5000}, model_sha256="a" * 64, version="0.1.0")
     assert job.about == {
-        "command": "run", "version": "0.1.0", "engine": "compiled", "every_us": 5000, "model_sha256": "a" * 64,
-    }  # fmt: skip
+        "command": "run",
+        "version": "0.1.0",
+        "engine": "compiled",
+        "every_us": 5000,
+        "model_sha256": "a" * 64,
+    }
     assert job.id == "083e09a68da2"
     engine = choose_engine("digits", "compiled")
     assert job_of("run", "digits", engine).id == job_of("run", "digits", engine, PixelSelection()).id
@@ -309,6 +315,8 @@ def test_a_thread_keeps_one_selector_and_counts_each_recording_of_its_own(sets, 
     job = job_of("run", "digits", choose_engine("digits"), PixelSelection(mask=hot_mask(SIZE)), every_us=12_345)
     records = [run_recording(task_of(path.name, path, job)) for path in sorted(tmp_path.glob("*.npz"))]
     assert [record["error"] for record in records] == [
-        None, "2.npz: no events are left: 7 of masked pixels", "3.npz: no events",
-    ]  # fmt: skip
+        None,
+        "2.npz: no events are left: 7 of masked pixels",
+        "3.npz: no events",
+    ]
     assert len(made) == 1

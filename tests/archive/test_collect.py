@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt.archive.collect import Collected, collect, collect_to_file, journal_of
+from async_tnt.archive.executor import Place
 from async_tnt.archive.job import Job
-from async_tnt.archive.place import Place
 from async_tnt.archive.records import failed
 
 NAMES = ["b", "a", "ccc", "dd", "a-b"]

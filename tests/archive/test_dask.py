@@ -15,7 +15,7 @@ from archive.made_work import JOB, deadly, long, make_tasks, record_of, slow
 from async_tnt.archive import dask_cluster
 from async_tnt.archive.collect import Collected, collect_to_file
 from async_tnt.archive.dask_cluster import run_on_dask
-from async_tnt.archive.place import Place
+from async_tnt.archive.executor import Place
 from async_tnt.archive.records import lost
 
 NAMES = [f"{k:02d}" for k in range(40)]

@@ -74,10 +74,15 @@ def test_cut_anywhere_it_holds_its_whole_lines(written):
         assert path.exists() == (whole > 1)
 
 
-@given(st.binary(max_size=200) | st.recursive(
-    st.none() | st.booleans() | st.floats() | st.text(), lambda s: st.lists(s) | st.dictionaries(st.text(), s),
-    max_leaves=8,
-).map(lambda made: json.dumps(made).encode() + b"\n"), st.integers(0, 4))  # fmt: skip
+@given(
+    st.binary(max_size=200)
+    | st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text(),
+        lambda s: st.lists(s) | st.dictionaries(st.text(), s),
+        max_leaves=8,
+    ).map(lambda made: json.dumps(made).encode() + b"\n"),
+    st.integers(0, 4),
+)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200)
 def test_garbage_is_cut_off_and_nothing_before_it(written, content, garbage, line):
     path, records = written

@@ -13,7 +13,7 @@ import pytest
 from archive.made_work import OnlyHere, Unreadable, deadly, double, ends, make_tasks, odd, slow, unreadable, unsendable
 
 from async_tnt.archive.records import lost
-from async_tnt.workers import _sent, run_all
+from async_tnt.archive.workers import _sent, run_all
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kill -9 is a matter of POSIX")
 
@@ -75,9 +75,11 @@ def _start(code):
     here = Path(__file__).resolve().parents[2]
     paths = os.pathsep.join(str(here / name) for name in ("", "reference", "tests"))
     return subprocess.Popen(
-        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": paths}, stdout=subprocess.PIPE,
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": paths},
+        stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-    )  # fmt: skip
+    )
 
 
 def _wait(until, what, timeout_s=60):

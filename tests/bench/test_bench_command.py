@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from async_tnt import Model, TNTConfig
-from async_tnt.bench import add_arguments, latency, main
-from async_tnt.bench.command import TITLES, table
-from async_tnt.bench.contenders import WORK as ENGINES
-from async_tnt.bench.moments import made_recording
-from async_tnt.bench.timing import Progress, interleave, spread
+from async_tnt.checking import bench_latency as latency
+from async_tnt.checking.backends import WORK as ENGINES
+from async_tnt.checking.moments import made_recording
+from async_tnt.checking.timing import Progress, interleave, spread
+from async_tnt.cli.bench import TITLES, add_arguments, main, table
 
 WAYS = {"single"} | {f"packet_{n}_{form}" for n in (10, 100, 1300) for form in ("structured", "columns")}
 needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
@@ -33,7 +33,7 @@ def parse(*words: str) -> argparse.Namespace:
 @pytest.fixture(scope="module")
 def small_grids():
     patch = pytest.MonkeyPatch()
-    patch.setattr("async_tnt.bench.command.GRIDS", ((34, 34), (64, 48)))
+    patch.setattr("async_tnt.cli.bench.GRIDS", ((34, 34), (64, 48)))
     yield
     patch.undo()
 
@@ -101,7 +101,7 @@ def test_the_table_shows_every_figure(report):
 
 
 def test_an_engine_of_other_logits_is_refused(small_grids, monkeypatch, capsys):
-    from async_tnt.bench import contenders
+    from async_tnt.checking import backends as contenders
 
     right = contenders.MAKERS["dense"]
 
@@ -118,7 +118,7 @@ def test_an_engine_of_other_logits_is_refused(small_grids, monkeypatch, capsys):
 
 @needs_torch
 def test_different_work_is_not_timed_but_refused(small_grids, monkeypatch, capsys):
-    from async_tnt.bench.torch_batch import TorchBatch
+    from async_tnt.checking.torch_batch import TorchBatch
 
     right = TorchBatch.volume
     monkeypatch.setattr(TorchBatch, "volume", lambda self, *columns: 1.001 * right(self, *columns))
@@ -140,7 +140,7 @@ def test_without_torch_it_says_so_and_times_ours(small_grids, monkeypatch, capsy
 
 
 def test_the_bench_package_does_not_import_torch():
-    code = "import sys, async_tnt.bench, async_tnt.bench.latency; sys.exit('torch' in sys.modules)"
+    code = "import sys, async_tnt.bench, async_tnt.checking.bench_latency; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -158,8 +158,11 @@ def test_random_weights_stand_in_where_no_model_is_bundled(monkeypatch):
 
 
 @needs_torch
-@pytest.mark.parametrize("settings", [{"polarity": "split", "landmark": "line"}, {"landmark": "window"},
-                                      {"transform": "none", "bins": 1}], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "settings",
+    [{"polarity": "split", "landmark": "line"}, {"landmark": "window"}, {"transform": "none", "bins": 1}],
+    ids=str,
+)
 def test_any_model_is_timed_on_a_made_stream(settings):
     """Another sensor and grid than the samples', several windows: both ways see the same events at all times."""
     config = TNTConfig(sensor=(50, 40), grid=(24, 20), window_us=10_000, **settings)
@@ -188,8 +191,13 @@ def test_cases_take_turns_and_the_warm_up_is_not_counted():
 
 def test_spread_by_hand():
     assert spread(np.array([1.0, 2.0, 3.0, 4.0, 9.0])) == {
-        "median": 3.0, "q1": 2.0, "q3": 4.0, "min": 1.0, "max": 9.0, "n": 5,
-    }  # fmt: skip
+        "median": 3.0,
+        "q1": 2.0,
+        "q3": 4.0,
+        "min": 1.0,
+        "max": 9.0,
+        "n": 5,
+    }
 
 
 def test_progress_keeps_quiet_at_first(capsys):
@@ -199,8 +207,12 @@ def test_progress_keeps_quiet_at_first(capsys):
     assert capsys.readouterr().err == "[1/2] at once ...\n"
 
 
-TWINS = [{"landmark": name, "polarity": p, "t_max": t} for name in ("center", "running", "line", "window")
-         for p in ("signed", "unsigned", "split") for t in (2.0, 8.0)]  # fmt: skip
+TWINS = [
+    {"landmark": name, "polarity": p, "t_max": t}
+    for name in ("center", "running", "line", "window")
+    for p in ("signed", "unsigned", "split")
+    for t in (2.0, 8.0)
+]
 TWINS += [{"landmark": "line", "remove_flow": True, "t_max": 2.0}, {"transform": "none"}, {"bins": 1}]
 
 
@@ -212,7 +224,7 @@ def test_the_batch_way_is_the_reference(settings, grid):
     import torch
     from tnt_reference import event_volume, tnt_volume
 
-    from async_tnt.bench.torch_batch import TorchBatch, as_tensors
+    from async_tnt.checking.torch_batch import TorchBatch, as_tensors
 
     config = TNTConfig(grid=grid, window_us=20_000, **settings)
     events = made_recording(np.random.default_rng(5), config, 3000)

@@ -66,8 +66,10 @@ def test_every_peer_is_timed_or_left_out_with_a_reason(peers_report):
         assert row["mev_per_s"] == pytest.approx(1e3 / row["ns_per_event"]["median"]), name
 
 
-@pytest.mark.parametrize("package, row", [("torch", "dsec_torch"), ("torch", "torch_scatter"),
-                                          ("eventcv", "eventcv_numpy"), ("tonic", "tonic")])  # fmt: skip
+@pytest.mark.parametrize(
+    "package, row",
+    [("torch", "dsec_torch"), ("torch", "torch_scatter"), ("eventcv", "eventcv_numpy"), ("tonic", "tonic")],
+)
 def test_a_peer_that_is_installed_is_compared(peers_report, package, row):
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed")

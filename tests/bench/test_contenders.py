@@ -9,10 +9,13 @@ import pytest
 from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, load_model
-from async_tnt.bench import contenders, end_to_end, every_event, network
-from async_tnt.bench.contenders import dense_networks, left_out
-from async_tnt.bench.moments import Moments, bench_recordings, windows_of
-from async_tnt.bench.turns import WorkDiffers
+from async_tnt.checking import backends as contenders
+from async_tnt.checking import bench_end_to_end as end_to_end
+from async_tnt.checking import bench_every_event as every_event
+from async_tnt.checking import bench_network as network
+from async_tnt.checking.backends import dense_networks, left_out
+from async_tnt.checking.interleaved import WorkDiffers
+from async_tnt.checking.moments import Moments, bench_recordings, windows_of
 
 needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
 SMALL = TNTConfig(sensor=(20, 16), grid=(20, 16), bins=3, window_us=1000)
@@ -109,7 +112,7 @@ def test_networks_that_differ_stop_the_comparison(model, windows):
 
 @needs_torch
 def test_a_wrong_batch_way_stops_the_comparison(model, windows, monkeypatch):
-    from async_tnt.bench.torch_batch import TorchBatch
+    from async_tnt.checking.torch_batch import TorchBatch
 
     right = TorchBatch.volume
     monkeypatch.setattr(TorchBatch, "volume", lambda self, *columns: right(self, *columns) * 1.01)

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from async_tnt.bench import contenders, end_to_end
+from async_tnt.checking import backends as contenders
+from async_tnt.checking import bench_end_to_end as end_to_end
 
 RECORDED = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "decisions.json"
 
@@ -86,7 +87,7 @@ def test_the_picture_is_drawn_again_from_the_figures_alone(quick, tmp_path, caps
 
 def test_the_picture_names_every_line_and_shows_its_medians(quick):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")
-    from async_tnt.bench.decision_picture import NETWORKS, WAYS, draw_decisions
+    from async_tnt.views.decision_picture import NETWORKS, WAYS, draw_decisions
 
     _, report, _, _ = quick
     left, right = draw_decisions(report).axes

@@ -10,9 +10,9 @@ import pytest
 from made import events_of
 
 from async_tnt import CompiledClassifier, Decision, LeakyIntegrator, Processor, load_model
-from async_tnt.bench import early
-from async_tnt.bench.early import all_settings, early_decision, early_decisions, labelled, summary
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.checking import bench_early as early
+from async_tnt.checking.bench_early import all_settings, early_decision, early_decisions, labelled, summary
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 WINDOW_US = 105_000
 
@@ -30,8 +30,9 @@ def judged(decisions, **settings):
 
 
 def test_a_fixed_moment_counts_from_itself_and_not_from_its_newest_event():
-    found = judged([decision(19_000, "every_us", 5), decision(39_999, "every_us"), decision(104_000, "window")],
-                   every_us=20_000)  # fmt: skip
+    found = judged(
+        [decision(19_000, "every_us", 5), decision(39_999, "every_us"), decision(104_000, "window")], every_us=20_000
+    )
     assert (found.right, found.ms, found.by_trigger) == (False, 20.0, True)
     assert (found.evaluations_until, found.evaluations, found.emitted) == (1, 3, 3)
     quiet = judged([decision(40_000, "every_us"), decision(104_000, "window")], every_us=20_000)
@@ -39,8 +40,11 @@ def test_a_fixed_moment_counts_from_itself_and_not_from_its_newest_event():
 
 
 def test_confidence_counts_where_it_closed_the_window():
-    found = judged([decision(900, "every_us", 1), decision(1500, "every_us", 2), decision(2700, "confidence")],
-                   confidence=0.9, every_us=1000)  # fmt: skip
+    found = judged(
+        [decision(900, "every_us", 1), decision(1500, "every_us", 2), decision(2700, "confidence")],
+        confidence=0.9,
+        every_us=1000,
+    )
     assert (found.right, found.ms, found.evaluations_until, found.evaluations) == (True, 3.0, 3, 3)
     never = judged([decision(900, "every_us", 1), decision(104_000, "window")], confidence=0.9, every_us=1000)
     assert (never.right, never.ms, never.by_trigger, never.evaluations_until) == (True, 105.0, False, 2)
@@ -54,15 +58,26 @@ def test_confidence_alone_asks_at_every_event_and_once_more_at_the_end():
         assert (never.right, never.ms, never.by_trigger, never.evaluations) == (False, 105.0, False, 1401)
 
 
-@pytest.mark.parametrize("trigger, settings", [("every_events", {"every_events": 10}),
-                                               ("activity", {"activity": LeakyIntegrator(9, 100)})])  # fmt: skip
+@pytest.mark.parametrize(
+    "trigger, settings", [("every_events", {"every_events": 10}), ("activity", {"activity": LeakyIntegrator(9, 100)})]
+)
 def test_events_count_from_their_own_time(trigger, settings):
     found = judged([decision(1234, trigger, 4), decision(1300, trigger), decision(9000, "end")], **settings)
     assert (found.right, found.ms, found.evaluations_until, found.emitted) == (False, 1.234, 1, 3)
 
 
-@pytest.mark.parametrize("settings", [{"confidence": 0.5}, {"confidence": 0.95}, {"confidence": 0.9, "every_us": 3000},
-                                      {"every_events": 200}, {"every_us": 30_000}, {}], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"confidence": 0.5},
+        {"confidence": 0.95},
+        {"confidence": 0.9, "every_us": 3000},
+        {"every_events": 200},
+        {"every_us": 30_000},
+        {},
+    ],
+    ids=str,
+)
 def test_the_evaluations_are_those_that_a_counting_classifier_counts(settings):
     model = load_model("digits")
     events = open_recording(sample_recordings()[3]).read()
@@ -81,8 +96,11 @@ def test_the_evaluations_are_those_that_a_counting_classifier_counts(settings):
 
 
 def test_summaries_by_hand():
-    rows = [early.Early(True, 10.0, 20, True, 1, 3, 4), early.Early(False, 30.0, 60, True, 3, 5, 6),
-            early.Early(True, 105.0, 100, False, 8, 8, 2)]  # fmt: skip
+    rows = [
+        early.Early(True, 10.0, 20, True, 1, 3, 4),
+        early.Early(False, 30.0, 60, True, 3, 5, 6),
+        early.Early(True, 105.0, 100, False, 8, 8, 2),
+    ]
     found = summary(rows)
     assert found["windows"] == 3 and found["accuracy"] == pytest.approx(2 / 3)
     assert (found["mean_ms"], found["median_ms"], found["mean_events"]) == (pytest.approx(145 / 3), 30.0, 60.0)
@@ -157,13 +175,17 @@ def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys, load_ben
     assert again.read_bytes() == picture.read_bytes()
 
 
-@pytest.mark.parametrize("words, said", [
-    (["no_such_folder"], r"no recordings no_such_folder/<digit>/\*\.bin"),
-    (["--recordings", "0"], "--recordings must be at least 1, got 0"),
-    (["--workers", "0"], "--workers must be at least 1, got 0"),
-    (["--picture", "early.gif"], "must end in .png, .svg, .pdf, got early.gif"),
-    (["--from", "no_such.json"], "no_such.json"),
-], ids=lambda words: " ".join(words) if isinstance(words, list) else "")  # fmt: skip
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["no_such_folder"], r"no recordings no_such_folder/<digit>/\*\.bin"),
+        (["--recordings", "0"], "--recordings must be at least 1, got 0"),
+        (["--workers", "0"], "--workers must be at least 1, got 0"),
+        (["--picture", "early.gif"], "must end in .png, .svg, .pdf, got early.gif"),
+        (["--from", "no_such.json"], "no_such.json"),
+    ],
+    ids=lambda words: " ".join(words) if isinstance(words, list) else "",
+)
 def test_wrong_words_are_bad_usage(words, said, capsys, load_benchmark):
     with pytest.raises(SystemExit, match="2"):
         load_benchmark("early").main(words)

@@ -7,7 +7,7 @@ import pytest
 from made import events_of, random_events, random_model
 
 from async_tnt import TNTConfig, load_model
-from async_tnt.bench.moments import Moments, bench_recordings, windows_of
+from async_tnt.checking.moments import Moments, bench_recordings, windows_of
 
 WINDOW_US = 1000
 
@@ -47,8 +47,11 @@ def test_blocks_are_spread_over_a_lap_and_begin_with_a_decision_of_their_own():
     moments = Moments([window(101)], WINDOW_US, 1)
     blocks = list(moments.blocks(4, 5))
     assert [[len(m.events) for m in block] for block in blocks] == [
-        [2, 3, 4, 5, 6], [27, 28, 29, 30, 31], [52, 53, 54, 55, 56], [77, 78, 79, 80, 81],
-    ]  # fmt: skip
+        [2, 3, 4, 5, 6],
+        [27, 28, 29, 30, 31],
+        [52, 53, 54, 55, 56],
+        [77, 78, 79, 80, 81],
+    ]
     assert [[m.follows for m in block] for block in blocks] == [[False, True, True, True, True]] * 4
 
 

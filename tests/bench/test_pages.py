@@ -55,8 +55,10 @@ def test_an_unknown_table_is_named(pages):
 
 
 def test_cells_by_hand(pages, monkeypatch):
-    row = {"us": {"ours": {"median": 9.96, "p99": 21.4}, "torch": {"median": 432.1, "p99": 1234.5}},
-           "ratio": {"torch": {"median": 34.94}}}  # fmt: skip
+    row = {
+        "us": {"ours": {"median": 9.96, "p99": 21.4}, "torch": {"median": 432.1, "p99": 1234.5}},
+        "ratio": {"torch": {"median": 34.94}},
+    }
     monkeypatch.setattr(pages, "results", lambda name: {"end_to_end": {"1": {"in_blocks": row}}})
     assert pages.end_to_end_in_blocks().splitlines() == [
         "|  | 1 new event |",
@@ -68,9 +70,10 @@ def test_cells_by_hand(pages, monkeypatch):
 
 def test_the_moment_that_is_right_as_often_lies_on_a_straight_line(pages):
     moments = [(10_000, 0.2), (20_000, 0.6), (40_000, 1.0)]
-    found = {"window_us": 50_000, "results": {"moment": [
-        {"settings": {"every_us": us}, "accuracy": accuracy} for us, accuracy in moments
-    ]}}  # fmt: skip
+    found = {
+        "window_us": 50_000,
+        "results": {"moment": [{"settings": {"every_us": us}, "accuracy": accuracy} for us, accuracy in moments]},
+    }
     assert pages.same_moment_ms(found, 0.4) == "15.0"
     assert pages.same_moment_ms(found, 0.9) == "35"
     assert pages.same_moment_ms(found, 1.1) == ""
@@ -86,8 +89,10 @@ def test_what_the_page_says_in_words_holds(pages):
         us = {n: decisions["network"][n][way]["us"] for n in ("1", "1300")}
         assert us["1300"]["incremental"]["median"] == pytest.approx(us["1300"]["dense"]["median"], rel=0.2)
         assert us["1"]["incremental"]["median"] < us["1"]["dense"]["median"] / 2
-    rows = {group: {r["settings"]["confidence"]: r for r in early["results"][group]}
-            for group in ("confidence", "confidence_every_ms")}  # fmt: skip
+    rows = {
+        group: {r["settings"]["confidence"]: r for r in early["results"][group]}
+        for group in ("confidence", "confidence_every_ms")
+    }
     alone, every_ms = rows["confidence"], rows["confidence_every_ms"]
     for level in (0.8, 0.9):
         assert 1.2 < float(pages.same_moment_ms(early, alone[level]["accuracy"])) / alone[level]["mean_ms"] < 1.55

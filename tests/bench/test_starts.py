@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from async_tnt import load_model
-from async_tnt.bench import contenders, starts
+from async_tnt.checking import backends as contenders
+from async_tnt.checking import bench_starts as starts
 
 LOOK = """
 import os

@@ -7,8 +7,8 @@ import pytest
 from made import events_of, random_model
 
 from async_tnt import TNTConfig, load_model
-from async_tnt.bench import touched
-from async_tnt.bench.moments import Moment, bench_recordings, windows_of
+from async_tnt.checking import bench_touched as touched
+from async_tnt.checking.moments import Moment, bench_recordings, windows_of
 
 CONFIG = TNTConfig(sensor=(18, 14), grid=(18, 14), bins=4, window_us=1000, transform="none")
 

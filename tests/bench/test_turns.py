@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from made import random_events
 
-from async_tnt.bench.moments import Moments
-from async_tnt.bench.turns import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
+from async_tnt.checking.interleaved import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
+from async_tnt.checking.moments import Moments
 
 LOGITS = np.array([1.0, -20.0], np.float32)
 

@@ -9,8 +9,8 @@ import pytest
 from cameras.made_devices import PlayedDevice, drivers, found, made_events
 
 import async_tnt
-from async_tnt.cameras import open_camera
-from async_tnt.fresh import BackgroundReader
+from async_tnt.sources.background_reader import BackgroundReader
+from async_tnt.sources.camera_opening import open_camera
 
 
 def opened(packets, **how):

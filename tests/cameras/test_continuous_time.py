@@ -6,7 +6,7 @@ from cameras.made_devices import RECORD
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from async_tnt.cameras.continuous_time import RESTART_US, ContinuousTime
+from async_tnt.sources.clock import RESTART_US, ContinuousTime
 
 DV = np.dtype({"names": ["timestamp", "x"], "formats": ["<i8", "<i2"], "offsets": [0, 8], "itemsize": 16})
 EPOCH = 1_700_000_000_000_000  # dv-processing counts from 1970

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import async_tnt
-from async_tnt.cameras import open_camera
-from async_tnt.cameras.dv import KINDS, DvProcessing, dv_processing
 from async_tnt.events import as_events
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.camera_dv import KINDS, DvProcessing, dv_processing
+from async_tnt.sources.camera_opening import open_camera
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 dv = pytest.importorskip("dv_processing", reason="dv-processing is not installed (extra `cameras`)")
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import async_tnt
-from async_tnt.cameras import open_camera
-from async_tnt.cameras.continuous_time import RESTART_US
-from async_tnt.cameras.garbled_times import LATEST_US, SILENCE_US, without_garbled_times
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.camera_opening import open_camera
+from async_tnt.sources.clock import RESTART_US
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.garbled_times import LATEST_US, SILENCE_US, without_garbled_times
 
 SIGNED = np.dtype({"names": ["timestamp", "x"], "formats": ["<i8", "<i2"], "offsets": [0, 8], "itemsize": 16})
 S = 1_000_000

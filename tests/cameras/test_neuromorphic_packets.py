@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import async_tnt
-from async_tnt.cameras import open_camera
-from async_tnt.cameras.neuromorphic import WAIT_S, NeuromorphicDrivers
 from async_tnt.events import as_events
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.camera_neuromorphic import WAIT_S, NeuromorphicDrivers
+from async_tnt.sources.camera_opening import open_camera
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 nd = pytest.importorskip("neuromorphic_drivers", reason="neuromorphic-drivers is not installed (extra `cameras`)")
 from neuromorphic_drivers import status  # noqa: E402
@@ -134,7 +134,7 @@ def test_every_camera_of_the_library(model):
         frame = nd.Frame()
         frame.start_t, frame.t, frame.pixels = 1, 2, np.zeros((260, 346), np.uint16)
         others = {"frames": [frame], "imu_events": np.zeros(2, IMU_EVENTS)}
-    for kind in async_tnt.cameras.neuromorphic.KINDS[model.value]:
+    for kind in async_tnt.sources.camera_neuromorphic.KINDS[model.value]:
         packets = [packet_of(events, model, **others), packet_of([], model, **others), UNPLUGGED]
         camera, handle = opened(packets, model, f"camera:{kind}:00050423")
         assert camera.sensor == (properties.width, properties.height)
@@ -145,7 +145,7 @@ def test_every_camera_of_the_library(model):
 
 
 def test_every_name_of_the_library_is_known():
-    assert set(async_tnt.cameras.neuromorphic.KINDS) == {name.value for name in nd.Name}
+    assert set(async_tnt.sources.camera_neuromorphic.KINDS) == {name.value for name in nd.Name}
 
 
 def test_events_are_handed_on_uncopied():
@@ -204,11 +204,11 @@ def test_a_camera_without_permission():
 
 
 def test_the_installed_library_looks():
-    driver = async_tnt.cameras.neuromorphic.neuromorphic_drivers()
+    driver = async_tnt.sources.camera_neuromorphic.neuromorphic_drivers()
     assert driver.name.startswith("neuromorphic-drivers 0.")
     try:
         found = driver.find()
     except RuntimeError as error:  # no USB on this machine
         assert str(error)
     else:
-        assert all(camera.model in async_tnt.cameras.neuromorphic.KINDS for camera in found)
+        assert all(camera.model in async_tnt.sources.camera_neuromorphic.KINDS for camera in found)

@@ -6,8 +6,9 @@ import sys
 import pytest
 from cameras.made_devices import PlayedDevice, PlayedDriver, drivers, found
 
-from async_tnt.cameras import DRIVERS, open_camera, opening
-from async_tnt.live_sources import open_live
+from async_tnt.sources import camera_opening as opening
+from async_tnt.sources.camera_opening import DRIVERS, open_camera
+from async_tnt.sources.live import open_live
 
 HAVE_ND = importlib.util.find_spec("neuromorphic_drivers") is not None
 HAVE_DV = importlib.util.find_spec("dv_processing") is not None

@@ -35,8 +35,22 @@ WRONG = [
         ({name: value}, TypeError, f"`{name}` must be two whole numbers (width, height), got {value!r}")
         for name in ("sensor", "grid")
         for value in (
-            34, None, "34", "ab", (34,), (34, 34, 34), (34.0, 34), (34, "34"), (True, 34), (34, None), {34, 35},
-            (34, [34]), (34, np.float32(34)), np.array([34, 34]), ((34, 34), (34, 34)), (2, np.array([3, 4])),
+            34,
+            None,
+            "34",
+            "ab",
+            (34,),
+            (34, 34, 34),
+            (34.0, 34),
+            (34, "34"),
+            (True, 34),
+            (34, None),
+            {34, 35},
+            (34, [34]),
+            (34, np.float32(34)),
+            np.array([34, 34]),
+            ((34, 34), (34, 34)),
+            (2, np.array([3, 4])),
         )
     ],
     *[
@@ -63,8 +77,15 @@ WRONG = [
     *[
         ({"t_max": value}, ValueError, f"`t_max` must be in [1e-6, 1e6], got {got}")
         for value, got in (
-            (0, "0.0"), (-8.0, "-8.0"), (9e-7, "9e-07"), (1e6 + 1, "1000001.0"), (float("inf"), "inf"),
-            (-float("inf"), "-inf"), (float("nan"), "nan"), (10**400, "inf"), (Fraction(1, 10**7), "1e-07"),
+            (0, "0.0"),
+            (-8.0, "-8.0"),
+            (9e-7, "9e-07"),
+            (1e6 + 1, "1000001.0"),
+            (float("inf"), "inf"),
+            (-float("inf"), "-inf"),
+            (float("nan"), "nan"),
+            (10**400, "inf"),
+            (Fraction(1, 10**7), "1e-07"),
         )
     ],
     # names
@@ -104,7 +125,7 @@ WRONG = [
         ValueError,
         "`grid` and `bins` must give fewer than 2**31 cells, got 2147483648",
     ),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("values", "error", "message"), WRONG)

@@ -145,11 +145,11 @@ NOT_WHOLE = [
     ("y", np.array([b"ab"] * 5), TypeError, "`y` must be whole numbers, got |S2 (b'ab' at event 0)"),
     ("y", np.array([None] * 5), TypeError, "`y` must be whole numbers, got object (NoneType at event 0)"),
     ("y", np.array([1, 2, 3, 4, 5], object), TypeError, "`y` must be whole numbers, got object (int at event 0)"),
-    ("y", np.array([1, 2, 3, 4, -(2**70)], object), ValueError, f"`y` must fit in int64, got {-2**70} at event 4"),
+    ("y", np.array([1, 2, 3, 4, -(2**70)], object), ValueError, f"`y` must fit in int64, got {-(2**70)} at event 4"),
     ("p", np.array([1.0, 0, 1, 1, 1]), TypeError, "`p` must be whole numbers, got float64 (1.0 at event 0)"),
     ("p", np.array([1, np.nan, 1, 1, 1]), ValueError, "`p` must be a whole number, got nan at event 1"),
     ("p", np.array(["ON"] * 5), TypeError, "`p` must be whole numbers, got <U2 (ON at event 0)"),
-]  # fmt: skip
+]
 for _field, _column, _error, _message in NOT_WHOLE:
     _columns = columns_of() | {_field: _column}
     BAD[f"{_field} in {_column.dtype}, records: {_message[:50]}"] = as_records(_columns), _error, _message
@@ -304,7 +304,7 @@ BAD |= {
     "an event with a time beyond int64": (
         (-(2**63) - 1, 0, 0, 0),
         ValueError,
-        f"`t` must fit in int64, got {-2**63 - 1} at event 0",
+        f"`t` must fit in int64, got {-(2**63) - 1} at event 0",
     ),
     "a column of nothing": ((T, X, Y, None), TypeError, "`p` must be whole numbers, got object (NoneType at event 0)"),
     "a column of text": (("abc", X, Y, P), TypeError, "`t` must be whole numbers, got <U3 (abc at event 0)"),
@@ -318,7 +318,7 @@ BAD |= {
         TypeError,
         "`t` must be whole numbers, got object (function at event 0)",
     ),
-}  # fmt: skip
+}
 
 # -- masked arrays ---------------------------------------------------------------------------------------------
 

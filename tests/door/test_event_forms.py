@@ -11,7 +11,7 @@ import torch
 
 from async_tnt import events as door_module
 from async_tnt.events import EVENT_DTYPE, EventDoor, as_events
-from async_tnt.kernels.columns import FINE
+from async_tnt.kernels.records import FINE
 
 SENSOR = (346, 260)
 T = [16_777_217, 16_777_219, 16_777_219, 16_777_218, 2_000_000_003, 2_000_000_004, 2_000_000_005]
@@ -295,8 +295,10 @@ def test_columns_of_a_table_in_either_order():
 def test_limits_of_time():
     last = 2**62 - 1
     for number in ("<i8", "<u8", ">i8", ">u8"):
-        assert_taken(records([("t", number), *EVENT_DTYPE.descr[1:]], ([0, last], [0, 0], [0, 0], [0, 0])),
-                     ([0, last], [0, 0], [0, 0], [0, 0]))  # fmt: skip
+        assert_taken(
+            records([("t", number), *EVENT_DTYPE.descr[1:]], ([0, last], [0, 0], [0, 0], [0, 0])),
+            ([0, last], [0, 0], [0, 0], [0, 0]),
+        )
         assert_taken((np.array([0, last], number), [0, 0], [0, 0], [0, 0]), ([0, last], [0, 0], [0, 0], [0, 0]))
 
 

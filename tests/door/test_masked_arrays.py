@@ -5,11 +5,13 @@ import pytest
 from door.bad_events import MASKED, SENSOR
 
 from async_tnt import Model, load_model
-from async_tnt.classifier import CompiledClassifier
 from async_tnt.events import EventDoor
-from async_tnt.pixels import PixelFilter, save_mask
-from async_tnt.representations import move_by_flow
-from async_tnt.simulation import render, simulate_events
+from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.representations.motion import move_by_flow
+from async_tnt.simulation.scene import render
+from async_tnt.simulation.simulator import simulate_events
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import save_mask
 
 MODEL = load_model("digits")
 

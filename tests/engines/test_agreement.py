@@ -7,10 +7,12 @@ from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model, random_regressor_model
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, Processor, TNTConfig, TNTVolume, load_model
-from async_tnt.engines import OnnxClassifier, OnnxRegressor, TorchClassifier, regressor_to_onnx, to_onnx
-from async_tnt.engines.choice import choose_engine
-from async_tnt.equality import closed_volumes
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.checking.equality import closed_volumes
+from async_tnt.networks.engines import choose_engine
+from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
+from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
+from async_tnt.networks.torch_network import TorchClassifier
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.training.networks import network_of
 
 pytest.importorskip("onnx", reason="onnx is not installed (extra `onnx`)")
@@ -73,8 +75,11 @@ def test_decisions_on_the_samples_are_the_same(engine):
         packets = np.array_split(open_recording(path).read(), 7)
         for ours, theirs in zip(_decisions(expected, packets), _decisions(got, packets), strict=True):
             assert (ours.label, ours.time_us, ours.events, ours.trigger) == (
-                theirs.label, theirs.time_us, theirs.events, theirs.trigger,
-            )  # fmt: skip
+                theirs.label,
+                theirs.time_us,
+                theirs.events,
+                theirs.trigger,
+            )
             assert np.abs(ours.logits - theirs.logits).max() <= 1e-4
             n += 1
     assert n > 100

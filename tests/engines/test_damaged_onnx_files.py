@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from made import random_model, random_regressor_model
 
 from async_tnt import TNTConfig
-from async_tnt.engines import OnnxClassifier, OnnxRegressor, regressor_to_onnx, to_onnx
-from async_tnt.engines.onnx_metadata import seal
-from async_tnt.model import UncheckedModelWarning
+from async_tnt.networks.model import UncheckedModelWarning
+from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
+from async_tnt.networks.onnx_metadata import seal
+from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
 
 SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)
 LANDMARKED = random_regressor_model(SMALL, classes=3, widths=(2, 3, 4), regressor_widths=(2, 3, 2))
@@ -117,8 +118,10 @@ def with_metadata(content, **changes):
 @pytest.mark.parametrize(
     "changes, message",
     [
-        ({"format": "async_tnt 3"}, "is damaged: metadata `format` must be 'async_tnt 2' or 'async_tnt 1', got "
-         "'async_tnt 3'"),
+        (
+            {"format": "async_tnt 3"},
+            "is damaged: metadata `format` must be 'async_tnt 2' or 'async_tnt 1', got 'async_tnt 3'",
+        ),
         ({"sha256": None}, "is damaged: no sha256 in its metadata"),
         ({"config": '{"a\\nb": 1}'}, "is damaged: unknown configuration a b"),
         ({"config": None}, "is damaged: no config in its metadata"),
@@ -128,15 +131,17 @@ def with_metadata(content, **changes):
         ({"config": "[]"}, "is damaged: a configuration must be a mapping of names to values, got []"),
         ({"config": '{"bins": 0}'}, "is damaged: `bins` must be in [1, 1024], got 0"),
         ({"config": '{"colour": 1}'}, "is damaged: unknown configuration colour"),
-        ({"config": "{}"}, "is damaged: its configuration gives volumes of shape (9, 34, 34), its network takes "
-         "(2, 6, 5)"),
+        (
+            {"config": "{}"},
+            "is damaged: its configuration gives volumes of shape (9, 34, 34), its network takes (2, 6, 5)",
+        ),
         ({"classes": '["a", "b"]'}, "is damaged: it names 2 classes, its network gives 3 logits"),
         ({"classes": '"abc"'}, "is damaged: metadata `classes` must be a list of names, got '\"abc\"'"),
         ({"classes": "[1, 2, 3]"}, "is damaged: metadata `classes` must be a list of names, got '[1, 2, 3]'"),
         ({"record": "5"}, "is damaged: metadata `record` must be a mapping, got '5'"),
         ({"record": "[" * 100_000}, "is damaged: maximum recursion depth exceeded"),
     ],
-)  # fmt: skip
+)
 def test_wrong_metadata(changes, message, path):
     path.write_bytes(with_metadata(GOOD[OnnxClassifier], **changes))
     with pytest.raises(ValueError, match=f"^{re.escape(str(path) + ' ' + message)}"):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from async_tnt import engines
+from async_tnt import networks as engines
 from async_tnt.cli import main
 
 pytest.importorskip("onnx", reason="onnx is not installed (extra `onnx`)")

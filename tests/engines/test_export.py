@@ -13,8 +13,10 @@ from made import random_model, random_regressor_model
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.cli import main
-from async_tnt.engines import OnnxClassifier, OnnxRegressor, onnx_export, regressor_to_onnx, to_onnx
-from async_tnt.engines.agreement import compare_engines
+from async_tnt.networks import onnx_export
+from async_tnt.networks.agreement import compare_engines
+from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
+from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
 
 REGRESSOR_MODEL = random_regressor_model(TNTConfig(landmark="regressor"), widths=(4, 4, 8), regressor_widths=(3, 4, 5))
 
@@ -22,8 +24,17 @@ REGRESSOR_MODEL = random_regressor_model(TNTConfig(landmark="regressor"), widths
 def test_the_graph_is_the_one_of_the_equation():
     made = to_onnx(load_model("digits"))
     assert [node.op_type for node in made.graph.node] == [
-        "Conv", "Relu", "AveragePool", "Conv", "Relu", "AveragePool", "Flatten", "Gemm", "Relu", "Gemm",
-    ]  # fmt: skip
+        "Conv",
+        "Relu",
+        "AveragePool",
+        "Conv",
+        "Relu",
+        "AveragePool",
+        "Flatten",
+        "Gemm",
+        "Relu",
+        "Gemm",
+    ]
     (volume,), (logits,) = made.graph.input, made.graph.output
     assert (volume.name, _sides(volume)) == ("volume", [1, 9, 34, 34])
     assert (logits.name, _sides(logits)) == ("logits", [1, 10])
@@ -55,8 +66,9 @@ def test_the_same_model_gives_the_same_bytes():
 
 
 def test_metadata_come_back():
-    config = TNTConfig(sensor=(40, 30), grid=(20, 16), bins=3, polarity="split", t_max=2.5, landmark="line",
-                       remove_flow=True)  # fmt: skip
+    config = TNTConfig(
+        sensor=(40, 30), grid=(20, 16), bins=3, polarity="split", t_max=2.5, landmark="line", remove_flow=True
+    )
     made = random_model(config, classes=3, widths=(2, 3, 4))
     model = Model(config, made.weights, ("null", 'ein\n"s"', "二"), {"seed": 5, "said": ["ü", 1.5, None]})
     net = OnnxClassifier(to_onnx(model))
@@ -177,10 +189,13 @@ def test_one_class_that_differs_is_one_too_many():
         (["digits", "--out", "{}/no/m.onnx"], "no folder {}/no to write m.onnx to"),
         (["digits", "--out", "{}/folder.onnx"], "{}/folder.onnx is a folder, expected a regular file or a new name"),
         (["digitz", "--out", "{}/m.onnx"], "no model file digitz, and no bundled model of that name (bundled: digits)"),
-        (["{}/x.onnx", "--out", "{}/m.onnx"], "{}/x.onnx: an .onnx file can only be run (async-tnt run --model); here "
-         "a bundled model (digits) or a .safetensors file is needed"),
+        (
+            ["{}/x.onnx", "--out", "{}/m.onnx"],
+            "{}/x.onnx: an .onnx file can only be run (async-tnt run --model); here "
+            "a bundled model (digits) or a .safetensors file is needed",
+        ),
     ],
-)  # fmt: skip
+)
 def test_wrong_arguments_give_one_line(argv, message, tmp_path, capsys):
     (tmp_path / "folder.onnx").mkdir()
     assert main(["export", *(word.format(tmp_path) for word in argv)]) == 2
@@ -213,7 +228,7 @@ def test_to_onnx_without_onnx(monkeypatch):
 
 
 def test_an_interrupted_export_leaves_nothing(tmp_path, monkeypatch, capsys):
-    from async_tnt.engines import agreement
+    from async_tnt.networks import agreement
 
     def interrupt(*arguments):
         assert os.listdir(tmp_path) == ["m.onnx.part"]
@@ -227,7 +242,7 @@ def test_an_interrupted_export_leaves_nothing(tmp_path, monkeypatch, capsys):
 def test_onnxruntime_sends_and_keeps_nothing_about_its_use(tmp_path):
     """Its telemetry, on by default, writes below the home folder when a session is made."""
     code = (
-        "from async_tnt import load_model\nfrom async_tnt.engines import OnnxClassifier, to_onnx\n"
+        "from async_tnt import load_model\nfrom async_tnt.networks import OnnxClassifier, to_onnx\n"
         "OnnxClassifier(to_onnx(load_model('digits')))"
     )
     env = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}

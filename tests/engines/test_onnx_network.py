@@ -13,7 +13,8 @@ from engines.foreign import TensorProto, linear, network, node, onnx
 from made import random_events, random_model
 
 from async_tnt import Processor, TNTConfig
-from async_tnt.engines import OnnxClassifier, OnnxRegressor, to_onnx
+from async_tnt.networks.onnx_export import to_onnx
+from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
 
 VOLUME = np.random.default_rng(1).normal(size=(2, 6, 5)).astype(np.float32)
 
@@ -70,9 +71,10 @@ def test_logits_of_any_shape_with_one_long_axis():
 
 def test_sides_left_open_need_a_shape():
     content = network(
-        inputs=[("image", (1, 2, "height", "width"))], outputs=[("scores", (1, 2, 1, 1))],
+        inputs=[("image", (1, 2, "height", "width"))],
+        outputs=[("scores", (1, 2, 1, 1))],
         nodes=[node("GlobalAveragePool", ["image"], ["scores"])],
-    )  # fmt: skip
+    )
     net = OnnxClassifier(content, shape=(2, 6, 5))
     assert np.allclose(net(VOLUME), VOLUME.mean((1, 2)), atol=1e-6)
     assert np.array_equal(copy.deepcopy(net)(VOLUME), net(VOLUME))
@@ -95,48 +97,85 @@ WRONG = {
         "must have one input, a volume, got 2: 'a' (1, 2, 6, 5), 'b' (1, 2, 6, 5)",
     ),
     "no input": (
-        {"inputs": [], "outputs": [("scores", (1,))], "weights": {"c": np.ones(1, np.float32)},
-         "nodes": [node("Relu", ["c"], ["scores"])]},
+        {
+            "inputs": [],
+            "outputs": [("scores", (1,))],
+            "weights": {"c": np.ones(1, np.float32)},
+            "nodes": [node("Relu", ["c"], ["scores"])],
+        },
         "must have one input, a volume, got 0",
     ),
     "two outputs": (
         {"outputs": [("one", (1, 2, 6, 5)), ("two", (1, 2, 6, 5))], "nodes": SPLIT},
         "must have one output, logits (1, n_classes), got 2: 'one' (1, 2, 6, 5), 'two' (1, 2, 6, 5)",
     ),
-    "rank 3": ({"inputs": [("image", (2, 6, 5))], "nodes": [node("Relu", ["image"], ["scores"])],
-                "outputs": [("scores", (2, 6, 5))]}, "must have shape (1, C, H, W), got (2, 6, 5) for 'image'"),
-    "rank 5": ({"inputs": [("image", (1, 1, 2, "h", None))], "nodes": [node("Relu", ["image"], ["scores"])],
-                "outputs": [("scores", None)]}, "must have shape (1, C, H, W), got (1, 1, 2, h, ?) for 'image'"),
-    "no rank": ({"inputs": [("image", None)], "nodes": [node("Relu", ["image"], ["scores"])],
-                 "outputs": [("scores", None)]}, "must have shape (1, C, H, W), got () for 'image'"),
-    "a batch of 8": ({"inputs": [("image", (8, 2, 6, 5))], "outputs": [("scores", (8, 3))]},
-                     "must take one volume at a time, or any number, got input (8, 2, 6, 5)"),
+    "rank 3": (
+        {
+            "inputs": [("image", (2, 6, 5))],
+            "nodes": [node("Relu", ["image"], ["scores"])],
+            "outputs": [("scores", (2, 6, 5))],
+        },
+        "must have shape (1, C, H, W), got (2, 6, 5) for 'image'",
+    ),
+    "rank 5": (
+        {
+            "inputs": [("image", (1, 1, 2, "h", None))],
+            "nodes": [node("Relu", ["image"], ["scores"])],
+            "outputs": [("scores", None)],
+        },
+        "must have shape (1, C, H, W), got (1, 1, 2, h, ?) for 'image'",
+    ),
+    "no rank": (
+        {"inputs": [("image", None)], "nodes": [node("Relu", ["image"], ["scores"])], "outputs": [("scores", None)]},
+        "must have shape (1, C, H, W), got () for 'image'",
+    ),
+    "a batch of 8": (
+        {"inputs": [("image", (8, 2, 6, 5))], "outputs": [("scores", (8, 3))]},
+        "must take one volume at a time, or any number, got input (8, 2, 6, 5)",
+    ),
     "float64": ({"dtype": TensorProto.DOUBLE}, "input must be float32, as volumes are, got float64 for 'image'"),
     "float16": ({"dtype": TensorProto.FLOAT16}, "input must be float32, as volumes are, got float16 for 'image'"),
     "a class": (
-        {"nodes": [node("Flatten", ["image"], ["f"]), node("ArgMax", ["f"], ["scores"], axis=1)],
-         "outputs": [("scores", (1, 1))], "output_dtype": TensorProto.INT64},
+        {
+            "nodes": [node("Flatten", ["image"], ["f"]), node("ArgMax", ["f"], ["scores"], axis=1)],
+            "outputs": [("scores", (1, 1))],
+            "output_dtype": TensorProto.INT64,
+        },
         "output must be float32, got int64",
     ),
-    "a map": ({"nodes": SPLIT[:1], "outputs": [("one", (1, 2, 6, 5))]},
-              "must give logits (1, n_classes) of a volume, got shape (1, 2, 6, 5)"),
+    "a map": (
+        {"nodes": SPLIT[:1], "outputs": [("one", (1, 2, 6, 5))]},
+        "must give logits (1, n_classes) of a volume, got shape (1, 2, 6, 5)",
+    ),
     "nothing": (
-        {"nodes": [node("Slice", ["image", "z", "z"], ["scores"])], "weights": {"z": np.zeros(1, np.int64)},
-         "outputs": [("scores", None)]},
+        {
+            "nodes": [node("Slice", ["image", "z", "z"], ["scores"])],
+            "weights": {"z": np.zeros(1, np.int64)},
+            "outputs": [("scores", None)],
+        },
         "must give logits (1, n_classes) of a volume, got shape (0, 2, 6, 5)",
     ),
     "nothing in a row": (
-        {"nodes": [node("Reshape", ["image", "row"], ["r"]), node("Slice", ["r", "z", "z"], ["scores"])],
-         "weights": {"z": np.zeros(1, np.int64), "row": np.array([-1])}, "outputs": [("scores", None)]},
+        {
+            "nodes": [node("Reshape", ["image", "row"], ["r"]), node("Slice", ["r", "z", "z"], ["scores"])],
+            "weights": {"z": np.zeros(1, np.int64), "row": np.array([-1])},
+            "outputs": [("scores", None)],
+        },
         "must give logits (1, n_classes) of a volume, got shape (0,)",
     ),
     "one that fails": (
-        {"nodes": [node("NonZero", ["image"], ["n"]), node("Cast", ["n"], ["c"], to=1),
-                   node("Reshape", ["c", "s"], ["scores"])],
-         "weights": {"s": np.array([1, 3])}, "outputs": [("scores", (1, 3))]},
+        {
+            "nodes": [
+                node("NonZero", ["image"], ["n"]),
+                node("Cast", ["n"], ["c"], to=1),
+                node("Reshape", ["c", "s"], ["scores"]),
+            ],
+            "weights": {"s": np.array([1, 3])},
+            "outputs": [("scores", (1, 3))],
+        },
         "fails on an empty volume: ",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("what", WRONG)
@@ -154,11 +193,17 @@ def test_a_network_that_is_no_classifier_of_volumes(what, tmp_path, capfd):
 def test_a_network_that_fails_later(capfd):
     """As many numbers as there are cells above zero, and none: three is what the first call saw."""
     content = network(
-        nodes=[node("Greater", ["image", "t"], ["g"]), node("Not", ["g"], ["below"]), node("NonZero", ["below"], ["n"]),
-               node("Cast", ["n"], ["c"], to=1), node("ReduceMax", ["c"], ["r"], axes=[0], keepdims=0),
-               node("Unsqueeze", ["r", "zero"], ["scores"])],
-        weights={"t": np.float32(0), "zero": np.array([0])}, outputs=[("scores", (1, "cells"))],
-    )  # fmt: skip
+        nodes=[
+            node("Greater", ["image", "t"], ["g"]),
+            node("Not", ["g"], ["below"]),
+            node("NonZero", ["below"], ["n"]),
+            node("Cast", ["n"], ["c"], to=1),
+            node("ReduceMax", ["c"], ["r"], axes=[0], keepdims=0),
+            node("Unsqueeze", ["r", "zero"], ["scores"]),
+        ],
+        weights={"t": np.float32(0), "zero": np.array([0])},
+        outputs=[("scores", (1, "cells"))],
+    )
     net = OnnxClassifier(content)
     assert net.n_classes == 60
     with pytest.raises(ValueError, match=r"^the ONNX network of .* bytes: the network fails on this volume: "):
@@ -174,9 +219,14 @@ def test_a_volume_of_another_shape():
 
 @pytest.mark.parametrize(
     "threads, error, message",
-    [(0, ValueError, "at least 1, got 0"), (-2, ValueError, "at least 1, got -2"), (1.5, TypeError, "whole numbers"),
-     (True, ValueError, "at least 1, got True"), ("1", TypeError, "whole numbers")],
-)  # fmt: skip
+    [
+        (0, ValueError, "at least 1, got 0"),
+        (-2, ValueError, "at least 1, got -2"),
+        (1.5, TypeError, "whole numbers"),
+        (True, ValueError, "at least 1, got True"),
+        ("1", TypeError, "whole numbers"),
+    ],
+)
 def test_wrong_threads(threads, error, message):
     with pytest.raises(error, match=f"`threads` must .*{message}"):
         OnnxClassifier(network(), threads=threads)

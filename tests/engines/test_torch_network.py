@@ -8,7 +8,7 @@ import torch
 from made import random_events
 
 from async_tnt import Processor, TNTConfig
-from async_tnt.engines import TorchClassifier
+from async_tnt.networks.torch_network import TorchClassifier
 
 VOLUME = np.random.default_rng(0).normal(size=(2, 6, 5)).astype(np.float32)
 VOLUME.flags.writeable = False

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import async_tnt
-from async_tnt.figures.subject import Subject
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.views.subject import Subject
 
 
 def sample(digit: int = 3) -> np.ndarray:

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from made import events_of, nasty_streams, random_events, random_model
 
 from async_tnt import TNTConfig, TNTVolume
-from async_tnt.figures.coordinates import transformed
-from async_tnt.figures.subject import Subject
 from async_tnt.kernels.state import BLOCK
+from async_tnt.views.coordinates import transformed
+from async_tnt.views.subject import Subject
 
 CONFIGS = {
     "center": TNTConfig(landmark="center", t_max=3.0),
@@ -50,9 +50,14 @@ def reference_coordinates(events, config):
     where = dict(start_us=START_US, window_us=config.window_us, sensor=config.sensor, grid=config.grid)
     landmark = landmark_at_reading(events, config) if config.needs_regressor else config.landmark
     return tnt_reference.tnt_coordinates(
-        events["t"], events["x"], events["y"], **where, t_max=config.t_max, landmark=landmark,
+        events["t"],
+        events["x"],
+        events["y"],
+        **where,
+        t_max=config.t_max,
+        landmark=landmark,
         remove_flow=config.remove_flow,
-    )  # fmt: skip
+    )
 
 
 def splatted(t, u, v, p, config):

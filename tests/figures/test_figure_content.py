@@ -9,9 +9,9 @@ from figures.drawing import sample, subject
 from made import events_of, random_model
 
 import async_tnt
-from async_tnt.figures import events3d, motions, overview, pipeline, probabilities, slices
-from async_tnt.figures.style import OFF, ON
-from async_tnt.figures.subject import Subject
+from async_tnt.views import events3d, motions, overview, pipeline, probabilities, slices
+from async_tnt.views.style import OFF, ON
+from async_tnt.views.subject import Subject
 
 
 def dots(axes):
@@ -116,7 +116,7 @@ def test_windows_of_one_decision_are_joined_and_a_few_points_are_seen():
 
 def test_the_verdict_is_that_of_the_program(capsys):
     from async_tnt.cli import main
-    from async_tnt.recordings import sample_recordings
+    from async_tnt.sources.files.recording import sample_recordings
 
     assert main(["run", str(sample_recordings()[7])]) == 0
     *_, verdict = capsys.readouterr().out.splitlines()
@@ -184,8 +184,15 @@ def test_the_pipeline_shows_what_the_network_sees_and_says():
     bars = figure.axes[-1].patches
     np.testing.assert_array_equal([bar.get_width() for bar in bars], first.probabilities)
     assert "9.bin, window 1: from events to “9”" in words(figure)
-    stages = ["recording", "raw events", "landmark: running", "transformed events", "event volume", "network",
-              "class probabilities"]  # fmt: skip
+    stages = [
+        "recording",
+        "raw events",
+        "landmark: running",
+        "transformed events",
+        "event volume",
+        "network",
+        "class probabilities",
+    ]
     numbered = [text for text in words(figure) if text[:1].isdigit() and "  " in text]
     assert numbered == [f"{k}  {name}" for k, name in enumerate(stages, start=1)]
     (path,) = [line for line in figure.axes[2].lines if len(line.get_xdata()) > 1]
@@ -258,9 +265,10 @@ def test_odd_recordings_are_drawn(events):
     model = async_tnt.load_model("digits")
     shown = Subject("odd $x", events, model.config, model, "digits")
     figures = [
-        overview.draw_overview(shown), pipeline.draw_pipeline(shown),
+        overview.draw_overview(shown),
+        pipeline.draw_pipeline(shown),
         motions.draw_motions(shown.window(1), shown.window(1)),
-    ]  # fmt: skip
+    ]
     for figure in figures:
         figure.set_dpi(30)
         FigureCanvasAgg(figure).draw()

@@ -15,22 +15,46 @@ from made import events_of, random_events, random_model  # noqa: E402
 
 from async_tnt import TNTConfig  # noqa: E402
 from async_tnt.cli import main  # noqa: E402
-from async_tnt.figures.command import FIGURES  # noqa: E402
-from async_tnt.recordings import sample_recordings, write_nmnist  # noqa: E402
+from async_tnt.cli.plot import FIGURES  # noqa: E402
+from async_tnt.sources.files.nmnist import write_nmnist  # noqa: E402
+from async_tnt.sources.files.recording import sample_recordings  # noqa: E402
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 LABELS = {
-    "overview": ["3.bin: “3”, mean probability", "events as they came", "after TNT (running, t_max 3)", "v (px)",
-                 "event volume of window 1", "52 ms", "class probability", "others", "events / ms",
-                 "decisions of digits (running, t_max 3) every 2.5 ms"],
-    "events": ["3.bin, window 1", "events as they came", "time in the window (ms)", "x (px)", "u (px)",
-               "ON (brighter)"],
+    "overview": [
+        "3.bin: “3”, mean probability",
+        "events as they came",
+        "after TNT (running, t_max 3)",
+        "v (px)",
+        "event volume of window 1",
+        "52 ms",
+        "class probability",
+        "others",
+        "events / ms",
+        "decisions of digits (running, t_max 3) every 2.5 ms",
+    ],
+    "events": [
+        "3.bin, window 1",
+        "events as they came",
+        "time in the window (ms)",
+        "x (px)",
+        "u (px)",
+        "ON (brighter)",
+    ],
     "slices": ["bin 8", "105 ms", "raw", "TNT", "events / cell", "ON minus OFF"],
     "probabilities": ["“3”", "window 3", "class probability", "time in the recording (ms)"],
     "motions": ["window 1: moving down", "window 2: moving up", "y, after TNT v (px)", "mean place", "52 ms"],
-    "pipeline": ["recording", "raw events", "landmark: running", "transformed events", "event volume", "network",
-                 "class probabilities", "64 to 10 fully connected"],
-}  # fmt: skip
+    "pipeline": [
+        "recording",
+        "raw events",
+        "landmark: running",
+        "transformed events",
+        "event volume",
+        "network",
+        "class probabilities",
+        "64 to 10 fully connected",
+    ],
+}
 
 
 @pytest.fixture(autouse=True)
@@ -108,12 +132,37 @@ def in_squares(pixels, side=20):
 
 
 def test_options_reach_the_picture():
-    words = ["--figure", "slices", "--landmark", "line", "--remove-flow", "--t-max", 2, "--polarity", "unsigned",
-             "--bins", 5, "--window-us", 50_000, "--grid", "20x30", "--window", 2, "--slices", 1, 4]  # fmt: skip
+    words = [
+        "--figure",
+        "slices",
+        "--landmark",
+        "line",
+        "--remove-flow",
+        "--t-max",
+        2,
+        "--polarity",
+        "unsigned",
+        "--bins",
+        5,
+        "--window-us",
+        50_000,
+        "--grid",
+        "20x30",
+        "--window",
+        2,
+        "--slices",
+        1,
+        4,
+    ]
     assert plot(5, *words, "--out", "s.svg") == 0
     text = " ".join("".join(ElementTree.parse("s.svg").getroot().itertext()).split())
-    for label in ("5.bin, window 2", "line, flow removed, t_max 2", "20 x 30 pixels, 5 time bins; ink", "bin 4",
-                  "50 ms"):  # fmt: skip
+    for label in (
+        "5.bin, window 2",
+        "line, flow removed, t_max 2",
+        "20 x 30 pixels, 5 time bins; ink",
+        "bin 4",
+        "50 ms",
+    ):
         assert label in text
     assert "bin 2" not in text
 
@@ -179,29 +228,41 @@ def saved(name, events, **more):
         (lambda: ["--figure", "motions", "--windows", 1, 9], "3.bin: no window 9"),
         (lambda: ["--start-us", 10**9], "3.bin: no event at or after the first window's start, 1000000000 us"),
         (lambda: ["--model", "digitz"], "no model file digitz"),
-        (lambda: [saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--model", "digits"],
-         "h.npz: a sensor of 40x40 pixels, but the model is for 34x34"),
-        (lambda: [saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--figure", "pipeline"],
-         "h.npz: a sensor of 40x40 pixels, but the model is for 34x34; --model names another than digits"),
-        (lambda: [saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--sensor", "50x50"],
-         "h.npz: a sensor of 40x40 pixels, got --sensor 50x50"),
-        (lambda: [saved("h.npz", events_of([5], [40], [1], [1])), "--sensor", "40x40"],
-         "h.npz: `x` must be in [0, 40), got 40 at event 0"),
+        (
+            lambda: [saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--model", "digits"],
+            "h.npz: a sensor of 40x40 pixels, but the model is for 34x34",
+        ),
+        (
+            lambda: [saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--figure", "pipeline"],
+            "h.npz: a sensor of 40x40 pixels, but the model is for 34x34; --model names another than digits",
+        ),
+        (
+            lambda: [saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--sensor", "50x50"],
+            "h.npz: a sensor of 40x40 pixels, got --sensor 50x50",
+        ),
+        (
+            lambda: [saved("h.npz", events_of([5], [40], [1], [1])), "--sensor", "40x40"],
+            "h.npz: `x` must be in [0, 40), got 40 at event 0",
+        ),
         (lambda: ["--remove-flow"], '`remove_flow` needs landmark="line"'),
         (lambda: ["--t-max", "nan"], "`t_max` must be in [1e-6, 1e6], got nan"),
         (lambda: ["--landmark", "regressor"], "needs a model with a landmark network, but model digits has none"),
         (lambda: ["--slices", 9], "--slices must be in [0, 9), the volume's bins, got 9"),
         (lambda: ["--figure", "motions", "--slices", -1], "--slices must be in [0, 9), the volume's bins, got -1"),
-        (lambda: ["--figure", "pipeline", "--t-max", 2],
-         "--t-max has no effect on --figure pipeline, only on overview, events, slices, motions"),
+        (
+            lambda: ["--figure", "pipeline", "--t-max", 2],
+            "--t-max has no effect on --figure pipeline, only on overview, events, slices, motions",
+        ),
         (lambda: ["--window", 2, "--figure", "motions"], "--window has no effect on --figure motions"),
         (lambda: ["--windows", 1, 2], "--windows has no effect on --figure overview, only on motions"),
         (lambda: ["3", "4"], "--figure overview draws 1 recording, got 2"),
         (lambda: ["3", "4", "5", "--figure", "motions"], "--figure motions draws 2 recordings, got 3"),
-        (lambda: ["3", saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--figure", "motions"],
-         "two motions are drawn with one configuration, got sensors of 34x34 pixels and 40x40 pixels"),
+        (
+            lambda: ["3", saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--figure", "motions"],
+            "two motions are drawn with one configuration, got sensors of 34x34 pixels and 40x40 pixels",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_one_line_and_exit_code_2(words, message, capsys):
     assert plot(*words()) == 2
     said = capsys.readouterr()
@@ -271,8 +332,8 @@ def test_drawing_needs_no_torch_no_pyplot_and_changes_no_settings():
 
 def test_the_package_and_its_help_import_no_matplotlib():
     code = (
-        "import sys, async_tnt, async_tnt.figures.command, async_tnt.figures.overview, async_tnt.figures.motions, "
-        "async_tnt.figures.pipeline; print('matplotlib' in sys.modules)"
+        "import sys, async_tnt, async_tnt.cli.plot, async_tnt.views.overview, async_tnt.views.motions, "
+        "async_tnt.views.pipeline; print('matplotlib' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout == "False\n"

@@ -9,8 +9,8 @@ import pytest
 from made import random_events
 
 import async_tnt
-from async_tnt.fresh import BackgroundReader
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.background_reader import BackgroundReader
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 EVENTS = random_events(10_000, seed=1)
 PACKETS = np.split(EVENTS, np.sort(np.random.default_rng(2).integers(0, 10_001, 40)))  # some of them empty

@@ -10,8 +10,9 @@ import pytest
 from made import events_of, random_events
 
 import async_tnt
-from async_tnt.fresh import BackgroundReader, PacketQueue
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.background_reader import BackgroundReader
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.queue import PacketQueue
 
 EVENTS = random_events(10_000, seed=1)
 PACKETS = [EVENTS[k : k + 250] for k in range(0, 10_000, 250)]

@@ -43,9 +43,14 @@ class Case(NamedTuple):
     def config(self) -> TNTConfig:
         sensor = self.sensor or self.grid
         return TNTConfig(
-            sensor=sensor, grid=self.grid, bins=self.bins, polarity=self.polarity, window_us=WINDOW_US, t_max=2.0,
+            sensor=sensor,
+            grid=self.grid,
+            bins=self.bins,
+            polarity=self.polarity,
+            window_us=WINDOW_US,
+            t_max=2.0,
             **LANDMARKS[self.landmark],
-        )  # fmt: skip
+        )
 
     def volume(self) -> TNTVolume:
         regressor = CompiledRegressor(model_of(self)) if self.config.needs_regressor else None

@@ -19,9 +19,11 @@ class Near(tuple):
     __hash__ = tuple.__hash__
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, tuple) and len(self) == len(other) and all(
-            math.isclose(a, b, rel_tol=1e-13, abs_tol=1e-300) for a, b in zip(self, other, strict=True)
-        )  # fmt: skip
+        return (
+            isinstance(other, tuple)
+            and len(self) == len(other)
+            and all(math.isclose(a, b, rel_tol=1e-13, abs_tol=1e-300) for a, b in zip(self, other, strict=True))
+        )
 
 
 Row = tuple[str, int, int, int, bool, bytes, Near]
@@ -30,9 +32,14 @@ Row = tuple[str, int, int, int, bool, bytes, Near]
 def row(decision: Decision) -> Row:
     """All that a decision says, comparable; the logits by their bits."""
     return (
-        decision.trigger, decision.window_start_us, decision.time_us, decision.events, decision.complete,
-        decision.logits.tobytes(), Near(decision.probabilities.tolist()),
-    )  # fmt: skip
+        decision.trigger,
+        decision.window_start_us,
+        decision.time_us,
+        decision.events,
+        decision.complete,
+        decision.logits.tobytes(),
+        Near(decision.probabilities.tolist()),
+    )
 
 
 def decisions_one_by_one(
@@ -43,10 +50,17 @@ def decisions_one_by_one(
 
     def say(trigger: str, complete: bool = False) -> None:
         logits = network(volume.array)
-        rows.append((
-            trigger, volume.start_us, volume.newest_us, volume.n_events, complete,
-            logits.tobytes(), softmax(logits.tolist()),
-        ))  # fmt: skip
+        rows.append(
+            (
+                trigger,
+                volume.start_us,
+                volume.newest_us,
+                volume.n_events,
+                complete,
+                logits.tobytes(),
+                softmax(logits.tolist()),
+            )
+        )
 
     for event in events.tolist():
         n_before = volume.n_events

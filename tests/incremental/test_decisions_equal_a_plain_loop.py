@@ -68,9 +68,11 @@ def test_more_decisions_than_one_compiled_call_makes():
 
 @settings(max_examples=150, deadline=None)
 @given(
-    case=st.sampled_from(CASES), data=st.data(), every=st.sampled_from([1, 1, 2, 5]),
+    case=st.sampled_from(CASES),
+    data=st.data(),
+    every=st.sampled_from([1, 1, 2, 5]),
     size=st.sampled_from([None, 1, 2, 7, 0]),
-)  # fmt: skip
+)
 def test_nasty_streams(case, data, every, size):
     """Ties, bursts, borders, times that run backwards, also into windows that are closed."""
     events = data.draw(nasty_streams(case.config.sensor, 3 * WINDOW_US, 77))
@@ -94,9 +96,12 @@ def test_the_compiled_path_decides_as_the_general_one(case, settings):
 
 @settings(max_examples=80, deadline=None)
 @given(
-    case=st.sampled_from([CASES[1], CASES[2], CASES[3]]), data=st.data(), hop_us=st.sampled_from([4000, 1999, 700]),
-    every=st.sampled_from([1, 2]), size=st.sampled_from([None, 1, 7, 0]),
-)  # fmt: skip
+    case=st.sampled_from([CASES[1], CASES[2], CASES[3]]),
+    data=st.data(),
+    hop_us=st.sampled_from([4000, 1999, 700]),
+    every=st.sampled_from([1, 2]),
+    size=st.sampled_from([None, 1, 7, 0]),
+)
 def test_overlapping_windows_each_by_itself(case, data, hop_us, every, size):
     """Each window holds its own events; after every so many the oldest speaks."""
     events = data.draw(nasty_streams(case.config.sensor, 3 * WINDOW_US, 77))

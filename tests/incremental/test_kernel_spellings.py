@@ -5,7 +5,9 @@ import pytest
 from incremental.float32 import fma, relu
 from numba import njit
 
-from async_tnt.kernels import rounding, tile, weigh
+from async_tnt.kernels import conv_pool as tile
+from async_tnt.kernels import dense as weigh
+from async_tnt.kernels import rounding
 from async_tnt.kernels.registers import LANES
 
 N_CHANNELS, ROW_1, PITCH_1 = 5, 5 * 11, 11  # rows of channels: 5 channels of 11 pixels to a row

@@ -64,11 +64,15 @@ def small_network() -> Model:
     both = np.zeros((1, 2, 3, 3))
     both[0, :, 1, 1] = 1, 4
     weights = {
-        "conv1.weight": middle, "conv1.bias": np.zeros(2),
-        "conv2.weight": both, "conv2.bias": np.zeros(1),
-        "fc1.weight": np.array([[1, 10, 100, 1000]]), "fc1.bias": np.array([0.5]),
-        "fc2.weight": np.array([[2], [-1]]), "fc2.bias": np.array([0, 1]),
-    }  # fmt: skip
+        "conv1.weight": middle,
+        "conv1.bias": np.zeros(2),
+        "conv2.weight": both,
+        "conv2.bias": np.zeros(1),
+        "fc1.weight": np.array([[1, 10, 100, 1000]]),
+        "fc1.bias": np.array([0.5]),
+        "fc2.weight": np.array([[2], [-1]]),
+        "fc2.bias": np.array([0, 1]),
+    }
     config = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, transform="none", window_us=1000)
     return Model(config, weights, ("a", "b"))
 
@@ -81,9 +85,15 @@ def test_one_small_network_by_hand_event_by_event():
     assert network.refresh(volume).tolist() == [2 * 0.5, 1 - 0.5]
     hidden = 0.5
     for x, y, p, adds in [
-        (0, 0, 1, 1 / 16), (3, 3, 1, 1 / 16), (4, 0, 1, 10 / 16), (0, 4, 1, 100 / 16), (7, 7, 1, 1000 / 16),
-        (5, 6, 0, 4000 / 16), (2, 1, 0, 4 / 16), (0, 0, 1, 1 / 16),
-    ]:  # fmt: skip
+        (0, 0, 1, 1 / 16),
+        (3, 3, 1, 1 / 16),
+        (4, 0, 1, 10 / 16),
+        (0, 4, 1, 100 / 16),
+        (7, 7, 1, 1000 / 16),
+        (5, 6, 0, 4000 / 16),
+        (2, 1, 0, 4 / 16),
+        (0, 0, 1, 1 / 16),
+    ]:
         volume.update_one(100, x, y, p)
         hidden += adds
         assert network.refresh(volume).tolist() == [2 * hidden, 1 - hidden]

@@ -10,7 +10,7 @@ from incremental.cases import CASES, WINDOW_US, Case, dense_of, model_of
 from made import random_events
 
 from async_tnt import Processor, new_state
-from async_tnt.kernels import plan as P
+from async_tnt.kernels import layout as P
 
 DUPLICATES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda one: pickle.loads(pickle.dumps(one))}
 SMALL = Case((8, 8), 2, "signed", "running", (3, 5, 7), 3)
@@ -98,9 +98,13 @@ def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monke
 @pytest.mark.parametrize("case", [CASES[2], CASES[4], CASES[5], CASES[7]], ids=str)
 def test_a_processor_copied_in_midstream(case, settings):
     events = random_events(400, seed=8, duration_us=3 * WINDOW_US, sensor=case.config.sensor)
-    first, rest, others = events[:130], events[130:280], random_events(
-        150, seed=9, duration_us=2 * WINDOW_US, sensor=case.config.sensor, start_us=int(events["t"][130])
-    )  # fmt: skip
+    first, rest, others = (
+        events[:130],
+        events[130:280],
+        random_events(
+            150, seed=9, duration_us=2 * WINDOW_US, sensor=case.config.sensor, start_us=int(events["t"][130])
+        ),
+    )
 
     def straight(*packets):
         processor = Processor(model_of(case), **settings)

@@ -15,10 +15,13 @@ PARTS = [CASES[2], CASES[5], CASES[7]]
 
 @settings(max_examples=100, deadline=None)
 @given(
-    case=st.sampled_from(PARTS), every=st.sampled_from([None, 1, 30]), seed=st.integers(0, 9),
-    script=st.lists(st.one_of(st.integers(1, 90), st.sampled_from(["fire", "array", "landmark", "counts"])),
-                    min_size=2, max_size=25),
-)  # fmt: skip
+    case=st.sampled_from(PARTS),
+    every=st.sampled_from([None, 1, 30]),
+    seed=st.integers(0, 9),
+    script=st.lists(
+        st.one_of(st.integers(1, 90), st.sampled_from(["fire", "array", "landmark", "counts"])), min_size=2, max_size=25
+    ),
+)
 def test_looking_in_between_packets_disturbs_nothing(case, every, seed, script):
     n = sum(step for step in script if isinstance(step, int))
     events = random_events(n, seed=seed, duration_us=2 * WINDOW_US, sensor=case.config.sensor)

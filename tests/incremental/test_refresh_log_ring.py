@@ -6,9 +6,9 @@ from incremental.cases import Case, dense_of
 from made import events_of, random_events
 
 from async_tnt import TNTVolume
-from async_tnt.kernels import plan as P
+from async_tnt.kernels import layout as P
 from async_tnt.kernels import state as S
-from async_tnt.kernels.watch import NUMBERS_PER_LOGGED
+from async_tnt.kernels.sync_input import NUMBERS_PER_LOGGED
 
 TINY = Case((4, 4), 1, "signed", "none", (3, 5, 7), 3)
 SMALL = Case((8, 8), 9, "signed", "running", (3, 5, 7), 3)

@@ -12,10 +12,10 @@ from incremental.cases import CASES, Case, model_of
 from made import random_events
 
 from async_tnt import CompiledClassifier, TNTVolume
-from async_tnt.kernels import plan as P
-from async_tnt.kernels import renew
+from async_tnt.kernels import forward as renew
+from async_tnt.kernels import layout as P
 from async_tnt.kernels import state as S
-from async_tnt.kernels.watch import watch_cells
+from async_tnt.kernels.sync_input import watch_cells
 
 CASE = Case((34, 34), 9, "signed", "none", (16, 32, 64), 10)
 

@@ -8,14 +8,20 @@ from incremental.oracle import decisions_one_by_one, row
 from made import random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTVolume, load_model
-from async_tnt.recordings import open_recording, read_nmnist, sample_recordings
+from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 MODEL = load_model("digits")
 LANDMARKS = [
-    {"landmark": "center"}, {"landmark": "running"}, {"landmark": "line"}, {"landmark": "line", "remove_flow": True},
-    {"landmark": "window"}, {"transform": "none", "landmark": "center", "remove_flow": False},
-    {"polarity": "split"}, {"polarity": "unsigned"},
-]  # fmt: skip
+    {"landmark": "center"},
+    {"landmark": "running"},
+    {"landmark": "line"},
+    {"landmark": "line", "remove_flow": True},
+    {"landmark": "window"},
+    {"transform": "none", "landmark": "center", "remove_flow": False},
+    {"polarity": "split"},
+    {"polarity": "unsigned"},
+]
 
 
 def assert_equal_at_every_event(model, events: np.ndarray, every_reference: int = 200) -> None:

@@ -7,8 +7,8 @@ from made import random_model
 
 from async_tnt import TNTConfig
 from async_tnt.checked_tensors import checksum, tensor_bytes
-from async_tnt.layer_graph import layer_graph
-from async_tnt.model import FORMAT
+from async_tnt.networks.layer_graph import layer_graph
+from async_tnt.networks.model import FORMAT
 
 SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)
 

@@ -13,7 +13,7 @@ from safetensors.torch import save_file as save_tensors
 
 from async_tnt import CompiledClassifier, TNTConfig, load_model
 from async_tnt.checked_tensors import read_tensors
-from async_tnt.layer_graph import layer_graph
+from async_tnt.networks.layer_graph import layer_graph
 
 FOREIGN = "is not a model that this release can read: `format` must be 'async_tnt 2' or 'async_tnt 1', got "
 
@@ -28,10 +28,16 @@ FOREIGN = "is not a model that this release can read: `format` must be 'async_tn
         ({"config": '{"bins": 2.0}'}, "holds a damaged model: `bins` must be a whole number, got 2.0"),
         ({"config": '{"t_max": NaN}'}, "holds a damaged model: `t_max` must be in [1e-6, 1e6], got nan"),
         ({"config": '{"t_max": 1' + 400 * "0" + "}"}, "holds a damaged model: `t_max` must be in [1e-6, 1e6], got inf"),
-        ({"config": '{"colour": 1}'}, "holds a damaged model: unknown configuration colour; known: bins, grid, "
-         "landmark, polarity, remove_flow, sensor, t_max, transform, window_us"),
-        ({"config": '{"a\\nb": 1}'}, "holds a damaged model: unknown configuration a b; known: bins, grid, "
-         "landmark, polarity, remove_flow, sensor, t_max, transform, window_us"),
+        (
+            {"config": '{"colour": 1}'},
+            "holds a damaged model: unknown configuration colour; known: bins, grid, "
+            "landmark, polarity, remove_flow, sensor, t_max, transform, window_us",
+        ),
+        (
+            {"config": '{"a\\nb": 1}'},
+            "holds a damaged model: unknown configuration a b; known: bins, grid, "
+            "landmark, polarity, remove_flow, sensor, t_max, transform, window_us",
+        ),
         ({"config": "{}"}, "holds a damaged model: `conv1.weight` must have shape (2, 9, 3, 3) here, got (2, 2, 3, 3)"),
         ({"config": "nonsense"}, "holds a damaged model: Expecting value: line 1 column 1 (char 0)"),
         ({"classes": ""}, "holds a damaged model: Expecting value: line 1 column 1 (char 0)"),
@@ -43,13 +49,15 @@ FOREIGN = "is not a model that this release can read: `format` must be 'async_tn
         ({"network": "[]"}, "holds a damaged model: `network` must map names to lists of layers, got []"),
         ({"sha256": None}, "holds a damaged model: no sha256 in its metadata"),
         ({"sha256": 64 * "0"}, "holds a damaged model: its checksum differs; copy or download it again"),
-        ({"format": "async_tnt 1"}, "holds a damaged model: its `format` must be 'async_tnt 2', as it has a checksum, "
-         "got 'async_tnt 1'"),
+        (
+            {"format": "async_tnt 1"},
+            "holds a damaged model: its `format` must be 'async_tnt 2', as it has a checksum, got 'async_tnt 1'",
+        ),
         ({"format": None}, FOREIGN + "None"),
         ({"format": "async_tnt 3"}, FOREIGN + "'async_tnt 3'"),
         ({"format": "pt"}, FOREIGN + "'pt'"),
     ],
-)  # fmt: skip
+)
 def test_wrong_metadata(tmp_path, changes, message):
     path = write_file(tmp_path / "m.st", changed(), **changes)
     with pytest.raises(ValueError, match=f"^{re.escape(str(path))} {re.escape(message)}$"):

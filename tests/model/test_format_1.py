@@ -10,7 +10,7 @@ from made import random_events
 from model.small import SMALL, assert_same, changed, small_model, write_format_1
 
 from async_tnt import Model, load_model
-from async_tnt.model import UncheckedModelWarning
+from async_tnt.networks.model import UncheckedModelWarning
 
 
 def test_it_loads_with_one_warning_that_a_save_ends(tmp_path):

@@ -12,8 +12,8 @@ from safetensors import safe_open
 from torch.nn import functional
 
 from async_tnt import CompiledClassifier, TNTConfig, load_model
-from async_tnt.layer_graph import layer_graph
-from async_tnt.regressor import CompiledRegressor
+from async_tnt.networks.layer_graph import layer_graph
+from async_tnt.networks.regressor import CompiledRegressor
 
 
 def centroid(heatmap):

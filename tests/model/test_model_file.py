@@ -94,8 +94,10 @@ def test_weights_in_any_memory(tmp_path):
     weights = {name: np.asfortranarray(values) for name, values in changed().items()}
     weights["fc2.weight"] = np.repeat(weights["fc2.weight"], 2, axis=1)[:, ::2]
     weights["fc1.bias"].flags.writeable = False
-    assert_same(load_model(Model(SMALL, weights, ("a", "b", "c")).save(tmp_path / "m")),
-                Model(SMALL, changed(), ("a", "b", "c")))  # fmt: skip
+    assert_same(
+        load_model(Model(SMALL, weights, ("a", "b", "c")).save(tmp_path / "m")),
+        Model(SMALL, changed(), ("a", "b", "c")),
+    )
 
 
 def test_a_model_is_equal_to_itself_only_and_can_be_a_key():

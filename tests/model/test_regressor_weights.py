@@ -8,7 +8,7 @@ from made import random_model, random_regressor_model
 from model.small import SMALL, assert_same, write_file
 
 from async_tnt import Model, TNTConfig, load_model
-from async_tnt.regressor import CompiledRegressor
+from async_tnt.networks.regressor import CompiledRegressor
 
 WITH = SMALL.replace(landmark="regressor")
 CLASSES = ("a", "b", "c")
@@ -34,37 +34,64 @@ def changed(**weights):
 
 WRONG = [
     ({"conv2__bias": None}, f"`weights` must hold {ALL}, got {ALL.replace('regressor.conv2.bias, ', '')}{HINT}"),
-    ({"heatmap__weight": None}, f"`weights` must hold {ALL}, got "
-     f"{ALL.replace(', regressor.heatmap.weight', '')}{HINT}"),
-    ({"heatmap__bias": np.zeros(1)}, f"`weights` must hold {ALL}, got "
-     f"{ALL.replace('regressor.heatmap', 'regressor.heatmap.bias, regressor.heatmap')}{HINT}"),
-    ({"conv4__bias": np.zeros(1)}, f"`weights` must hold {ALL}, got "
-     f"{ALL.replace('regressor.heatmap', 'regressor.conv4.bias, regressor.heatmap')}{HINT}"),
-    ({"conv1__weight": np.zeros((5, 3, 3, 3))},
-     "`regressor.conv1.weight` must have shape (5, 2, 3, 3) here, got (5, 3, 3, 3)"),
-    ({"conv1__weight": np.zeros((5, 2, 5, 5))},
-     "`regressor.conv1.weight` must have shape (5, 2, 3, 3) here, got (5, 2, 5, 5)"),
+    (
+        {"heatmap__weight": None},
+        f"`weights` must hold {ALL}, got {ALL.replace(', regressor.heatmap.weight', '')}{HINT}",
+    ),
+    (
+        {"heatmap__bias": np.zeros(1)},
+        f"`weights` must hold {ALL}, got "
+        f"{ALL.replace('regressor.heatmap', 'regressor.heatmap.bias, regressor.heatmap')}{HINT}",
+    ),
+    (
+        {"conv4__bias": np.zeros(1)},
+        f"`weights` must hold {ALL}, got "
+        f"{ALL.replace('regressor.heatmap', 'regressor.conv4.bias, regressor.heatmap')}{HINT}",
+    ),
+    (
+        {"conv1__weight": np.zeros((5, 3, 3, 3))},
+        "`regressor.conv1.weight` must have shape (5, 2, 3, 3) here, got (5, 3, 3, 3)",
+    ),
+    (
+        {"conv1__weight": np.zeros((5, 2, 5, 5))},
+        "`regressor.conv1.weight` must have shape (5, 2, 3, 3) here, got (5, 2, 5, 5)",
+    ),
     ({"conv1__weight": np.float32(1)}, "`regressor.conv1.weight` must have shape (1, 2, 3, 3) here, got (1,)"),
     ({"conv1__bias": np.zeros(4)}, "`regressor.conv1.bias` must have shape (5,) here, got (4,)"),
     ({"conv1__bias": np.zeros((5, 1))}, "`regressor.conv1.bias` must have shape (5,) here, got (5, 1)"),
-    ({"conv2__weight": np.zeros((6, 4, 3, 3))},
-     "`regressor.conv2.weight` must have shape (6, 5, 3, 3) here, got (6, 4, 3, 3)"),
+    (
+        {"conv2__weight": np.zeros((6, 4, 3, 3))},
+        "`regressor.conv2.weight` must have shape (6, 5, 3, 3) here, got (6, 4, 3, 3)",
+    ),
     ({"conv2__bias": np.zeros(5)}, "`regressor.conv2.bias` must have shape (6,) here, got (5,)"),
-    ({"conv3__weight": np.zeros((7, 6, 3))},
-     "`regressor.conv3.weight` must have shape (7, 6, 3, 3) here, got (7, 6, 3)"),
+    (
+        {"conv3__weight": np.zeros((7, 6, 3))},
+        "`regressor.conv3.weight` must have shape (7, 6, 3, 3) here, got (7, 6, 3)",
+    ),
     ({"conv3__bias": np.zeros(1)}, "`regressor.conv3.bias` must have shape (7,) here, got (1,)"),
-    ({"heatmap__weight": np.zeros((1, 6, 1, 1))},
-     "`regressor.heatmap.weight` must have shape (1, 7, 1, 1) here, got (1, 6, 1, 1)"),
-    ({"heatmap__weight": np.zeros((2, 7, 1, 1))},
-     "`regressor.heatmap.weight` must have shape (1, 7, 1, 1) here, got (2, 7, 1, 1)"),
+    (
+        {"heatmap__weight": np.zeros((1, 6, 1, 1))},
+        "`regressor.heatmap.weight` must have shape (1, 7, 1, 1) here, got (1, 6, 1, 1)",
+    ),
+    (
+        {"heatmap__weight": np.zeros((2, 7, 1, 1))},
+        "`regressor.heatmap.weight` must have shape (1, 7, 1, 1) here, got (2, 7, 1, 1)",
+    ),
     ({"heatmap__weight": np.zeros(7)}, "`regressor.heatmap.weight` must have shape (1, 7, 1, 1) here, got (7,)"),
-    ({"conv2__weight": np.zeros((0, 5, 3, 3))},
-     "every layer must have at least one filter or unit, got widths (5, 0, 7)"),
-    *[({f"{layer}__bias": np.full(n, value)}, f"`regressor.{layer}.weight` and its bias must be finite numbers")
-      for layer, n in (("conv1", 5), ("conv2", 6), ("conv3", 7)) for value in (np.nan, np.inf, -1e39)],
-    *[({"heatmap__weight": np.full((1, 7, 1, 1), value)}, "`regressor.heatmap.weight` must be finite numbers")
-      for value in (np.nan, np.inf, 1e39)],
-]  # fmt: skip
+    (
+        {"conv2__weight": np.zeros((0, 5, 3, 3))},
+        "every layer must have at least one filter or unit, got widths (5, 0, 7)",
+    ),
+    *[
+        ({f"{layer}__bias": np.full(n, value)}, f"`regressor.{layer}.weight` and its bias must be finite numbers")
+        for layer, n in (("conv1", 5), ("conv2", 6), ("conv3", 7))
+        for value in (np.nan, np.inf, -1e39)
+    ],
+    *[
+        ({"heatmap__weight": np.full((1, 7, 1, 1), value)}, "`regressor.heatmap.weight` must be finite numbers")
+        for value in (np.nan, np.inf, 1e39)
+    ],
+]
 
 
 @pytest.mark.parametrize(("weights", "message"), WRONG)

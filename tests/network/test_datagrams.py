@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from made import events_of, random_events
 
 from async_tnt.events import EVENT_DTYPE, as_events
-from async_tnt.network import EVENT_BYTES, Decoder, decode, encode
+from async_tnt.sources.datagrams import EVENT_BYTES, Decoder, decode, encode
 
 FORMATS = tuple(EVENT_BYTES)
 EVENT = events_of([0x1_0000_0203], [0x0405], [0x0607], [1])
@@ -57,9 +57,10 @@ def test_any_bytes_become_good_events_and_a_count(data, format, sided):
 
 
 @given(
-    steps=st.lists(st.integers(-(2**31) + 1, 2**31 - 1), max_size=30), cuts=st.sets(st.integers(0, 30)),
+    steps=st.lists(st.integers(-(2**31) + 1, 2**31 - 1), max_size=30),
+    cuts=st.sets(st.integers(0, 30)),
     format=st.sampled_from(("t32_x16_y15_on1", "spif_t32")),
-)  # fmt: skip
+)
 def test_times_of_32_bits_are_unwrapped_however_the_stream_is_cut(steps, cuts, format):
     t = np.cumsum([5, *steps])
     t[t < 0] = 0  # what a stream cannot hold; a step may then be too long to follow

@@ -8,7 +8,8 @@ import pytest
 from listening import free_port, wait_for_listener
 from made import events_of, random_events
 
-from async_tnt.network import UdpSender, UdpSource
+from async_tnt.sources.udp import UdpSource
+from async_tnt.sources.udp_sender import UdpSender
 
 faery = pytest.importorskip("faery", reason="needs the extra `files`")
 

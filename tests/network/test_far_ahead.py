@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 from made import events_of, random_events
 
 from async_tnt import EVENT_DTYPE, Processor, TNTConfig
-from async_tnt.network import EVENT_BYTES, Decoder, UdpSender, UdpSource, encode
-from async_tnt.network.decode_kernel import FOLLOW_AFTER, LATEST_START_US
+from async_tnt.kernels.datagrams import FOLLOW_AFTER, LATEST_START_US
+from async_tnt.sources.datagrams import EVENT_BYTES, Decoder, encode
+from async_tnt.sources.udp import UdpSource
+from async_tnt.sources.udp_sender import UdpSender
 
 JUMP_S = 10.0
 JUMP_US = 10_000_000
@@ -91,8 +93,10 @@ def test_datagrams_that_disagree_are_never_followed():
 def test_garbage_before_the_stream_does_not_set_the_clock():
     decoder = Decoder(max_jump_s=JUMP_S)
     assert decoded(decoder, [at(2**62 - 1), at(LATEST_START_US + 1), at(LATEST_START_US - 9)]) == [
-        [], [], [LATEST_START_US - 9]
-    ]  # fmt: skip
+        [],
+        [],
+        [LATEST_START_US - 9],
+    ]
     late_start = Decoder(max_jump_s=JUMP_S)  # nanoseconds, perhaps: if it is one stream, it is followed all the same
     assert decoded(late_start, [at(2**61 + k) for k in range(FOLLOW_AFTER)])[-1] == [2**61 + FOLLOW_AFTER - 1]
 
@@ -144,11 +148,13 @@ def test_any_datagrams_are_counted_to_the_event_however_they_are_batched(datagra
     parts = [one_by_one.decode(datagram) for datagram in whole]
     batches = [
         in_two.decode_datagrams(
-            np.frombuffer(b"".join(batch), np.uint8), np.cumsum([0] + [len(d) // size for d in batch])[1:],
-            np.zeros(len(batch), np.int64), len(batch),
+            np.frombuffer(b"".join(batch), np.uint8),
+            np.cumsum([0] + [len(d) // size for d in batch])[1:],
+            np.zeros(len(batch), np.int64),
+            len(batch),
         )
         for batch in (whole[:cut], whole[cut:])
-    ]  # fmt: skip
+    ]
     empty = np.empty(0, EVENT_DTYPE)
     events = np.concatenate([empty, *(part.events for part in parts)])
     assert events.tobytes() == np.concatenate(batches).tobytes()

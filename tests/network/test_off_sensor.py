@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from listening import free_port, wait_for_listener
 from made import events_of, random_events
 
-from async_tnt.network import Decoder, UdpSender, UdpSource, encode
-from async_tnt.network.udp_source import DOUBTFUL
+from async_tnt.sources.datagrams import Decoder, encode
+from async_tnt.sources.udp import DOUBTFUL, UdpSource
+from async_tnt.sources.udp_sender import UdpSender
 
 SENSOR = (34, 20)
 FORMATS = ("t64_x16_y16_on8", "t32_x16_y15_on1", "spif", "spif_t32")
@@ -38,8 +39,9 @@ def test_the_borders_by_hand(format):
 )
 def test_the_counts_add_up(kinds, cut):
     """An event is one thing: off the sensor, else too far ahead; in one datagram or two."""
-    events = events_of([5, *range(6, 6 + len(kinds))], [1] * (len(kinds) + 1), [2] * (len(kinds) + 1),
-                       [1] * (len(kinds) + 1))  # fmt: skip
+    events = events_of(
+        [5, *range(6, 6 + len(kinds))], [1] * (len(kinds) + 1), [2] * (len(kinds) + 1), [1] * (len(kinds) + 1)
+    )
     for k, kind in enumerate(kinds, 1):
         if "off" in kind:
             events["y"][k] = 20
@@ -64,7 +66,7 @@ def test_the_summary_says_how_many_lie_off_the_sensor():
 
 
 def warnings_of(caplog):
-    return [r.getMessage() for r in caplog.records if r.name == "async_tnt.network" and r.levelno == logging.WARNING]
+    return [r.getMessage() for r in caplog.records if r.name == "async_tnt.sources" and r.levelno == logging.WARNING]
 
 
 def listen_to(*parts, format="t64_x16_y16_on8", sensor=SENSOR, sent_as=None):

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from made import events_of, random_events
 
 from async_tnt import Processor, TNTConfig, stream
-from async_tnt.network import Decoder, UdpSender, UdpSource, encode
-from async_tnt.network.decode_kernel import FALL_US, FOLLOW_AFTER, LATEST_START_US
+from async_tnt.kernels.datagrams import FALL_US, FOLLOW_AFTER, LATEST_START_US
+from async_tnt.sources.datagrams import Decoder, encode
+from async_tnt.sources.udp import UdpSource
+from async_tnt.sources.udp_sender import UdpSender
 
 JUMP_S = 10.0
 MINUTE_US = 60_000_000
@@ -130,9 +132,11 @@ def test_without_a_bound_times_stay_what_they_are():
 
 @settings(max_examples=200)
 @given(
-    starts=st.lists(st.integers(0, 4 * MINUTE_US), min_size=1, max_size=4), first=st.integers(0, LATEST_START_US),
-    cut=st.integers(0, 130), format=st.sampled_from(TIMED),
-)  # fmt: skip
+    starts=st.lists(st.integers(0, 4 * MINUTE_US), min_size=1, max_size=4),
+    first=st.integers(0, LATEST_START_US),
+    cut=st.integers(0, 130),
+    format=st.sampled_from(TIMED),
+)
 def test_after_whatever_one_stream_is_heard_again(starts, first, cut, format):
     """However it began, and in two batches as in one: the last of the streams goes on, in order and at its own pace."""
     length = 4 * FOLLOW_AFTER  # 3 s: a fall by less than a second, which is none, is caught up with
@@ -142,11 +146,13 @@ def test_after_whatever_one_stream_is_heard_again(starts, first, cut, format):
     got = np.concatenate([one_by_one.decode(part).events for part in parts])
     batched = [
         in_two.decode_datagrams(
-            np.frombuffer(b"".join(batch), np.uint8), np.arange(1, len(batch) + 1), np.zeros(len(batch), np.int64),
+            np.frombuffer(b"".join(batch), np.uint8),
+            np.arange(1, len(batch) + 1),
+            np.zeros(len(batch), np.int64),
             len(batch),
         )
         for batch in (parts[:cut], parts[cut:])
-    ]  # fmt: skip
+    ]
     assert np.concatenate(batched).tobytes() == got.tobytes()
     assert len(got) + one_by_one.malformed == len(times)
     end = got["t"][-FOLLOW_AFTER:].astype(np.int64)

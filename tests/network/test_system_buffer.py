@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from async_tnt.network import system_buffer
-from async_tnt.network.system_buffer import LostDatagrams
+from async_tnt.sources import udp_buffer as system_buffer
+from async_tnt.sources.udp_buffer import LostDatagrams
 
 
 class Socket:

@@ -13,8 +13,10 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt import Processor, TNTConfig, astream, stream
-from async_tnt.fresh import BackgroundReader
-from async_tnt.network import UdpSender, UdpSource, encode, open_udp
+from async_tnt.sources.background_reader import BackgroundReader
+from async_tnt.sources.datagrams import encode
+from async_tnt.sources.udp import UdpSource, open_udp
+from async_tnt.sources.udp_sender import UdpSender
 
 EVENTS = random_events(2500, duration_us=50_000)
 CONFIG = TNTConfig(window_us=10_000)
@@ -43,8 +45,10 @@ def raw(source, *datagrams):
 @pytest.mark.parametrize("packet_events", [1, 100, 4000])
 def test_what_is_sent_arrives_in_order(format, packet_events):
     events = EVENTS[:300] if packet_events == 1 else EVENTS
-    with listening(format=format) as source, UdpSender("127.0.0.1", source.port, format,
-                                                       packet_events=packet_events) as sender:  # fmt: skip
+    with (
+        listening(format=format) as source,
+        UdpSender("127.0.0.1", source.port, format, packet_events=packet_events) as sender,
+    ):
         sender.send(events)
         received = np.concatenate(list(source))
         assert received.tobytes() == events.tobytes()

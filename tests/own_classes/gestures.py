@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from made import events_of
 
-from async_tnt.recordings import write_nmnist
+from async_tnt.sources.files.nmnist import write_nmnist
 
 SLOPES = {"upright": 0.0, "flat": 0.5 * np.pi, "slanted": 0.25 * np.pi}
 

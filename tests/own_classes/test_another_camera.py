@@ -13,7 +13,7 @@ from own_classes.gestures import bar
 from recordings.written import BYTES
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.model import load_model
+from async_tnt.networks.model import load_model
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
@@ -95,8 +95,19 @@ def test_where_no_file_says_the_sensor_one_line_asks_for_it(tmp_path, program):
 def test_killed_and_given_again_it_ends_with_the_same_model(tmp_path):
     """Killed in whatever it was at, as soon as there is one more epoch on the disk, three times."""
     write_camera(tmp_path / "set", {"upright": 4, "flat": 4}, (128, 128))
-    words = [sys.executable, "-m", "async_tnt.cli", "train", "../set", "--out", "m.safetensors", "--epochs", "60",
-             "--patience", "0"]  # fmt: skip
+    words = [
+        sys.executable,
+        "-m",
+        "async_tnt.cli",
+        "train",
+        "../set",
+        "--out",
+        "m.safetensors",
+        "--epochs",
+        "60",
+        "--patience",
+        "0",
+    ]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
     def start(name):

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="pictures need matplotlib (extra `plot`)")
 
-from async_tnt.figures.confusion import draw_confusion, write_confusion
+from async_tnt.views.confusion import draw_confusion, write_confusion
 
 CONFUSION = np.array([[90, 10, 0], [1, 1, 0], [0, 0, 0]])
 
@@ -21,8 +21,9 @@ def test_colours_are_shares_of_the_row_and_numbers_are_counts():
 
 def test_many_classes_with_long_names_fit(tmp_path):
     n = 60
-    path = write_confusion(np.eye(n, dtype=int), [f"a class with a name of length {k}" for k in range(n)],
-                           tmp_path / "c.png", "many")  # fmt: skip
+    path = write_confusion(
+        np.eye(n, dtype=int), [f"a class with a name of length {k}" for k in range(n)], tmp_path / "c.png", "many"
+    )
     assert path.stat().st_size > 10_000
 
 

@@ -9,14 +9,29 @@ from own_classes.gestures import bar, write, write_set
 
 from async_tnt import Model, Processor, TNTConfig
 from async_tnt.archive.streamed import moments
-from async_tnt.commands import evaluate
-from async_tnt.recordings import READERS, open_recording
+from async_tnt.cli import evaluate
+from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.files.recording import open_recording
 
 KEYS = {
-    "accuracy", "window_accuracy", "balanced_accuracy", "recordings", "windows", "classes", "per_class", "confusion",
-    "window_confusion", "accuracy_against_time", "decisions", "events", "late", "seconds", "decisions_per_second",
-    "events_per_second", "skipped",
-}  # fmt: skip
+    "accuracy",
+    "window_accuracy",
+    "balanced_accuracy",
+    "recordings",
+    "windows",
+    "classes",
+    "per_class",
+    "confusion",
+    "window_confusion",
+    "accuracy_against_time",
+    "decisions",
+    "events",
+    "late",
+    "seconds",
+    "decisions_per_second",
+    "events_per_second",
+    "skipped",
+}
 CLASSES = ("flat", "slanted", "upright")
 
 
@@ -126,8 +141,11 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
     report = json.loads(printed)
     assert code == 0 and report["recordings"] == 4 and report["per_class"]["slanted"] is None
     assert told.count("\n") == 3 and told.count("async-tnt: skipped: ") == 3
-    for name, why in (("torn.npz", "not a readable NumPy file"), ("silent.npz", "no events"),
-                      ("wide.npz", "640x480 pixels, but the model is for 128x128")):  # fmt: skip
+    for name, why in (
+        ("torn.npz", "not a readable NumPy file"),
+        ("silent.npz", "no events"),
+        ("wide.npz", "640x480 pixels, but the model is for 128x128"),
+    ):
         assert any(name in line and why in line for line in report["skipped"]), report["skipped"]
     assert program("evaluate", saved, folder, "--strict")[0] == 2
 

@@ -8,9 +8,9 @@ import pytest
 from made import events_of
 from own_classes.gestures import bar, write, write_set
 
-from async_tnt.model import load_model
-from async_tnt.pixels import PackedMask, PixelSelection
-from async_tnt.training.own_classes import read_classes
+from async_tnt.networks.model import load_model
+from async_tnt.sources.pixel_selection import PackedMask, PixelSelection
+from async_tnt.training.dataset import read_classes
 
 SIZE = (64, 64)
 

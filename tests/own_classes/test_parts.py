@@ -5,12 +5,12 @@ import pytest
 from made import events_of
 from own_classes.gestures import write
 
+from async_tnt.archive.scores import score_recordings
 from async_tnt.archive.streamed import decided_at
 from async_tnt.config import MAX_SIDE, TNTConfig
-from async_tnt.datasets.scores import score_recordings
 from async_tnt.decision import Decision
 from async_tnt.training.augment import FINE, Augmentation, fineness
-from async_tnt.training.own_classes import read_classes
+from async_tnt.training.dataset import read_classes
 from async_tnt.training.windows import Recordings, lay_windows, split_recordings
 
 
@@ -106,9 +106,7 @@ def test_events_older_than_the_first_are_left_out_and_the_others_put_in_order(tm
 def test_patience_ends_the_training_and_the_best_epoch_has_the_lowest_loss(tmp_path, monkeypatch):
     train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
     losses = iter([3.0, 1.0, 2.0, 1.5, 0.5])
-    monkeypatch.setattr(
-        train, "_validate", lambda *words, **more: {"validation_loss": next(losses), "per_window": 0.5}
-    )  # fmt: skip
+    monkeypatch.setattr(train, "_validate", lambda *words, **more: {"validation_loss": next(losses), "per_window": 0.5})
     rng = np.random.default_rng(0)
     events = [recording(np.sort(rng.integers(0, 100_000, 50))) for _ in range(4)]
     windows = lay_windows(Recordings.from_events(events, [0, 1, 0, 1]), 105_000, first_event=True, duration_us=None)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from own_classes.gestures import bar, write, write_set
 
-from async_tnt.model import load_model
-from async_tnt.recordings import READERS
+from async_tnt.networks.model import load_model
+from async_tnt.sources.files.formats import READERS
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
-from async_tnt.training import command, own_run
+from async_tnt.cli import train as command
+from async_tnt.training import dataset_run as own_run
 
 
 def test_the_model_has_the_folders_classes_and_the_recordings_sensor(trained):

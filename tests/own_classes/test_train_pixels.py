@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from own_classes.gestures import bar, write
 
-from async_tnt.model import load_model
-from async_tnt.pixels import PixelFilter, PixelSelection, save_mask
+from async_tnt.networks.model import load_model
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import save_mask
+from async_tnt.sources.pixel_selection import PixelSelection
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
-from async_tnt.training import own_run
-from async_tnt.training.own_classes import read_classes
+from async_tnt.training import dataset_run as own_run
+from async_tnt.training.dataset import read_classes
 
 QUICK = ("--epochs", "2", "--batch", "4", "--patience", "0")
 SIZE = (64, 64)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from made import events_of, random_events
 
-from async_tnt.pixels import count_pixels, hot_pixels, learn_mask
-from async_tnt.pixels.hot_pixels import _neighbours
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources import hot_pixels
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.hot_pixels import _neighbours, count_pixels, learn_mask
 
 SENSOR = (34, 34)
 SAMPLES = sample_recordings()
@@ -126,8 +126,12 @@ def test_neighbours_equal_a_plain_loop(shape):
     for y in range(height):
         for x in range(width):
             top, left = (max(0, min(at - 2, side - 5)) for at, side in ((y, height), (x, width)))
-            others = [counts[j, i] for j in range(top, min(top + 5, height)) for i in range(left, min(left + 5, width))
-                      if (j, i) != (y, x)]  # fmt: skip
+            others = [
+                counts[j, i]
+                for j in range(top, min(top + 5, height))
+                for i in range(left, min(left + 5, width))
+                if (j, i) != (y, x)
+            ]
             others = sorted([*others, 0], reverse=True)
             fourth = others[3] if len(others) > 4 else others[-2] if len(others) > 1 else None
             if fourth is not None and counts[y, x] > fourth and height * width > 4:

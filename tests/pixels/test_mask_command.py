@@ -9,8 +9,10 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt.cli import main
-from async_tnt.pixels import PixelFilter, load_mask, save_mask
-from async_tnt.recordings import open_recording, sample_recordings, write_nmnist
+from async_tnt.sources.files.nmnist import write_nmnist
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import load_mask, save_mask
 
 SAMPLE = sample_recordings()[3]
 
@@ -203,9 +205,16 @@ def test_what_is_wrong_in_one_line(make, tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "argv", [[], ["a.bin", "--sensor", "34"], ["a.bin", "--sensor", "0x4"], ["a.bin", "--factor", "1"],
-             ["a.bin", "--factor", "x"], ["a.bin", "--factor", "nan"]],
-)  # fmt: skip
+    "argv",
+    [
+        [],
+        ["a.bin", "--sensor", "34"],
+        ["a.bin", "--sensor", "0x4"],
+        ["a.bin", "--factor", "1"],
+        ["a.bin", "--factor", "x"],
+        ["a.bin", "--factor", "nan"],
+    ],
+)
 def test_bad_usage_exits_with_2(argv, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["mask", *argv])

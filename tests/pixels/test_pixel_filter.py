@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from made import events_of, nasty_streams, random_events
 
 import async_tnt
-from async_tnt.pixels import PixelCounts, PixelFilter
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
 
 
 def records(events, layout):
@@ -98,8 +98,15 @@ def test_the_borders_of_a_region_by_hand():
     events = events_of(np.arange(80), x.ravel(), y.ravel(), np.ones(80))
     kept = PixelFilter((10, 8), roi=(2, 3, 4, 2))(events)
     assert sorted(zip(kept["x"].tolist(), kept["y"].tolist(), strict=True)) == [
-        (2, 3), (2, 4), (3, 3), (3, 4), (4, 3), (4, 4), (5, 3), (5, 4),
-    ]  # fmt: skip
+        (2, 3),
+        (2, 4),
+        (3, 3),
+        (3, 4),
+        (4, 3),
+        (4, 4),
+        (5, 3),
+        (5, 4),
+    ]
     kept = PixelFilter((10, 8), roi=(9, 7, 1, 1), crop=True)(events)
     assert kept.tolist() == [(79, 0, 0, 1)]
 

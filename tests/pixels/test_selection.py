@@ -7,8 +7,12 @@ import pickle
 import numpy as np
 import pytest
 
-from async_tnt.pixels import PackedMask, PixelFilter, PixelSelection, PixelSelector, load_mask, save_mask
-from async_tnt.recordings import open_recording, sample_recordings, write_nmnist
+from async_tnt.sources.files.nmnist import write_nmnist
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import load_mask, save_mask
+from async_tnt.sources.pixel_selection import PackedMask, PixelSelection
+from async_tnt.sources.pixel_selector import PixelSelector
 
 SAMPLE = sample_recordings()[3]
 EVENTS = open_recording(SAMPLE).read()

@@ -5,8 +5,8 @@ import hashlib
 import numpy as np
 import pytest
 
-from async_tnt.pixels import PixelSelection
-from async_tnt.pixels.trained_with import difference
+from async_tnt.sources.model_pixels import difference
+from async_tnt.sources.pixel_selection import PixelSelection
 
 MASK = np.zeros((48, 60), bool)
 MASK[3, 4] = True
@@ -50,9 +50,16 @@ def test_it_says_what_was_and_what_is():
 
 @pytest.mark.parametrize(
     "record",
-    [{}, {"data": None}, {"data": "N-MNIST"}, {"data": {}}, {"data": {"pixels": None}}, {"data": {"pixels": {}}},
-     {"data": {"pixels": {"roi": 5, "camera": "60x48"}}}],
-)  # fmt: skip
+    [
+        {},
+        {"data": None},
+        {"data": "N-MNIST"},
+        {"data": {}},
+        {"data": {"pixels": None}},
+        {"data": {"pixels": {}}},
+        {"data": {"pixels": {"roi": 5, "camera": "60x48"}}},
+    ],
+)
 def test_a_record_that_knows_of_no_selection_says_nothing(record):
     assert difference(record, PixelSelection()) == ""
     if "pixels" not in (record.get("data") or {}):

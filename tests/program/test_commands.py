@@ -10,8 +10,9 @@ from made import random_events, random_model
 
 from async_tnt import TNTConfig, TNTVolume
 from async_tnt.cli import main
-from async_tnt.commands.program import COMMANDS
-from async_tnt.recordings import sample_recordings, write_nmnist
+from async_tnt.cli.program import COMMANDS
+from async_tnt.sources.files.nmnist import write_nmnist
+from async_tnt.sources.files.recording import sample_recordings
 
 SAMPLES = sample_recordings()
 
@@ -120,8 +121,14 @@ def test_check_holds_stream_and_batch_equal(capsys, tmp_path):
     rows = report["recordings"][str(path)]
     assert report["equal"] and all(row["holds"] and row["n"] > 0 for row in rows)
     assert {row["config"] for row in rows} == {
-        "center", "running", "line", "window", "line, flow removed", "no transform", "the model",
-    }  # fmt: skip
+        "center",
+        "running",
+        "line",
+        "window",
+        "line, flow removed",
+        "no transform",
+        "the model",
+    }
 
 
 def test_check_takes_recordings_whose_times_run_backwards(capsys, tmp_path):
@@ -132,7 +139,7 @@ def test_check_takes_recordings_whose_times_run_backwards(capsys, tmp_path):
 
 
 def test_a_comparison_never_forgets_a_nan():
-    from async_tnt.equality import Comparison
+    from async_tnt.checking.equality import Comparison
 
     for differences in ([float("nan"), 0.0], [0.0, float("nan"), 0.5], [2.0]):
         comparison = Comparison("x", "y", 1.0)
@@ -177,7 +184,7 @@ def test_check_says_no_when_the_stream_is_wrong(monkeypatch, capsys):
 
 
 def test_interrupt_exits_with_130(monkeypatch, capsys):
-    from async_tnt.commands import run
+    from async_tnt.cli import run
 
     def interrupt(args):
         raise KeyboardInterrupt

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from async_tnt.cli import main
-from async_tnt.recordings import sample_recordings
+from async_tnt.sources.files.recording import sample_recordings
 
 ENV = os.environ | {"PYTHONUNBUFFERED": "1"}
 
@@ -20,8 +20,11 @@ def test_a_signal_ends_a_stream_with_its_last_decision_and_its_counts(number, co
     words = ["run", "udp://127.0.0.1:0", "--json"]
     process = subprocess.Popen(
         [sys.executable, "-m", "async_tnt.cli", *words],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENV,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=ENV,
+    )
     try:
         told = [process.stderr.readline()]
         while "listening" not in told[-1] and process.poll() is None:

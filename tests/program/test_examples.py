@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import async_tnt
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES, DOCS = ROOT / "examples", ROOT / "docs"
@@ -70,8 +70,9 @@ def test_background_reader(tmp_path):
     for line in lines_of("background_reader.py", tmp_path):
         name, *numbers, label = re.fullmatch(
             r"(all of them|the latest) +(\d+) events = (\d+) handed out \+ (\d+) skipped; waited up to (\d+) ms; "
-            r"last decision of (\d+) events: (\w+)", line
-        ).groups()  # fmt: skip
+            r"last decision of (\d+) events: (\w+)",
+            line,
+        ).groups()
         runs[name] = [int(number) for number in numbers]
         if name == "all of them":
             assert label == "8"
@@ -83,8 +84,10 @@ def test_background_reader(tmp_path):
 
 def test_own_torch_module(tmp_path):
     removed, raw = lines_of("own_torch_module.py", tmp_path)
-    right = [int(re.fullmatch(f"{name}: (\\d+) of 20 saccades recognised", line)[1])
-             for name, line in (("flow removed", removed), ("no transform", raw))]  # fmt: skip
+    right = [
+        int(re.fullmatch(f"{name}: (\\d+) of 20 saccades recognised", line)[1])
+        for name, line in (("flow removed", removed), ("no transform", raw))
+    ]
     assert right[0] >= 15  # chance is 2
     assert right[1] <= 7
 

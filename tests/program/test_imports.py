@@ -29,7 +29,7 @@ def test_import_brings_only_what_is_used():
     for code in ("import async_tnt", "import async_tnt.cli"):
         assert not heavy & (modules_after(code) - nothing)
     assert "numba" not in modules_after("import async_tnt; async_tnt.TNTConfig()")
-    used = modules_after("import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.recordings")
+    used = modules_after("import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.sources.files")
     assert "numba" in used and not {"torch", "matplotlib", "tqdm"} & used
 
 
@@ -43,12 +43,12 @@ def test_public_names_are_there_in_every_way():
     for name in async_tnt.__all__:
         value = getattr(async_tnt, name)
         assert starred[name] is value and name in dir(async_tnt)
-        assert value is async_tnt.recordings or value is async_tnt.EVENT_DTYPE or value.__name__ == name
+        assert value is async_tnt.sources.files or value is async_tnt.EVENT_DTYPE or value.__name__ == name
         if isinstance(value, type) or inspect.isfunction(value):
             assert pickle.loads(pickle.dumps(value)) is value
     helped = pydoc.plain(pydoc.render_doc(async_tnt))
     assert "class Processor" in helped and "load_model(name_or_path" in helped
-    assert async_tnt.pixels.PixelFilter is async_tnt.PixelFilter
+    assert async_tnt.sources.PixelFilter is async_tnt.PixelFilter
     with pytest.raises(AttributeError, match=r"^module 'async_tnt' has no attribute 'procesor'$"):
         async_tnt.procesor  # noqa: B018
     with pytest.raises(ImportError, match="cannot import name 'procesor'"):

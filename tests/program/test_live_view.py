@@ -9,8 +9,8 @@ from made import random_events, random_model
 
 from async_tnt import Counts, Processor, TNTConfig
 from async_tnt.cli import main
-from async_tnt.commands.live_view import MOST_CLASSES, LiveView
-from async_tnt.recordings import sample_recordings
+from async_tnt.cli.live_view import MOST_CLASSES, LiveView
+from async_tnt.sources.files.recording import sample_recordings
 
 CONFIG = TNTConfig(window_us=1000)
 

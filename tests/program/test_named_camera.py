@@ -7,8 +7,11 @@ import pytest
 from made import random_model
 
 from async_tnt import Model, Processor, TNTConfig
-from async_tnt.pixels import PixelFilter, PixelSelection, save_mask
-from async_tnt.recordings import open_recording, sample_recordings, write_nmnist
+from async_tnt.sources.files.nmnist import write_nmnist
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import save_mask
+from async_tnt.sources.pixel_selection import PixelSelection
 
 CAMERA = (60, 48)
 EVENTS = open_recording(sample_recordings()[3]).read()

@@ -10,21 +10,22 @@ import pytest
 from made import random_events, random_model
 
 from async_tnt.archive.collect import Collected, collect_to_file
+from async_tnt.archive.executor import Place
 from async_tnt.archive.job import job_of, task_of
-from async_tnt.archive.place import Place
 from async_tnt.archive.records import run_recording
 from async_tnt.cli import main
-from async_tnt.engines.choice import choose_engine
-from async_tnt.pixels import save_mask
-from async_tnt.recordings import sample_recordings, write_nmnist
+from async_tnt.files import Replacement, replacing, write_text
+from async_tnt.networks.engines import choose_engine
 from async_tnt.simulation.shards import write_shard
-from async_tnt.whole_files import Replacement, replacing, write_text
+from async_tnt.sources.files.nmnist import write_nmnist
+from async_tnt.sources.files.recording import sample_recordings
+from async_tnt.sources.pixel_masks import save_mask
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="FIFOs, devices and links of POSIX")
 
 
 def draw(path):
-    from async_tnt.figures.style import new_figure, save
+    from async_tnt.views.style import new_figure, save
 
     save(new_figure(1.0, 1.0), path, 50)
 
@@ -36,7 +37,7 @@ def plot_curves(path):
 
 
 def view(path):
-    from async_tnt.views import RerunView
+    from async_tnt.views.rerun_view import RerunView
 
     with RerunView(random_model(), out=path) as shown:
         shown.push(random_events(50))
@@ -50,9 +51,15 @@ def collect(path):
 
 def shard(path):
     write_shard(
-        path, [random_events(20)], labels=[1], image=[0], flow=np.zeros((1, 2, 2)), flow_times_us=[0, 105_000],
-        sensor=(34, 34), duration_us=105_000,
-    )  # fmt: skip
+        path,
+        [random_events(20)],
+        labels=[1],
+        image=[0],
+        flow=np.zeros((1, 2, 2)),
+        flow_times_us=[0, 105_000],
+        sensor=(34, 34),
+        duration_us=105_000,
+    )
 
 
 WRITERS = {

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from async_tnt import load_model
-from async_tnt.equality import check_recording
-from async_tnt.recordings import read_nmnist
+from async_tnt.checking.equality import check_recording
+from async_tnt.sources.files.nmnist import read_nmnist
 
 
 @pytest.mark.parametrize("digit", range(10))

@@ -7,8 +7,9 @@ import pytest
 
 from async_tnt import Processor, load_model
 from async_tnt.cli import main
-from async_tnt.pixels import PixelFilter, save_mask
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import save_mask
 
 SAMPLE = sample_recordings()[7]
 EVENTS = open_recording(SAMPLE).read()

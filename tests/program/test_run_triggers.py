@@ -6,7 +6,7 @@ import pytest
 
 from async_tnt import LeakyIntegrator, Processor, load_model
 from async_tnt.cli import main
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 SAMPLE = sample_recordings()[7]
 MODEL = load_model("digits")

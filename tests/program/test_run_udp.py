@@ -13,7 +13,7 @@ from listening import free_port, send_in_parts
 
 from async_tnt import Processor, load_model
 from async_tnt.cli import main
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 EVENTS = open_recording(sample_recordings()[7]).read()
 
@@ -45,8 +45,11 @@ def test_ctrl_c_ends_it_with_the_counts():
     port = free_port()
     process = subprocess.Popen(
         [sys.executable, "-m", "async_tnt.cli", "run", f"udp://127.0.0.1:{port}"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONUNBUFFERED": "1"},
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
     try:
         line = process.stderr.readline()
         while "listening" not in line and process.poll() is None:  # a cold cache says that it compiles

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from async_tnt.recordings import sample_recordings
+from async_tnt.sources.files.recording import sample_recordings
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 SAMPLE = str(sample_recordings()[3])
@@ -35,19 +35,27 @@ def interrupted(folder, words, *, point, number, in_callback=False, ignored=None
     (folder / "sitecustomize.py").write_text(SITECUSTOMIZE)
     paths = os.pathsep.join([str(folder), *filter(None, sys.path)])
     return subprocess.run(
-        [sys.executable, "-m", "async_tnt.cli", *words], stdout=subprocess.PIPE, stderr=stderr, text=True, cwd=folder,
-        env=os.environ | {
-            "PYTHONPATH": paths, "POINT": point, "NUMBER": str(int(number)), "IN_CALLBACK": str(int(in_callback)),
+        [sys.executable, "-m", "async_tnt.cli", *words],
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        text=True,
+        cwd=folder,
+        env=os.environ
+        | {
+            "PYTHONPATH": paths,
+            "POINT": point,
+            "NUMBER": str(int(number)),
+            "IN_CALLBACK": str(int(in_callback)),
         },
         preexec_fn=None if ignored is None else lambda: signal.signal(ignored, signal.SIG_IGN),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
     "number, line", [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated"), (signal.SIGHUP, "terminated")]
 )
 @pytest.mark.parametrize("in_callback", [False, True])
-@pytest.mark.parametrize("point", ["async_tnt.commands.program", "numpy.linalg", "async_tnt.commands.run"])
+@pytest.mark.parametrize("point", ["async_tnt.cli.program", "numpy.linalg", "async_tnt.cli.run"])
 def test_a_signal_while_the_program_starts(number, line, in_callback, point, tmp_path):
     done = interrupted(tmp_path, ["run", SAMPLE], point=point, number=number, in_callback=in_callback)
     assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", f"async-tnt: {line}\n")

@@ -28,8 +28,13 @@ def test_an_event_is_lost_exactly_where_tau_is_less_than_its_distance_from_the_l
     |2 x - 33| T <= 33 t_max dt. Not one event is decided otherwise: of 5,000 anywhere, and of those that come, for each
     column and each row, at the last microsecond before tau is enough and at the first at which it is."""
     enough = [abs(2 * k - 33) * WINDOW_US / (33 * Fraction(t_max)) for k in range(34)]
-    near = [(t, *xy, 1) for k, dt in enumerate(enough) for t in (math.ceil(dt) - 1, math.ceil(dt), math.floor(dt))
-            for xy in ((k, 16), (17, k)) if t < WINDOW_US]  # fmt: skip
+    near = [
+        (t, *xy, 1)
+        for k, dt in enumerate(enough)
+        for t in (math.ceil(dt) - 1, math.ceil(dt), math.floor(dt))
+        for xy in ((k, 16), (17, k))
+        if t < WINDOW_US
+    ]
     assert len(near) > 60
     events = np.concatenate([random_events(5_000, duration_us=WINDOW_US), events_of(*zip(*near, strict=True))])
     by_law = [
@@ -66,8 +71,9 @@ def test_an_object_is_compressed_by_tau(t_max):
         f, t = k / 16, torch.full((200,), k * 1_000)
         for place, landmark in ((28.0, "center"), (20.0, (21.5, 19.0)), (28.0 + 6 * f, (28.0, 28.0))):
             x, y = shape + place
-            moved = tnt_coordinates(t, x, y, start_us=0, window_us=16_000, sensor=(57, 57), grid=(57, 57),
-                                    t_max=t_max, landmark=landmark)  # fmt: skip
+            moved = tnt_coordinates(
+                t, x, y, start_us=0, window_us=16_000, sensor=(57, 57), grid=(57, 57), t_max=t_max, landmark=landmark
+            )
             if moved.kept.all():
                 n_compared += 1
                 for got, still in ((moved.u, x), (moved.v, y)):
@@ -80,8 +86,11 @@ def test_the_stream_compresses_by_tau_too(t_max):
     """Mean distance of two bars 20 px apart, measured in the volume's cells: 20 / tau, to 1e-6 px (float32 cells)."""
     n_compared = 0
     for k in range(1, 9):  # each instant exactly at a bin
-        volume = TNTVolume(TNTConfig(window_us=800, t_max=t_max, bins=9, sensor=(41, 41), grid=(41, 41),
-                                     landmark="center", polarity="split"))  # fmt: skip
+        volume = TNTVolume(
+            TNTConfig(
+                window_us=800, t_max=t_max, bins=9, sensor=(41, 41), grid=(41, 41), landmark="center", polarity="split"
+            )
+        )
         volume.open(0)
         t = min(100 * k, 799)
         y = np.arange(10, 31)

@@ -96,9 +96,7 @@ def lift(f, phi):
 
 def group_convolution(f, psi):
     """f (4, C, H, W), psi (4, D, C, 3, 3) -> (4, D, H', W'):  F[r] = sum_q f[q] * L_r psi[q - r]."""
-    return torch.stack(
-        [sum(F.conv2d(f[q][None], turn(psi[(q - r) % 4], r))[0] for q in range(4)) for r in range(4)]
-    )  # fmt: skip
+    return torch.stack([sum(F.conv2d(f[q][None], turn(psi[(q - r) % 4], r))[0] for q in range(4)) for r in range(4)])
 
 
 def act(f, s):

@@ -153,8 +153,14 @@ def test_proposition_2_for_the_volume(polarity):
 
 def test_proposition_2_in_the_stream():
     """The same for the event-by-event volume, to 1e-6: 128 events, one update each."""
-    config = TNTConfig(window_us=WINDOW_US + 1, t_max=T_MAX * (WINDOW_US + 1) / WINDOW_US, bins=BINS, sensor=SENSOR,
-                       grid=SENSOR, landmark="center")  # fmt: skip
+    config = TNTConfig(
+        window_us=WINDOW_US + 1,
+        t_max=T_MAX * (WINDOW_US + 1) / WINDOW_US,
+        bins=BINS,
+        sensor=SENSOR,
+        grid=SENSOR,
+        landmark="center",
+    )
     arrays = []
     for flow in ((0, 0), FLOW):
         columns = square(flow)

@@ -48,10 +48,12 @@ def test_proposition_3_in_the_stream_to_the_last_bit(data):
     On a grid of another size than the sensor's as well.
     """
     config = TNTConfig(
-        window_us=WINDOW_US, grid=data.draw(st.sampled_from([(34, 34), (20, 27)])),
-        landmark=data.draw(st.sampled_from(["running", "line"])), t_max=data.draw(st.sampled_from([1.0, 2.0, 8.0])),
+        window_us=WINDOW_US,
+        grid=data.draw(st.sampled_from([(34, 34), (20, 27)])),
+        landmark=data.draw(st.sampled_from(["running", "line"])),
+        t_max=data.draw(st.sampled_from([1.0, 2.0, 8.0])),
         polarity=data.draw(st.sampled_from(["signed", "unsigned", "split"])),
-    )  # fmt: skip
+    )
     if config.landmark == "line":
         config = config.replace(remove_flow=data.draw(st.booleans()))
     events = data.draw(nasty_streams((20, 14), WINDOW_US, 0))
@@ -88,12 +90,16 @@ def test_about_a_fixed_point_the_volume_of_a_translated_stream_is_another():
     """`center` stays, so event i goes a / tau_i: neither identical nor a translation. The best whole translation leaves
     differences of more than half of the largest cell; without the transform, a translation by a is exact."""
     here, there = (
-        {name: streamed(events, TNTConfig(window_us=WINDOW_US, t_max=2.0, polarity="unsigned", **how)).array
-         for name, how in (("tnt", dict(landmark="center")), ("raw", dict(landmark="center", transform="none")))}
+        {
+            name: streamed(events, TNTConfig(window_us=WINDOW_US, t_max=2.0, polarity="unsigned", **how)).array
+            for name, how in (("tnt", dict(landmark="center")), ("raw", dict(landmark="center", transform="none")))
+        }
         for events in (a_digit(), shifted(a_digit(), (9, 9)))
-    )  # fmt: skip
-    best = min(np.abs(there["tnt"] - np.roll(here["tnt"], by, (1, 2))).max()
-               for by in np.ndindex(19, 19)) / here["tnt"].max()  # fmt: skip
+    )
+    best = (
+        min(np.abs(there["tnt"] - np.roll(here["tnt"], by, (1, 2))).max() for by in np.ndindex(19, 19))
+        / here["tnt"].max()
+    )
     assert best > 0.5
     np.testing.assert_array_equal(there["raw"], np.roll(here["raw"], (9, 9), (1, 2)))
 
@@ -166,10 +172,14 @@ def drawn_by_one_filter(volume):
     return F.conv2d(volume.sum(0)[None], blur[None, None], padding=1)[0]
 
 
-@pytest.mark.parametrize(("draw", "polarity", "translations"), [
-    (drawn_by_a_network, "signed", [(17, -9), (-10, 21)]),
-    (drawn_by_one_filter, "unsigned", TRANSLATIONS),
-], ids=["network", "filter"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("draw", "polarity", "translations"),
+    [
+        (drawn_by_a_network, "signed", [(17, -9), (-10, 21)]),
+        (drawn_by_one_filter, "unsigned", TRANSLATIONS),
+    ],
+    ids=["network", "filter"],
+)
 def test_proposition_3_about_what_a_convolution_finds(draw, polarity, translations):
     """l(e) = the centroid of (V(e) * phi): l(e + a) = l(e) + a to 1e-12, hence the same volume to 1e-12.
 

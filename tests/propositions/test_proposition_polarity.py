@@ -6,7 +6,10 @@ A pixel follows log luminance L; for a pattern that moves with velocity v, dL/dt
 import numpy as np
 import pytest
 
-from async_tnt.simulation import ConstantVelocity, Scene, render, simulate_digit, simulate_events
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.scene import Scene, render
+from async_tnt.simulation.simulator import simulate_events
+from async_tnt.simulation.trajectories import ConstantVelocity
 
 SENSOR = (34, 34)
 THRESHOLD = 0.19  # log 5 = 1.609 holds 8 of them

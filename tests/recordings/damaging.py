@@ -6,7 +6,8 @@ import warnings
 import numpy as np
 from recordings.written import BYTES, WRITERS, evt21, made_events
 
-from async_tnt.recordings import DamagedRecording, open_recording
+from async_tnt.sources.files.damage import DamagedRecording
+from async_tnt.sources.files.recording import open_recording
 
 SLOWEST_S = 20.0  # a case takes milliseconds; on a busy machine, and with faery's process, more
 
@@ -47,16 +48,22 @@ def _from_bytes(make):
 
 
 LINEAR = BYTES | {
-    "atis.es": atis, "v1.dat": dat1, "legacy.raw": lambda events, sensor: evt21(events, sensor, "legacy"),
-}  # fmt: skip
+    "atis.es": atis,
+    "v1.dat": dat1,
+    "legacy.raw": lambda events, sensor: evt21(events, sensor, "legacy"),
+}
 """Formats whose first bytes alone decide the first events: file name -> function from events and sensor to bytes."""
 
-EVERY_WRITER = WRITERS | {name: _from_bytes(make) for name, make in (LINEAR | {"plain.bin": nmnist}).items()} | {
-    "records.npy": lambda path, events, sensor: np.save(path, events),
-    "columns.npy": lambda path, events, sensor: np.save(path, np.array(events.tolist())),
-    "packed.npz": lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=np.array(sensor)),
-    "plain.npz": lambda path, events, sensor: np.savez(path, **{name: events[name] for name in "txyp"}),
-}  # fmt: skip
+EVERY_WRITER = (
+    WRITERS
+    | {name: _from_bytes(make) for name, make in (LINEAR | {"plain.bin": nmnist}).items()}
+    | {
+        "records.npy": lambda path, events, sensor: np.save(path, events),
+        "columns.npy": lambda path, events, sensor: np.save(path, np.array(events.tolist())),
+        "packed.npz": lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=np.array(sensor)),
+        "plain.npz": lambda path, events, sensor: np.savez(path, **{name: events[name] for name in "txyp"}),
+    }
+)
 """File name -> function that writes such a file: (path, events, sensor)."""
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recordings.written import evt2, evt3, evt_header, made_events
 
-from async_tnt.recordings import open_recording
+from async_tnt.sources.files.recording import open_recording
 
 faery = pytest.importorskip("faery", reason="needs the extra `files`")
 SENSOR = (1280, 720)

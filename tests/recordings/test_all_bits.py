@@ -5,7 +5,7 @@ import pytest
 from recordings.damaging import EVERY_WRITER
 from recordings.written import made_events
 
-from async_tnt.recordings import open_recording
+from async_tnt.sources.files.recording import open_recording
 
 LARGEST = {
     "evt2.raw": (2048, 2048),

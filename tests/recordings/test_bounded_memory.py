@@ -7,7 +7,7 @@ import pytest
 from numba import config
 from recordings.written import WRITERS, made_events
 
-from async_tnt.recordings import open_recording
+from async_tnt.sources.files.recording import open_recording
 
 N_EVENTS = 1_000_000
 BLOCK = made_events(100_000, step_us=4)

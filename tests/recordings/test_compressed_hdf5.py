@@ -11,7 +11,7 @@ from recordings.damaging import read
 from recordings.test_fuzzed_files import CASES, damaged
 from recordings.written import WRITERS, made_events
 
-from async_tnt.recordings import open_recording
+from async_tnt.sources.files.recording import open_recording
 
 EVENTS = made_events(5_000)
 LAYOUTS = ["dsec.h5", "metavision.hdf5"]

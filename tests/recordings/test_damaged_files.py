@@ -7,9 +7,10 @@ import pytest
 from recordings.damaging import EVERY_WRITER, read
 from recordings.written import dat, es, evt2, evt3, evt_header, made_events, uzh_text
 
-from async_tnt.recordings import DamagedRecording, open_recording
-from async_tnt.recordings.child_end import Out
-from async_tnt.recordings.hdf5_child import write_events
+from async_tnt.sources.files.child_end import Out
+from async_tnt.sources.files.damage import DamagedRecording
+from async_tnt.sources.files.hdf5_child import write_events
+from async_tnt.sources.files.recording import open_recording
 
 # bytes an event has: a file cut between two events is a whole file, and nothing can tell
 WHOLE_AGAIN = (".raw", ".dat", ".es", ".txt", ".csv", ".bin")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from recordings.written import evt2, evt3, evt21, evt_header, made_events
 
-from async_tnt.recordings import open_recording
-from async_tnt.recordings.evt_kernels import FINE, decode_evt2, decode_evt3, decode_evt21
+from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21
+from async_tnt.sources.files.recording import open_recording
 
 MAKE = {"2.0": (evt2, "<u4", 28), "2.1": (evt21, "<u8", 60), "3.0": (evt3, "<u2", 12)}
 KNOWN = {"2.0": (0, 1, 8), "2.1": (0, 1, 8), "3.0": (0, 2, 3, 4, 5, 6, 8)}

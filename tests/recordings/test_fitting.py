@@ -6,7 +6,8 @@ from made import random_events, random_model
 
 from async_tnt import TNTConfig
 from async_tnt.cli import main
-from async_tnt.recordings import check_sensor, open_for, write_nmnist
+from async_tnt.sources.files.fitting import check_sensor, open_for
+from async_tnt.sources.files.nmnist import write_nmnist
 
 
 def write(path, sensor):

@@ -5,7 +5,7 @@ import pytest
 from recordings.written import SAYS_SENSOR, SENSOR, WRITERS, evt3, evt21, evt_header, made_events
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.recordings import open_recording
+from async_tnt.sources.files.recording import open_recording
 
 
 @pytest.fixture(params=sorted(WRITERS))

@@ -11,7 +11,7 @@ from numba import config
 from recordings.damaging import EVERY_WRITER, LINEAR, SLOWEST_S, read
 from recordings.written import made_events
 
-from async_tnt.recordings import child
+from async_tnt.sources.files import child
 
 CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "200" if config.DISABLE_JIT else "2000"))  # of each format
 SEED = int(os.environ.get("ASYNC_TNT_FUZZ_SEED", "0"))

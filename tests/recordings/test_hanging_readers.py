@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from recordings.written import WRITERS, made_events
 
-import async_tnt.recordings.child as child
+import async_tnt.sources.files.child as child
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "alarm"), reason="no alarms on this system")
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from recordings.written import dsec, made_events, metavision
 
-from async_tnt.recordings import hdf5_child, open_recording
-from async_tnt.recordings.child_end import Out
+from async_tnt.sources.files import hdf5_child
+from async_tnt.sources.files.child_end import Out
+from async_tnt.sources.files.recording import open_recording
 
 h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
 

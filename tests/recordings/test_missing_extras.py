@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from recordings.written import WRITERS, dsec, made_events
 
-from async_tnt.recordings import DamagedRecording, aedat4, child, hdf5, open_recording
+from async_tnt.sources.files import aedat4, child, hdf5
+from async_tnt.sources.files.damage import DamagedRecording
+from async_tnt.sources.files.recording import open_recording
 
 
 def test_faery_is_missing(tmp_path, monkeypatch):

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.recordings import open_recording, read_nmnist, write_nmnist
+from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+from async_tnt.sources.files.recording import open_recording
 
 
 def events_of(*rows):

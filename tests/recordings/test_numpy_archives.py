@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from recordings.written import made_events
 
-from async_tnt.pixels import load_mask
-from async_tnt.recordings import numpy_files, open_recording
+from async_tnt.sources.files import numpy_files
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.pixel_masks import load_mask
 
 EVENTS = made_events(50)
 TABLE = np.stack([EVENTS[name].astype(np.int64) for name in "txyp"], axis=1)

@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.recordings import DamagedRecording, numpy_files, open_recording
+from async_tnt.sources.files import numpy_files
+from async_tnt.sources.files.damage import DamagedRecording
+from async_tnt.sources.files.recording import open_recording
 
 EVENTS = np.array([(10, 1, 2, 1), (20, 300, 4, 0), (20, 5, 6, 1)], EVENT_DTYPE)
 COLUMNS = {name: EVENTS[name] for name in "txyp"}

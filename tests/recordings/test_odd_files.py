@@ -10,7 +10,9 @@ from recordings.damaging import EVERY_WRITER
 from recordings.written import WRITERS, dat, evt3, evt_header, made_events
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.recordings import READERS, DamagedRecording, open_recording
+from async_tnt.sources.files.damage import DamagedRecording
+from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.files.recording import open_recording
 
 EVENTS = made_events(50, sensor=(34, 34))
 EMPTY = {".bin": 0, ".csv": 0, ".tsv": 0, ".txt": 0}  # no header: nothing is nothing; all others are refused

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.recordings import READERS, open_recording, read_nmnist, sample_recordings, write_nmnist
+from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 EVENTS = np.array([(5 + 7 * i, i % 34, (3 * i) % 34, i % 2) for i in range(10)], EVENT_DTYPE)
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from async_tnt.recordings import DamagedRecording, open_recording
+from async_tnt.sources.files.damage import DamagedRecording
+from async_tnt.sources.files.recording import open_recording
 
 
 @pytest.fixture
@@ -22,15 +23,28 @@ def text(tmp_path):
 @pytest.mark.parametrize(
     ("written", "t_us"),
     [
-        ("0.000001", 1), ("1468940293.844933001", 1468940293844933), ("0.29", 290_000), ("0.57", 570_000),
-        ("1.0000005", 1_000_001), ("1.0000004999", 1_000_000), ("0.12345599999999999", 123_456), (".5", 500_000),
-        ("4.", 4_000_000), ("2.5e-05", 25), ("1.234560000000000000e-01", 123_456),
+        ("0.000001", 1),
+        ("1468940293.844933001", 1468940293844933),
+        ("0.29", 290_000),
+        ("0.57", 570_000),
+        ("1.0000005", 1_000_001),
+        ("1.0000004999", 1_000_000),
+        ("0.12345599999999999", 123_456),
+        (".5", 500_000),
+        ("4.", 4_000_000),
+        ("2.5e-05", 25),
+        ("1.234560000000000000e-01", 123_456),
         ("9007199254.740993", 9007199254740993),
         ("461168601842.387903", 461168601842387903),
-        ("1.5E+2", 150_000_000), ("+0.25", 250_000), ("0.0", 0), ("0e-400", 0),
-        ("1e-400", 0), ("000000000000000000000001.5", 1_500_000), ("1.00000000000000000000000000009", 1_000_000),
+        ("1.5E+2", 150_000_000),
+        ("+0.25", 250_000),
+        ("0.0", 0),
+        ("0e-400", 0),
+        ("1e-400", 0),
+        ("000000000000000000000001.5", 1_500_000),
+        ("1.00000000000000000000000000009", 1_000_000),
     ],
-)  # fmt: skip
+)
 def test_seconds_become_microseconds_exactly(text, written, t_us):
     assert text("a.txt", f"{written} 3 4 1\n").read().tolist() == [(t_us, 3, 4, 1)]
 
@@ -59,11 +73,27 @@ def test_text_without_events(text, content):
 
 @pytest.mark.parametrize(
     "row",
-    ["0.3 1 2", "0.3 1 2 2", "0.3 1 2 1 5", "0.3 1.5 2 1", "-0.3 1 2 1", "0.3 65536 2 1", "0.3 -1 2 1", "x 1 2 1",
-     "0.3 1 2 -1", "0.3 1 2 1x", "0.3 1 2 -", "9e99 1 2 1", "1e 1 2 1",
-     "4611686018427.387903 1 2 1", ". 1 2 1", "0.3,1,2,1", "0.3 1 2 \xff",
-     "0..3 1 2 1"],
-)  # fmt: skip
+    [
+        "0.3 1 2",
+        "0.3 1 2 2",
+        "0.3 1 2 1 5",
+        "0.3 1.5 2 1",
+        "-0.3 1 2 1",
+        "0.3 65536 2 1",
+        "0.3 -1 2 1",
+        "x 1 2 1",
+        "0.3 1 2 -1",
+        "0.3 1 2 1x",
+        "0.3 1 2 -",
+        "9e99 1 2 1",
+        "1e 1 2 1",
+        "4611686018427.387903 1 2 1",
+        ". 1 2 1",
+        "0.3,1,2,1",
+        "0.3 1 2 \xff",
+        "0..3 1 2 1",
+    ],
+)
 def test_a_row_that_is_no_event_is_damage(text, row):
     recording = text("a.txt", f"9 9\n0.1 1 2 0\n0.2 1 2 1\n{row}\n0.4 1 2 1\n")
     with pytest.warns(DamagedRecording, match="line 4: expected `t x y p`, t in seconds, got '") as told:
@@ -102,10 +132,15 @@ def test_a_row_without_end_is_damage(text):
 @pytest.mark.parametrize(
     ("header", "row"),
     [
-        ("", "7 1 2 1"), ("t x y p", "7 1 2 1"), ("x y polarity timestamp", "1 2 1 7"), ("P TS Y X", "1 7 2 1"),
-        ("id x y on t name", "abc 1 2 True 7 some-one"), ('"t" "x" "y" "pol"', "7.0 1 2 1"), ("# y x p t", "2 1 1 7"),
+        ("", "7 1 2 1"),
+        ("t x y p", "7 1 2 1"),
+        ("x y polarity timestamp", "1 2 1 7"),
+        ("P TS Y X", "1 7 2 1"),
+        ("id x y on t name", "abc 1 2 True 7 some-one"),
+        ('"t" "x" "y" "pol"', "7.0 1 2 1"),
+        ("# y x p t", "2 1 1 7"),
     ],
-)  # fmt: skip
+)
 def test_csv_columns_are_found_by_name(text, separator, header, row):
     content = "".join(line.replace(" ", separator) + "\n" for line in (header, row) if line)
     if header.startswith("#"):

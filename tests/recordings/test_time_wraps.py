@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from recordings.written import dat, evt2, evt3, evt21, evt_header, made_events
 
-from async_tnt.recordings import open_recording
-from async_tnt.recordings.time_wraps import unwrapped
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.time_wraps import unwrapped
 
 CLOCKS = [("a.dat", dat, 1 << 32), ("a.raw", evt2, 1 << 34), ("a.raw", evt21, 1 << 34), ("a.raw", evt3, 1 << 24)]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recordings.written import csv, made_events
 
-from async_tnt.recordings import open_recording
+from async_tnt.sources.files.recording import open_recording
 
 T_US = [10, 30, 20, 30, 29, 50, 40, 45, 60]
 LATE = [2, 4, 6, 7]

@@ -133,8 +133,15 @@ def _from_bytes(make):
     return lambda path, events, sensor=SENSOR: path.write_bytes(make(events, sensor))
 
 
-BYTES = {"uzh.txt": uzh_text, "plain.csv": csv, "evt2.raw": evt2, "evt21.raw": evt21, "evt3.raw": evt3, "v2.dat": dat,
-         "dvs.es": es}  # fmt: skip
+BYTES = {
+    "uzh.txt": uzh_text,
+    "plain.csv": csv,
+    "evt2.raw": evt2,
+    "evt21.raw": evt21,
+    "evt3.raw": evt3,
+    "v2.dat": dat,
+    "dvs.es": es,
+}
 WRITERS = {name: _from_bytes(make) for name, make in BYTES.items()} | {
     "dv.aedat4": aedat4,
     "dsec.h5": dsec,

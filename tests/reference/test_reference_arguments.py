@@ -37,10 +37,14 @@ KINDS = {
     "packed record": structured(),
     "read-only": read_only(),
     "tensors": tuple(torch.tensor(c) for c in (T, X, Y, P)),
-    "small tensors": (torch.tensor(T, dtype=torch.int16), torch.tensor(X, dtype=torch.uint16),
-                      torch.tensor(Y, dtype=torch.uint8), torch.tensor(P, dtype=torch.bool)),
+    "small tensors": (
+        torch.tensor(T, dtype=torch.int16),
+        torch.tensor(X, dtype=torch.uint16),
+        torch.tensor(Y, dtype=torch.uint8),
+        torch.tensor(P, dtype=torch.bool),
+    ),
     "floats": ([float(a) for a in T], np.array(X, "f4"), torch.tensor(Y).double(), [1.0, -1.0, -1.0, 1.0]),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -119,9 +123,12 @@ BAD_TRANSFORM = [
     (dict(landmark=(1, 2, 3)), ValueError, r"shape \(2,\) or \(4, 2\), one row an event, got \(3,\)"),
     (dict(landmark=torch.zeros(3, 2)), ValueError, r"must have shape \(2,\) or \(4, 2\).*, got \(3, 2\)"),
     (dict(landmark=(1, float("nan"))), ValueError, r"`landmark` must be finite, got NaN or infinity"),
-    (dict(landmark="running", remove_flow=True), ValueError,
-     r"`remove_flow` needs the flow fitted by landmark 'line', got landmark 'running'"),
-]  # fmt: skip
+    (
+        dict(landmark="running", remove_flow=True),
+        ValueError,
+        r"`remove_flow` needs the flow fitted by landmark 'line', got landmark 'running'",
+    ),
+]
 
 
 @pytest.mark.parametrize("bad, error, message", BAD_EVENTS + BAD_SETTINGS, ids=lambda a: str(a)[:40])

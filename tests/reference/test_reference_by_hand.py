@@ -17,16 +17,19 @@ def one(volume, t, x, y, p=1, **options):
     return cells(volume(t=[t], x=[x], y=[y], p=[p], **{**SQUARE, **options}))
 
 
-@pytest.mark.parametrize("t, expected", [
-    (0, {(0, 3, 1): 1.0}),  # the window's start: first bin
-    (250, {(2, 3, 1): 0.5, (3, 3, 1): 0.5}),  # between bins
-    (300, {(3, 3, 1): 1.0}),  # on a bin: no share for its neighbours
-    (301, {(3, 3, 1): 0.99, (4, 3, 1): 0.01}),
-    (799, {(7, 3, 1): 0.01, (8, 3, 1): 0.99}),
-    (800, {(8, 3, 1): 1.0}),  # t == end: exactly the last bin
-    (801, {}),
-    (-1, {}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "t, expected",
+    [
+        (0, {(0, 3, 1): 1.0}),  # the window's start: first bin
+        (250, {(2, 3, 1): 0.5, (3, 3, 1): 0.5}),  # between bins
+        (300, {(3, 3, 1): 1.0}),  # on a bin: no share for its neighbours
+        (301, {(3, 3, 1): 0.99, (4, 3, 1): 0.01}),
+        (799, {(7, 3, 1): 0.01, (8, 3, 1): 0.99}),
+        (800, {(8, 3, 1): 1.0}),  # t == end: exactly the last bin
+        (801, {}),
+        (-1, {}),
+    ],
+)
 def test_an_event_lies_between_two_bins(t, expected):
     assert one(event_volume, t, x=1, y=3) == expected
 
@@ -65,19 +68,22 @@ def test_polarities():
     assert cells(split) == {(1, 0, 1): 1.0, (9 + 1, 0, 1): 1.0, (9 + 1, 3, 2): 1.0}
 
 
-@pytest.mark.parametrize("t, x, y, expected", [
-    (200, 4, 0, {(2, 1, 3): 1.0}),  # u = (4 - 2)/2 + 2 = 3, v = (0 - 2)/2 + 2 = 1
-    (100, 4, 0, {(1, 0, 4): 1.0}),  # u = 4 = W - 1, v = 0: on the border, kept
-    (99, 4, 2, {}),  # u = 2/0.99 + 2 > 4: off the right border
-    (99, 0, 2, {}),
-    (99, 2, 4, {}),
-    (99, 2, 0, {}),
-    (50, 2, 2, {(0, 2, 2): 0.5, (1, 2, 2): 0.5}),  # the landmark itself stays, however early
-    (0, 2, 2, {}),  # tau = 0
-    (801, 2, 2, {}),
-    (-1, 2, 2, {}),
-    (800, 4, 2, {(8, 2, 2): 0.75, (8, 2, 3): 0.25}),  # t == end: u = 2/8 + 2
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "t, x, y, expected",
+    [
+        (200, 4, 0, {(2, 1, 3): 1.0}),  # u = (4 - 2)/2 + 2 = 3, v = (0 - 2)/2 + 2 = 1
+        (100, 4, 0, {(1, 0, 4): 1.0}),  # u = 4 = W - 1, v = 0: on the border, kept
+        (99, 4, 2, {}),  # u = 2/0.99 + 2 > 4: off the right border
+        (99, 0, 2, {}),
+        (99, 2, 4, {}),
+        (99, 2, 0, {}),
+        (50, 2, 2, {(0, 2, 2): 0.5, (1, 2, 2): 0.5}),  # the landmark itself stays, however early
+        (0, 2, 2, {}),  # tau = 0
+        (801, 2, 2, {}),
+        (-1, 2, 2, {}),
+        (800, 4, 2, {(8, 2, 2): 0.75, (8, 2, 3): 0.25}),  # t == end: u = 2/8 + 2
+    ],
+)
 def test_tnt_about_the_centre(t, x, y, expected):
     assert one(tnt_volume, t, x, y, landmark="center") == expected
 

@@ -163,8 +163,7 @@ def test_volumes_of_a_moving_and_a_still_object_are_translates_under_running_but
         moving, still = volume(name, flow=8.0), volume(name, flow=0.0)
         assert still.abs().max() > 1
         inner = slice(6, 35)
-        return {k: (moving.roll(-k, dims=2) - still)[..., inner].abs().max() / still.abs().max()
-                for k in range(-5, 6)}  # fmt: skip
+        return {k: (moving.roll(-k, dims=2) - still)[..., inner].abs().max() / still.abs().max() for k in range(-5, 6)}
 
     assert differences("running")[2] < 1e-9
     assert min(differences("window").values()) > 0.3

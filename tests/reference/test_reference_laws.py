@@ -59,10 +59,16 @@ def test_split_recombines_to_signed_and_unsigned():
     torch.testing.assert_close(split[:5] + split[5:], unsigned, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("options", [
-    *({"landmark": name} for name in LANDMARKS), {"landmark": "line", "remove_flow": True},
-    {"landmark": (3.0, 3.0), "polarity": "split"}, {"polarity": "unsigned", "t_max": 2.0},
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "options",
+    [
+        *({"landmark": name} for name in LANDMARKS),
+        {"landmark": "line", "remove_flow": True},
+        {"landmark": (3.0, 3.0), "polarity": "split"},
+        {"polarity": "unsigned", "t_max": 2.0},
+    ],
+    ids=str,
+)
 def test_gradients_of_events(options):
     t, x, y, p = smooth_stream()
 
@@ -75,8 +81,7 @@ def test_gradients_of_events(options):
 
 def test_gradients_of_raw_events():
     t, x, y, p = smooth_stream()
-    assert torch.autograd.gradcheck(lambda t, x, y: event_volume(t, x, y, p, **VOLUME, dtype=torch.float64),
-                                    (t, x, y))  # fmt: skip
+    assert torch.autograd.gradcheck(lambda t, x, y: event_volume(t, x, y, p, **VOLUME, dtype=torch.float64), (t, x, y))
 
 
 @pytest.mark.parametrize("n_rows", [0, 7], ids=["(2,)", "(7, 2)"])
@@ -95,8 +100,9 @@ def test_gradients_of_a_given_landmark(n_rows):
 def test_gradients_keep_the_sum_on_cell_edges_too():
     """On a whole coordinate k has a kink; whichever side is taken, moving an event must create no mass."""
     x = torch.tensor([4.0], dtype=torch.float64, requires_grad=True)
-    volume = event_volume([2_250], x, [4], [1], start_us=1_000, window_us=5_000, sensor=(9, 9), grid=(9, 9),
-                          bins=5, dtype=torch.float64)  # fmt: skip
+    volume = event_volume(
+        [2_250], x, [4], [1], start_us=1_000, window_us=5_000, sensor=(9, 9), grid=(9, 9), bins=5, dtype=torch.float64
+    )
     assert (volume != 0).sum() == 1  # on the edge in all three directions
     (gradient,) = torch.autograd.grad(volume.sum(), x)
     assert gradient.item() == 0
@@ -123,8 +129,9 @@ def test_degenerate_input_gives_finite_values_and_gradients(case, name):
     for remove_flow in {False, name == "line"}:
         volume = tnt_volume(t, x, y, p, **VOLUME, landmark=name, remove_flow=remove_flow)
         assert volume.shape == (5, 7, 8) and volume.isfinite().all()
-        gradients = torch.autograd.grad((volume * volume).sum() + u.sum() + v.sum(), (t, x, y),
-                                        retain_graph=True, allow_unused=True)  # fmt: skip
+        gradients = torch.autograd.grad(
+            (volume * volume).sum() + u.sum() + v.sum(), (t, x, y), retain_graph=True, allow_unused=True
+        )
         assert all(gradient is None or gradient.isfinite().all() for gradient in gradients)
 
 

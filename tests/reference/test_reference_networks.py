@@ -22,11 +22,15 @@ def seeded():
 def test_classifier_shapes_and_parameter_names():
     shapes = {name: tuple(w.shape) for name, w in Classifier().state_dict().items()}
     assert shapes == {
-        "conv1.weight": (16, 9, 3, 3), "conv1.bias": (16,),
-        "conv2.weight": (32, 16, 3, 3), "conv2.bias": (32,),
-        "fc1.weight": (64, 32 * 8 * 8), "fc1.bias": (64,),
-        "fc2.weight": (10, 64), "fc2.bias": (10,),
-    }  # fmt: skip
+        "conv1.weight": (16, 9, 3, 3),
+        "conv1.bias": (16,),
+        "conv2.weight": (32, 16, 3, 3),
+        "conv2.bias": (32,),
+        "fc1.weight": (64, 32 * 8 * 8),
+        "fc1.bias": (64,),
+        "fc2.weight": (10, 64),
+        "fc2.bias": (10,),
+    }
 
 
 @pytest.mark.parametrize("grid", [(34, 34), (4, 4), (5, 7), (40, 26)])
@@ -132,8 +136,17 @@ def test_pipeline_is_volume_then_classifier(name, polarity):
     classifier = Classifier(10 if polarity == "split" else 5, (9, 8), n_classes=3)
     pipeline = Pipeline(classifier, **SETTINGS, grid=(9, 8), polarity=polarity, landmark=name)
     *events, start_us = window()
-    volume = tnt_volume(*events, start_us=start_us, window_us=5_000, sensor=(12, 10), grid=(9, 8), bins=5,
-                        t_max=2.0, polarity=polarity, landmark=name)  # fmt: skip
+    volume = tnt_volume(
+        *events,
+        start_us=start_us,
+        window_us=5_000,
+        sensor=(12, 10),
+        grid=(9, 8),
+        bins=5,
+        t_max=2.0,
+        polarity=polarity,
+        landmark=name,
+    )
     assert volume.abs().sum() > 10
     assert torch.equal(pipeline.volume(*window()), volume)
     torch.testing.assert_close(pipeline(*window()), classifier(volume))
@@ -157,9 +170,11 @@ def test_pipeline_removes_the_flow():
 
 def with_regressor(dtype=torch.float32):
     return Pipeline(
-        Classifier(5, (12, 10), n_classes=3), **SETTINGS, landmark="regressor",
+        Classifier(5, (12, 10), n_classes=3),
+        **SETTINGS,
+        landmark="regressor",
         regressor=LandmarkRegressor(5, (12, 10), n_filters=4),
-    ).to(dtype)  # fmt: skip
+    ).to(dtype)
 
 
 def test_pipeline_with_an_untrained_regressor_is_the_pipeline_about_the_centre():
@@ -237,8 +252,9 @@ def test_pipeline_gradient_reaches_the_events():
     pipeline = lively()
     torch.nn.init.normal_(pipeline.regressor.heatmap.weight)
     g = torch.Generator().manual_seed(3)
-    t, x, y = (torch.rand(9, generator=g, dtype=torch.float64) * span + low
-               for low, span in ((3_000, 2_800), (2, 7), (2, 6)))  # fmt: skip
+    t, x, y = (
+        torch.rand(9, generator=g, dtype=torch.float64) * span + low for low, span in ((3_000, 2_800), (2, 7), (2, 6))
+    )
     p = torch.randint(0, 2, (9,), generator=g)
     columns = tuple(column.requires_grad_() for column in (t, x, y))
 
@@ -248,16 +264,27 @@ def test_pipeline_gradient_reaches_the_events():
     assert torch.autograd.gradcheck(logits, columns, atol=1e-6, rtol=1e-4)
     both = torch.autograd.grad(logits(*columns)[0], x)[0]
     fixed = pipeline.regressor(pipeline.raw_volume(t, x, y, p, 1_000)).detach()
-    volume = tnt_volume(t, x, y, p, start_us=1_000, window_us=5_000, sensor=(12, 10), grid=(12, 10), bins=5,
-                        t_max=2.0, landmark=fixed, dtype=torch.float64)  # fmt: skip
+    volume = tnt_volume(
+        t,
+        x,
+        y,
+        p,
+        start_us=1_000,
+        window_us=5_000,
+        sensor=(12, 10),
+        grid=(12, 10),
+        bins=5,
+        t_max=2.0,
+        landmark=fixed,
+        dtype=torch.float64,
+    )
     by_place = torch.autograd.grad(pipeline.classifier(volume)[0], x)[0]
     assert by_place.abs().max() > 1e-2 and (both - by_place).abs().max() > 1e-4
 
 
 @pytest.mark.parametrize("name", [*NAMES, "regressor"])
 def test_batch_equals_one_by_one_and_may_hold_empty_windows(name):
-    pipeline = with_regressor() if name == "regressor" else Pipeline(
-        Classifier(5, (12, 10)), **SETTINGS, landmark=name)  # fmt: skip
+    pipeline = with_regressor() if name == "regressor" else Pipeline(Classifier(5, (12, 10)), **SETTINGS, landmark=name)
     windows = [window(0), ([], [], [], [], 77), window(2, n=1), window(3, start_us=9)]
     together = pipeline.batch(windows)
     assert together.isfinite().all()
@@ -275,18 +302,23 @@ BAD_PIPELINES = [
     (dict(landmark="middle"), r"must be one of center, running, line, window, regressor; got 'middle'"),
     (dict(landmark="regressor"), r"go together: got landmark 'regressor' and regressor NoneType"),
     (dict(regressor=REGRESSOR), r"go together: got landmark 'running' and regressor LandmarkRegressor"),
-    (dict(polarity="split"), r"the classifier is built for \(channels, grid\) \(5, \(12, 10\)\), "
-                             r"these settings give \(10, \(12, 10\)\)"),
+    (
+        dict(polarity="split"),
+        r"the classifier is built for \(channels, grid\) \(5, \(12, 10\)\), "
+        r"these settings give \(10, \(12, 10\)\)",
+    ),
     (dict(grid=(9, 9)), r"the classifier is built for .* these settings give \(5, \(9, 9\)\)"),
-    (dict(landmark="regressor", regressor=LandmarkRegressor(9, (12, 10))),
-     r"the regressor is built for \(channels, grid\) \(9, \(12, 10\)\)"),
+    (
+        dict(landmark="regressor", regressor=LandmarkRegressor(9, (12, 10))),
+        r"the regressor is built for \(channels, grid\) \(9, \(12, 10\)\)",
+    ),
     (dict(polarity="both"), r"`polarity` must be one of signed, unsigned, split, got 'both'"),
     (dict(t_max=-1.0), r"`t_max` must be positive and finite, got -1.0"),
     (dict(remove_flow=True), r"`remove_flow` needs the flow fitted by .* got landmark 'running'"),
     (dict(landmark="regressor", regressor=REGRESSOR, remove_flow=True), r"`remove_flow` needs the flow"),
     (dict(window_us=0), r"`window_us` must be positive, got 0"),
     (dict(bins=0), r"`bins` must be at least 1, got 0"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("bad, message", BAD_PIPELINES, ids=lambda a: str(a)[:50])

@@ -118,9 +118,14 @@ def test_bin_position_rounds_as_the_equation_is_written(bins):
 
 
 @settings(deadline=None, max_examples=150, derandomize=True)
-@given(windows(), st.sampled_from(["center", "running", "line", "window"]), st.booleans(),
-       st.sampled_from([0.5, 1, 2.0, 3.7, 8.0]), st.integers(1, 5),
-       st.sampled_from(["signed", "unsigned", "split"]))  # fmt: skip
+@given(
+    windows(),
+    st.sampled_from(["center", "running", "line", "window"]),
+    st.booleans(),
+    st.sampled_from([0.5, 1, 2.0, 3.7, 8.0]),
+    st.integers(1, 5),
+    st.sampled_from(["signed", "unsigned", "split"]),
+)
 def test_transformed_volume(window, name, remove_flow, t_max, bins, polarity):
     (t, x, y, p), where = window
     remove_flow = remove_flow and name == "line"
@@ -145,8 +150,19 @@ def test_transformed_volume(window, name, remove_flow, t_max, bins, polarity):
         assert kept[i].item() == all(0 <= a <= side - 1 for a, side in zip(at, grid, strict=True))
         if kept[i]:
             placed.append(((bins - 1) * dt / length, at[1], at[0], p[i]))
-    got = tnt_volume(t, x, y, p, **where, bins=bins, t_max=t_max, polarity=polarity, landmark=name,
-                     remove_flow=remove_flow, dtype=torch.float64)  # fmt: skip
+    got = tnt_volume(
+        t,
+        x,
+        y,
+        p,
+        **where,
+        bins=bins,
+        t_max=t_max,
+        polarity=polarity,
+        landmark=name,
+        remove_flow=remove_flow,
+        dtype=torch.float64,
+    )
     assert_volumes_agree(got, volume_twin(placed, bins, grid, polarity))
 
 
@@ -156,10 +172,15 @@ def test_raw_volume(window, bins, polarity):
     (t, x, y, p), where = window
     start, length, sensor, grid = where.values()
     placed = [
-        ((bins - 1) * (t[i] - start) / length, y[i] * (grid[1] - 1) / (sensor[1] - 1),
-         x[i] * (grid[0] - 1) / (sensor[0] - 1), p[i])
-        for i in range(len(t)) if 0 <= t[i] - start <= length
-    ]  # fmt: skip
+        (
+            (bins - 1) * (t[i] - start) / length,
+            y[i] * (grid[1] - 1) / (sensor[1] - 1),
+            x[i] * (grid[0] - 1) / (sensor[0] - 1),
+            p[i],
+        )
+        for i in range(len(t))
+        if 0 <= t[i] - start <= length
+    ]
     got = event_volume(t, x, y, p, **where, bins=bins, polarity=polarity, dtype=torch.float64)
     assert_volumes_agree(got, volume_twin(placed, bins, grid, polarity))
 

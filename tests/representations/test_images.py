@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import events_of, nasty_streams, random_events
 
-from async_tnt.recordings import open_recording, read_nmnist, sample_recordings
-from async_tnt.representations import count_image, count_timestamp_image
+from async_tnt.representations.images import count_image, count_timestamp_image
+from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 SHAPES = [((34, 34), 105_000), ((5, 3), 7), ((2, 2), 1), ((64, 48), 1_000)]  # sensor, window_us
 STARTS = [0, 123_456_789, 1_700_000_000_000_000]
@@ -71,8 +72,9 @@ def test_equals_reference_and_a_plain_loop_bit_for_bit(data):
     begin = data.draw(st.sampled_from([start_us, max(0, start_us - window_us)]))  # some events before the window
     events = data.draw(nasty_streams(sensor, 3 * window_us, begin))  # and some behind it
     at = dict(start_us=start_us, window_us=window_us, sensor=sensor)
-    for got, twin, loop in zip(both_images(events, **at), reference(events, **at), plain_loop(events, **at),
-                               strict=True):  # fmt: skip
+    for got, twin, loop in zip(
+        both_images(events, **at), reference(events, **at), plain_loop(events, **at), strict=True
+    ):
         assert got.astype(np.float64).tobytes() == twin.astype(np.float64).tobytes()
         assert got.astype(np.float64).tobytes() == loop.astype(np.float64).tobytes()
 
@@ -128,8 +130,12 @@ def test_all_forms_of_events_give_the_same_image_and_are_left_alone():
     assert expected[0].sum() == 500
     minus_one = events["p"].astype(np.int8) * 2 - 1
     strided = np.repeat(events, 2)[::2]
-    for form in (tuple(events[name] for name in "txyp"), tuple(events[name].tolist() for name in "txyp"), strided,
-                 (events["t"], events["x"], events["y"], minus_one)):  # fmt: skip
+    for form in (
+        tuple(events[name] for name in "txyp"),
+        tuple(events[name].tolist() for name in "txyp"),
+        strided,
+        (events["t"], events["x"], events["y"], minus_one),
+    ):
         got = both_images(form, start_us=0, window_us=105_000, sensor=(34, 34))
         assert [image.tobytes() for image in got] == [image.tobytes() for image in expected]
     np.testing.assert_array_equal(events, before)

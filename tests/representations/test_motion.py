@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import nasty_streams, random_events
 
-from async_tnt.representations import count_image, move_by_flow, undo_flow
+from async_tnt.representations.images import count_image
+from async_tnt.representations.motion import move_by_flow, undo_flow
 
 AT = dict(start_us=1_000, window_us=1 << 16)  # 2**16 us: every fraction f is exact in float64
 WHOLE = [(8, -3), (-5, 0), (0, 7), (123, -45)]

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from made import events_of, nasty_streams, random_events
 
 from async_tnt import EVENT_DTYPE
-from async_tnt.recordings import open_recording, read_nmnist, sample_recordings
-from async_tnt.representations import SACCADE_CUTS_US, find_pauses, segment, split_saccades
+from async_tnt.representations.saccades import SACCADE_CUTS_US, find_pauses, segment, split_saccades
 from async_tnt.simulation import statistics
+from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 
 def at_times(*t):
@@ -160,8 +161,10 @@ def test_pauses_equal_the_reference_and_lie_between_pieces(data):
 
 
 def test_pauses_find_bursts_of_unknown_course():
-    bursts = [random_events(200, seed=k, start_us=start, duration_us=20_000)
-              for k, start in enumerate((3_000, 90_000, 150_000))]  # fmt: skip
+    bursts = [
+        random_events(200, seed=k, start_us=start, duration_us=20_000)
+        for k, start in enumerate((3_000, 90_000, 150_000))
+    ]
     pieces = segment(np.concatenate(bursts), find_pauses(np.concatenate(bursts), 10_000))
     assert [piece.tobytes() for piece in pieces] == [burst.tobytes() for burst in bursts]
 
@@ -169,12 +172,16 @@ def test_pauses_find_bursts_of_unknown_course():
 # -- errors ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("cuts", "error", "message"), [
-    ([10, 10], ValueError, r"`cuts_us` must increase, got 10 after 10"),
-    ([20, 10], ValueError, r"`cuts_us` must increase, got 10 after 20"),
-    ([1.5], TypeError, r"`cuts_us` must be a whole number of microseconds, got 1.5"),
-    ([-5], ValueError, r"`cuts_us` must be in \[0, 2\*\*62\), got -5"),
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    ("cuts", "error", "message"),
+    [
+        ([10, 10], ValueError, r"`cuts_us` must increase, got 10 after 10"),
+        ([20, 10], ValueError, r"`cuts_us` must increase, got 10 after 20"),
+        ([1.5], TypeError, r"`cuts_us` must be a whole number of microseconds, got 1.5"),
+        ([-5], ValueError, r"`cuts_us` must be in \[0, 2\*\*62\), got -5"),
+    ],
+    ids=str,
+)
 def test_bad_cuts(cuts, error, message):
     with pytest.raises(error, match=message):
         segment(at_times(1, 2), cuts)

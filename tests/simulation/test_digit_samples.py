@@ -10,9 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from async_tnt.recordings import read_nmnist, sample_recordings
-from async_tnt.simulation import ConstantVelocity, PixelModel, simulate_digit
+from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.samples import main, sample_indices, write_samples
+from async_tnt.simulation.simulator import PixelModel
+from async_tnt.simulation.trajectories import ConstantVelocity
+from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.files.recording import sample_recordings
 
 DATA = Path(os.environ.get("TNT_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from async_tnt.simulation import motions_of, nmnist_saccades
+from async_tnt.simulation.motions import motions_of
+from async_tnt.simulation.trajectories import nmnist_saccades
 
 RNG = np.random.default_rng(0)
 STRAIGHT = [motion for kind in ("constant", "bell") for motion in motions_of(kind)]

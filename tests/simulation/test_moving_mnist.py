@@ -9,9 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from async_tnt.simulation import ConstantVelocity, Scene, load_mnist, motions_of, open_set, open_shard, simulate_digit
-from async_tnt.simulation.moving_mnist import build
-from async_tnt.workers import available_cores, run_all
+from async_tnt.archive.workers import available_cores, run_all
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.simulation.motions import motions_of
+from async_tnt.simulation.moving_mnist import build, open_set
+from async_tnt.simulation.scene import Scene
+from async_tnt.simulation.shards import open_shard
+from async_tnt.simulation.trajectories import ConstantVelocity
 
 QUICK = {"digits": 5, "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from tnt_reference.simulator import simulate_events as reference_events
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.simulation import PixelModel, simulate, simulate_events
+from async_tnt.simulation.simulator import PixelModel, simulate, simulate_events
 
 
 def one_pixel(light, times, on=1.0, off=1.0, **options):
@@ -24,8 +24,13 @@ def test_ramp_over_three_thresholds():
 def test_thresholds_of_their_own_for_on_and_off():
     # up to 2 in 1,000 us with C_on 0.5, then down to 0 with C_off 0.8: from 2 to 1.2 and 0.4
     assert one_pixel([0, 2, 0], [0, 1_000, 2_000], on=0.5, off=0.8) == [
-        (250, 1), (500, 1), (750, 1), (1_000, 1), (1_400, 0), (1_800, 0)
-    ]  # fmt: skip
+        (250, 1),
+        (500, 1),
+        (750, 1),
+        (1_000, 1),
+        (1_400, 0),
+        (1_800, 0),
+    ]
 
 
 def test_the_level_carries_over_from_frame_to_frame():

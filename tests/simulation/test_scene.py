@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from async_tnt.simulation import ConstantVelocity, Scene, render, simulate_digit
-from async_tnt.simulation.scene import translate
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.scene import Scene, render, translate
+from async_tnt.simulation.trajectories import ConstantVelocity
 
 SHARP = Scene(contrast=4.0, gamma=1.0, blur_px=0.0)
 

@@ -10,7 +10,7 @@ from made import random_events
 from safetensors.numpy import load_file, save
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.simulation import open_shard, write_shard
+from async_tnt.simulation.shards import open_shard, write_shard
 
 DURATION_US = 1_000
 
@@ -120,7 +120,7 @@ def test_same_arguments_same_bytes_and_a_failure_leaves_the_old_file(tmp_path):
         ({"sensor": (20, 34), "recordings": recordings_of()}, r"`x` must be in \[0, 20\), got"),
         ({"recordings": [recordings_of()[0][::-1]]}, "`t` must not decrease within a recording, got"),
     ],
-)  # fmt: skip
+)
 def test_what_breaks_the_rules_is_not_written(tmp_path, changes, complaint):
     with pytest.raises(ValueError, match=complaint):
         write(tmp_path / "a.safetensors", **changes)
@@ -219,7 +219,7 @@ def changed(index, value):
         ("flow_times_us", changed(0, -1), "`flow_times_us` must be in"),
         ("more", lambda _: np.zeros(3, np.int64), "must hold t, x, y, p, .*got.*more"),
     ],
-)  # fmt: skip
+)
 def test_columns_that_break_a_rule_are_told(tmp_path, name, change, complaint):
     tensors, metadata = tensors_of(tmp_path / "a")
     tensors[name] = change(tensors.get(name))

@@ -13,10 +13,9 @@ import pytest
 from small_sets import write_small_mnist
 
 from async_tnt.cli import main
-from async_tnt.recordings import read_nmnist
-from async_tnt.simulation import open_set
 from async_tnt.simulation.comparison import compare
-from async_tnt.simulation.moving_mnist import build
+from async_tnt.simulation.moving_mnist import build, open_set
+from async_tnt.sources.files.nmnist import read_nmnist
 
 compiled_only = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT", "0") != "0", reason="simulates too much for uncompiled code"
@@ -31,8 +30,24 @@ def no_data(monkeypatch):
 @compiled_only
 def test_a_small_set_with_everything(mnist, tmp_path, capsys):
     out, binary = tmp_path / "set", tmp_path / "as-nmnist"
-    assert main(["simulate", "--mnist", str(mnist), "--out", str(out), "--digits", "3", "--workers", "1",
-                 "--bin", str(binary)]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                "simulate",
+                "--mnist",
+                str(mnist),
+                "--out",
+                str(out),
+                "--digits",
+                "3",
+                "--workers",
+                "1",
+                "--bin",
+                str(binary),
+            ]
+        )
+        == 0
+    )
     captured = capsys.readouterr()
     assert "90 recordings (3 images x 30 motions) in 30 files" in captured.out
     assert captured.out.splitlines()[2].split() == ["simulated", "this", "set"]
@@ -161,7 +176,7 @@ def damaged(mnist, tmp_path):
         (lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(mnist)], "no N-MNIST recordings there; expected"),
         (lambda mnist, tmp: ["--mnist", str(mnist), "--bin", str(mnist / "t10k-labels-idx1-ubyte.gz")], "not a folder"),
     ],
-)  # fmt: skip
+)
 def test_missing_and_damaged_input_is_told_in_one_line(mnist, tmp_path, options, complaint, capsys):
     assert main(["simulate", "--out", str(tmp_path / "set"), *options(mnist, tmp_path)]) == 2
     captured = capsys.readouterr()
@@ -239,8 +254,9 @@ def test_stopped_in_the_middle_it_goes_on_to_the_same_files(tmp_path, stop):
     assert 0 < n_made < 30
     if stop == signal.SIGINT:
         assert code == 130
-        assert err == (f"async-tnt: interrupted; finished shards are kept in {folder}. "
-                       "Give the same command again to go on.\n")  # fmt: skip
+        assert err == (
+            f"async-tnt: interrupted; finished shards are kept in {folder}. Give the same command again to go on.\n"
+        )
     with pytest.raises(ValueError, match=f"{30 - n_made} of 30 shards are missing"):
         open_set(folder)
 

@@ -7,22 +7,28 @@ import numpy as np
 import pytest
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.recordings import read_nmnist
-from async_tnt.simulation import describe, load_mnist, side_by_side, simulate_digit
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.simulation.statistics import describe, side_by_side
+from async_tnt.sources.files.nmnist import read_nmnist
 
 DATA = Path(os.environ.get("TNT_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 
 BY_HAND = np.array(
     [
         # saccade 1: pixel (1, 1) at 0, 2 and 6 ms; pixel (5, 9) once. ON at x = 1, 1 and OFF at x = 1, 5
-        (0, 1, 1, 1), (2_000, 1, 1, 1), (3_000, 5, 9, 0), (6_000, 1, 1, 0),
+        (0, 1, 1, 1),
+        (2_000, 1, 1, 1),
+        (3_000, 5, 9, 0),
+        (6_000, 1, 1, 0),
         # saccade 2: pixel (1, 1) again, 8 ms apart; the interval across the cut does not count
-        (105_000, 1, 1, 0), (113_000, 1, 1, 1),
+        (105_000, 1, 1, 0),
+        (113_000, 1, 1, 1),
         # saccade 3: nothing; and one event after it
         (315_000, 3, 3, 1),
     ],
     EVENT_DTYPE,
-)  # fmt: skip
+)
 
 
 def test_numbers_by_hand():
@@ -88,8 +94,14 @@ def test_simulations_are_like_the_real_recordings_of_the_same_images():
     simulated = [simulate_digit(images[int(path.stem) - 1], np.random.default_rng(i)) for i, path in enumerate(paths)]
     expected, got = describe(real), describe(simulated)
     report = side_by_side({"real": expected, "simulated": got})
-    for name in ("events per saccade", "active pixels", "events per active pixel", "ON share",
-                 "same-pixel interval, 5 %", "same-pixel interval, median"):  # fmt: skip
+    for name in (
+        "events per saccade",
+        "active pixels",
+        "events per active pixel",
+        "ON share",
+        "same-pixel interval, 5 %",
+        "same-pixel interval, median",
+    ):
         assert got[name] == pytest.approx(expected[name], rel=0.12), report
     for name in (name for name in expected if name.startswith("ON - OFF")):
         assert got[name] == pytest.approx(expected[name], abs=0.65), report

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from async_tnt.simulation import ConstantVelocity, Saccade, Saccades, nmnist_saccades
+from async_tnt.simulation.trajectories import ConstantVelocity, Saccade, Saccades, nmnist_saccades
 
 TRAJECTORIES = [
     ConstantVelocity((40.0, -25.0)),

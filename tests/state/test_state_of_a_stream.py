@@ -16,10 +16,14 @@ from async_tnt.checked_tensors import checksum, tensor_bytes
 from async_tnt.snapshot import FORMAT, from_bytes, to_bytes
 
 SETTINGS = [
-    {}, {"hop_us": 300}, {"every_us": 170}, {"every_events": 7, "late": "drop"},
-    {"confidence": 0.35, "every_events": 3}, {"activity": LeakyIntegrator(5, 300.0), "hop_us": 450},
+    {},
+    {"hop_us": 300},
+    {"every_us": 170},
+    {"every_events": 7, "late": "drop"},
+    {"confidence": 0.35, "every_events": 3},
+    {"activity": LeakyIntegrator(5, 300.0), "hop_us": 450},
     {"start_us": 40, "every_us": 90, "hop_us": 999},
-]  # fmt: skip
+]
 
 
 def seen(processor, decisions):

@@ -8,7 +8,8 @@ from made import random_events, random_model
 from numba import njit
 
 from async_tnt import CompiledClassifier, TNTConfig, TNTVolume
-from async_tnt.kernels import pair, strip
+from async_tnt.kernels import conv_rows as strip
+from async_tnt.kernels import pair
 
 CASES = [  # grid, bins, polarity, widths, classes
     ((34, 34), 9, "signed", (16, 32, 64), 10),
@@ -43,11 +44,15 @@ def test_one_filter_by_hand():
     """A network that is the identity where it can be: the mean of a 4x4 block, through two poolings."""
     config = TNTConfig(sensor=(4, 4), grid=(4, 4), bins=1)
     weights = {
-        "conv1.weight": np.zeros((1, 1, 3, 3)), "conv1.bias": np.zeros(1),
-        "conv2.weight": np.zeros((1, 1, 3, 3)), "conv2.bias": np.zeros(1),
-        "fc1.weight": np.ones((1, 1)), "fc1.bias": np.array([0.5]),
-        "fc2.weight": np.array([[2.0], [-1.0]]), "fc2.bias": np.array([0.0, 1.0]),
-    }  # fmt: skip
+        "conv1.weight": np.zeros((1, 1, 3, 3)),
+        "conv1.bias": np.zeros(1),
+        "conv2.weight": np.zeros((1, 1, 3, 3)),
+        "conv2.bias": np.zeros(1),
+        "fc1.weight": np.ones((1, 1)),
+        "fc1.bias": np.array([0.5]),
+        "fc2.weight": np.array([[2.0], [-1.0]]),
+        "fc2.bias": np.array([0.0, 1.0]),
+    }
     weights["conv1.weight"][0, 0, 1, 1] = weights["conv2.weight"][0, 0, 1, 1] = 1
     from async_tnt import Model
 

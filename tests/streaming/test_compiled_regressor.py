@@ -6,10 +6,10 @@ import torch
 from made import random_events, random_model, random_regressor_model
 
 from async_tnt import Model, TNTConfig, TNTVolume
+from async_tnt.checking.reference import reference_regressor
 from async_tnt.kernels.heatmap import centroid, draw_heatmap, rectify
-from async_tnt.model import HEATMAP
-from async_tnt.reference import reference_regressor
-from async_tnt.regressor import CompiledRegressor
+from async_tnt.networks.model import HEATMAP
+from async_tnt.networks.regressor import CompiledRegressor
 
 CASES = [  # grid, bins, polarity, widths
     ((34, 34), 9, "signed", (20, 20, 20)),

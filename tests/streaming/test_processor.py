@@ -39,9 +39,12 @@ def test_events_before_the_first_window_are_dropped_and_counted():
 def test_overlapping_windows_each_hold_their_own_events():
     decisions, _ = run(events_of(*at([0, 400, 700, 1000, 1500, 2400])), hop_us=500, config=CONFIG)
     assert summary(decisions) == [
-        ("window", 0, 700, 3), ("window", 500, 1000, 2), ("window", 1000, 1500, 2), ("end", 1500, 2400, 2),
+        ("window", 0, 700, 3),
+        ("window", 500, 1000, 2),
+        ("window", 1000, 1500, 2),
+        ("end", 1500, 2400, 2),
         ("end", 2000, 2400, 1),
-    ]  # fmt: skip
+    ]
 
 
 def test_overlapping_windows_equal_windows_by_themselves():
@@ -75,9 +78,12 @@ def test_every_us_decides_without_the_event_that_shows_the_time():
 def test_every_events_counts_within_the_window():
     decisions, _ = run(events_of(*at([0, 1, 2, 3, 4, 1000, 1001])), every_events=2)
     assert summary(decisions) == [
-        ("every_events", 0, 1, 2), ("every_events", 0, 3, 4), ("window", 0, 4, 5), ("every_events", 1000, 1001, 2),
+        ("every_events", 0, 1, 2),
+        ("every_events", 0, 3, 4),
+        ("window", 0, 4, 5),
+        ("every_events", 1000, 1001, 2),
         ("end", 1000, 1001, 2),
-    ]  # fmt: skip
+    ]
 
 
 def test_every_event():

@@ -7,11 +7,11 @@ import pytest
 from made import random_events, random_model, random_regressor_model
 
 from async_tnt import TNTConfig
+from async_tnt.checking.equality import check_recording, configurations
 from async_tnt.cli import main
-from async_tnt.equality import check_recording, configurations
 from async_tnt.landmark_at_read import RegressedLandmark
-from async_tnt.recordings import sample_recordings
-from async_tnt.regressor import CompiledRegressor
+from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.sources.files.recording import sample_recordings
 
 MODEL = random_regressor_model(regressor_widths=(9, 20, 8), sharpness=5.0)
 EVENTS = random_events(400, seed=1, duration_us=200_000, sensor=(20, 25))
@@ -89,7 +89,14 @@ def test_the_command(tmp_path, capsys):
     assert main(["check", recording, "--model", str(path), "--prefixes", "2", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["recordings"][recording]
     assert {row["config"] for row in rows} == {
-        "center", "running", "line", "window", "regressor", "line, flow removed", "no transform", "the model",
-    }  # fmt: skip
+        "center",
+        "running",
+        "line",
+        "window",
+        "regressor",
+        "line, flow removed",
+        "no transform",
+        "the model",
+    }
     assert main(["run", recording, "--model", str(path), "--every-us", "20000"]) == 0
     assert len(capsys.readouterr().out.splitlines()) > 10

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_regressor_model
 
 from async_tnt import Counts, ReplayBufferFull, TNTConfig, TNTVolume
-from async_tnt.reference import reference_kept, reference_regressor, reference_volume
-from async_tnt.regressor import CompiledRegressor
+from async_tnt.checking.reference import reference_kept, reference_regressor, reference_volume
+from async_tnt.networks.regressor import CompiledRegressor
 
 SHAPES = [  # sensor, grid, bins, window_us, t_max
     ((34, 34), (34, 34), 9, 105_000, 8.0),
@@ -23,11 +23,13 @@ STARTS = [0, 123_456_789, 1_700_000_000_000_000]
 MODELS = [
     random_regressor_model(
         TNTConfig(sensor=sensor, grid=grid, bins=bins, window_us=window_us, t_max=t_max, polarity=polarity),
-        regressor_widths=widths, sharpness=20.0, seed=seed,
+        regressor_widths=widths,
+        sharpness=20.0,
+        seed=seed,
     )
     for seed, (sensor, grid, bins, window_us, t_max) in enumerate(SHAPES)
     for polarity, widths in (("signed", (20, 20, 20)), ("split", (12, 9, 16)), ("unsigned", (8, 5, 17)))
-]  # fmt: skip
+]
 TORCH = {id(model): reference_regressor(model) for model in MODELS}
 CONFIG = TNTConfig(window_us=1000, landmark="regressor", t_max=2.0)
 
@@ -319,9 +321,10 @@ def test_reset_forgets_the_stream():
 
 
 @pytest.mark.parametrize(
-    "duplicate", [copy.copy, copy.deepcopy, lambda volume: pickle.loads(pickle.dumps(volume))],
+    "duplicate",
+    [copy.copy, copy.deepcopy, lambda volume: pickle.loads(pickle.dumps(volume))],
     ids=["copy", "deepcopy", "pickle"],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("read_before", [False, True])
 def test_a_copy_in_the_middle_of_a_window_goes_on_and_shares_nothing(duplicate, read_before):
     model = random_regressor_model(CONFIG, sharpness=20.0)

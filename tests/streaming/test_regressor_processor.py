@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model, random_regressor_model
 
 from async_tnt import Processor, TNTConfig, astream, load_model, stream, warmup
-from async_tnt.reference import reference_pipeline
+from async_tnt.checking.reference import reference_pipeline
 
 CONFIG = TNTConfig(window_us=1000, landmark="regressor", t_max=2.0)
 MODEL = random_regressor_model(CONFIG, widths=(3, 4, 5), regressor_widths=(9, 5, 8), sharpness=20.0)

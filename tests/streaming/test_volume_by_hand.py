@@ -43,8 +43,11 @@ def test_transform_divides_the_distance_from_the_landmark_by_tnt_time():
     # tau = 2 at dt = 200: u = (20 - 16.5) / 2 + 16.5 = 18.25, v = (12 - 16.5) / 2 + 16.5 = 14.25
     array = volume_of(TNT, (200, 20, 12, 1)).array
     assert nonzero(array) == {
-        (2, 14, 18): 0.5625, (2, 14, 19): 0.1875, (2, 15, 18): 0.1875, (2, 15, 19): 0.0625,
-    }  # fmt: skip
+        (2, 14, 18): 0.5625,
+        (2, 14, 19): 0.1875,
+        (2, 15, 18): 0.1875,
+        (2, 15, 19): 0.0625,
+    }
 
 
 def test_transform_stretches_before_tnt_time_1():

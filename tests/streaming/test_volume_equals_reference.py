@@ -30,9 +30,13 @@ STARTS = [0, 123_456_789, 1_700_000_000_000_000]
 def reference(events, config, start_us):
     columns = [events[name] for name in "txyp"]
     where = {
-        "start_us": start_us, "window_us": config.window_us, "sensor": config.sensor, "grid": config.grid,
-        "bins": config.bins, "polarity": config.polarity,
-    }  # fmt: skip
+        "start_us": start_us,
+        "window_us": config.window_us,
+        "sensor": config.sensor,
+        "grid": config.grid,
+        "bins": config.bins,
+        "polarity": config.polarity,
+    }
     if config.transform == "none":
         return tnt_reference.event_volume(*columns, **where).numpy()
     return tnt_reference.tnt_volume(
@@ -46,10 +50,16 @@ def kept_by_reference(events, config, start_us):
     columns = [events[name] for name in "txy"]
     return int(
         tnt_reference.tnt_coordinates(
-            *columns, start_us=start_us, window_us=config.window_us, sensor=config.sensor, grid=config.grid,
-            t_max=config.t_max, landmark=config.landmark, remove_flow=config.remove_flow,
+            *columns,
+            start_us=start_us,
+            window_us=config.window_us,
+            sensor=config.sensor,
+            grid=config.grid,
+            t_max=config.t_max,
+            landmark=config.landmark,
+            remove_flow=config.remove_flow,
         ).kept.sum()
-    )  # fmt: skip
+    )
 
 
 def assert_equals_reference(volume, events, config, start_us):

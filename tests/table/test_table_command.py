@@ -9,8 +9,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from async_tnt import cli, load_model  # noqa: E402
-from async_tnt.table import all_runs  # noqa: E402
-from async_tnt.table.run import Run  # noqa: E402
+from async_tnt.training import table_all_runs as all_runs  # noqa: E402
+from async_tnt.training.table_run import Run  # noqa: E402
 
 
 def table(*words):
@@ -21,8 +21,25 @@ def table(*words):
 def done(small_nmnist, small_set, tmp_path_factory):
     """One small table of two rows."""
     out = tmp_path_factory.mktemp("table")
-    words = ["--nmnist", small_nmnist, "--simulated", small_set, "--rows", "baseline", "regress", "--seeds", 3,
-             "--iterations", 3, "--batch", 16, "--workers", 1, "--out", out]  # fmt: skip
+    words = [
+        "--nmnist",
+        small_nmnist,
+        "--simulated",
+        small_set,
+        "--rows",
+        "baseline",
+        "regress",
+        "--seeds",
+        3,
+        "--iterations",
+        3,
+        "--batch",
+        16,
+        "--workers",
+        1,
+        "--out",
+        out,
+    ]
     assert table(*words) == 0
     return words, out
 
@@ -143,8 +160,24 @@ def test_damaged_recordings_are_told_and_may_be_left_out(small_nmnist, small_set
     shutil.copytree(small_nmnist, folder)
     damaged = next(folder.glob("Train/3/*.bin"))
     damaged.write_bytes(damaged.read_bytes()[:-2])
-    words = ["--nmnist", folder, "--simulated", small_set, "--rows", "baseline", "--trained-on", "1", "--seeds", 0,
-             "--iterations", 1, "--workers", 1, "--out", tmp_path / "out"]  # fmt: skip
+    words = [
+        "--nmnist",
+        folder,
+        "--simulated",
+        small_set,
+        "--rows",
+        "baseline",
+        "--trained-on",
+        "1",
+        "--seeds",
+        0,
+        "--iterations",
+        1,
+        "--workers",
+        1,
+        "--out",
+        tmp_path / "out",
+    ]
     assert table(*words) == 2
     printed = capsys.readouterr().err
     assert damaged.name in printed and "--skip-damaged" in printed and printed.count("\n") == 1

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from async_tnt.table.report import markdown_table
-from async_tnt.table.results import aggregate
-from async_tnt.table.rows import COLUMNS, ROWS
+from async_tnt.training.table_report import markdown_table
+from async_tnt.training.table_results import aggregate
+from async_tnt.training.table_rows import COLUMNS, ROWS
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORD = json.loads((ROOT / "benchmarks" / "results" / "table.json").read_text(encoding="utf-8"))
@@ -33,9 +33,13 @@ def test_means_are_those_of_the_seeds():
         assert list(columns) == list(COLUMNS)
         for column, part in columns.items():
             runs = [
-                {"row": name, "trained_on": column.split("/")[0], "seed": int(seed),
-                 "columns": {column: {"accuracy": a, "windows": part["windows"], "per_motion": {}}}}
+                {
+                    "row": name,
+                    "trained_on": column.split("/")[0],
+                    "seed": int(seed),
+                    "columns": {column: {"accuracy": a, "windows": part["windows"], "per_motion": {}}},
+                }
                 for seed, a in part["seeds"].items()
-            ]  # fmt: skip
+            ]
             again = aggregate(runs)[name][column]
             assert (again["mean"], again["deviation"]) == pytest.approx((part["mean"], part["deviation"]))

@@ -5,10 +5,10 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from async_tnt.table.data import RealFolder, on_first_saccade, saccade, shown_test_images, simulated_windows  # noqa: E402
-from async_tnt.table.report import markdown_table, motions_table, text_table  # noqa: E402
-from async_tnt.table.results import aggregate  # noqa: E402
-from async_tnt.table.rows import COLUMNS, ROWS, columns_of  # noqa: E402
+from async_tnt.training.table_data import RealFolder, on_first_saccade, saccade, shown_test_images, simulated_windows  # noqa: E402
+from async_tnt.training.table_report import markdown_table, motions_table, text_table  # noqa: E402
+from async_tnt.training.table_results import aggregate  # noqa: E402
+from async_tnt.training.table_rows import COLUMNS, ROWS, columns_of  # noqa: E402
 
 
 def test_rows_differ_only_in_what_they_are_named_for():
@@ -92,5 +92,6 @@ def test_the_table_as_text():
     markdown = markdown_table(table).splitlines()
     assert markdown[2] == "| Baseline | .990 ± .014 (.991) | - (.437) | - (.442) | - (.396) | - (.207) |"
     assert motions_table(table, "all/all").splitlines()[2:] == [
-        "| saccade 1 | .990 | .960 |", "| saccade 2 | .495 | .480 |"
-    ]  # fmt: skip
+        "| saccade 1 | .990 | .960 |",
+        "| saccade 2 | .495 | .480 |",
+    ]

@@ -5,7 +5,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from async_tnt.model import load_model  # noqa: E402
+from async_tnt.networks.model import load_model  # noqa: E402
 from async_tnt.training.evaluate import class_probabilities, evaluate  # noqa: E402
 from async_tnt.training.networks import pipeline_of  # noqa: E402
 from async_tnt.training.simulated import read_samples  # noqa: E402

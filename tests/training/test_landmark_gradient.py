@@ -9,7 +9,7 @@ import tnt_reference  # noqa: E402
 from made import random_events  # noqa: E402
 
 from async_tnt.config import TNTConfig  # noqa: E402
-from async_tnt.model import load_model  # noqa: E402
+from async_tnt.networks.model import load_model  # noqa: E402
 from async_tnt.training.augment import FINE, Augmentation, unchanged  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.networks import export, pipeline_before_export, pipeline_of, regressor_of  # noqa: E402
@@ -34,27 +34,39 @@ def columns(windows, i):
 
 
 def reference_settings(config):
-    return dict(window_us=config.window_us, sensor=config.sensor, grid=config.grid, bins=config.bins,
-                t_max=config.t_max, polarity=config.polarity)  # fmt: skip
+    return dict(
+        window_us=config.window_us,
+        sensor=config.sensor,
+        grid=config.grid,
+        bins=config.bins,
+        t_max=config.t_max,
+        polarity=config.polarity,
+    )
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"polarity": "split"}, {"polarity": "unsigned", "t_max": 8.0}, {"sensor": (64, 40), "bins": 1},
-     {"grid": (20, 28), "bins": 5}],
+    [
+        {},
+        {"polarity": "split"},
+        {"polarity": "unsigned", "t_max": 8.0},
+        {"sensor": (64, 40), "bins": 1},
+        {"grid": (20, 28), "bins": 5},
+    ],
     ids=str,
-)  # fmt: skip
+)
 def test_gradient_of_the_kernels_equals_the_references(changes):
     config = CONFIG.replace(**changes)
     windows, batches = windows_of(config), BatchVolumes(config)
     at = torch.tensor(LANDMARKS, requires_grad=True)
     expected = torch.stack(
         [
-            tnt_reference.tnt_volume(*columns(windows, i), start_us=0, **reference_settings(config), landmark=at[i],
-                                     dtype=torch.float64)
+            tnt_reference.tnt_volume(
+                *columns(windows, i), start_us=0, **reference_settings(config), landmark=at[i], dtype=torch.float64
+            )
             for i in range(3)
         ]
-    )  # fmt: skip
+    )
     slope = np.random.default_rng(1).standard_normal(expected.shape).astype(np.float32)
     (expected * torch.from_numpy(slope).double()).sum().backward()
     assert at.grad.abs().min() > 0.1
@@ -73,8 +85,9 @@ def test_gradient_on_the_fine_sensor_of_augmentation_is_the_same():
     slope = np.random.default_rng(1).standard_normal((n, *config.shape)).astype(np.float32)
     np.testing.assert_allclose(
         batches.landmark_gradient(windows, draws, LANDMARKS, slope),
-        batches.landmark_gradient(windows, unchanged(n, config), LANDMARKS, slope), rtol=1e-9,
-    )  # fmt: skip
+        batches.landmark_gradient(windows, unchanged(n, config), LANDMARKS, slope),
+        rtol=1e-9,
+    )
 
 
 def trained_pipeline(windows, steps=3):

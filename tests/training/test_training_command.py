@@ -11,8 +11,8 @@ torch = pytest.importorskip("torch")
 
 from small_sets import write_small_nmnist  # noqa: E402
 
-from async_tnt.model import load_model  # noqa: E402
-from async_tnt.training import command  # noqa: E402
+from async_tnt.cli import train as command  # noqa: E402
+from async_tnt.networks.model import load_model  # noqa: E402
 
 
 def run(*words):
@@ -63,8 +63,24 @@ def test_smoke_needs_no_data(tmp_path, monkeypatch, capsys):
 
 
 def test_train_and_test_on_a_folder(nmnist, tmp_path, capsys):
-    words = ["--nmnist", nmnist, "--epochs", 2, "--batch", 8, "--landmark", "line", "--t-max", 4,
-             "--validation", 0.34, "--test", "--json", "--run", tmp_path / "run"]  # fmt: skip
+    words = [
+        "--nmnist",
+        nmnist,
+        "--epochs",
+        2,
+        "--batch",
+        8,
+        "--landmark",
+        "line",
+        "--t-max",
+        4,
+        "--validation",
+        0.34,
+        "--test",
+        "--json",
+        "--run",
+        tmp_path / "run",
+    ]
     assert run(*words, "--out", tmp_path / "m.safetensors") == 0
     printed = capsys.readouterr()
     summary = json.loads(printed.out)

@@ -9,7 +9,7 @@ torch = pytest.importorskip("torch")
 
 from async_tnt.config import TNTConfig  # noqa: E402
 from async_tnt.events import EVENT_DTYPE  # noqa: E402
-from async_tnt.model import load_model  # noqa: E402
+from async_tnt.networks.model import load_model  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.checkpoint import CHECKPOINT, load_checkpoint, save_checkpoint  # noqa: E402
@@ -73,9 +73,13 @@ def test_interrupted_and_resumed_equals_uninterrupted(windows, tmp_path):
         train(CONFIG, windows, windows[:6], settings, tmp_path / "cut", progress=kill_in_epoch_2)
     epochs_run = []
     resumed = train(
-        CONFIG, windows, windows[:6], settings, tmp_path / "cut",
+        CONFIG,
+        windows,
+        windows[:6],
+        settings,
+        tmp_path / "cut",
         report=lambda row: epochs_run.append(row["epoch"]),
-    )  # fmt: skip
+    )
     assert epochs_run == [2, 3]
     assert weights_equal(resumed.last, whole.last) and weights_equal(resumed.best, whole.best)
     assert resumed.history == whole.history

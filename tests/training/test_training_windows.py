@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.recordings import write_nmnist
+from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.training.simulated import FIRST_INDEX, read_samples
 from async_tnt.training.windows import Recordings, lay_windows, read_folder, split_recordings
 

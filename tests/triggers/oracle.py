@@ -37,9 +37,15 @@ class Oracle:
     """See `Processor` for the settings, which may be changed at any time by `change`."""
 
     def __init__(
-        self, config: TNTConfig, classify: Callable[[np.ndarray], np.ndarray], *, hop_us: int | None = None,
-        start_us: int | None = None, late: str = "accept", **triggers: object,
-    ) -> None:  # fmt: skip
+        self,
+        config: TNTConfig,
+        classify: Callable[[np.ndarray], np.ndarray],
+        *,
+        hop_us: int | None = None,
+        start_us: int | None = None,
+        late: str = "accept",
+        **triggers: object,
+    ) -> None:
         self.config, self.classify, self.late = config, classify, late
         self.hop_us = hop_us or config.window_us
         self.windows: list[Window] = []
@@ -181,6 +187,10 @@ class Oracle:
 def said(decision) -> Said:
     """A Processor's decision in the oracle's form."""
     return (
-        decision.trigger, decision.window_start_us, decision.time_us, decision.events, decision.complete,
+        decision.trigger,
+        decision.window_start_us,
+        decision.time_us,
+        decision.events,
+        decision.complete,
         decision.logits.tobytes(),
-    )  # fmt: skip
+    )

@@ -8,9 +8,13 @@ from made import random_events, random_model
 from async_tnt import CompiledClassifier, LeakyIntegrator, Processor
 
 SETTINGS = [
-    {"every_events": 3}, {"every_events": 1, "hop_us": 300}, {"activity": LeakyIntegrator(2.5, 100.0)},
-    {"every_us": 70}, {"every_us": 70, "confidence": 0.999, "hop_us": 400}, {},
-]  # fmt: skip
+    {"every_events": 3},
+    {"every_events": 1, "hop_us": 300},
+    {"activity": LeakyIntegrator(2.5, 100.0)},
+    {"every_us": 70},
+    {"every_us": 70, "confidence": 0.999, "hop_us": 400},
+    {},
+]
 
 
 class Troubled:

@@ -56,16 +56,19 @@ def test_what_follows_lies_on_the_same_grid(classifier):
     processor = Processor(CONFIG, classifier=classifier, confidence=0.95, start_us=100)
     decisions = processor.push(at(150, 160, 170, 180, 1099, 1100, 1101, 1102, 1103, 5500, 5501))
     assert summary(decisions + processor.finish()) == [
-        ("confidence", 100, 170, 3, True), ("confidence", 1100, 1102, 3, True), ("end", 5100, 5501, 2, False),
-    ]  # fmt: skip
+        ("confidence", 100, 170, 3, True),
+        ("confidence", 1100, 1102, 3, True),
+        ("end", 5100, 5501, 2, False),
+    ]
     assert processor.counts == Counts(received=11, kept=8, dropped_decided=3)
 
 
 def test_a_window_that_is_never_sure_ends_as_ever(classifier):
     processor = Processor(CONFIG, classifier=classifier, confidence=0.95)
     assert summary(processor.push(at(0, 900, 1000, 1001, 1002))) == [
-        ("window", 0, 900, 2, True), ("confidence", 1000, 1002, 3, True),
-    ]  # fmt: skip
+        ("window", 0, 900, 2, True),
+        ("confidence", 1000, 1002, 3, True),
+    ]
 
 
 def test_events_from_before_the_decided_window_are_late_and_not_decided(classifier):
@@ -174,10 +177,13 @@ def test_overlapping_windows_go_on_by_themselves(classifier):
     processor = Processor(CONFIG, classifier=classifier, confidence=0.95, every_events=1, hop_us=400)
     decisions = processor.push(at(0, 410, 420, 430, 900, 1500))
     assert summary(decisions) == [
-        ("every_events", 0, 0, 1, False), ("every_events", 0, 410, 2, False), ("confidence", 0, 420, 3, True),
+        ("every_events", 0, 0, 1, False),
+        ("every_events", 0, 410, 2, False),
+        ("confidence", 0, 420, 3, True),
         ("confidence", 400, 430, 3, True),  # 410 and 420 are in it, too, but it spoke first at 430
-        ("every_events", 800, 900, 1, False), ("every_events", 800, 1500, 2, False),
-    ]  # fmt: skip
+        ("every_events", 800, 900, 1, False),
+        ("every_events", 800, 1500, 2, False),
+    ]
     assert summary(processor.finish()) == [("end", 800, 1500, 2, False), ("end", 1200, 1500, 1, False)]
 
 
@@ -188,20 +194,28 @@ def test_the_next_windows_moments_count_from_its_own_start(classifier, single):
     times = (0, 510, 650, 850)
     decisions = [d for t in times for d in processor.push(at(t))] if single else processor.push(at(*times))
     assert summary(decisions) == [
-        ("every_us", 0, 0, 1, False), ("every_us", 0, 510, 2, False), ("confidence", 0, 650, 3, True),
-        ("every_us", 500, 650, 2, False), ("confidence", 500, 850, 3, True),
-    ]  # fmt: skip
+        ("every_us", 0, 0, 1, False),
+        ("every_us", 0, 510, 2, False),
+        ("confidence", 0, 650, 3, True),
+        ("every_us", 500, 650, 2, False),
+        ("confidence", 500, 850, 3, True),
+    ]
 
 
-triggers = st.sampled_from([{}, {"every_events": 1}, {"every_events": 3}, {"every_us": 90},
-                            {"activity": LeakyIntegrator(2.5, 300.0)}])  # fmt: skip
+triggers = st.sampled_from(
+    [{}, {"every_events": 1}, {"every_events": 3}, {"every_us": 90}, {"activity": LeakyIntegrator(2.5, 300.0)}]
+)
 
 
 @settings(max_examples=150, deadline=None)
 @given(
-    events=nasty_streams((8, 8), 3500, 50), triggers=triggers, confidence=st.sampled_from([0.7, 0.95, 0.999]),
-    hop_us=st.sampled_from([None, 300]), size=st.sampled_from([1, 7, 100]), way=st.booleans(),
-)  # fmt: skip
+    events=nasty_streams((8, 8), 3500, 50),
+    triggers=triggers,
+    confidence=st.sampled_from([0.7, 0.95, 0.999]),
+    hop_us=st.sampled_from([None, 300]),
+    size=st.sampled_from([1, 7, 100]),
+    way=st.booleans(),
+)
 def test_nothing_is_said_twice_or_after_a_window_is_over(events, triggers, confidence, hop_us, size, way):
     classifier = number_of_events if way else compiled_number_of_events()
     processor = Processor(CONFIG, classifier=classifier, confidence=confidence, hop_us=hop_us, **triggers)

@@ -107,8 +107,12 @@ def test_with_every_events_both_count_and_one_speaks(model):
     processor.activity = LeakyIntegrator(2.0, 1e9, 1.001)
     decisions = processor.push(at(list(range(10))))
     assert [(d.trigger, d.events) for d in decisions] == [
-        ("activity", 2), ("every_events", 4), ("activity", 6), ("every_events", 8), ("activity", 10),
-    ]  # fmt: skip
+        ("activity", 2),
+        ("every_events", 4),
+        ("activity", 6),
+        ("every_events", 8),
+        ("activity", 10),
+    ]
 
 
 def test_reset_and_another_integrator_begin_at_zero(model):

@@ -7,10 +7,13 @@ from made import random_model
 from async_tnt import LeakyIntegrator, Processor
 
 ALL = [
-    {"every_us": 1}, {"every_events": 1}, {"confidence": 0.01}, {"activity": LeakyIntegrator(0.1, 1.0)},
+    {"every_us": 1},
+    {"every_events": 1},
+    {"confidence": 0.01},
+    {"activity": LeakyIntegrator(0.1, 1.0)},
     {"every_us": 1, "every_events": 1, "confidence": 0.01, "activity": LeakyIntegrator(0.1, 1.0), "start_us": 0},
     {"every_us": 1, "hop_us": 100},
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("settings", ALL, ids=str)

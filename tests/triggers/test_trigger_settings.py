@@ -34,10 +34,12 @@ BAD = [
     ("activity", 5, TypeError, "`activity` must be a LeakyIntegrator(threshold, leak_us), got 5"),
     ("activity", (5, 9), TypeError, "`activity` must be a LeakyIntegrator(threshold, leak_us), got (5, 9)"),
     (
-        "activity", LeakyIntegrator, TypeError,
+        "activity",
+        LeakyIntegrator,
+        TypeError,
         "`activity` must be a LeakyIntegrator(threshold, leak_us), got <class 'async_tnt.triggers.LeakyIntegrator'>",
     ),
-]  # fmt: skip
+]
 
 
 def exactly(message: str) -> str:
@@ -98,16 +100,26 @@ def test_an_integrator_is_a_value():
 def test_numbers_of_any_kind():
     """NumPy's, fractions: what is kept are Python's own."""
     processor = Processor(
-        CONFIG, classifier=total_and_size, every_us=np.uint16(70), every_events=np.int64(3),
-        confidence=np.float32(0.75), activity=LeakyIntegrator(Fraction(7, 2), np.float64(300), np.int8(1)),
-    )  # fmt: skip
+        CONFIG,
+        classifier=total_and_size,
+        every_us=np.uint16(70),
+        every_events=np.int64(3),
+        confidence=np.float32(0.75),
+        activity=LeakyIntegrator(Fraction(7, 2), np.float64(300), np.int8(1)),
+    )
     plain = Processor(
-        CONFIG, classifier=total_and_size, every_us=70, every_events=3, confidence=0.75,
+        CONFIG,
+        classifier=total_and_size,
+        every_us=70,
+        every_events=3,
+        confidence=0.75,
         activity=LeakyIntegrator(3.5, 300.0, 1.0),
-    )  # fmt: skip
+    )
     assert [type(value) for value in (processor.every_us, processor.every_events, processor.confidence)] == [
-        int, int, float,
-    ]  # fmt: skip
+        int,
+        int,
+        float,
+    ]
     events = at(list(range(0, 4000, 7)))
     decisions = [key(d) for d in processor.push(events)]
     assert decisions == [key(d) for d in plain.push(events)] and len(decisions) > 5

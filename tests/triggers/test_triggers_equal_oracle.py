@@ -38,17 +38,21 @@ integrators = st.builds(
     leak_us=st.sampled_from([1.0, 30.0, 400.0, 5e4, float("inf")]),
     charge=st.sampled_from([1.0, 0.4, 2.5]),
 )
-triggers = st.fixed_dictionaries({
-    "every_us": st.sampled_from([None, None, 1, 77, 500, 1000, 3000]),
-    "every_events": st.sampled_from([None, None, 1, 2, 3, 30]),
-    "confidence": st.sampled_from([None, None, 0.4, 0.7, 0.95, 1.0]),
-    "activity": st.one_of(st.none(), integrators),
-})  # fmt: skip
-windows = st.fixed_dictionaries({
-    "hop_us": st.sampled_from([None, None, None, 1000, 999, 500, 250, 130]),
-    "start_us": st.sampled_from([None, None, 0, 60, 300]),
-    "late": st.sampled_from(["accept", "accept", "drop"]),
-})  # fmt: skip
+triggers = st.fixed_dictionaries(
+    {
+        "every_us": st.sampled_from([None, None, 1, 77, 500, 1000, 3000]),
+        "every_events": st.sampled_from([None, None, 1, 2, 3, 30]),
+        "confidence": st.sampled_from([None, None, 0.4, 0.7, 0.95, 1.0]),
+        "activity": st.one_of(st.none(), integrators),
+    }
+)
+windows = st.fixed_dictionaries(
+    {
+        "hop_us": st.sampled_from([None, None, None, 1000, 999, 500, 250, 130]),
+        "start_us": st.sampled_from([None, None, 0, 60, 300]),
+        "late": st.sampled_from(["accept", "accept", "drop"]),
+    }
+)
 ways = st.sampled_from([(CONFIG, "callable"), (CONFIG, "compiled"), (TNT, "compiled"), (REPLAYED, "compiled")])
 
 
@@ -66,16 +70,23 @@ def assert_counts(oracle: Oracle, processor: Processor, overlap: bool) -> None:
     assert (counts.dropped_late, counts.dropped_decided) == (oracle.dropped_late, oracle.dropped_decided)
     if not overlap:
         assert counts.received == (
-            counts.kept + counts.dropped_outside + counts.dropped_tau_zero + counts.dropped_late
-            + counts.dropped_unstored + counts.dropped_decided
-        )  # fmt: skip
+            counts.kept
+            + counts.dropped_outside
+            + counts.dropped_tau_zero
+            + counts.dropped_late
+            + counts.dropped_unstored
+            + counts.dropped_decided
+        )
 
 
 @settings(max_examples=500, deadline=None)
 @given(
-    events=nasty_streams((8, 8), 3500, 50, max_events=70), way=ways, windows=windows, triggers=triggers,
+    events=nasty_streams((8, 8), 3500, 50, max_events=70),
+    way=ways,
+    windows=windows,
+    triggers=triggers,
     cuts=st.lists(st.integers(0, 40), min_size=1, max_size=6),
-)  # fmt: skip
+)
 def test_any_triggers_any_windows_any_packets(events, way, windows, triggers, cuts):
     """cuts : sizes of packets, over and over; 0: one event by `push_one`."""
     oracle, processor = pair(*way, **windows, **triggers)
@@ -94,16 +105,25 @@ def test_any_triggers_any_windows_any_packets(events, way, windows, triggers, cu
 
 @settings(max_examples=300, deadline=None)
 @given(
-    events=nasty_streams((8, 8), 3500, 50, max_events=70), way=ways, windows=windows, triggers=triggers,
+    events=nasty_streams((8, 8), 3500, 50, max_events=70),
+    way=ways,
+    windows=windows,
+    triggers=triggers,
     changes=st.lists(
-        st.tuples(st.integers(0, 30), st.one_of(
-            st.tuples(st.just("every_us"), st.sampled_from([None, 1, 77, 500])),
-            st.tuples(st.just("every_events"), st.sampled_from([None, 1, 2, 3])),
-            st.tuples(st.just("confidence"), st.sampled_from([None, 0.4, 0.7, 0.95])),
-            st.tuples(st.just("activity"), st.one_of(st.none(), integrators)),
-        )), min_size=1, max_size=6,
-    ), single=st.booleans(),
-)  # fmt: skip
+        st.tuples(
+            st.integers(0, 30),
+            st.one_of(
+                st.tuples(st.just("every_us"), st.sampled_from([None, 1, 77, 500])),
+                st.tuples(st.just("every_events"), st.sampled_from([None, 1, 2, 3])),
+                st.tuples(st.just("confidence"), st.sampled_from([None, 0.4, 0.7, 0.95])),
+                st.tuples(st.just("activity"), st.one_of(st.none(), integrators)),
+            ),
+        ),
+        min_size=1,
+        max_size=6,
+    ),
+    single=st.booleans(),
+)
 def test_settings_may_change_in_midstream(events, way, windows, triggers, changes, single):
     """By the attributes, between packets; each comes into force with the next event."""
     oracle, processor = pair(*way, **windows, **triggers)
@@ -127,9 +147,12 @@ def test_settings_may_change_in_midstream(events, way, windows, triggers, change
 
 @settings(max_examples=60, deadline=None)
 @given(
-    seed=st.integers(0, 1000), way=ways, hop_us=st.sampled_from([None, 400]), triggers=triggers,
+    seed=st.integers(0, 1000),
+    way=ways,
+    hop_us=st.sampled_from([None, 400]),
+    triggers=triggers,
     size=st.sampled_from([1, 50, 1300]),
-)  # fmt: skip
+)
 def test_long_streams(seed, way, hop_us, triggers, size):
     """Many windows, hundreds of events in each; more decisions than one compiled call makes."""
     events = random_events(1300, seed=seed, duration_us=5200, sensor=(8, 8), start_us=7)

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of
 
-from async_tnt.views.moments import next_moment
-from async_tnt.views.pictures import (
+from async_tnt.views.rerun_moments import next_moment
+from async_tnt.views.rerun_pictures import (
     GAP_COLOUR,
     NOTHING,
     NOTHING_COLOUR,

@@ -5,7 +5,7 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt import Processor, TNTConfig, TNTVolume
-from async_tnt.views.raw_twin import RawTwin
+from async_tnt.views.untransformed_volume import RawTwin
 
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), window_us=1_000, bins=3)
 

@@ -5,13 +5,14 @@ import pytest
 from made import events_of, random_events, random_model
 
 from async_tnt import Model, Processor, TNTConfig, TNTVolume, load_model
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 rrd_files = pytest.importorskip("views.rrd_files", reason="rerun-sdk is not installed (extra `view`)")
 Rrd = rrd_files.Rrd
-from async_tnt.views import RerunView, layout  # noqa: E402
-from async_tnt.views.moments import next_moment  # noqa: E402
-from async_tnt.views.newest import newest_text  # noqa: E402
+from async_tnt.views import rerun_layout as layout  # noqa: E402
+from async_tnt.views.rerun_moments import next_moment  # noqa: E402
+from async_tnt.views.rerun_newest import newest_text  # noqa: E402
+from async_tnt.views.rerun_view import RerunView  # noqa: E402
 
 CONFIG = TNTConfig(sensor=(40, 30), grid=(20, 24), window_us=50_000, bins=4)
 EVENTS = random_events(3000, duration_us=170_000, sensor=(40, 30), start_us=7_000)
@@ -117,8 +118,10 @@ def test_event_images_show_the_last_moments(tmp_path):
     classes = rrd.static(layout.EVENTS, "AnnotationContext:context")[0]
     infos = [c["class_description"]["info"] for c in classes]
     assert [(info["id"], info["label"]) for info in infos] == [
-        (0, "no event"), (1, "OFF (darker)"), (2, "ON (brighter)"),
-    ]  # fmt: skip
+        (0, "no event"),
+        (1, "OFF (darker)"),
+        (2, "ON (brighter)"),
+    ]
     assert all(info["color"] for info in infos)  # the viewer gives one without a colour any, and that fills the picture
 
 
@@ -175,10 +178,15 @@ def test_the_class_of_the_moment_is_written_below_the_events_and_beside_them(tmp
 def test_every_view_of_the_layout_shows_something_and_everything_is_shown(tmp_path, transform):
     rrd, _ = view_of(tmp_path, random_model(CONFIG.replace(transform=transform)), [EVENTS])
     expected = {
-        "events": "2D", layout.RAW_SHEET: "2D", layout.RAW_VOLUME: "Tensor", layout.NEWEST: "TextDocument",
-        layout.PROBABILITIES: "TimeSeries", layout.RATES: "TimeSeries", layout.LATENCY: "TimeSeries",
+        "events": "2D",
+        layout.RAW_SHEET: "2D",
+        layout.RAW_VOLUME: "Tensor",
+        layout.NEWEST: "TextDocument",
+        layout.PROBABILITIES: "TimeSeries",
+        layout.RATES: "TimeSeries",
+        layout.LATENCY: "TimeSeries",
         layout.DECISIONS: "TextLog",
-    }  # fmt: skip
+    }
     if transform == "tnt":
         expected |= {layout.TNT_SHEET: "2D", layout.TNT_VOLUME: "Tensor"}
     assert rrd.views == expected
@@ -254,7 +262,7 @@ def test_pictures_are_capped_on_the_clock(tmp_path):
 
 
 def test_a_large_volume_is_written_whole_at_window_ends_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr("async_tnt.views.log.MOST_TENSOR_BYTES", 100)
+    monkeypatch.setattr("async_tnt.views.rerun_log.MOST_TENSOR_BYTES", 100)
     rrd, _ = view_of(tmp_path, random_model(CONFIG), [EVENTS], picture_us=20_000)
     first_us = int(EVENTS["t"][0])
     ends = [first_us + k * 50_000 for k in (1, 2, 3)]

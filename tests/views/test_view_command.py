@@ -18,8 +18,8 @@ from made import random_events, random_model
 
 from async_tnt import Processor, load_model
 from async_tnt.cli import main
-from async_tnt.network import UdpSender
-from async_tnt.recordings import open_recording, sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.udp_sender import UdpSender
 
 SAMPLE = sample_recordings()[7]
 
@@ -49,7 +49,7 @@ SILENT = os.environ | {"CI": "1"}
 
 rrd_files = pytest.importorskip("views.rrd_files", reason="rerun-sdk is not installed (extra `view`)")
 Rrd = rrd_files.Rrd
-from async_tnt.views import layout  # noqa: E402
+from async_tnt.views import rerun_layout as layout  # noqa: E402
 
 
 def test_a_recording_becomes_a_file(tmp_path, capsys):
@@ -242,9 +242,11 @@ def viewer_that_writes(out):
     port = free_port(socket.SOCK_STREAM)
     serving = subprocess.Popen(
         [program, "--bind", "127.0.0.1", "--port", str(port), "--save", str(out)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=SILENT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=SILENT,
         start_new_session=True,  # it is a script that starts the program: both are to be stopped
-    )  # fmt: skip
+    )
     try:
         deadline = time.monotonic() + 30
         while time.monotonic() < deadline:
@@ -305,7 +307,7 @@ def test_a_spawned_viewer_that_is_not_there(monkeypatch, capsys):
     """The viewer starts and dies, as on a display that refuses it: here none is started at all."""
     import rerun
 
-    from async_tnt.views import sinks
+    from async_tnt.views import rerun_sinks as sinks
 
     asked = {}
     monkeypatch.setenv("DISPLAY", ":99")

@@ -1,0 +1,141 @@
+"""The networks that are compared: a model's classifier by every engine installed, on one thread, as users call it."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from async_tnt import CompiledClassifier, Model
+from async_tnt.checking.timing import is_installed
+
+Network = Callable[[np.ndarray], np.ndarray]
+"""Volume (C, H, W) -> logits (n_classes,), float32, in memory that the next call may overwrite."""
+
+WORK = {
+    "incremental": "ours, CompiledClassifier.refresh: what has changed since its last call; gives probabilities, too",
+    "dense": "ours, CompiledClassifier called with an array: the whole network",
+    "onnxruntime_run": "onnxruntime, session.run: the array goes in as it is, a new one comes out",
+    "onnxruntime_binding": "onnxruntime, run_with_iobinding: memory bound once, the volume copied into it",
+    "openvino": "OpenVINO, float32, hint LATENCY: an infer request's own memory, the volume copied into it",
+    "torch": "torch, eager, inference mode: a tensor, the volume copied into it",
+}
+PACKAGES = {
+    "onnxruntime_run": ("onnx", "onnxruntime"),
+    "onnxruntime_binding": ("onnx", "onnxruntime"),
+    "openvino": ("onnx", "openvino"),
+    "torch": ("torch", "tnt_reference"),
+}
+ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")  # which is faster differs from machine to machine
+
+
+def dense_networks(model: Model) -> dict[str, Network]:
+    """Every engine that is installed, each computing the whole network: ours first. Names are those of `WORK`.
+
+    Each has weights of its own, so that none finds them in a cache because another one was there before. torch keeps
+    as many threads as it has: see `timing.one_thread`.
+    """
+    return {name: new_network(name, model) for name in MAKERS if is_installed(*PACKAGES.get(name, ()))}
+
+
+def new_network(name: str, model: Model) -> Network:
+    """One of `dense_networks`, another time."""
+    return MAKERS[name](model)
+
+
+def left_out() -> dict[str, str]:
+    """The engines of `WORK` that are not here, and why."""
+    return {name: why for name, packages in PACKAGES.items() if (why := missing(*packages))}
+
+
+def missing(*packages: str) -> str:
+    """What to say of those packages that are not installed; nothing where all are."""
+    names = [package for package in packages if not is_installed(package)]
+    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} not installed" if names else ""
+
+
+def _onnxruntime_run(model: Model) -> Network:
+    session = _session(model)
+
+    def run(volume: np.ndarray) -> np.ndarray:
+        return session.run(["logits"], {"volume": volume[None]})[0][0]
+
+    return run
+
+
+def _onnxruntime_binding(model: Model) -> Network:
+    session = _session(model)
+    inputs, outputs = np.zeros((1, *model.config.shape), np.float32), np.zeros((1, len(model.classes)), np.float32)
+    binding = session.io_binding()
+    binding.bind_input("volume", "cpu", 0, np.float32, inputs.shape, inputs.ctypes.data)
+    binding.bind_output("logits", "cpu", 0, np.float32, outputs.shape, outputs.ctypes.data)
+    volume_in, logits = inputs[0], outputs[0]
+
+    def run(volume: np.ndarray) -> np.ndarray:
+        np.copyto(volume_in, volume)
+        session.run_with_iobinding(binding)
+        return logits
+
+    return run
+
+
+def _session(model: Model) -> Any:
+    from async_tnt.networks.onnx_export import to_onnx
+    from async_tnt.networks.onnx_session import import_onnxruntime
+
+    onnxruntime = import_onnxruntime()
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    network = to_onnx(model).SerializeToString()
+    return onnxruntime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
+
+
+def _openvino(model: Model) -> Network:
+    import openvino
+
+    from async_tnt.networks.onnx_export import to_onnx
+
+    core = openvino.Core()
+    settings = {"INFERENCE_NUM_THREADS": 1, "INFERENCE_PRECISION_HINT": "f32", "PERFORMANCE_HINT": "LATENCY"}
+    network = core.read_model(io.BytesIO(to_onnx(model).SerializeToString()))
+    request = core.compile_model(network, "CPU", settings).create_infer_request()
+    inputs: np.ndarray = np.zeros((1, *model.config.shape), np.float32)
+    tensor = openvino.Tensor(inputs, shared_memory=True)
+    request.set_input_tensor(tensor)
+    logits: Any = request.get_output_tensor().data[0]
+
+    def infer(volume: np.ndarray) -> np.ndarray:
+        np.copyto(inputs[0], volume)
+        request.infer()
+        return logits
+
+    return infer
+
+
+def _torch(model: Model) -> Network:
+    import torch
+
+    from async_tnt.checking.torch_batch import TorchBatch
+
+    batch = TorchBatch.of(model)
+    tensor = torch.zeros(model.config.shape)
+    memory = tensor.numpy()
+
+    def run(volume: np.ndarray) -> np.ndarray:
+        np.copyto(memory, volume)
+        with torch.inference_mode():
+            return batch.logits(tensor).numpy()
+
+    return run
+
+
+MAKERS: dict[str, Callable[[Model], Network]] = {
+    "dense": CompiledClassifier,
+    "onnxruntime_run": _onnxruntime_run,
+    "onnxruntime_binding": _onnxruntime_binding,
+    "openvino": _openvino,
+    "torch": _torch,
+}

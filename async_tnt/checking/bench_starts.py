@@ -1,0 +1,141 @@
+"""Cold and warm starts, in fresh processes: what passes from `import` to the first decision."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt import Model
+from async_tnt.checking.backends import missing
+from async_tnt.checking.timing import spread
+
+WORK = {
+    "ours_cold": "ours, with an empty NUMBA_CACHE_DIR: everything is compiled",
+    "ours_warm": "ours, with a full one",
+    "onnxruntime": "onnxruntime: import, a session of the exported network, its first answer",
+    "torch": "torch: import, the same network from the model's file, its first answer",
+}
+NEEDS = {"onnxruntime": ("onnx", "onnxruntime"), "torch": ("torch", "tnt_reference")}
+
+_OURS = """
+from async_tnt import Processor, load_model, warmup
+step("import")
+model = load_model(arguments["model"])
+step("load")
+warmup(model)
+step("warmup")
+processor = Processor(model, start_us=0)
+processor.push_one(1000, 1, 1, 1)
+processor.fire()
+step("decision")
+"""
+_ONNXRUNTIME = """
+import numpy as np
+import os
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+import onnxruntime
+step("import")
+options = onnxruntime.SessionOptions()
+options.intra_op_num_threads = options.inter_op_num_threads = 1
+session = onnxruntime.InferenceSession(arguments["onnx"], options, providers=["CPUExecutionProvider"])
+step("load")
+session.run(["logits"], {"volume": np.zeros(arguments["shape"], np.float32)})
+step("decision")
+"""
+_TORCH = """
+import torch
+from safetensors.torch import load_file
+from tnt_reference import Classifier
+step("import")
+torch.set_num_threads(1)
+weights = {name: w for name, w in load_file(arguments["model"]).items() if not name.startswith("regressor.")}
+widths = tuple(len(weights[layer + ".bias"]) for layer in ("conv1", "conv2", "fc1"))
+channels, height, width = arguments["shape"][1:]
+network = Classifier(channels, (width, height), len(weights["fc2.bias"]), widths).eval()
+network.load_state_dict(weights)
+step("load")
+with torch.inference_mode():
+    network(torch.zeros(arguments["shape"])).argmax()
+step("decision")
+"""
+_AROUND = """
+import json, sys, time
+arguments, seconds, last = json.loads(sys.argv[1]), {{}}, time.perf_counter()
+def step(name):
+    global last
+    now = time.perf_counter()
+    seconds[name], last = now - last, now
+{body}
+print(json.dumps(seconds))
+"""
+
+
+def bench_starts(
+    model: Model, *, rounds: int, cold: bool = True, each: Callable[[], None] = lambda: None
+) -> dict[str, Any]:
+    """Time starts, in turns: each round has one process of each row, the cold one with a cache folder of its own.
+
+    Files are in the system's memory: a first round is thrown away. `each` is called before each round, that one too.
+    Without `cold` nothing is compiled: `ours_warm` takes the cache as this process has it.
+
+    Returns
+    -------
+    dict : row of `WORK` -> seconds of each step and of the whole process (`process`, Python's own start and end
+        included), each a `spread`. Rows whose packages are missing are not there.
+    """
+    rows = [name for name in WORK if name not in left_out(cold)]
+    seconds: dict[str, dict[str, list[float]]] = {name: {} for name in rows}
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        model.save(folder / "model.safetensors")
+        arguments = {"model": str(folder / "model.safetensors"), "shape": [1, *model.config.shape]}
+        if "onnxruntime" in rows:
+            from async_tnt.networks.onnx_export import to_onnx
+
+            arguments["onnx"] = str(folder / "model.onnx")
+            (folder / "model.onnx").write_bytes(to_onnx(model).SerializeToString())
+        for k in range(rounds + 1):
+            each()
+            for name in rows if k % 2 else reversed(rows):
+                if k == 0 and name == "ours_cold":
+                    continue
+                cache = folder / (f"cold {k}" if name == "ours_cold" else "warm") if cold else None
+                for step, taken in _start(name, arguments, cache).items():
+                    if k:
+                        seconds[name].setdefault(step, []).append(taken)
+    return {name: {step: spread(np.array(taken)) for step, taken in steps.items()} for name, steps in seconds.items()}
+
+
+def left_out(cold: bool = True) -> dict[str, str]:
+    """The rows of `WORK` that are not here, and why."""
+    quick = {} if cold else {"ours_cold": "compiling takes too long for a quick look"}
+    return quick | {name: why for name, packages in NEEDS.items() if (why := missing(*packages))}
+
+
+def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str, float]:
+    body = {"onnxruntime": _ONNXRUNTIME, "torch": _TORCH}.get(name, _OURS)
+    settings = {
+        "OMP_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+    }
+    if cache is not None:
+        cache.mkdir(exist_ok=True)
+        settings["NUMBA_CACHE_DIR"] = str(cache)
+    command = [sys.executable, "-c", _AROUND.format(body=body), json.dumps(arguments)]
+    started = time.perf_counter()
+    done = subprocess.run(command, env=os.environ | settings, capture_output=True, text=True, check=False)
+    taken = time.perf_counter() - started
+    if done.returncode:
+        raise RuntimeError(f"the start of {name} failed:\n{done.stderr}")
+    steps: dict[str, float] = json.loads(done.stdout)
+    return {**steps, "first_decision": sum(steps.values()), "process": taken}

@@ -1,0 +1,141 @@
+"""Nanoseconds per event of `TNTVolume`: single calls and packets, on three sensors."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from async_tnt import TNTConfig, TNTVolume
+from async_tnt.checking.timing import interleave, spread, work_clock
+
+GRIDS = ((34, 34), (346, 260), (1280, 720))
+PACKETS = (10, 100, 1300)
+CAMERA_DTYPE = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+"""How camera drivers commonly pack an event: 14 bytes, t not aligned."""
+
+
+def made_events(
+    rng: np.random.Generator, sensor: tuple[int, int], n: int, window_us: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """n events, uniform over sensor, polarity and the window [0, window_us), in order of time.
+
+    Returns
+    -------
+    t, x, y, p : int64, uint16, uint16, uint8, shape (n,).
+    """
+    return (
+        np.sort(rng.integers(0, window_us, n)),
+        rng.integers(0, sensor[0], n).astype(np.uint16),
+        rng.integers(0, sensor[1], n).astype(np.uint16),
+        rng.integers(0, 2, n).astype(np.uint8),
+    )
+
+
+def bench_volume(
+    grid: tuple[int, int], landmark: str, rng: np.random.Generator, *, n_events: int, rounds: int
+) -> dict[str, Any]:
+    """Time one window of `n_events` events, fed in every way.
+
+    Opening the window is measured by itself, for its cost belongs to a window and not to an event; so is
+    reading `array` after a packet of 1300 more events.
+
+    Returns
+    -------
+    dict : the settings; `ns_per_event`, way -> `spread`; `open_us` and `read_us`, each a `spread`.
+    """
+    config = TNTConfig(sensor=grid, grid=grid, landmark=landmark)
+    columns = made_events(rng, grid, n_events, config.window_us)
+    volume = TNTVolume(config)
+    cases = {"single": _single_calls(volume, columns)}
+    for size in PACKETS:
+        cases[f"packet_{size}_structured"] = _packets(volume, _structured_packets(columns, size))
+        cases[f"packet_{size}_columns"] = _packets(volume, _column_packets(columns, size))
+    cases["open_us"] = _opening(volume, columns)
+    cases["read_us"] = _reads(volume, _column_packets(columns, 1300))
+    measured = {name: spread(values) for name, values in interleave(cases, rounds).items()}
+    open_us, read_us = measured.pop("open_us"), measured.pop("read_us")
+    return {
+        "grid": list(grid),
+        "bins": config.bins,
+        "landmark": landmark,
+        "t_max": config.t_max,
+        "window_us": config.window_us,
+        "events": n_events,
+        "ns_per_event": measured,
+        "open_us": open_us,
+        "read_us": read_us,
+    }
+
+
+def _single_calls(volume: TNTVolume, columns: tuple[np.ndarray, ...]) -> Callable[[], float]:
+    rows = list(zip(*(column[::10].tolist() for column in columns), strict=True))
+
+    def run() -> float:
+        volume.open(0)
+        update_one = volume.update_one
+        started = work_clock()
+        for t, x, y, p in rows:  # the loop itself, some 20 ns, is in the figure: a user has it too
+            update_one(t, x, y, p)
+        return 1e9 * (work_clock() - started) / len(rows)
+
+    return run
+
+
+def _packets(volume: TNTVolume, packets: list[Any]) -> Callable[[], float]:
+    n_events = sum(len(packet[0]) if isinstance(packet, tuple) else len(packet) for packet in packets)
+
+    def run() -> float:
+        volume.open(0)
+        update = volume.update
+        started = work_clock()
+        for packet in packets:
+            update(packet)
+        return 1e9 * (work_clock() - started) / n_events
+
+    return run
+
+
+def _opening(volume: TNTVolume, columns: tuple[np.ndarray, ...]) -> Callable[[], float]:
+    """Microseconds of opening a window after a full one."""
+
+    def run() -> float:
+        volume.open(0)
+        volume.update(columns)
+        _ = volume.array
+        started = work_clock()
+        volume.open(0)
+        return 1e6 * (work_clock() - started)
+
+    return run
+
+
+def _reads(volume: TNTVolume, packets: list[Any]) -> Callable[[], float]:
+    """Microseconds of one read after each packet: the median over the packets of a window."""
+
+    def run() -> float:
+        volume.open(0)
+        _ = volume.array
+        taken = []
+        for packet in packets[:20]:
+            volume.update(packet)
+            started = time.perf_counter()
+            _ = volume.array
+            taken.append(time.perf_counter() - started)
+        return 1e6 * float(np.median(taken))  # no other process interrupts that many
+
+    return run
+
+
+def _structured_packets(columns: tuple[np.ndarray, ...], size: int) -> list[np.ndarray]:
+    events = np.empty(len(columns[0]), CAMERA_DTYPE)
+    for name, column in zip("txyp", columns, strict=True):
+        events[name] = column
+    return [events[first : first + size].copy() for first in range(0, len(events), size)]
+
+
+def _column_packets(columns: tuple[np.ndarray, ...], size: int) -> list[tuple[np.ndarray, ...]]:
+    n = len(columns[0])
+    return [tuple(column[first : first + size] for column in columns) for first in range(0, n, size)]

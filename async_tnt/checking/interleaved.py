@@ -1,0 +1,148 @@
+"""Whoever decides takes turns: call by call, or a stretch of moments at a time. Both, for neither is the truth.
+
+Networks of half a megabyte push one another out of the processor's caches. Called in turns, each finds its weights
+further away than in a loop of its own; in stretches, each has the caches to itself, and a real loop has other things
+to do in between. So both are measured, and what is compared is compared in one of them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from async_tnt.checking.moments import Moment
+from async_tnt.checking.timing import latency, no_collector, spread
+
+LOGIT_TOLERANCE = 1e-4
+"""Largest difference between logits of the same moment; in parts of the largest logit where that is above 1."""
+
+
+class WorkDiffers(Exception):
+    """The two ways did not compute the same: a comparison of their times would mean nothing."""
+
+
+class Contender(Protocol):
+    """Something that decides. Moments come in order of time."""
+
+    def prepare(self, moment: Moment) -> None:
+        """What is not timed. The moment before was this one's `before`, or it is that itself."""
+
+    def decide(self) -> np.ndarray | None:
+        """What is timed: the logits; None where they cannot be compared."""
+
+
+@dataclass
+class Timed:
+    """Microseconds of each decision, block by block, and how far logits lay apart at most."""
+
+    us: dict[str, np.ndarray]
+    """Contender -> float64, shape (blocks, decisions of a block)."""
+    call_by_call: bool
+    largest_difference: float = 0.0
+    first: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.first = next(iter(self.us))
+
+    def report(self) -> dict[str, Any]:
+        """`us`, contender -> `latency`; `ratio`, contender -> `spread` of its time over that of the first one: of
+        each decision, or of each block's median where contenders came in blocks."""
+        parts = {name: us.ravel() if self.call_by_call else np.median(us, axis=1) for name, us in self.us.items()}
+        return {
+            "us": {name: latency(us.ravel()) for name, us in self.us.items()},
+            "ratio": {name: spread(part / parts[self.first]) for name, part in parts.items() if name != self.first},
+            "largest_difference": self.largest_difference,
+        }
+
+
+def call_by_call(contenders: Mapping[str, Contender], blocks: Iterable[list[Moment]]) -> Timed:
+    """Every contender decides at a moment, then at the next one, in an order drawn anew each time (by a fixed seed).
+
+    Raises
+    ------
+    WorkDiffers : logits of one moment differ by more than LOGIT_TOLERANCE.
+    """
+    us: dict[str, list[list[float]]] = {name: [] for name in contenders}
+    worst, rng = 0.0, np.random.default_rng(0)
+    with no_collector():
+        for block in blocks:
+            for taken in us.values():
+                taken.append([])
+            for moment in block:
+                order = rng.permutation(list(contenders)).tolist()
+                if not moment.follows:
+                    for name in order:
+                        contenders[name].prepare(moment.before)
+                        contenders[name].decide()
+                found = {}
+                for name in order:
+                    taken_us, logits = _time(contenders[name], moment)
+                    us[name][-1].append(taken_us)
+                    if logits is not None:
+                        found[name] = logits
+                worst = max(worst, check_logits(_in_order(found, contenders), moment))
+    return Timed({name: np.array(taken) for name, taken in us.items()}, True, worst)
+
+
+def in_blocks(contenders: Mapping[str, Contender], blocks: Iterable[list[Moment]]) -> Timed:
+    """Every contender decides at all moments of a block, one after the other, then the next contender does.
+
+    The order turns around from block to block. Raises as `call_by_call`.
+    """
+    us: dict[str, list[list[float]]] = {name: [] for name in contenders}
+    worst, forward = 0.0, True
+    with no_collector():
+        for block in blocks:
+            found: list[dict[str, np.ndarray]] = [{} for _ in block]
+            for name in list(contenders)[:: 1 if forward else -1]:
+                contender = contenders[name]
+                us[name].append([])
+                for k, moment in enumerate(block):
+                    if not moment.follows:
+                        contender.prepare(moment.before)
+                        contender.decide()
+                    taken_us, logits = _time(contender, moment)
+                    us[name][-1].append(taken_us)
+                    if logits is not None:
+                        found[k][name] = logits
+            forward = not forward
+            for k, moment in enumerate(block):
+                worst = max(worst, check_logits(_in_order(found[k], contenders), moment))
+    return Timed({name: np.array(taken) for name, taken in us.items()}, False, worst)
+
+
+def _time(contender: Contender, moment: Moment) -> tuple[float, np.ndarray | None]:
+    contender.prepare(moment)
+    started = time.perf_counter()
+    logits = contender.decide()
+    taken_us = 1e6 * (time.perf_counter() - started)
+    return taken_us, None if logits is None else logits.copy()
+
+
+def _in_order(found: Mapping[str, np.ndarray], names: Iterable[str]) -> dict[str, np.ndarray]:
+    return {name: found[name] for name in names if name in found}
+
+
+def check_logits(found: Mapping[str, np.ndarray], moment: Moment) -> float:
+    """The largest difference between logits of one moment, in parts of the largest logit where that is above 1.
+
+    Raises
+    ------
+    WorkDiffers : it is more than LOGIT_TOLERANCE.
+    """
+    if len(found) < 2:
+        return 0.0
+    (first, expected), *others = found.items()
+    scale = max(1.0, float(np.abs(expected).max()))
+    differences = {name: float(np.abs(logits - expected).max()) / scale for name, logits in others}
+    name, worst = max(differences.items(), key=lambda item: item[1])
+    if not worst <= LOGIT_TOLERANCE:  # nor nan
+        raise WorkDiffers(
+            f"all must give the same logits within {LOGIT_TOLERANCE}, got {first} and {name} {worst:.1e} apart "
+            f"at event {len(moment.events)} of the window at {moment.start_us} us"
+        )
+    return worst

@@ -1,0 +1,114 @@
+"""Moments at which a decision is due, so many events after the one before: the same for all that is compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from async_tnt import EVENT_DTYPE, Model, TNTConfig
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+
+NEW_EVENTS = (1, 10, 100, 1300)
+"""New events between two decisions."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A window of a stream, as far as it has come."""
+
+    start_us: int
+    events: np.ndarray
+    """The window's events so far, `EVENT_DTYPE`."""
+    n_new: int
+    """So many of them, the last ones, have come since the decision before."""
+    follows: bool = True
+    """Whether the moment before this one is that of the decision before. If not, `before` is."""
+
+    @property
+    def before(self) -> Moment:
+        """The same window without its new events."""
+        return Moment(self.start_us, self.events[: len(self.events) - self.n_new], 0)
+
+
+class Moments:
+    """All moments of some windows, one lap after the other, without end: windows lie end to end, time goes on.
+
+    A window's first event comes before its first moment, so that it is never the news that a window has opened.
+
+    Parameters
+    ----------
+    windows : structured arrays of `EVENT_DTYPE`, in order of time, times counted from the window's start.
+    window_us : from one start to the next.
+    n_new : events between two moments.
+
+    Raises
+    ------
+    ValueError : no window has so many events.
+    """
+
+    def __init__(self, windows: list[np.ndarray], window_us: int, n_new: int) -> None:
+        self._windows, self._window_us, self._n_new = windows, window_us, n_new
+        self._ends = np.cumsum([max(0, len(window) - 1) // n_new for window in windows])
+        if not windows or self._ends[-1] == 0:
+            longest = max(map(len, windows), default=0)
+            raise ValueError(f"a window of at least {n_new + 1} events is needed, the longest has {longest}")
+        self._shifted: tuple[int, np.ndarray] = -1, np.empty(0, EVENT_DTYPE)
+
+    @property
+    def a_lap(self) -> int:
+        """Moments in one lap."""
+        return int(self._ends[-1])
+
+    def __getitem__(self, i: int) -> Moment:
+        lap, i = divmod(i, self.a_lap)
+        which = int(np.searchsorted(self._ends, i, side="right"))
+        k = i - (int(self._ends[which - 1]) if which else 0)
+        number = lap * len(self._windows) + which
+        start_us = number * self._window_us
+        if self._shifted[0] != number:
+            events = self._windows[which].copy()
+            events["t"] += start_us
+            self._shifted = number, events
+        return Moment(start_us, self._shifted[1][: 1 + (k + 1) * self._n_new], self._n_new, k > 0)
+
+    def blocks(self, n_blocks: int, size: int) -> Iterator[list[Moment]]:
+        """So many stretches of `size` moments in a row, spread evenly over a lap, or over as many as they fill."""
+        step = max(size, self.a_lap // n_blocks)
+        for first in range(0, n_blocks * step, step):
+            block = [self[i] for i in range(first, first + size)]
+            yield [replace(block[0], follows=False), *block[1:]]
+
+
+def windows_of(events: np.ndarray, window_us: int) -> list[np.ndarray]:
+    """The windows of a recording from time 0 on, without empty ones; times counted from each window's start."""
+    number = events["t"] // window_us
+    edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1:] + 1))
+    windows = [events[a:b].astype(EVENT_DTYPE) for a, b in pairwise(edges)]
+    for window in windows:
+        window["t"] %= window_us
+    return windows
+
+
+def bench_recordings(model: Model, seed: int = 0) -> list[np.ndarray]:
+    """What there is to decide on: the bundled samples' events up to three windows, or as much of made ones for a
+    model of another sensor."""
+    window_us = model.config.window_us
+    opened = [open_recording(path) for path in sample_recordings().values()]
+    if any(recording.sensor != model.config.sensor for recording in opened):
+        rng = np.random.default_rng(seed)
+        return [made_recording(rng, model.config, 6000) for _ in opened]
+    read = [recording.read().astype(EVENT_DTYPE, copy=False) for recording in opened]
+    return [events[events["t"] < 3 * window_us] for events in read]
+
+
+def made_recording(rng: np.random.Generator, config: TNTConfig, n: int) -> np.ndarray:
+    """A made stream over three windows, for a model of another sensor than the bundled samples'."""
+    events = np.empty(n, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(0, 3 * config.window_us, n))
+    events["x"] = rng.integers(0, config.sensor[0], n)
+    events["y"] = rng.integers(0, config.sensor[1], n)
+    events["p"] = rng.integers(0, 2, n)
+    return events

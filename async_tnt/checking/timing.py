@@ -1,0 +1,150 @@
+"""Fair timing: what is compared runs in turns, warm, in one process; medians and quartiles are reported."""
+
+from __future__ import annotations
+
+import gc
+import importlib.util
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+# Work of milliseconds is timed by the processor time it takes, which other processes cannot lengthen: what a
+# clock on the wall shows on a quiet machine. Windows counts it in steps of 16 ms only. Latencies, of which we
+# report the tail, are by the wall clock.
+work_clock = time.perf_counter if sys.platform == "win32" else time.process_time
+
+
+def interleave(cases: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, np.ndarray]:
+    """Run every case once a round, A B A B ..., so that what else the machine does hits all alike.
+
+    Parameters
+    ----------
+    cases : name -> a function that does the work once and returns what it measured.
+    rounds : how many times each is measured, after one round that warms up and is thrown away. Every other
+        round runs backwards, so that none always follows the same neighbour.
+
+    Returns
+    -------
+    name -> float64, shape (rounds,).
+    """
+    for case in cases.values():
+        case()
+    names = list(cases)
+    measured: dict[str, list[float]] = {name: [] for name in names}
+    with no_collector():
+        for k in range(rounds):
+            for name in names if k % 2 == 0 else reversed(names):
+                measured[name].append(cases[name]())
+    return {name: np.array(values) for name, values in measured.items()}
+
+
+def spread(values: np.ndarray) -> dict[str, float]:
+    """Median, quartiles and extremes of repeated measurements."""
+    low, q1, median, q3, high = np.percentile(values, [0, 25, 50, 75, 100])
+    return {
+        "median": float(median),
+        "q1": float(q1),
+        "q3": float(q3),
+        "min": float(low),
+        "max": float(high),
+        "n": len(values),
+    }
+
+
+def latency(values: np.ndarray) -> dict[str, float]:
+    """`spread`, with the 99th percentile, of latencies."""
+    return {**spread(values), "p99": float(np.percentile(values, 99))}
+
+
+@contextmanager
+def no_collector() -> Iterator[None]:
+    """Without Python's garbage collector, whose turn comes at random. It is set back as it was."""
+    was_enabled = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+@contextmanager
+def one_thread(with_torch: bool) -> Iterator[None]:
+    """torch on one thread, as ours is; it is set back afterwards."""
+    if not with_torch:
+        yield
+        return
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def is_installed(*packages: str) -> bool:
+    """Whether all of them can be imported, without importing any."""
+    return all(importlib.util.find_spec(package) is not None for package in packages)
+
+
+def machine(*packages: str) -> dict[str, Any]:
+    """What a figure depends on: processor, load, versions (None where a package is missing)."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {
+        "cpu": cpu_name(),
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "load_1min": None if load is None else round(load, 2),
+        "python": platform.python_version(),
+        **{name: _version(name) for name in ("async_tnt", "numpy", "numba", *packages)},
+    }
+
+
+def cpu_name() -> str:
+    """The processor's model as the system calls it."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            fields = dict(line.split(":", 1) for line in file if line.count(":") == 1)
+    except OSError:
+        return platform.processor() or platform.machine()
+    name = next((v.strip() for k, v in fields.items() if k.strip() == "model name"), platform.machine())
+    if any(c.isdigit() for c in name):
+        return name
+    # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still tell it
+    numbers = {k.strip(): v.strip() for k, v in fields.items()}
+    return f"{name} (family {numbers.get('cpu family', '?')}, model {numbers.get('model', '?')})"
+
+
+def _version(package: str) -> str | None:
+    if package == "async_tnt":
+        from async_tnt import __version__  # also right in a checkout that is not installed
+
+        return __version__
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+class Progress:
+    """One line a step on stderr, once a run has taken longer than two seconds."""
+
+    def __init__(self, n_steps: int, after_s: float = 2.0) -> None:
+        self._n_steps, self._after_s = n_steps, after_s
+        self._done, self._started = 0, time.perf_counter()
+
+    def step(self, what: str) -> None:
+        """Say what comes next."""
+        self._done += 1
+        if time.perf_counter() - self._started > self._after_s:
+            print(f"[{self._done}/{self._n_steps}] {what} ...", file=sys.stderr, flush=True)

@@ -1,0 +1,239 @@
+"""The command `async-tnt bench`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from async_tnt import warmup
+from async_tnt.checking.backends import dense_networks, left_out
+from async_tnt.checking.bench_every_event import bench_every_event
+from async_tnt.checking.bench_latency import bench_latency, bench_model, bench_stream
+from async_tnt.checking.bench_network import bench_network
+from async_tnt.checking.bench_volumes import GRIDS, PACKETS, bench_volume
+from async_tnt.checking.interleaved import WorkDiffers
+from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, made_recording, windows_of
+from async_tnt.checking.timing import Progress, is_installed, machine, one_thread
+from async_tnt.config import LANDMARKS
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+
+DESCRIPTION = """\
+Measure, on this machine: how long TNTVolume takes for an event, how long a Processor with its network takes,
+and how long after the last event the decision is there. Where torch is installed, the same decisions are also
+made the batch way (the window's whole volume anew, then torch's network), in the same run, in turns with ours;
+first it is checked that both give the same volumes and the same classes.
+
+Then the network by itself, 1 to 1300 events after the decision before (ours computes what has changed), and a
+Processor that decides after every event, beside onnxruntime, OpenVINO and torch where they are installed, and where
+their logits are the same. benchmarks/decisions.py has more of that.
+
+One thread. Events are made by a seeded generator; decisions are measured on bundled recordings.
+"""
+EPILOG = """\
+examples:
+  async-tnt bench                     a minute or less; a quiet machine gives narrow quartiles
+  async-tnt bench --quick --json      a few seconds, for scripts
+  async-tnt bench --landmark line     the other landmarks cost as much or more
+"""
+NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for the batch way)"
+PACKAGES = ("torch", "onnxruntime", "openvino")
+TITLES = {
+    "ours": "the Processor's own network",
+    "incremental": "CompiledClassifier.refresh",
+    "dense": "CompiledClassifier(array)",
+    "onnxruntime_run": "onnxruntime, run",
+    "onnxruntime_binding": "onnxruntime, io binding",
+    "openvino": "OpenVINO",
+    "torch": "torch",
+}
+FULL: dict[str, Any] = {
+    "rounds": 31,
+    "moments": 1000,
+    "blocks": 10,
+    "decisions_a_block": 50,
+    "recordings": 3,
+    "events": None,
+}
+QUICK: dict[str, Any] = {
+    "rounds": 5,
+    "moments": 120,
+    "blocks": 2,
+    "decisions_a_block": 10,
+    "recordings": 1,
+    "events": 300,
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `async-tnt bench` to its parser."""
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument(
+        "--landmark",
+        choices=[name for name in LANDMARKS if name != "regressor"],  # which needs a trained network
+        default="running",
+        help="of the volumes timed by themselves (default: running)",
+    )
+    parser.add_argument(
+        "--model",
+        metavar="NAME_OR_FILE",
+        help='network for the decisions (default: the bundled "digits", else random weights)',
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the made events (default: 0)")
+    parser.add_argument("--quick", action="store_true", help="fewer events and rounds: seconds, wider quartiles")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt bench`. Returns 0; 1 if stream and batch do not agree; 2 for a model that cannot be read."""
+    try:
+        model, model_name = bench_model(args.model, args.landmark, args.seed)
+    except (OSError, ValueError) as error:
+        print(f"async-tnt bench: {error}", file=sys.stderr)
+        return 2
+    with_torch = is_installed("torch", "tnt_reference")
+    progress = Progress(len(GRIDS) + len(NEW_EVENTS) + 4)
+    progress.step("compiling")
+    warmup(model)
+    try:
+        with one_thread(with_torch):
+            report = _measure(args, model, model_name, with_torch, progress)
+    except WorkDiffers as error:
+        print(f"async-tnt bench: {error}", file=sys.stderr)
+        return 1
+    print(json.dumps(report) if args.json else "\n".join(table(report)))
+    return 0
+
+
+def _measure(
+    args: argparse.Namespace, model: Any, model_name: str, with_torch: bool, progress: Progress
+) -> dict[str, Any]:
+    rng = np.random.default_rng(args.seed)
+    sizes = QUICK if args.quick else FULL
+    rounds = sizes["rounds"]  # many short ones: another process interrupts few of them
+    volumes = []
+    for grid in GRIDS:
+        progress.step(f"volume, {grid[0]} x {grid[1]}")
+        n_events = 13_000 if args.quick else 26_000  # whole packets of every size
+        volumes.append(bench_volume(grid, args.landmark, rng, n_events=n_events, rounds=rounds))
+    recording = open_recording(sample_recordings()[3])
+    fits = recording.sensor == model.config.sensor
+    events = recording.read() if fits else made_recording(rng, model.config, 5000)
+    progress.step("recording through a Processor")
+    stream = bench_stream(model, events, rounds=rounds, with_torch=with_torch)
+    progress.step("latency of decisions")
+    decisions = bench_latency(model, events, moments=sizes["moments"], with_torch=with_torch)
+    recordings = bench_recordings(model, args.seed)
+    windows = [window for r in recordings for window in windows_of(r, model.config.window_us)]
+    networks, of_network = dense_networks(model), {}
+    for n_new in NEW_EVENTS:
+        progress.step(f"the network, {n_new} new events")
+        of_network[str(n_new)] = bench_network(
+            model, networks, windows, n_new, blocks=sizes["blocks"], size=sizes["decisions_a_block"]
+        )
+    progress.step("a decision after every event")
+    rates = bench_every_event(
+        model, networks, recordings[: sizes["recordings"]], rounds=sizes["recordings"], n_events=sizes["events"]
+    )
+    return {
+        "machine": machine(*PACKAGES),
+        "settings": {"quick": args.quick, "seed": args.seed, "threads": 1, "batch": with_torch, **sizes},
+        "model": {"name": model_name, "config": model.config.to_dict(), "classes": len(model.classes)},
+        "volume": volumes,
+        "processor": {"stream": stream, "latency": decisions, "every_event": rates},
+        "network": of_network,
+        "left_out": left_out(),
+    }
+
+
+def table(report: dict[str, Any]) -> Iterator[str]:
+    """The report as lines to be read."""
+    about, settings = report["machine"], report["settings"]
+    packages = ("python", "async_tnt", "numpy", "numba", *PACKAGES)
+    versions = ", ".join(f"{name} {about[name]}" for name in packages if about[name])
+    yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}; one thread"
+    yield f"processor time, medians of {settings['rounds']} rounds in turns, quartiles in brackets"
+    volumes = report["volume"]
+    yield ""
+    yield (
+        f"TNTVolume, landmark {volumes[0]['landmark']}, {volumes[0]['bins']} bins, "
+        f"{volumes[0]['events']:,} events a window: ns per event"
+    )
+    yield f"{'':24}" + "".join(f"{'{} x {}'.format(*v['grid']):>24}" for v in volumes)
+    ways = {"single": "update_one, each event"}
+    ways |= {f"packet_{n}_{form}": f"packets of {n}, {form}" for n in PACKETS for form in ("structured", "columns")}
+    for way, title in ways.items():
+        yield f"{title:28}" + _row([v["ns_per_event"][way] for v in volumes])
+    yield f"{'us to open a window':28}" + _row([v["open_us"] for v in volumes])
+    yield f"{'us to read after 1300':28}" + _row([v["read_us"] for v in volumes])
+    stream, decisions = report["processor"]["stream"], report["processor"]["latency"]
+    config = report["model"]["config"]
+    yield ""
+    yield (
+        f"Processor, model {report['model']['name']} at {config['grid'][0]} x {config['grid'][1]}, "
+        f"landmark {config['landmark']}; a recording of {stream['events']:,} events, "
+        f"{stream['windows']} windows decided"
+    )
+    names = {"single": "push_one, each event", "batch": "batch way, torch, a window at once"}
+    for way, figure in stream["ns_per_event"].items():
+        title = names.get(way) or f"packets of {way.split('_')[1]}"
+        yield f"{title + ', ns per event':48}" + _row([figure])
+    yield ""
+    yield (
+        f"from the last event to the decision, {decisions['moments']} moments: us by the wall clock, "
+        "99th percentile behind"
+    )
+    names = {
+        "stream": "stream: push_one + fire",
+        "push_one": "  push_one",
+        "fire": "  fire",
+        "batch": "batch: window's volume + network, torch",
+        "batch_volume": "  volume",
+        "batch_network": "  network",
+    }
+    for way, figure in decisions["us"].items():
+        yield f"{names[way]:48}" + _row([figure]) + f"   p99 {figure['p99']:.1f}"
+    if settings["batch"]:
+        ratio, worst = decisions["batch_over_stream"], decisions["largest_difference"]
+        yield f"{'batch / stream':48}" + _row([ratio])
+        yield f"checked: same classes, same volumes (at most {worst['volume']:.0e} of the largest cell apart)"
+    else:
+        yield NO_TORCH
+    yield from _decisions(report)
+
+
+def _decisions(report: dict[str, Any]) -> Iterator[str]:
+    """The network by itself, and a Processor that decides after every event."""
+    rows, size = report["network"], report["settings"]["decisions_a_block"]
+    yield ""
+    yield f"the network by itself, each in blocks of {size} decisions: us by the wall clock"
+    yield f"{'new events since the decision before':28}" + "".join(f"{int(n):>20,}" for n in rows)
+    first = next(iter(rows.values()))["in_blocks"]["us"]
+    for name in first:
+        figures = [row["in_blocks"]["us"][name] for row in rows.values()]
+        yield f"{TITLES[name]:36}" + "".join(f"{_spread(figure):>20}" for figure in figures)
+    worst = max(row[mode]["largest_difference"] for row in rows.values() for mode in row)
+    yield f"checked: the same logits (at most {worst:.0e} apart)"
+    yield ""
+    yield "a decision after every event, recordings in packets: decisions a second, us each"
+    for name, row in report["processor"]["every_event"].items():
+        yield f"{TITLES[name]:36}{row['a_second']:>12,.0f}" + _row([row["us"]])
+    for name, why in report["left_out"].items():
+        yield f"{TITLES[name]}: {why}"
+
+
+def _spread(figure: dict[str, float]) -> str:
+    return f"{_short(figure['median'])} [{_short(figure['q1'])}, {_short(figure['q3'])}]"
+
+
+def _row(figures: list[dict[str, float]]) -> str:
+    return "".join(f"{_spread(figure):>24}" for figure in figures)
+
+
+def _short(value: float) -> str:
+    return f"{value:.1f}" if value < 100 else f"{value:,.0f}"

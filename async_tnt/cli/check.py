@@ -1,0 +1,106 @@
+"""async-tnt check: prove on your recordings that the stream equals the batch reference."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
+from async_tnt.cli.arguments import add_files, add_start, complain, model_of, open_all, paths_of
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.progress import progress
+
+DESCRIPTION = f"""Hold the stream against the batch reference (torch) on recordings, under every landmark:
+
+  packets of {", ".join(str(size) for size in PACKET_SIZES[:-1])} and all events give the same volume, bit for bit
+  the volume equals the reference's to 1e-6 of its largest cell, the landmark to 1e-9 pixels, at prefixes
+  the model's logits equal the reference pipeline's to 1e-4, with the same class
+  a decision after every event, refreshed from the one before, has the bits of the whole network's
+
+A model with landmark "regressor" is held under that landmark, too. There the landmark comes from float32 convolutions
+and may differ by 1e-4 pixels; the volume equals the reference's to 1e-6 about the same landmark, and to 1e-2 about the
+one that the reference finds itself.
+
+Exit code 0 if all of it holds, 1 if anything does not.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_files(parser)
+    add_start(parser)
+    parser.add_argument(
+        "--prefixes",
+        default="8",
+        metavar="N|all",
+        type=_prefixes,
+        help="prefixes of each window that are held against the reference (default: 8, evenly spread; all: minutes)",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object with every comparison")
+
+
+def main(args: argparse.Namespace) -> int:
+    try:
+        import tnt_reference  # noqa: F401
+        import torch
+    except ImportError as error:
+        complain(f"check needs the batch reference, which needs torch: pip install '.[reference]' ({error})")
+        return 2
+    torch.set_num_threads(1)
+    model = model_of(args)
+    paths = paths_of(args)
+    results: dict[Path, list[Comparison]] = {}
+    with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
+        for recording in open_all(paths, model):
+            events = recording.read().astype(EVENT_DTYPE, copy=False)
+            if events.size == 0:
+                raise ValueError(f"{recording.path}: no events, nothing to check")
+            results[recording.path] = check_recording(
+                events, model, prefixes=args.prefixes, start_us=args.start_us, on_progress=bar.update
+            )
+    failed = [c for comparisons in results.values() for c in comparisons if not c.holds]
+    if args.json:
+        print(json.dumps(_as_json(results, args.prefixes, not failed)))
+    else:
+        _print_table(results, equal=not failed)
+    return 1 if failed else 0
+
+
+def _prefixes(text: str) -> int | None:
+    if text == "all":
+        return None
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be `all` or a whole number of at least 1, got {text!r}")
+    return int(text)
+
+
+def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
+    """A line for each promise, the worst over all recordings; then the recordings that break one."""
+    merged: dict[tuple[str, str], Comparison] = {}
+    for comparisons in results.values():
+        for c in comparisons:
+            total = merged.setdefault((c.what, c.config), Comparison(c.what, c.config, c.bound))
+            n = total.n + c.n
+            total.add(c.worst)
+            total.n = n
+    print(f"{'what is compared':<46} {'landmark':<19} {'times':>7} {'worst':>9} {'bound':>7}")
+    for c in merged.values():
+        mark = "ok" if c.holds else "FAILS"
+        print(f"{c.what:<46} {c.config:<19} {c.n:>7} {c.worst:>9.2g} {c.bound:>7.0g}  {mark}")
+    for path, comparisons in results.items():
+        for c in comparisons:
+            if not c.holds:
+                print(f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons", file=sys.stderr)
+    print(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
+
+
+def _as_json(results: dict[Path, list[Comparison]], prefixes: int | None, equal: bool) -> dict[str, object]:
+    return {
+        "equal": equal,
+        "prefixes": "all" if prefixes is None else prefixes,
+        "packet_sizes": [size or "all" for size in PACKET_SIZES],
+        "recordings": {
+            str(path): [vars(c) | {"holds": c.holds} for c in comparisons] for path, comparisons in results.items()
+        },
+    }

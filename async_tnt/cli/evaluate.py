@@ -1,0 +1,196 @@
+"""async-tnt evaluate: how well a model classifies the recordings of a folder, streamed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.archive.collect import Collected
+from async_tnt.archive.job import job_of, task_of
+from async_tnt.archive.records import evaluate_recording, outcome_of
+from async_tnt.archive.scores import Scores, score_recordings
+from async_tnt.archive.streamed import Outcome, evaluation_settings, moments
+from async_tnt.cli.archive_options import Interrupted, add_archive, place_of, stream_archive
+from async_tnt.cli.arguments import complain, model_of
+from async_tnt.cli.pixel_options import add_pixels, selector_of
+from async_tnt.networks.engines import Engine
+from async_tnt.networks.model import Model, bundled_models
+from async_tnt.sources.class_folders import find_recordings
+from async_tnt.views.style import check_picture
+
+SHOWN = 10  # classes that a refusal names
+
+DESCRIPTION = """Stream every recording of a folder of class folders through a model, and count how often it is right.
+
+DATASET holds <class name>/<recordings>, or Test/<class name>/<recordings>; the names are the model's classes. Take
+recordings that the model was not trained on, of other days and people where there are such. Windows are laid end to
+end from each recording's first event, as on a live stream. A recording is decided by the mean probability over its
+windows. Recordings that cannot be read, and empty ones, are skipped and named at the end.
+
+  async-tnt evaluate gestures.safetensors held_out
+  async-tnt evaluate gestures.safetensors held_out --picture confusion.png
+  async-tnt evaluate digits N-MNIST --workers 4 --json | jq .accuracy
+  async-tnt evaluate digits N-MNIST --workers 4 --out results.jsonl    keep each recording's result; resumable
+  async-tnt evaluate digits N-MNIST --dask tcp://10.0.0.1:8786 --out results.parquet    on many machines
+  async-tnt evaluate digits recorded --roi 600,300,34,34 --crop --mask mask.npy    of a larger camera with hot pixels
+
+With --out, an evaluation that was interrupted, killed or cut off goes on when the same command is given again, and
+ends with the same file and the same numbers (docs/archive.md).
+
+Exit code 0, also where recordings were skipped (2 with --strict); 2 for bad usage, or where none could be read.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "model", metavar="MODEL", help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
+    )
+    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with <class name>/<recordings>")
+    parser.add_argument("--json", action="store_true", help="one JSON object with all numbers")
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="draw the confusion matrix, and accuracy against time (.png, .svg, .pdf)",
+    )
+    add_pixels(parser)
+    add_archive(parser, needs_out=False)
+    parser.add_argument("--strict", action="store_true", help="exit code 2 if any recording was skipped")
+
+
+def main(args: argparse.Namespace) -> int:
+    if args.picture is not None:
+        check_picture(args.picture)
+    place = place_of(args)
+    model = model_of(args)
+    pixels = selector_of(args, model)
+    paths, labels = labelled_recordings(args.dataset, model)
+    engine = Engine("compiled", model, model.classes)
+    job = job_of("evaluate", args.model, engine, pixels.selection, **evaluation_settings(model.config))
+    tasks = [task_of(path.relative_to(args.dataset).as_posix(), path, job) for path in paths]
+    label_of = {task.recording: label for task, label in zip(tasks, labels, strict=True)}
+
+    def gone(name: str) -> bool:
+        return not (args.dataset / name).exists()
+
+    try:
+        folder = os.path.abspath(args.dataset)
+        records = list(stream_archive(args, evaluate_recording, tasks, place, Collected(), gone, folder))
+    except Interrupted:
+        return 130
+    outcomes = [outcome_of(record) for record in records]
+    labels = [label_of[record["recording"]] for record in records if record["error"] is None]
+    good = [outcome for outcome in outcomes if not outcome.error]
+    skipped = [outcome.error for outcome in outcomes if outcome.error]
+    if not good:
+        raise ValueError(f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}")
+    scores = score_recordings(model.classes, labels, [o.probabilities for o in good])
+    report = report_of(model, scores, good, labels, skipped)
+    if pixels.selection.about:
+        report["pixels"] = pixels.selection.about
+    if args.picture is not None:
+        from async_tnt.views.confusion import write_confusion
+
+        title = f"{args.dataset.name}: {scores.accuracy:.1%} of {len(good)} recordings right"
+        course = [(m["time_us"], m["accuracy"], m["decided"]) for m in report["accuracy_against_time"]]
+        write_confusion(scores.confusion, scores.classes, args.picture, title, course)
+    if args.json:
+        print(json.dumps(report))
+    else:
+        print(text_of(report))
+        if args.picture is not None:
+            print(f"wrote {args.picture}")
+    if report["late"]:
+        where = f" (see `late` in {args.out})" if args.out else ""
+        complain(f"{report['late']:,} events dropped: they came late, before every open window{where}")
+    for line in skipped:
+        complain(f"skipped: {line}")
+    return 2 if skipped and args.strict else 0
+
+
+def labelled_recordings(folder: Path, model: Model) -> tuple[list[Path], list[int]]:
+    """The recordings of a folder, and the place of each one's class in `model.classes`.
+
+    Raises
+    ------
+    ValueError : a class folder that the model does not know, or no recordings.
+    OSError : no such folder.
+    """
+    found = find_recordings(folder, "Test")
+    unknown = [name for name in found if name not in model.classes]
+    if unknown:
+        raise ValueError(f"{folder}: the model does not know class {_some(unknown)}; it knows {_some(model.classes)}")
+    paths = [path for name in found for path in found[name]]
+    if not paths:
+        raise ValueError(f"{folder}: no recordings in its class folders ({', '.join(found)})")
+    return paths, [model.classes.index(name) for name in found for _ in found[name]]
+
+
+def _some(names: Sequence[str]) -> str:
+    more = f", and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more
+
+
+def report_of(
+    model: Model, scores: Scores, outcomes: list[Outcome], labels: list[int], skipped: list[str]
+) -> dict[str, Any]:
+    """All numbers, as `--json` prints them.
+
+    Times are of one core, summed over workers. Recordings that an earlier run has finished count with no time; where
+    all were, times and rates are None.
+    """
+    early = np.concatenate([outcome.early for outcome in outcomes])  # (windows, moments)
+    truth = np.repeat(labels, [len(outcome.early) for outcome in outcomes])
+    timed = [outcome for outcome in outcomes if outcome.seconds]
+    seconds = sum(outcome.seconds for outcome in timed)
+    n_decisions = sum(outcome.n_decisions for outcome in outcomes)
+    n_events = sum(outcome.n_events for outcome in outcomes)
+    return {
+        **scores.to_dict(),
+        "accuracy_against_time": [
+            {
+                "time_us": moment,
+                "accuracy": float((early[:, k] == truth).mean()),
+                "decided": float((early[:, k] >= 0).mean()),
+            }
+            for k, moment in enumerate(moments(model.config.window_us))
+        ],
+        "decisions": n_decisions,
+        "events": n_events,
+        "late": sum(outcome.n_late for outcome in outcomes),
+        "seconds": seconds or None,
+        "decisions_per_second": sum(outcome.n_decisions for outcome in timed) / seconds if timed else None,
+        "events_per_second": sum(outcome.n_events for outcome in timed) / seconds if timed else None,
+        "skipped": skipped,
+    }
+
+
+def text_of(report: dict[str, Any]) -> str:
+    """The report for people."""
+    lines = [
+        f"{report['accuracy']:.4f} of {report['recordings']} recordings right, "
+        f"{report['window_accuracy']:.4f} of {report['windows']} windows",
+        "",
+        f"{'class':<24} {'right':>6} {'recordings':>11}  taken for",
+    ]
+    for k, name in enumerate(report["classes"]):
+        row = report["confusion"][k]
+        share = "-" if report["per_class"][name] is None else f"{report['per_class'][name]:.3f}"
+        others = sorted(((n, j) for j, n in enumerate(row) if n and j != k), reverse=True)[:3]
+        taken = ", ".join(f"{report['classes'][j]} ({n})" for n, j in others)
+        lines.append(f"{name:<24} {share:>6} {sum(row):>11}  {taken}".rstrip())
+    lines += ["", f"{'ms into the window':<24} {'right':>6} {'decided':>11}"]
+    for moment in report["accuracy_against_time"]:
+        lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>6.3f} {moment['decided']:>11.3f}")
+    if report["seconds"] is None:
+        lines += ["", "all streamed by an earlier run"]
+    else:
+        rates = f"{report['decisions_per_second']:,.0f} decisions and {report['events_per_second']:,.0f} events"
+        lines += ["", f"{rates} per second on one core"]
+    return "\n".join(lines)

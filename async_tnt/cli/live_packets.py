@@ -1,0 +1,68 @@
+"""The packets of a camera or of a stream from the network, as the options say."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from async_tnt.cli.arguments import complain, positive_int
+from async_tnt.sources.background_reader import BackgroundReader
+from async_tnt.sources.live import LiveSource, open_live
+from async_tnt.sources.pixel_selector import PixelSelector
+
+
+def add_latest(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--latest",
+        type=positive_int,
+        metavar="PACKETS",
+        help="of a camera or the network: read in the background, at most so many packets wait, and the oldest are "
+        "skipped and counted where decisions are slower than events",
+    )
+
+
+@dataclass(frozen=True)
+class LivePackets:
+    """An open source, and its packets without what is to be left out."""
+
+    name: str
+    source: LiveSource
+    packets: Iterable[Any]
+    reader: BackgroundReader | None
+    """The queue that they wait in; None: the source's own buffer decides, and nothing is skipped here."""
+
+    def announce(self) -> None:
+        """Say that it is there; from now on Ctrl-C is the way to stop it."""
+        complain(f"listening at {self.name}; Ctrl-C stops")
+
+    def summary(self) -> str:
+        """What came and what was skipped, in one line for people."""
+        if self.reader is None:
+            return self.source.summary()
+        queue = self.reader.counters
+        fresh = f"{queue.skipped:,} skipped to stay fresh, at most {queue.longest_wait_us / 1e3:,.1f} ms waited"
+        return f"{self.source.summary()}; {fresh}"
+
+
+@contextlib.contextmanager
+def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterator[LivePackets]:
+    """Open what `open_live` knows by this name, and close it at the end.
+
+    Parameters
+    ----------
+    latest : packets that wait at most while decisions are made; None for no queue.
+    """
+    with contextlib.ExitStack() as stack:
+        source = open_live(name, pixels.expected)
+        stack.callback(source.close)
+        select = pixels.filter_of(name, pixels.sensor_of(name, source.sensor))
+        packets: Iterable[Any] = map(select, source)
+        reader = None
+        if latest is not None:
+            # copy=False: cameras and the network make each packet anew
+            reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
+            packets = stack.enter_context(reader)
+        yield LivePackets(name, source, packets, reader)

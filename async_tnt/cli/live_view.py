@@ -1,0 +1,134 @@
+"""A small view of a running stream in the terminal: label, class probabilities, rates, latency."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from async_tnt.cli.decision_lines import Queue
+from async_tnt.decision import Decision
+from async_tnt.decision_counts import Counts
+from async_tnt.processor import Processor
+
+BAR = 32  # characters of a probability of 1
+MOST_CLASSES = 12  # more are not shown: the likeliest ones are
+REFRESHES_PER_S = 12
+
+
+class LiveView:
+    """Draws the newest decision in place, some times a second, however many there are.
+
+    Parameters
+    ----------
+    classes : names, in the order of the network's outputs.
+    title : what is being watched.
+    console : of rich; by default the terminal's stdout.
+
+    Raises
+    ------
+    ImportError : rich is not installed.
+    """
+
+    def __init__(self, classes: Sequence[str], title: str, console: Any = None) -> None:
+        try:
+            from rich.live import Live
+        except ImportError as error:
+            raise ImportError(f"run --live draws with rich: pip install '.[view]' ({error})") from None
+        self._classes, self._title = tuple(classes), title
+        self._decision: Decision | None = None
+        self._latencies: list[float] = []
+        self._rates = _Rates()
+        self._counts = Counts()
+        self._queue: Queue | None = None
+        self._live = Live(
+            get_renderable=self._draw, console=console, refresh_per_second=REFRESHES_PER_S, redirect_stdout=False
+        )
+
+    def __enter__(self) -> LiveView:
+        self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._live.__exit__(kind, error, traceback)
+
+    def show(
+        self, decisions: Sequence[Decision], latency_us: float, counts: Counts, queue: Queue | None = None
+    ) -> None:
+        """Take over what a packet brought: its decisions, the microseconds they took, the counts since, and the queue
+        that it waited in."""
+        self._counts = counts
+        self._queue = queue
+        self._rates.add(counts.received, len(decisions))
+        if decisions:
+            self._decision = decisions[-1]
+            self._latencies = [*self._latencies[-199:], latency_us]
+
+    def _draw(self) -> Any:
+        from rich.console import Group
+        from rich.table import Table
+        from rich.text import Text
+
+        bars = Table.grid(padding=(0, 1))
+        if self._decision is not None:
+            for k in _likeliest(self._decision.probabilities):
+                p = float(self._decision.probabilities[k])
+                style = "bold green" if k == self._decision.index else "dim"
+                bars.add_row(Text(self._classes[k], style), Text("█" * round(p * BAR), style), Text(f"{p:.2f}", style))
+        return Group(Text(self._title, "bold"), bars, *(Text(line, "dim") for line in self._lines()))
+
+    def _lines(self) -> list[str]:
+        """Everything in numbers."""
+        counts = self._counts
+        if self._decision is None:
+            return [f"no decision yet, {counts.received:,} events"]
+        events_per_s, decisions_per_s = self._rates.per_second()
+        lines = [
+            f"{self._decision.label} at {self._decision.time_us / 1e6:.3f} s, {self._decision.trigger}; "
+            f"{np.median(self._latencies):.0f} us to a decision",
+            f"{events_per_s:,.0f} events/s, {decisions_per_s:,.0f} decisions/s",
+            f"{counts.received:,} events, {counts.moved_off:,} moved off the grid, {counts.lost:,} dropped",
+        ]
+        if (queue := self._queue) is not None:
+            lines.append(
+                f"{queue.delay_us / 1e3:.1f} ms old, {queue.backlog:,} events waiting, {queue.n_skipped:,} skipped"
+            )
+        return lines
+
+
+def decide_often(processor: Processor) -> None:
+    """A decision each 20 ms, where no trigger says when."""
+    triggers = (processor.every_us, processor.every_events, processor.confidence, processor.activity)
+    if triggers == (None, None, None, None):
+        processor.every_us = 20_000
+
+
+class _Rates:
+    """Events and decisions a second, over the last second or two."""
+
+    def __init__(self) -> None:
+        now = time.perf_counter()
+        self._marks = [(now, 0, 0), (now, 0, 0)]  # (time, events, decisions) at the last two full seconds
+        self._events, self._decisions = 0, 0
+
+    def add(self, events_so_far: int, new_decisions: int) -> None:
+        self._events, self._decisions = events_so_far, self._decisions + new_decisions
+        now = time.perf_counter()
+        if now - self._marks[-1][0] > 1:
+            self._marks = [self._marks[-1], (now, self._events, self._decisions)]
+
+    def per_second(self) -> tuple[float, float]:
+        then, events, decisions = self._marks[0]
+        passed = max(time.perf_counter() - then, 1e-3)
+        return (self._events - events) / passed, (self._decisions - decisions) / passed
+
+
+def _likeliest(probabilities: np.ndarray) -> list[int]:
+    """The classes to show, in their own order."""
+    order = np.argsort(-probabilities, kind="stable")[:MOST_CLASSES]
+    return sorted(int(k) for k in order)

@@ -1,0 +1,163 @@
+"""async-tnt mask: find the hot pixels of recordings."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.progress import progress
+from async_tnt.sources import hot_pixels
+from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.hot_pixels import FACTOR, count_pixels
+from async_tnt.sources.pixel_masks import checked_out, save_mask
+from async_tnt.sources.sizes import by, size_of
+from async_tnt.views.style import check_picture
+
+DESCRIPTION = """Find the hot pixels of a camera: those that send far more events than their neighbours and the whole
+sensor make plausible. Several recordings of one camera count as one.
+
+  async-tnt mask desk.npz --out mask.npy               learn from a recording
+  async-tnt mask a.npy b.npy --sensor 346x260          where the files do not say the sensor
+  async-tnt mask desk.npz --picture mask.png           and draw the counts, hot pixels circled (extra: plot)
+
+Record something that moves all over the picture, or a still scene, for some seconds. The mask is a .npy file, bool,
+of shape (height, width), True where a pixel is hot:
+
+  pixel_filter = async_tnt.sources.PixelFilter((346, 260), mask="mask.npy")
+  async_tnt.stream(map(pixel_filter, camera), model)
+
+A pixel is hot when it has --factor times more events than the 4th busiest of the 24 pixels around it and than the mean
+pixel, and when chance would not do that in one of a hundred sensors. Exit code 0 also where none is found: the mask
+then leaves nothing out. Without --out, a mask.npy that is there already is not overwritten.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "files", nargs="+", metavar="RECORDING", type=Path, help=f"recordings ({', '.join(sorted(READERS))})"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="the mask, a .npy file, overwritten where it is there (default: mask.npy, never overwritten)",
+    )
+    parser.add_argument(
+        "--sensor",
+        type=size_of,
+        metavar="WxH",
+        help="the camera's pixels, where the recordings do not say them; a .bin is of 34x34 unless this says otherwise",
+    )
+    parser.add_argument(
+        "--factor",
+        type=_factor,
+        default=FACTOR,
+        metavar="F",
+        help="times more events than plausible (default: %(default)s)",
+    )
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw counts and hot pixels: .png, .svg or .pdf")
+    parser.add_argument("--json", action="store_true", help="one JSON object: the pixels and their events")
+
+
+def main(args: argparse.Namespace) -> int:
+    if args.out is None:
+        args.out = Path("mask.npy")
+        if os.path.lexists(args.out):
+            raise FileExistsError(
+                f"{args.out} is there already: --out {args.out} overwrites it, --out FILE writes another"
+            )
+    checked_out(args.out)
+    if args.picture is not None:
+        check_picture(args.picture)
+    counts = _count(args.files, args.sensor)
+    n_events = int(counts.sum())
+    if n_events == 0:
+        raise ValueError(f"{', '.join(map(str, args.files))}: no events, nothing to learn from")
+    hot = hot_pixels(counts, factor=args.factor)
+    save_mask(args.out, hot)
+    if args.picture is not None:
+        _draw(counts, hot, args.picture)
+    _report(counts, hot, args)
+    return 0
+
+
+def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
+    """Events of each pixel over all recordings, int64 of shape (H, W)."""
+    counts: Any = 0
+    given = sensor
+    with progress(len(paths), "counting events") as bar:
+        for path in paths:
+            recording = open_recording(path, sensor=given)
+            said = recording.sensor or sensor  # or an earlier recording's
+            if said is None:
+                raise ValueError(f"{path}: the file does not say the camera's sensor; --sensor WxH does")
+            if sensor is not None and said != sensor:
+                raise ValueError(
+                    f"{path}: a sensor of {by(said)} pixels, but --sensor or an earlier recording says {by(sensor)}"
+                )
+            sensor = said
+            try:
+                counts = counts + count_pixels(recording, sensor)
+            except (TypeError, ValueError) as error:
+                raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+            bar.update()
+    return counts
+
+
+def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> None:
+    y, x = np.nonzero(hot)
+    events = counts[hot]
+    busiest = np.argsort(-events, kind="stable")
+    n_events, share = int(counts.sum()), float(events.sum() / counts.sum())
+    height, width = counts.shape
+    if args.json:
+        pixels = [{"x": int(x[k]), "y": int(y[k]), "events": int(events[k])} for k in busiest]
+        said = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
+        print(json.dumps(said | {"out": str(args.out)}))
+        return
+    size = by((width, height))
+    if not hot.any():
+        print(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {args.out}, which masks nothing")
+        return
+    for k in busiest[:10]:
+        print(f"x {x[k]:>5}  y {y[k]:>5}  {events[k]:>9} events  {events[k] / n_events:6.2%}")
+    if len(busiest) > 10:
+        print(f"... and {len(busiest) - 10} more")
+    pixels_word = "1 hot pixel" if len(busiest) == 1 else f"{len(busiest)} hot pixels"
+    print(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")
+
+
+def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:
+    """Events per pixel in grey, on a logarithmic scale, and a circle about each hot pixel."""
+    from matplotlib.colors import LogNorm
+
+    from async_tnt.views.style import ON, WIDTH, new_figure, save, styled
+
+    height, width = counts.shape
+    with styled():
+        figure = new_figure(min(14.0, max(3.0, 0.8 * WIDTH * height / width + 1.0)))
+        axes = figure.subplots()
+        shown = np.ma.masked_equal(counts, 0)  # no events: white
+        image = axes.imshow(shown, cmap="Greys", norm=LogNorm(0.5, max(2, counts.max())), interpolation="nearest")
+        y, x = np.nonzero(hot)
+        axes.scatter(x, y, s=300, facecolors="none", edgecolors=ON, linewidths=1.2)
+        axes.set(title=f"{x.size} hot pixel{'' if x.size == 1 else 's'}", xlabel="x (pixels)", ylabel="y (pixels)")
+        axes.set(xlim=(-1.5, width + 0.5), ylim=(height + 0.5, -1.5))
+        figure.colorbar(image, ax=axes, label="events", format="%g")  # not 10^2, which needs mathematical text
+        save(figure, path, dpi=120)
+
+
+def _factor(text: str) -> float:
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = 0.0
+    if not 1 < factor < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be a number above 1, got {text!r}")
+    return factor

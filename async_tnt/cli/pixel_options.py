@@ -1,0 +1,100 @@
+"""The options that leave out events by their pixels, before anything else sees them."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from async_tnt.cli.arguments import complain
+from async_tnt.config import TNTConfig
+from async_tnt.networks.model import Model
+from async_tnt.sources.model_pixels import difference
+from async_tnt.sources.pixel_selection import PixelSelection, Region
+from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.sizes import parse_size, size_text
+
+
+def add_pixels(parser: argparse.ArgumentParser) -> None:
+    """--roi, --crop, --mask, and --sensor: for a model that there is."""
+    add_selection(parser)
+    parser.add_argument(
+        "--sensor",
+        type=size_text,
+        metavar="WxH",
+        help="the camera's pixels, where the recording does not say; a .bin is of 34x34 unless this or a mask says "
+        "otherwise. Without --crop, the model must be for as many",
+    )
+
+
+def add_selection(parser: argparse._ActionsContainer) -> None:
+    """--roi, --crop and --mask."""
+    parser.add_argument(
+        "--roi",
+        type=_roi_text,
+        metavar="X,Y,W,H",
+        help="region of interest: leave out the events outside of W x H pixels, of which X,Y is the upper left one",
+    )
+    parser.add_argument(
+        "--crop",
+        action="store_true",
+        help="of --roi: the region is the sensor, so that a large camera fits a model for W x H pixels",
+    )
+    parser.add_argument(
+        "--mask", type=Path, metavar="FILE", help="leave out the events of hot pixels, as `async-tnt mask` found them"
+    )
+
+
+def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSelector:
+    """What a model is to see, by the options of `add_pixels`. Where it was trained with others, that is told.
+
+    Parameters
+    ----------
+    model : of --model; the configuration alone where nothing is known of its training.
+
+    Raises
+    ------
+    ValueError, OSError : options that do not go together, a region or a camera of another size than the model's
+        sensor, or a mask that is missing, damaged, or of another sensor.
+    """
+    selection = selection_of(args)
+    if not isinstance(model, Model):
+        return PixelSelector(selection, model.sensor)
+    selector = PixelSelector(selection, model.config.sensor)
+    other = difference(model.record, selection)
+    if other:  # no error: a camera may have been moved, or its mask learned anew
+        complain(f"{args.model}: {other}")
+    return selector
+
+
+def selection_of(args: argparse.Namespace) -> PixelSelection:
+    """As the options say; the mask is read.
+
+    Raises
+    ------
+    ValueError, OSError : options that do not go together; a mask that is missing, damaged or none.
+    """
+    roi = None if args.roi is None else parse_roi(args.roi)
+    sensor = None if args.sensor is None else parse_size(args.sensor)
+    return PixelSelection(roi, args.crop, args.mask, sensor)
+
+
+def parse_roi(text: str) -> Region:
+    """`100,80,34,34` as (100, 80, 34, 34).
+
+    Raises
+    ------
+    ValueError : not four whole numbers.
+    """
+    try:
+        left, top, width, height = (int(number) for number in text.split(","))
+    except ValueError:
+        raise ValueError(f"must be four whole numbers X,Y,WIDTH,HEIGHT, such as 100,80,34,34, got {text!r}") from None
+    return left, top, width, height
+
+
+def _roi_text(text: str) -> str:
+    """An argparse type: the region as text, checked; so a command keeps it as it was given."""
+    try:
+        return ",".join(map(str, parse_roi(text)))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None

@@ -1,0 +1,260 @@
+"""async-tnt plot: draw events, volumes and decisions of a recording."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from async_tnt.cli.arguments import complain, positive_int
+from async_tnt.config import LANDMARKS, POLARITIES, TNTConfig
+from async_tnt.events import EVENT_DTYPE, as_events
+from async_tnt.files import check_writable
+from async_tnt.networks.model import Model, bundled_models, load_model
+from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
+from async_tnt.sources.sizes import size_of
+from async_tnt.views.style import FORMATS
+from async_tnt.views.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURES = {
+    "overview": "a window's events and volumes, and the class probabilities, on one page",
+    "events": "a window's events in space-time: raw (x, y, t) and transformed (u, v, t)",
+    "slices": "the bins of a window's raw and transformed volume as pictures",
+    "probabilities": "the probability of each class in the course of the recording",
+    "motions": "one digit under two motions, two windows or two files: raw against transformed",
+    "pipeline": "recording, raw events, landmark, transformed events, volume, network, probabilities",
+}
+VOLUME_OPTIONS = ("landmark", "t_max", "polarity", "remove_flow", "bins", "window_us", "grid")
+DRAWN_FREELY = ("overview", "events", "slices", "motions")  # the others draw what the model's network sees
+USED_BY = {option: DRAWN_FREELY for option in VOLUME_OPTIONS} | {
+    "window": ("overview", "events", "slices", "pipeline"),
+    "windows": ("motions",),
+    "slices": ("overview", "slices", "motions"),
+    "every_us": ("overview", "probabilities"),
+}
+DEFAULT_MODEL = "digits"
+DEFAULT_SAMPLE = 3
+
+_LIST = "\n".join(f"  {name:<14} {words}" for name, words in FIGURES.items())
+DESCRIPTION = f"""Draw what happens to the events of a recording, as PNG, SVG or PDF.
+
+{_LIST}
+
+Events and volumes are drawn as the model makes them, or as the options say. Decisions are always the model's
+own: a network knows only the kind of volume that it was trained with.
+
+  async-tnt plot                                         overview of a bundled recording of a 3
+  async-tnt plot 8 --figure pipeline --out eight.svg     of the bundled 8
+  async-tnt plot --figure motions --windows 1 2          two saccades of one recording
+  async-tnt plot right.npy down.npy --figure motions     two recordings
+  async-tnt plot my.npz --figure events --landmark line --remove-flow --t-max 2
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "files",
+        nargs="*",
+        metavar="FILE",
+        type=str,
+        help=f"recording ({', '.join(sorted(READERS))}), or the digit of a bundled one (default: {DEFAULT_SAMPLE}); "
+        "two of them for --figure motions",
+    )
+    parser.add_argument("--figure", choices=tuple(FIGURES), default="overview", help="default: %(default)s")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help=f"{', '.join(FORMATS)} (default: <recording>-<figure>.png in the current folder)",
+    )
+    parser.add_argument(
+        "--model",
+        metavar="NAME|FILE",
+        help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file (default: {DEFAULT_MODEL}, "
+        "where the recording is of its sensor)",
+    )
+    what = parser.add_argument_group("what is drawn of it")
+    what.add_argument(
+        "--window", type=positive_int, metavar="K", help="the window, counted from 1; for all but motions (default: 1)"
+    )
+    what.add_argument(
+        "--windows",
+        type=positive_int,
+        nargs=2,
+        metavar=("K", "K"),
+        help="the two windows of --figure motions (default: 1 2; of two files: the first of each)",
+    )
+    what.add_argument("--start-us", type=int, metavar="US", help="start of the first window (default: the first event)")
+    what.add_argument("--slices", type=int, nargs="+", metavar="B", help="bins to draw, counted from 0 (default: all)")
+    what.add_argument(
+        "--every-us",
+        type=positive_int,
+        metavar="US",
+        help="time between decisions (default: 2500; more in recordings of over 5 s)",
+    )
+    volume = parser.add_argument_group("the volume, where not as the model has it")
+    volume.add_argument("--landmark", choices=LANDMARKS, help="the point events are normalized about")
+    volume.add_argument("--t-max", type=float, metavar="T", help="TNT time at a window's end")
+    volume.add_argument("--polarity", choices=POLARITIES, help="ON minus OFF, both alike, or in bins of their own")
+    volume.add_argument(
+        "--remove-flow", action=argparse.BooleanOptionalAction, help="subtract the fitted flow (landmark line)"
+    )
+    volume.add_argument("--bins", type=positive_int, metavar="B", help="time bins")
+    volume.add_argument("--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds")
+    volume.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's pixels, where the file is silent")
+    volume.add_argument("--grid", type=size_of, metavar="WxH", help="the volume's pixels")
+    parser.add_argument(
+        "--dpi",
+        type=_dpi,
+        default=150,
+        metavar="N",
+        help="pixels per inch; figures are 10.4 inches wide (default: 150)",
+    )
+
+
+def main(args: argparse.Namespace) -> int:
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        complain(f"plot draws with matplotlib: pip install '.[plot]' ({error})")
+        return 2
+    from async_tnt.views.style import save, styled
+
+    _check_options(args)
+    paths = _paths(args)
+    out = args.out or Path("-".join(path.stem for path in paths) + f"-{args.figure}.png")
+    check_writable(out, FORMATS)
+    subjects = [subject_of(path, args) for path in paths]
+    with styled():
+        figure = _draw(subjects, args)
+        save(figure, out, args.dpi)
+    width, height = figure.get_size_inches()
+    size = f"{width:g} x {height:.1f} inches"
+    if out.suffix.lower() == ".png":
+        size = f"{int(width * args.dpi)} x {int(height * args.dpi)} pixels"
+    if args.figure == "overview" and subjects[0].model is None:
+        width_px, height_px = subjects[0].config.sensor
+        complain(f"{paths[0]}: no decisions, model {DEFAULT_MODEL} is not for {width_px}x{height_px} pixels (--model)")
+    print(f"{out} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
+    return 0
+
+
+def subject_of(path: Path, args: argparse.Namespace) -> Subject:
+    """The recording, and how the model and the options have it drawn.
+
+    Raises
+    ------
+    ValueError : empty or damaged, off the sensor, or options that do not fit each other or the model.
+    OSError : a file is missing or not readable.
+    """
+    recording = open_recording(path)
+    trained = load_model(args.model or DEFAULT_MODEL)
+    model: Model | None = trained
+    sensor = _sensor(recording, args, trained)
+    config = trained.config
+    if sensor != config.sensor:
+        shape = f"{sensor[0]}x{sensor[1]}"
+        if args.model is not None or args.figure in ("probabilities", "pipeline"):
+            needed = "" if args.model else f"; --model names another than {DEFAULT_MODEL}"
+            raise ValueError(
+                f"{path}: a sensor of {shape} pixels, but the model is for "
+                f"{config.sensor[0]}x{config.sensor[1]}{needed}"
+            )
+        model, config = None, config.replace(sensor=sensor, grid=sensor)
+    config = _configured(config, args)
+    try:
+        events = as_events(recording.read(), sensor).astype(EVENT_DTYPE, copy=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from None
+    if events.size == 0:
+        raise ValueError(f"{path}: no events, nothing to draw")
+    return Subject(path.name, events, config, model, args.model or DEFAULT_MODEL, args.start_us)
+
+
+def _paths(args: argparse.Namespace) -> list[Path]:
+    samples = sample_recordings()
+    paths = []
+    for name in args.files or [str(DEFAULT_SAMPLE)]:
+        is_digit = name.isdigit() and int(name) in samples and not Path(name).exists()
+        paths.append(samples[int(name)] if is_digit else Path(name))
+    most = 2 if args.figure == "motions" else 1
+    if len(paths) > most:
+        raise ValueError(f"--figure {args.figure} draws {most} recording{'s' * (most > 1)}, got {len(paths)}")
+    return paths
+
+
+def _check_options(args: argparse.Namespace) -> None:
+    """Refuse options that the figure would silently leave aside."""
+    for option, figures in USED_BY.items():
+        if getattr(args, option) is not None and args.figure not in figures:
+            raise ValueError(
+                f"--{option.replace('_', '-')} has no effect on --figure {args.figure}, only on {', '.join(figures)}"
+            )
+
+
+def _sensor(recording: Recording, args: argparse.Namespace, model: Model) -> tuple[int, int]:
+    """What the file says, else what --sensor says, else the model's, where all events lie on it."""
+    if recording.sensor is not None:
+        if args.sensor not in (None, recording.sensor):
+            raise ValueError(
+                f"{recording.path}: a sensor of {recording.sensor[0]}x{recording.sensor[1]} pixels, "
+                f"got --sensor {args.sensor[0]}x{args.sensor[1]}"
+            )
+        return recording.sensor
+    if args.sensor is not None:
+        return args.sensor
+    events = recording.read()
+    x, y = (int(events[name].max(initial=0)) for name in ("x", "y"))
+    if args.model is None and (x >= model.config.sensor[0] or y >= model.config.sensor[1]):
+        raise ValueError(f"{recording.path}: events reach pixel ({x}, {y}); --sensor WxH says how large the sensor is")
+    return model.config.sensor
+
+
+def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
+    """A configuration with the options' changes."""
+    changes = {name: getattr(args, name) for name in VOLUME_OPTIONS if getattr(args, name) is not None}
+    if changes.get("landmark", "line") != "line":  # a model's own flow removal goes with its line
+        changes.setdefault("remove_flow", False)
+    if args.figure in DRAWN_FREELY and config.transform == "none":
+        changes["transform"] = "tnt"
+    return config.replace(**changes)
+
+
+def _draw(subjects: list[Subject], args: argparse.Namespace) -> Figure:
+    first, last = subjects[0], subjects[-1]
+    number = args.window or 1
+    if args.figure == "motions":
+        from async_tnt.views.motions import draw_motions
+
+        numbers = args.windows or ((1, 2) if first is last else (1, 1))
+        return draw_motions(first.window(numbers[0]), last.window(numbers[1]), args.slices)
+    if args.figure == "events":
+        from async_tnt.views.events3d import draw_events
+
+        return draw_events(first, number)
+    if args.figure == "slices":
+        from async_tnt.views.slices import draw_slices
+
+        return draw_slices(first, number, args.slices)
+    if args.figure == "probabilities":
+        from async_tnt.views.probabilities import draw_probabilities
+
+        return draw_probabilities(first, args.every_us)
+    if args.figure == "pipeline":
+        from async_tnt.views.pipeline import draw_pipeline
+
+        return draw_pipeline(first, number)
+    from async_tnt.views.overview import draw_overview
+
+    return draw_overview(first, number, args.slices, args.every_us)
+
+
+def _dpi(text: str) -> int:
+    dpi = positive_int(text)
+    if not 30 <= dpi <= 1200:
+        raise argparse.ArgumentTypeError(f"must be in [30, 1200], got {dpi}")
+    return dpi

@@ -1,0 +1,117 @@
+"""async-tnt run: stream recordings event by event through a model."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+from pathlib import Path
+
+from async_tnt.cli.archive_options import add_archive, check_no_archive, run_archive
+from async_tnt.cli.arguments import add_files, add_start, complain, paths_of, positive_int, positive_number
+from async_tnt.cli.decision_lines import HEADER, json_line, text_line
+from async_tnt.cli.live_packets import add_latest
+from async_tnt.cli.pixel_options import add_pixels, selector_of
+from async_tnt.cli.run_recording import open_selected, print_decisions, watch_decisions
+from async_tnt.cli.run_source import run_source
+from async_tnt.cli.trigger_options import add_triggers, triggers_of
+from async_tnt.compile_ahead import warmup
+from async_tnt.networks.engines import ENGINES, choose_engine
+
+DESCRIPTION = """Stream recordings event by event through a model and print each decision: when it fell, for which
+window, the label and its probability, and the microseconds from the last event to the decision. A line
+for each recording follows: the class of the highest mean probability over its closed windows.
+
+  async-tnt run                              the ten bundled samples
+  async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
+  async-tnt run --confidence 0.95            decide each window as soon as that is sure
+  async-tnt run --activity 60:4000           decide when 60 events come within some 4 ms
+  async-tnt run udp://127.0.0.1:3333         events from the network, until Ctrl-C
+  async-tnt run camera --live --latest 64    a camera, shown in the terminal, never old (extra `cameras`)
+  async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels
+  async-tnt run --json | jq .label           one JSON object a line for each decision
+  async-tnt run archive --out r.parquet --workers 4    all recordings under a folder, resumable (docs/archive.md)
+  async-tnt run archive --out r.jsonl --mask mask.npy  without the events of hot pixels
+  async-tnt run a.bin --live --speed 0.2     watch it, at a fifth of its pace (extra `view`)
+  async-tnt run --engine onnx                the same network by onnxruntime (extra `onnx`), or torch
+  async-tnt run --model digits.onnx          a file that `async-tnt export` wrote, by onnxruntime
+
+Engines differ in the last digits of the probabilities and in the microseconds to a decision, not in the windows or the
+events that count.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_files(parser, onnx=True, streams=True)
+    add_start(parser)
+    add_triggers(parser)
+    parser.add_argument(
+        "--hop-us",
+        type=positive_int,
+        metavar="US",
+        help="distance between the starts of windows; smaller than a window: they overlap",
+    )
+    parser.add_argument(
+        "--late",
+        choices=("accept", "drop", "raise"),
+        default="accept",
+        help="what to do with an event older than the newest one (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--engine",
+        choices=ENGINES,
+        help="what runs the model's networks (default: compiled; onnx for an .onnx file, which runs by nothing else)",
+    )
+    parser.add_argument(
+        "--live",
+        action="store_true",
+        help="a small view in the terminal, at the recording's pace: label, probabilities, rates (extra `view`)",
+    )
+    parser.add_argument("--speed", type=positive_number, metavar="S", help="of --live: 2 is twice as fast (default: 1)")
+    add_pixels(parser)
+    add_latest(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
+    add_archive(parser, needs_out=True)
+
+
+def main(args: argparse.Namespace) -> int:
+    if args.out is not None:
+        return run_archive(args)
+    check_no_archive(args)
+    if args.live and args.json:
+        raise ValueError("--live draws for people and --json writes for programs: give one of them")
+    if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
+        raise ValueError("--latest belongs to a camera or the network; a recording waits")
+    if args.speed is not None and not args.live:
+        raise ValueError("--speed belongs to --live; without it a recording is streamed as fast as it can be")
+    engine = choose_engine(args.model, args.engine)
+    processor = engine.processor(start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args))
+    pixels = selector_of(args, engine.model)
+    warmup(engine.model)
+    processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
+    line = json_line if args.json else text_line
+    failed = stopped = False
+    header = "" if args.json or args.live else HEADER + "\n"
+    for path in paths_of(args):
+        try:
+            if isinstance(path, str):
+                stopped = run_source(path, processor, engine, pixels, line, latest=args.latest, live=args.live)
+                if stopped:
+                    break
+                continue
+            recording, packets = open_selected(path, pixels)
+            print(end=header)
+            header = ""
+            if args.live:
+                watch_decisions(recording, packets, processor, engine, args.speed or 1.0)
+            else:
+                print_decisions(recording, packets, processor, engine, pixels, line, summary=not args.json)
+        except BrokenPipeError:
+            raise
+        except (OSError, ValueError) as error:
+            if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # of our output: no recording is to blame
+                raise
+            complain(error)
+            failed = True
+    if pixels.summary():
+        complain(f"left out: {pixels.summary()}")
+    return 130 if stopped else 2 if failed else 0

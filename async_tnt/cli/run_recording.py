@@ -1,0 +1,128 @@
+"""Decisions of a recording: printed one by one, or drawn at its own pace."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from async_tnt.cli.arguments import complain
+from async_tnt.cli.decision_lines import Line
+from async_tnt.cli.live_view import LiveView, decide_often
+from async_tnt.decision import Decision
+from async_tnt.networks.engines import Engine
+from async_tnt.processor import Processor
+from async_tnt.sources.files.recording import Recording
+from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.replay import replay
+
+
+def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
+    """A recording, and its packets without what is to be left out.
+
+    Raises
+    ------
+    ValueError, OSError : unreadable, or of another sensor than the model is for.
+    """
+    recording, sensor = pixels.open(path)
+    if recording.sensor is None:
+        pixels.check_silent(recording, path, sensor)
+    return recording, map(pixels.filter_of(path, sensor), recording)
+
+
+class Seen:
+    """The packets that a model sees, counted as they pass.
+
+    Attributes
+    ----------
+    n_events : of the packets so far.
+    n_unsorted : of these, older than one before them. What was left out before counts neither way.
+    """
+
+    def __init__(self, packets: Iterable[np.ndarray]) -> None:
+        self._packets = packets
+        self._newest_us = -1
+        self.n_events = 0
+        self.n_unsorted = 0
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        for packet in self._packets:
+            newest = np.maximum.accumulate(np.concatenate(([self._newest_us], packet["t"])))
+            self.n_unsorted += int(np.count_nonzero(packet["t"] < newest[:-1]))
+            self._newest_us = int(newest[-1])
+            self.n_events += len(packet)
+            yield packet
+
+
+def print_decisions(
+    recording: Recording,
+    packets: Iterable[np.ndarray],
+    processor: Processor,
+    engine: Engine,
+    pixels: PixelSelector,
+    line: Line,
+    *,
+    summary: bool,
+) -> None:
+    """A line for each decision and, with `summary`, one for the recording: the best mean probability of its windows.
+
+    Raises
+    ------
+    ValueError : there was nothing to decide.
+    """
+    processor.reset()
+    closed = []
+    seen, before = Seen(packets), pixels.counts
+    for decision, latency_us in timed_decisions(seen, processor):
+        print(line(str(recording.path), decision, latency_us), flush=True)
+        if decision.complete or decision.trigger == "end":
+            closed.append(decision.probabilities)
+    if closed and summary:
+        mean = np.mean(closed, axis=0)
+        best = int(mean.argmax())
+        windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
+        print(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
+    late = processor.counts.dropped_late
+    if late:
+        complain(f"{recording.path}: {late} of {seen.n_events} events dropped: they came late (see --late, --start-us)")
+    elif seen.n_unsorted:
+        complain(
+            f"{recording.path}: {seen.n_unsorted} of {seen.n_events} events are older than one before them (see --late)"
+        )
+    if not closed:
+        why = pixels.nothing_left(before) or "no event in any window, nothing to decide"
+        raise ValueError(f"{recording.path}: {why}")
+
+
+def watch_decisions(
+    recording: Recording, packets: Iterable[Any], processor: Processor, engine: Engine, speed: float
+) -> None:
+    """Draw the stream at the recording's pace."""
+    processor.reset()
+    decide_often(processor)
+    with LiveView(engine.classes, recording.path.name) as view:
+        for packet in replay(packets, speed):
+            handed_over = time.perf_counter_ns()
+            decisions = processor.push(packet)
+            view.show(decisions, (time.perf_counter_ns() - handed_over) / 1e3, processor.counts)
+        view.show(processor.finish(), 0.0, processor.counts)
+
+
+def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:
+    """Each decision, and the microseconds from handing over the event that brought it about."""
+    clock = time.perf_counter_ns
+    for packet in packets:
+        for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
+            handed_over = clock()
+            decisions = processor.push_one(t, x, y, p)
+            if decisions:
+                latency_us = (clock() - handed_over) / 1e3
+                for decision in decisions:
+                    yield decision, latency_us
+    handed_over = clock()
+    decisions = processor.finish()
+    latency_us = (clock() - handed_over) / 1e3
+    for decision in decisions:
+        yield decision, latency_us

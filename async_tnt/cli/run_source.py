@@ -1,0 +1,75 @@
+"""Decisions of a stream that comes while one listens: from a camera, or over the network."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from async_tnt.cli.arguments import complain
+from async_tnt.cli.decision_lines import Line
+from async_tnt.cli.live_packets import LivePackets, live_packets
+from async_tnt.cli.live_view import LiveView, decide_often
+from async_tnt.networks.engines import Engine
+from async_tnt.processor import Processor
+from async_tnt.sources.pixel_selector import PixelSelector
+
+
+def run_source(
+    name: str,
+    processor: Processor,
+    engine: Engine,
+    pixels: PixelSelector,
+    line: Line,
+    *,
+    latest: int | None,
+    live: bool,
+) -> bool:
+    """Print or draw decisions until the source ends or Ctrl-C; then what was counted. Returns whether Ctrl-C ended it.
+
+    Parameters
+    ----------
+    name : of the source, as `open_live` takes it.
+    latest : see `live_packets`.
+    """
+    processor.reset()
+    stopped = False
+    with live_packets(name, pixels, latest) as stream:
+        try:
+            stream.announce()
+            if live:
+                _draw(stream, processor, LiveView(engine.classes, name))
+            else:
+                _print_all(stream, name, processor, line)
+        except KeyboardInterrupt:
+            stopped = True
+        finally:  # also where a camera was unplugged
+            for decision in processor.finish():
+                if not live:
+                    print(line(name, decision, 0.0), flush=True)
+            counts = processor.counts
+            took = (
+                f"{counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
+                f"{counts.dropped_late:,} too late for their window"
+            )
+            complain(f"{name}: {stream.summary()}; {took}")
+    return stopped
+
+
+def _print_all(stream: LivePackets, name: str, processor: Processor, line: Line) -> None:
+    for packet in stream.packets:
+        handed_over = time.perf_counter_ns()
+        decisions = processor.push(packet)
+        latency_us = (time.perf_counter_ns() - handed_over) / 1e3
+        for decision in decisions:
+            print(line(name, decision, latency_us, stream.reader))
+        if decisions:
+            sys.stdout.flush()
+
+
+def _draw(stream: LivePackets, processor: Processor, view: LiveView) -> None:
+    decide_often(processor)
+    with view:
+        for packet in stream.packets:
+            handed_over = time.perf_counter_ns()
+            decisions = processor.push(packet)
+            view.show(decisions, (time.perf_counter_ns() - handed_over) / 1e3, processor.counts, stream.reader)

@@ -1,0 +1,171 @@
+"""`async-tnt simulate`: make N-MOVING-MNIST, and show how like N-MNIST it is."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+import time
+from pathlib import Path
+
+from async_tnt.archive.workers import available_cores
+from async_tnt.cli.arguments import complain, positive_int
+from async_tnt.files import check_folder
+from async_tnt.progress import progress
+from async_tnt.simulation.comparison import compare, recordings_by_image
+from async_tnt.simulation.motions import KINDS
+from async_tnt.simulation.moving_mnist import build
+from async_tnt.simulation.set_manifest import MANIFEST, MovingMnist
+from async_tnt.simulation.statistics import side_by_side
+from async_tnt.sources.files.nmnist import write_nmnist
+
+DESCRIPTION = """\
+Simulate N-MOVING-MNIST: every digit of MNIST before an event camera of 34 x 34 pixels, under each of 30
+motions (10 directions x 3, 5 and 8 pixels) in one window of 105 ms. The folder gets one .safetensors file per
+motion and 1,000 images, with the optical flow that was simulated, and set.json, which says how all was made.
+
+The 10,000 test images give 300,000 recordings: some 3 GB, in minutes. Stop with Ctrl-C, give the same
+command again, and it goes on. The same seed gives the same files, however many workers there are.
+
+At the end come the numbers of real N-MNIST recordings, of simulations of the same images under N-MNIST's own
+motion, and of this set, side by side.
+"""
+EPILOG = """\
+examples:
+  async-tnt simulate --mnist MNIST --out moving --digits 20        a first look: seconds
+  async-tnt simulate --mnist MNIST --out moving-test               the whole test set
+  async-tnt simulate --mnist MNIST --out bells --motions bell      the same ways, with a saccade's speed
+  async-tnt simulate --mnist MNIST --out moving --digits 20 --bin as-nmnist
+  async-tnt run as-nmnist/000deg-5px/7/00001.bin
+MNIST is the folder with train-images-idx3-ubyte.gz, t10k-images-idx3-ubyte.gz and their labels.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `async-tnt simulate` to its parser."""
+    parser.epilog = EPILOG
+    parser.add_argument(
+        "--mnist",
+        type=Path,
+        metavar="FOLDER",
+        help="MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)",
+    )
+    parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="where the set goes; made if missing")
+    parser.add_argument("--split", choices=("train", "test"), default="test", help="of MNIST (default: %(default)s)")
+    parser.add_argument(
+        "--motions",
+        choices=KINDS,
+        default="constant",
+        help="constant: 30 constant velocities; bell: the same 30 ways with the speed of a saccade; nmnist: "
+        "N-MNIST's three saccades, 308 ms (default: %(default)s)",
+    )
+    parser.add_argument("--digits", type=positive_int, metavar="N", help="the first N images (default: all)")
+    parser.add_argument("--seed", type=_whole, default=0, help="of all randomness, at least 0 (default: 0)")
+    parser.add_argument(
+        "--workers", type=positive_int, metavar="N", help=f"processes (default: all cores, here {available_cores()})"
+    )
+    parser.add_argument(
+        "--bin",
+        type=Path,
+        metavar="FOLDER",
+        help="also write each recording in N-MNIST's own format: FOLDER/<motion>/<digit>/<image, from 1>.bin",
+    )
+    parser.add_argument(
+        "--nmnist",
+        type=Path,
+        metavar="FOLDER",
+        help="N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin, to compare with (default: $TNT_DATA/nmnist "
+        "where it exists)",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Simulate as `args` say. Returns the exit code: 0, or 130 when interrupted."""
+    mnist, nmnist = _folder(args.mnist, "mnist"), _folder(args.nmnist, "nmnist")
+    if mnist is None:
+        raise FileNotFoundError("no MNIST: give --mnist FOLDER, or set TNT_DATA to the folder with mnist/")
+    for folder in (args.out, args.bin):
+        if folder is not None:
+            check_folder(folder, (MANIFEST,))
+    if nmnist is not None:
+        recordings_by_image(nmnist, args.split)  # raises before the long work rather than after it
+    started = time.monotonic()
+    try:
+        made = build(
+            mnist,
+            args.out,
+            split=args.split,
+            kind=args.motions,
+            digits=args.digits,
+            seed=args.seed,
+            workers=args.workers,
+        )
+        seconds = time.monotonic() - started
+        if args.bin is not None:
+            export(made, args.bin)
+        columns = compare(made, mnist, nmnist)
+    except KeyboardInterrupt:
+        complain(f"interrupted; finished shards are kept in {args.out}. Give the same command again to go on.")
+        return 130
+    n_bytes = sum(path.stat().st_size for path in made.shards)
+    if args.json:
+        numbers = {
+            title: {name: value if math.isfinite(value) else None for name, value in column.items()}
+            for title, column in columns.items()
+        }
+        answer = {"out": str(args.out), "recordings": len(made), "shards": len(made.shards), "bytes": n_bytes}
+        print(json.dumps({**answer, "seconds": round(seconds, 3), "motions": args.motions, "statistics": numbers}))
+        return 0
+    print(
+        f"{args.out}: {len(made)} recordings ({made.parameters['digits']} images x {len(made.motions)} motions) in "
+        f"{len(made.shards)} files, {n_bytes / 1e6:.1f} MB; {seconds:.1f} s"
+    )
+    if args.bin is not None:
+        print(f"{args.bin}: the same in N-MNIST's format")
+    print(side_by_side(columns))
+    print(
+        "simulated: "
+        + ("the images of the first column" if nmnist is not None else "the set's first images")
+        + " under N-MNIST's own motion"
+    )
+    if nmnist is None:
+        print("no N-MNIST to compare with: --nmnist FOLDER names it", file=sys.stderr)
+    return 0
+
+
+def export(made: MovingMnist, folder: Path) -> None:
+    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index + 1.
+
+    Raises
+    ------
+    ValueError : a sensor or duration that N-MNIST's format cannot hold.
+    OSError : the folder cannot be written.
+    """
+    with progress(len(made), "exporting") as bar:
+        for shard in made:
+            motion = folder / shard.metadata["motion"]["name"]
+            for label in set(shard.labels.tolist()):
+                (motion / str(label)).mkdir(parents=True, exist_ok=True)
+            for i in range(len(shard)):
+                path = motion / str(int(shard.labels[i])) / f"{int(shard.image[i]) + 1:05}.bin"
+                write_nmnist(path, shard.recording(i), sensor=shard.sensor)
+                bar.update()
+
+
+def _folder(given: Path | None, name: str) -> Path | None:
+    """The folder as given, which must exist, or the one in $TNT_DATA, which may."""
+    if given is not None:
+        if not given.is_dir():
+            raise FileNotFoundError(f"no folder {given}; --{name} names the folder of {name.upper()}")
+        return given
+    root = os.environ.get("TNT_DATA")
+    folder = Path(root) / name if root else None
+    return folder if folder is not None and folder.is_dir() else None
+
+
+def _whole(text: str) -> int:
+    """An argparse type: a whole number of at least 0."""
+    return positive_int(text) if text.strip("0_ ") else 0

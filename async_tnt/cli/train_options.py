@@ -1,0 +1,239 @@
+"""The options of `async-tnt train`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from async_tnt.cli.arguments import positive_int
+from async_tnt.cli.pixel_options import add_selection
+from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
+from async_tnt.sources.sizes import size_text
+from async_tnt.training.settings import PRECISIONS
+
+DESCRIPTION = """\
+Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
+
+With DATASET, on one's own classes: a folder with a folder of recordings for each class, named as the class is, of any
+sensor and in any format that `async-tnt run` reads. Windows are laid end to end from each recording's first event; a
+shorter recording is one partial window. Every epoch shows each class equally often, however many recordings it has.
+Training stops when the loss on the held-out recordings no longer falls, and the model of its best epoch is kept. Beside
+the model (m.safetensors) it writes m.json, m.confusion.png and m.curves.png, with the accuracy on held-out recordings.
+With --roi and --mask it learns from a part of the camera's pixels, which the model's record names.
+
+With --nmnist, on N-MNIST's digits and, with --simulated, on recordings made from MNIST's images.
+
+Each epoch sees every window a little moved, turned and thinned, so that no two epochs are alike. A share of the real
+recordings is held out and only looked at, after each epoch. Checkpoints go into the run folder: stop with
+Ctrl-C, give the same command again, and the training goes on to the very same weights.
+"""
+EPILOG = """\
+examples:
+  async-tnt train gestures --out gestures.safetensors          gestures/wave/*.npz, gestures/clap/*.npz, ...
+  async-tnt train gestures --sensor 346x260 --grid 44x33 --window-us 200000 --landmark center
+  async-tnt train gestures --roi 100,80,64,64 --crop --mask hot.npy    a part of the camera, without hot pixels
+  async-tnt evaluate gestures.safetensors held_out             how good is it on recordings it never saw?
+  async-tnt train --smoke                          does everything work here? seconds, no data needed
+  async-tnt train --nmnist N-MNIST --out mine.safetensors
+  async-tnt train --nmnist N-MNIST --mnist MNIST --simulated 20000 --landmark line --t-max 2 --epochs 40
+  async-tnt train --nmnist N-MNIST --saccades 1 --landmark regressor --translate 4 --t-max 2 --iterations 60000
+  async-tnt run --model mine.safetensors my.bin     use it
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `async-tnt train` to its parser."""
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    data = parser.add_argument_group("data")
+    data.add_argument(
+        "dataset",
+        nargs="?",
+        type=Path,
+        metavar="DATASET",
+        help="folder with <class name>/<recordings>, or with Train/<class name>/<recordings> (and Test/...)",
+    )
+    data.add_argument(
+        "--nmnist",
+        type=Path,
+        metavar="FOLDER",
+        help="N-MNIST: the folder with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)",
+    )
+    data.add_argument(
+        "--mnist",
+        type=Path,
+        metavar="FOLDER",
+        help="MNIST's IDX files, gzipped or not, for --simulated (default: $TNT_DATA/mnist)",
+    )
+    data.add_argument(
+        "--simulated",
+        type=int,
+        default=0,
+        metavar="N",
+        help="add N simulated recordings of other MNIST images (default: 0; about 5 ms each)",
+    )
+    data.add_argument(
+        "--saccades",
+        type=int,
+        nargs="+",
+        choices=(1, 2, 3),
+        default=[1, 2, 3],
+        help="train and validate on these of a recording's three saccades (default: 1 2 3)",
+    )
+    data.add_argument(
+        "--validation",
+        type=float,
+        metavar="SHARE",
+        help="share of each class's real recordings held out to watch the training (default: 0.1; with DATASET 0.2, "
+        "and at least one)",
+    )
+    data.add_argument(
+        "--skip-damaged",
+        action="store_true",
+        help="of N-MNIST: leave damaged recordings out, with a warning each, instead of stopping (of DATASET, what "
+        "cannot be read is always left out, and named at the end)",
+    )
+    data.add_argument(
+        "--test",
+        action="store_true",
+        help="at the end, also classify the folder Test and write the accuracy into the "
+        "model's record; do this once, after all choices are made",
+    )
+    add_selection(
+        parser.add_argument_group(
+            "pixels of DATASET (events left out as if they had never been recorded; the model's users give the same)"
+        )
+    )
+    volume = parser.add_argument_group("volume (what the network sees)")
+    volume.add_argument(
+        "--transform", choices=TRANSFORMS, default="tnt", help="tnt, or none: the plain event volume (default: tnt)"
+    )
+    volume.add_argument(
+        "--landmark",
+        choices=LANDMARKS,
+        default="running",
+        help="the point events are normalized about; `window` and `regressor` (a network of its own, trained along) "
+        "cost a replay at each decision (default: running)",
+    )
+    volume.add_argument(
+        "--t-max",
+        type=float,
+        default=3.0,
+        metavar="T",
+        help="TNT time at the window's end: smaller shrinks late events less, but loses more "
+        "of the early ones over the border (default: 3)",
+    )
+    volume.add_argument(
+        "--polarity",
+        choices=POLARITIES,
+        default="signed",
+        help="ON minus OFF events, both alike, or in bins of their own (default: signed)",
+    )
+    volume.add_argument("--remove-flow", action="store_true", help="subtract the fitted flow (with --landmark line)")
+    volume.add_argument("--bins", type=int, default=9, metavar="B", help="time bins (default: 9)")
+    volume.add_argument(
+        "--sensor",
+        type=size_text,
+        metavar="WxH",
+        help="with DATASET: the camera's pixels, where recordings are silent, and --mask, which says them by its size; "
+        "a .bin is of 34x34 unless one of them says otherwise. Recordings that state another are left out. "
+        "The model is for as many, or with --crop for the region's",
+    )
+    volume.add_argument(
+        "--grid", type=size_text, metavar="WxH", help="with DATASET: the volume's pixels (default: 34x34)"
+    )
+    volume.add_argument(
+        "--window-us",
+        type=positive_int,
+        metavar="US",
+        help="with DATASET: length of a window, in microseconds (default: 105000)",
+    )
+    learning = parser.add_argument_group("training")
+    learning.add_argument(
+        "--epochs",
+        type=int,
+        metavar="N",
+        help="passes over the training windows (default: 20; with DATASET at least 20, and 1500 steps)",
+    )
+    learning.add_argument(
+        "--patience",
+        type=int,
+        metavar="N",
+        help="stop when the validation loss has not fallen for so many epochs; 0 never does (default: 0; with DATASET "
+        "a fifth of the epochs)",
+    )
+    learning.add_argument(
+        "--iterations",
+        type=positive_int,
+        metavar="N",
+        help="steps of the optimizer, instead of --epochs (the thesis: 60000 of 64 windows each)",
+    )
+    learning.add_argument(
+        "--batch",
+        type=int,
+        metavar="N",
+        help="windows per step (default: 64; with DATASET fewer, down to 8, where there are few windows)",
+    )
+    learning.add_argument(
+        "--rate",
+        type=float,
+        default=2e-3,
+        metavar="R",
+        help="highest learning rate of AdamW; it falls along a cosine (default: 0.002)",
+    )
+    learning.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of weights, order, augmentation, split and simulation (default: 0)",
+    )
+    learning.add_argument(
+        "--precision",
+        choices=PRECISIONS,
+        default="float32",
+        help="of the networks' products (default: float32); bfloat16 is faster on hardware that has it",
+    )
+    learning.add_argument(
+        "--translate",
+        type=int,
+        default=0,
+        metavar="PX",
+        help="also move each window by a whole number of pixels, up to PX (default: 0; the thesis: 4, with "
+        "--landmark regressor)",
+    )
+    learning.add_argument("--no-augmentation", action="store_true", help="train on the windows as they are")
+    learning.add_argument(
+        "--keep",
+        choices=("last", "best"),
+        help="the weights to write: after the last epoch, or after the one that validates "
+        "best (default: last; where patience ends the training, best; both are in the run folder)",
+    )
+    learning.add_argument(
+        "--threads", type=positive_int, metavar="N", help="torch's threads; another number gives slightly other weights"
+    )
+    learning.add_argument(
+        "--smoke", action="store_true", help="try the whole way in seconds: two epochs on the ten bundled samples"
+    )
+    files = parser.add_argument_group("files")
+    files.add_argument(
+        "--start-from",
+        metavar="MODEL",
+        help="train on from a model file, or a bundled model's name, instead of random weights; "
+        "the volume's options are then that model's. Keep --seed, and with it the recordings "
+        "that are held out",
+    )
+    files.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="the trained model, a .safetensors file (default: model.safetensors; with --smoke: smoke.safetensors)",
+    )
+    files.add_argument(
+        "--run",
+        type=Path,
+        metavar="FOLDER",
+        dest="run_folder",
+        help="checkpoints and learning curves; one run's, which goes on where it was (default: runs/<name of --out>)",
+    )
+    files.add_argument("--json", action="store_true", help="print the results as JSON on stdout")

@@ -1,0 +1,169 @@
+"""async-tnt view: what a stream looks like in the Rerun viewer."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from async_tnt.cli.arguments import add_files, add_start, complain, paths_of, positive_number
+from async_tnt.cli.live_packets import add_latest, live_packets
+from async_tnt.cli.pixel_options import add_pixels, selector_of
+from async_tnt.cli.run_recording import open_selected
+from async_tnt.cli.trigger_options import add_triggers, triggers_of
+from async_tnt.compile_ahead import warmup
+from async_tnt.files import check_writable
+from async_tnt.networks.engines import choose_engine
+from async_tnt.progress import progress
+from async_tnt.sources.files.recording import Recording
+from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.replay import replay
+from async_tnt.views.rerun_sinks import SUFFIXES, import_rerun
+from async_tnt.views.rerun_view import RerunView
+
+DESCRIPTION = """Show a stream in the Rerun viewer while it is classified: the events and the landmark, the raw and the
+transformed volume, the probability of each class, the decisions, rates and latencies (extra `view`). All of it lies on
+a timeline of the recording's own microseconds, to be played, stopped and scrubbed.
+
+  async-tnt view a.bin                             start the viewer, play the recording at its own pace
+  async-tnt view a.bin --speed 0.1                 at a tenth of it
+  async-tnt view a.bin --out a.rrd                 write a file, as fast as it can; needs no display
+  rerun a.rrd                                      open that file, here or elsewhere
+  async-tnt view --out samples.rrd                 the ten bundled samples, one after the other in time
+  async-tnt view a.bin --every-us 5000 --every-ms 5    decisions and pictures every 5 ms
+  async-tnt view udp://127.0.0.1:3333 --latest 64  events from the network, until Ctrl-C
+  async-tnt view camera --roi 400,200,34,34 --crop a part of a camera's picture (extra `cameras`)
+  async-tnt view a.bin --connect rerun+http://10.0.0.7:9876/proxy    a viewer that runs already, anywhere
+
+A picture is taken every 20 ms of recorded time and at each window's end; no more is written however many events there
+are. Several recordings follow each other on one timeline; the first keeps its own times, the log of decisions says how
+far the others were moved. Rerun's viewer reports how it is used; `rerun analytics disable` ends that.
+"""
+LIVE_PICTURES_PER_S = 60.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_files(parser, onnx=True, streams=True)
+    add_start(parser)
+    add_triggers(parser)
+    add_pixels(parser)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--out", type=Path, metavar="FILE.rrd", help="write a file for the viewer instead")
+    where.add_argument(
+        "--connect", metavar="URL", help="show it in a viewer that runs already: rerun+http://HOST:9876/proxy"
+    )
+    where.add_argument(
+        "--spawn", action="store_true", help="start the viewer here, or use the one started before (default)"
+    )
+    parser.add_argument(
+        "--speed",
+        type=positive_number,
+        metavar="S",
+        help="recorded time per time; 2 is twice as fast, inf does not wait (default: 1, with --out inf)",
+    )
+    parser.add_argument(
+        "--every-ms",
+        type=_milliseconds,
+        default=20_000,
+        dest="picture_us",
+        metavar="MS",
+        help="recorded milliseconds from picture to picture (default: 20)",
+    )
+    add_latest(parser)
+
+
+def main(args: argparse.Namespace) -> int:
+    if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
+        raise ValueError("--latest belongs to a camera or the network; a recording waits")
+    import_rerun()  # now, so that a missing one shows before any work
+    if args.out is not None:
+        check_writable(args.out, SUFFIXES)
+    engine = choose_engine(args.model)
+    pixels = selector_of(args, engine.model)
+    sources = [path if isinstance(path, str) else open_selected(path, pixels) for path in paths_of(args)]
+    speed = args.speed or (1.0 if args.out is None else math.inf)
+    warmup(engine.model)
+    live = any(isinstance(source, str) for source in sources)
+    view = RerunView(
+        engine.model,
+        out=args.out,
+        connect=args.connect,
+        picture_us=args.picture_us,
+        most_pictures_per_s=LIVE_PICTURES_PER_S if live else None,
+        name=_recording_name(paths_of(args)),
+        classes=engine.classes,
+        start_us=args.start_us,
+        **engine.networks,
+        **triggers_of(args),
+    )
+    stopped = False
+    with view:
+        for source in sources:
+            if isinstance(source, str):
+                view.start(source)
+                stopped = _show_live(source, view, pixels, args.latest)
+                if stopped:
+                    break
+            else:
+                recording, packets = source
+                view.start(recording.path.name)
+                _show(recording, packets, view, speed)
+    if not view.n_events and not stopped:
+        names = ", ".join(map(str, paths_of(args)))
+        left_out = pixels.nothing_left()
+        raise ValueError(f"{names}: {left_out}" if left_out else f"no event in {names}: nothing to show")
+    if args.out is not None:
+        print(f"{args.out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {args.out}")
+    if pixels.summary():
+        complain(f"left out: {pixels.summary()}")
+    return 130 if stopped else 0
+
+
+def _recording_name(sources: Sequence[Path | str]) -> str:
+    first = sources[0] if isinstance(sources[0], str) else sources[0].name
+    return first if len(sources) == 1 else f"{first} and {len(sources) - 1} more"
+
+
+def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: float) -> None:
+    n_events = 0
+    if speed == math.inf:
+        with progress(recording.n_events, recording.path.name) as bar:
+            for packet in packets:
+                view.push(packet)
+                bar.update(len(packet))
+                n_events += len(packet)
+    else:
+        for packet in replay(packets, speed):
+            view.push(packet)
+            n_events += len(packet)
+    late = view.processor.counts.dropped_late
+    if late:
+        complain(f"{recording.path}: {late} of {n_events} events dropped: they came late (see --start-us)")
+
+
+def _show_live(name: str, view: RerunView, pixels: PixelSelector, latest: int | None) -> bool:
+    """Show a source until it ends or Ctrl-C; then what was counted. Returns whether Ctrl-C ended it."""
+    stopped = False
+    with live_packets(name, pixels, latest) as stream:
+        try:
+            stream.announce()
+            for packet in stream.packets:
+                view.push(packet)
+        except KeyboardInterrupt:
+            stopped = True
+        finally:  # also where a camera was unplugged
+            complain(f"{name}: {stream.summary()}")
+    return stopped
+
+
+def _milliseconds(text: str) -> int:
+    """Milliseconds, as microseconds."""
+    try:
+        value = round(float(text) * 1000)
+    except (ValueError, OverflowError):
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be a number of at least 0.001, got {text!r}")
+    return value

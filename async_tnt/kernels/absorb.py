@@ -1,0 +1,182 @@
+"""Absorb events into a volume, one by one or in packets, with bit-identical results.
+
+A packet is worked through in blocks, each in four passes over arrays that stay in the first-level cache:
+
+    check  ->  displacement from the landmark  ->  place in the volume  ->  splat
+
+The second and third run in vector registers. One event takes the same steps in scalars. Both call the same
+formulas of `landmark` and `splat`, and floating point is strict (no fastmath, no contraction), so how a
+stream is cut cannot matter.
+"""
+
+import numpy as np
+
+from . import state as S
+from .displace import displace
+from .jit import compiled, inlined
+from .landmark import displace_fixed, displace_line, displace_raw, displace_running
+from .records import MAX_TIME_US
+from .splat import add_event, grid_of, place_event
+
+ABSORBED, AT_LIMIT, REFUSED = 0, 1, 2  # what absorb_one answers
+
+
+@compiled
+def absorb(buffer, t, x, y, p, first, last):
+    """Add the events `first <= i < last` to the open window, up to the first at or after LIMIT_US.
+
+    Parameters
+    ----------
+    buffer : float64, the volume's `state`. Updated in place.
+    t, x, y, p : int64, uint16, uint16, uint8, contiguous; x, y on the sensor, p in {0, 1}. Not checked here.
+
+    Returns
+    -------
+    int : the first event not absorbed.
+    """
+    ints = buffer.view(np.int64)
+    while first < last:
+        m = min(S.BLOCK, last - first)
+        block_t = t[first : first + m]
+        if _all_in_window(buffer, ints, block_t, m):
+            displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
+            _place(buffer, ints, block_t, p[first : first + m], m)
+            _splat(buffer, ints, m)
+            first += m
+        else:  # late events, or the limit: one by one
+            end = first + m
+            while first < end:
+                if t[first] >= ints[S.LIMIT_US]:
+                    return first
+                _absorb_event(buffer, ints, t[first], np.int64(x[first]), np.int64(y[first]), p[first])
+                first += 1
+    return first
+
+
+@compiled
+def absorb_one(buffer, t, x, y, p):
+    """Check and add one event: ABSORBED, or AT_LIMIT or REFUSED (it breaks a rule) with nothing changed."""
+    ints = buffer.view(np.int64)
+    if (t < 0) | (t >= MAX_TIME_US) | (p < -1) | (p > 1):
+        return REFUSED
+    if (x < 0) | (x >= ints[S.SENSOR_W]) | (y < 0) | (y >= ints[S.SENSOR_H]):
+        return REFUSED
+    if t >= ints[S.LIMIT_US]:
+        return AT_LIMIT
+    _absorb_event(buffer, ints, t, x, y, p)
+    return ABSORBED
+
+
+@compiled
+def _absorb_event(buffer, ints, t, x, y, p):
+    """Add one event before LIMIT_US."""
+    ints[S.RECEIVED] += 1
+    dt = t - ints[S.START_US]
+    if dt < 0:
+        count_late(ints, t)
+        return
+    ints[S.N] += 1
+    ints[S.SUM_X] += x
+    ints[S.SUM_Y] += y
+    ints[S.NEWEST_US] = max(ints[S.NEWEST_US], t)
+    mode = ints[S.MODE]
+    if mode == S.MODE_RUNNING:
+        num_x, num_y, den = displace_running(x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y])
+    elif mode == S.MODE_FIXED:
+        num_x, num_y, den = displace_fixed(x, y, dt, buffer[S.FIXED_X], buffer[S.FIXED_Y])
+    elif mode == S.MODE_RAW:
+        num_x, num_y, den = displace_raw(x, y)
+    else:
+        ints[S.SUM_T] += dt
+        remove_flow = mode == S.MODE_LINE_FLOW_REMOVED
+        num_x, num_y, den = displace_line(
+            buffer, x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y], ints[S.SUM_T], remove_flow
+        )
+    grid = grid_of(buffer, ints)
+    corner, y_frac, x_frac, early, later, keep = place_event(grid, np.float64(dt), p > 0, num_x, num_y, den)
+    ints[S.KEPT] += keep
+    ints[S.TAU_ZERO] += den == 0.0
+    _mark_bins(ints, grid, dt, dt)
+    ints[ints[S.LOG] + (ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1))] = corner
+    ints[S.N_LOG] += 1
+    add_event(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, early, later)
+
+
+@inlined
+def count_late(ints, t):
+    """Count an event before the open window: as DECIDED where the newest window that holds it was closed early."""
+    hops = (ints[S.START_US] - 1 - t) // ints[S.HOP_US]  # 0: that window is the one before the open one
+    decided = hops < S.REMEMBERED and (ints[S.CLOSED_EARLY + (hops >> 6)] >> (hops & 63)) & 1 == 1
+    ints[S.DECIDED if decided else S.LATE] += 1
+
+
+@compiled
+def _all_in_window(buffer, ints, t, m):
+    """Whether a block lies in the open window and before the limit; if so, takes note of it."""
+    oldest_us = t[0]
+    newest_us = t[0]
+    for i in range(m):
+        oldest_us = min(oldest_us, t[i])
+        newest_us = max(newest_us, t[i])
+    start_us = ints[S.START_US]
+    if (oldest_us < start_us) | (newest_us >= ints[S.LIMIT_US]):
+        return False
+    ints[S.RECEIVED] += m
+    ints[S.N] += m
+    ints[S.NEWEST_US] = max(ints[S.NEWEST_US], newest_us)
+    _mark_bins(ints, grid_of(buffer, ints), oldest_us - start_us, newest_us - start_us)
+    if (oldest_us == start_us) & (ints[S.MODE] != S.MODE_RAW):
+        for i in range(m):
+            ints[S.TAU_ZERO] += t[i] == start_us
+    return True
+
+
+@compiled
+def _place(buffer, ints, t, p, m):
+    """Each event's place and weight (see `splat`) into CORNER, Y_FRAC, X_FRAC, EARLY, LATER."""
+    num_x = buffer[S.NUM_X : S.NUM_X + S.BLOCK]
+    num_y = buffer[S.NUM_Y : S.NUM_Y + S.BLOCK]
+    den = buffer[S.DEN : S.DEN + S.BLOCK]
+    y_fracs = buffer[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
+    x_fracs = buffer[S.X_FRAC : S.X_FRAC + S.BLOCK]
+    earlies = buffer[S.EARLY : S.EARLY + S.BLOCK]
+    laters = buffer[S.LATER : S.LATER + S.BLOCK]
+    corners = ints[S.CORNER : S.CORNER + S.BLOCK]
+    start_us = ints[S.START_US]
+    grid = grid_of(buffer, ints)
+    n_kept = 0
+    for i in range(m):
+        dt = np.float64(t[i] - start_us)
+        corners[i], y_fracs[i], x_fracs[i], earlies[i], laters[i], keep = place_event(
+            grid, dt, p[i] > 0, num_x[i], num_y[i], den[i]
+        )
+        n_kept += keep
+    ints[S.KEPT] += n_kept
+    # the log is a ring: first up to its end, then from its beginning
+    at = ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1)
+    m_to_end = min(m, ints[S.LOG_SIZE] - at)
+    for i in range(m_to_end):
+        ints[ints[S.LOG] + at + i] = corners[i]
+    for i in range(m_to_end, m):
+        ints[ints[S.LOG] + i - m_to_end] = corners[i]
+    ints[S.N_LOG] += m
+
+
+@compiled
+def _splat(buffer, ints, m):
+    """Add the placed events to the cells, in the order of their arrival."""
+    corners = ints[S.CORNER : S.CORNER + S.BLOCK]
+    y_fracs = buffer[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
+    x_fracs = buffer[S.X_FRAC : S.X_FRAC + S.BLOCK]
+    early = buffer[S.EARLY : S.EARLY + S.BLOCK]
+    later = buffer[S.LATER : S.LATER + S.BLOCK]
+    row = np.uint64(ints[S.ROW])
+    for i in range(m):
+        add_event(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], early[i], later[i])
+
+
+@inlined
+def _mark_bins(ints, grid, oldest_dt, newest_dt):
+    """Note which intervals events between two times may change, for the next read."""
+    ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(np.float64(oldest_dt) * grid.bin_scale))
+    ints[S.BIN_HI] = max(ints[S.BIN_HI], np.int64(np.float64(newest_dt) * grid.bin_scale))

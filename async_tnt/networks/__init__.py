@@ -1,0 +1,32 @@
+"""Networks: model files, the compiled networks, and other engines in their place.
+
+    Model, load_model           a configuration, weights and class names, in one .safetensors file
+    CompiledClassifier          its classifier, compiled: computes only what has changed; `CompiledRegressor`
+    OnnxClassifier              any ONNX network, by onnxruntime: `Processor(config, classifier=...)`
+    OnnxRegressor               the same for landmarks, raw volume -> (x, y): `Processor(..., regressor=...)`
+    TorchClassifier             any torch module, TorchScript or exported program
+    to_onnx                     a Model's classifier as an ONNX network; `regressor_to_onnx` its landmark network
+
+onnx, onnxruntime (extra `onnx`) and torch are imported only when something of them is asked.
+"""
+
+from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.networks.model import Model, UncheckedModelWarning, bundled_models, load_model
+from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
+from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
+from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.networks.torch_network import TorchClassifier
+
+__all__ = [
+    "CompiledClassifier",
+    "CompiledRegressor",
+    "Model",
+    "OnnxClassifier",
+    "OnnxRegressor",
+    "TorchClassifier",
+    "UncheckedModelWarning",
+    "bundled_models",
+    "load_model",
+    "regressor_to_onnx",
+    "to_onnx",
+]

@@ -1,0 +1,99 @@
+"""Whether a model's exported networks agree with its compiled ones, on volumes like those they will see."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from async_tnt.checking.equality import LOGIT_BOUND, REGRESSED_LANDMARK_BOUND, Comparison, closed_volumes
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.landmark_at_read import Regressor
+from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.networks.model import Model
+from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.processor import Classifier
+from async_tnt.progress import progress
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+
+N_WINDOWS = 3  # of a recording
+N_MADE = 2  # streams for sensors other than the samples'
+
+
+@dataclass
+class Agreement:
+    """How far two engines differ on some windows."""
+
+    recordings: str
+    """Which: `bundled samples`, or `made streams` for sensors of another size."""
+    logits: Comparison = field(default_factory=lambda: Comparison("logits", "", LOGIT_BOUND))
+    """Differences, as a share of the window's largest logit where that is above 1."""
+    plain_logits: Comparison = field(default_factory=lambda: Comparison("logits", "", math.inf))
+    """The same differences as they are, for the report."""
+    n_differ: int = 0
+    """Windows of another class."""
+    landmarks: Comparison = field(default_factory=lambda: Comparison("landmark, px", "", REGRESSED_LANDMARK_BOUND))
+    """Nothing, where the model has no landmark network."""
+
+    @property
+    def holds(self) -> bool:
+        return self.logits.holds and self.n_differ == 0 and (self.landmarks.holds or self.landmarks.n == 0)
+
+
+def compare_engines(model: Model, classifier: Classifier, regressor: Regressor | None = None) -> Agreement:
+    """Hold networks against the model's compiled ones, on windows of the bundled samples, or of made streams where
+    the model is for another sensor. Landmark networks are compared on the raw volumes of the same windows.
+
+    Parameters
+    ----------
+    regressor : needed where the model has a landmark network.
+    """
+    config = model.config
+    streams, recordings = list(_samples(model)), "bundled samples"
+    if not streams:
+        streams, recordings = list(_made(model)), "made streams"
+    agreement = Agreement(recordings)
+    compiled = CompiledClassifier(model)
+    compiled_regressor = CompiledRegressor(model) if config.needs_regressor else None
+    raw = config.replace(transform="none", landmark="center", remove_flow=False)
+    with progress(len(streams), "checking") as bar:
+        for events in streams:
+            for _, volume in closed_volumes(events, config, 0, None, compiled_regressor):
+                ours, theirs = compiled(volume), np.asarray(classifier(volume))
+                difference = float(np.abs(ours - theirs).max())
+                agreement.plain_logits.add(difference)
+                agreement.logits.add(difference / max(1.0, float(np.abs(ours).max())))
+                agreement.n_differ += int(ours.argmax() != theirs.argmax())
+            if compiled_regressor is not None and regressor is not None:
+                for _, volume in closed_volumes(events, raw, 0, None):
+                    distance = np.abs(np.subtract(compiled_regressor(volume), regressor(volume))).max()
+                    agreement.landmarks.add(float(distance))
+            bar.update()
+    return agreement
+
+
+def _samples(model: Model) -> Iterator[np.ndarray]:
+    """The first windows of each bundled sample, where they are of the model's sensor."""
+    for path in sample_recordings().values():
+        recording = open_recording(path)
+        if recording.sensor == model.config.sensor:
+            events = recording.read().astype(EVENT_DTYPE, copy=False)
+            yield events[events["t"] < events["t"][0] + N_WINDOWS * model.config.window_us]
+
+
+def _made(model: Model) -> Iterator[np.ndarray]:
+    """An edge that moves over the sensor, among noise; seeded."""
+    (width, height), n = model.config.sensor, 4000
+    for seed in range(N_MADE):
+        rng = np.random.default_rng(seed)
+        events = np.zeros(n, EVENT_DTYPE)
+        events["t"] = np.sort(rng.integers(0, N_WINDOWS * model.config.window_us, n))
+        along = events["t"] / (N_WINDOWS * model.config.window_us)
+        edge = (0.25 + 0.5 * along + rng.normal(0, 0.02, n)) * (width - 1)
+        noise = rng.random(n) < 0.3
+        events["x"] = np.where(noise, rng.integers(0, width, n), edge.round().clip(0, width - 1))
+        events["y"] = rng.integers(0, height, n)
+        events["p"] = np.where(noise, rng.integers(0, 2, n), events["x"] > edge)
+        yield events

@@ -1,0 +1,68 @@
+"""The compiled classifier: a model's network as a callable on volumes, which computes only what has changed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from async_tnt.kernels.classify import classify_array, classify_cells
+from async_tnt.kernels.layout import EPOCH
+from async_tnt.networks.classifier_arrays import new_network
+from async_tnt.networks.feature_maps import VolumeInput
+from async_tnt.networks.model import Model
+from async_tnt.volume import TNTVolume
+
+
+class CompiledClassifier:
+    """The network of a model, compiled: volume (C, H, W) -> logits (n_classes,).
+
+    conv 3x3, ReLU, 2x2 average pool, twice; then two dense layers with a ReLU between (Wang 2019, section on
+    the classifier). Equal to the torch reference to 1e-4. Called with an array it computes the whole network;
+    `refresh` computes what has changed in a volume since its last call. Both give the same logits, bit for bit.
+    Holds its feature maps: one instance per thread.
+
+    Raises
+    ------
+    ValueError : (when called) the volume's shape is not the model's.
+
+    Examples
+    --------
+    >>> from async_tnt import load_model
+    >>> model = load_model("digits")
+    >>> network, volume = CompiledClassifier(model), TNTVolume(model.config)
+    >>> for t in range(1, 100):
+    ...     _ = volume.update_one(t, t % 34, 17, 1)
+    ...     assert (network.refresh(volume) == CompiledClassifier(model)(volume.array)).all()
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.shape = model.config.shape
+        self.n_classes = len(model.classes)
+        self.network = new_network(model)
+        self._input = VolumeInput(self.shape)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.network.plan[EPOCH] = 0  # a window may have the same number here that another one had there
+
+    def __call__(self, volume: np.ndarray) -> np.ndarray:
+        """Logits of one volume: float32, shape (n_classes,), a new array."""
+        logits = np.empty(self.n_classes, np.float32)
+        classify_array(self._input(volume), *self.network, logits)
+        return logits
+
+    def refresh(self, volume: TNTVolume) -> np.ndarray:
+        """Logits of a volume's open window, a new array; quick where little has changed since the last call.
+
+        Any volume of the model's shape will do, also another one than at the last call.
+        """
+        if volume.config.shape != self.shape:
+            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.config.shape}")
+        return self.answer(volume)[1]
+
+    def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
+        """`refresh` for a volume whose shape is known to fit: class (-1 if a logit is not finite), logits, and
+        probabilities (float64, shape (n_classes,))."""
+        logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)
+        return classify_cells(volume.state(), *self.network, logits, probabilities), logits, probabilities

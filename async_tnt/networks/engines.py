@@ -1,0 +1,118 @@
+"""Which engine runs a model's networks: what `async-tnt run --engine` chooses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from async_tnt.config import TNTConfig
+from async_tnt.networks.model import Model, load_model
+from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
+from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
+from async_tnt.networks.torch_network import TorchClassifier
+from async_tnt.processor import Processor
+
+ENGINES = ("compiled", "onnx", "torch")
+
+
+@dataclass(frozen=True)
+class Engine:
+    """A model's configuration and classes, and what runs its networks."""
+
+    name: str
+    model: Model | TNTConfig
+    classes: Sequence[str]
+    networks: dict[str, Any] = field(default_factory=dict)
+    """`classifier` and, where the configuration needs one, `regressor`; none for a Model that runs its own."""
+
+    @property
+    def config(self) -> TNTConfig:
+        return self.model.config if isinstance(self.model, Model) else self.model
+
+    def processor(self, **settings: Any) -> Processor:
+        """A Processor that decides by these networks; `settings` are its own."""
+        return Processor(self.model, classes=self.classes, **self.networks, **settings)
+
+
+def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine:
+    """A model, and the engine that runs its networks.
+
+    Parameters
+    ----------
+    name_or_path : as for `load_model`, or an .onnx file that `async-tnt export` wrote.
+    engine : `compiled` (Numba; by default), `onnx` (exported in memory, run by onnxruntime) or `torch` (the reference
+        networks). An .onnx file runs by `onnx`, and only by it.
+
+    Raises
+    ------
+    ImportError : the engine is not installed.
+    FileNotFoundError : no such file.
+    ValueError : the file is damaged, or an .onnx file of other people, which lacks the configuration.
+    """
+    if engine not in (*ENGINES, None):
+        raise ValueError(f"`engine` must be one of {', '.join(ENGINES)}, got {engine!r}")
+    if is_onnx(name_or_path):
+        if engine not in ("onnx", None):
+            raise ValueError(
+                f"{name_or_path}: an .onnx file runs by engine onnx, not {engine}; that runs the .safetensors file "
+                "or bundled model it was made from"
+            )
+        return _of_file(Path(name_or_path))
+    model = load_model(name_or_path)
+    if engine == "onnx":
+        return Engine("onnx", model, model.classes, _onnx_networks(model))
+    if engine == "torch":
+        return Engine("torch", model, model.classes, _torch_networks(model))
+    return Engine("compiled", model, model.classes)
+
+
+def is_onnx(name_or_path: str | Path) -> bool:
+    return Path(name_or_path).suffix.lower() == ".onnx"
+
+
+def regressor_path(path: Path) -> Path:
+    """Where the landmark network of an exported model lies: net.onnx -> net.regressor.onnx, beside it."""
+    return path.with_suffix(".regressor" + path.suffix)
+
+
+def _of_file(path: Path) -> Engine:
+    classifier = OnnxClassifier(path)
+    if classifier.exported is None:
+        raise ValueError(
+            f"{path}: an ONNX network without a configuration of this package, which says how events become its "
+            "volume; a Python program can give one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
+        )
+    networks: dict[str, Any] = {"classifier": classifier}
+    config = classifier.exported.config
+    if config.needs_regressor:
+        beside = regressor_path(path)
+        if not beside.exists():
+            raise FileNotFoundError(f"no file {beside}: the landmark network of {path}, which `export` wrote beside it")
+        regressor = OnnxRegressor(beside)
+        if regressor.exported is None or regressor.exported.weights != classifier.exported.weights:
+            raise ValueError(f"{beside} is not the landmark network of {path}: they are of two models")
+        networks["regressor"] = regressor
+    return Engine("onnx", config, classifier.exported.classes, networks)
+
+
+def _onnx_networks(model: Model) -> dict[str, Any]:
+    networks: dict[str, Any] = {"classifier": OnnxClassifier(to_onnx(model))}
+    if model.config.needs_regressor:
+        networks["regressor"] = OnnxRegressor(regressor_to_onnx(model))
+    return networks
+
+
+def _torch_networks(model: Model) -> dict[str, Any]:
+    try:
+        from async_tnt.checking.reference import reference_regressor
+        from async_tnt.training.networks import network_of
+    except ImportError as error:
+        raise ImportError(
+            f"engine torch runs the reference network, which needs torch: pip install '.[reference]' ({error})"
+        ) from None
+    networks: dict[str, Any] = {"classifier": TorchClassifier(network_of(model))}
+    if model.config.needs_regressor:
+        networks["regressor"] = reference_regressor(model)
+    return networks

@@ -1,0 +1,225 @@
+"""Events as bytes in datagrams, in the formats that others speak. All little endian; a datagram holds whole events.
+
+| format            | bytes | one event                                                                         |
+| ----------------- | ----- | --------------------------------------------------------------------------------- |
+| `t64_x16_y16_on8` | 13    | t u64, x u16, y u16, on u8 (faery)                                                |
+| `t32_x16_y15_on1` | 8     | t u32 (low half of t), x u16, then u16: y in bits 15..1, on in bit 0 (faery)      |
+| `spif`            | 4     | u32: 1 in bit 31, x in 30..16, on in 15, y in 14..0; no time (spiffer, AEStream)  |
+| `spif_t32`        | 8     | the same with 0 in bit 31, then t u32 (AEStream's with timestamps)                |
+
+References
+----------
+faery, https://github.com/aestream/faery (udp_encoder.py); spif, https://github.com/SpiNNakerManchester/spif
+(spiffer/README.md); AEStream, https://github.com/aestream/aestream (dvs_to_udp.cpp).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.kernels.datagrams import (
+    AHEAD,
+    ARGUMENTS,
+    INITIAL,
+    LATE,
+    MALFORMED,
+    NO_LIMIT,
+    OFF_SENSOR,
+    RESTARTS,
+    SPIF,
+    SPIF_T32,
+    T32,
+    T64,
+    decode_events,
+)
+from async_tnt.kernels.jit import compile_only
+
+EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32": 8}
+"""Format -> bytes of one event."""
+MAX_DATAGRAM_BYTES = 65_507
+"""What one UDP datagram over IPv4 can hold."""
+
+_PACKED_8 = np.dtype([("t", "<u4"), ("x", "<u2"), ("y_on", "<u2")])
+_TIMED_WORD = np.dtype([("word", "<u4"), ("t", "<u4")])
+_ABSENT = 1 << 31  # SPIF: no time follows
+_KIND = {"t64_x16_y16_on8": T64, "t32_x16_y15_on1": T32, "spif": SPIF, "spif_t32": SPIF_T32}
+_MAX_SIDE = {"t64_x16_y16_on8": 1 << 16, "t32_x16_y15_on1": 1 << 15, "spif": 1 << 15, "spif_t32": 1 << 15}
+
+
+class Decoded(NamedTuple):
+    """What some bytes held."""
+
+    events: np.ndarray
+    """Structured array of `EVENT_DTYPE`, new memory."""
+    malformed: int
+    """Events left out: cut off, off the sensor, a polarity beyond 1, a time before 0, beyond 2**62 us, or far ahead."""
+
+
+def checked_format(format: str) -> str:
+    """`format` itself, or ValueError."""
+    if format not in EVENT_BYTES:
+        raise ValueError(f"`format` must be one of {', '.join(EVENT_BYTES)}, got {format!r}")
+    return format
+
+
+def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
+    """Events as the payload of one datagram.
+
+    Parameters
+    ----------
+    events : structured array with fields t, x, y, p, such as `EVENT_DTYPE`; see `async_tnt.events.as_events`.
+    format : one of `EVENT_BYTES`. Those with 32 bits of time keep the low ones: the receiver unwraps.
+
+    Raises
+    ------
+    ValueError : unknown format; a coordinate that it has no bits for.
+
+    Examples
+    --------
+    >>> event = np.array([(258, 3, 4, 1)], EVENT_DTYPE)
+    >>> encode(event).hex(" "), encode(event, "spif").hex(" ")
+    ('02 01 00 00 00 00 00 00 03 00 04 00 01', '04 80 03 80')
+    """
+    side = _MAX_SIDE[checked_format(format)]
+    for field in ("x", "y"):
+        if len(events) and side < 1 << 16 and int(events[field].max()) >= side:
+            i = int(np.argmax(events[field] >= side))
+            raise ValueError(f"`{field}` must be in [0, {side}) for {format}, got {events[field][i]} at event {i}")
+    if format == "t64_x16_y16_on8":  # our own records, bit for bit
+        return events.astype(EVENT_DTYPE, copy=False).tobytes()
+    if format == "t32_x16_y15_on1":
+        packed = np.empty(len(events), _PACKED_8)
+        packed["t"] = events["t"] & 0xFFFFFFFF
+        packed["x"] = events["x"]
+        packed["y_on"] = events["y"] << 1 | events["p"]
+        return packed.tobytes()
+    word = events["x"].astype("<u4") << 16 | events["p"].astype("<u4") << 15 | events["y"]
+    if format == "spif":
+        return (word | _ABSENT).astype("<u4").tobytes()
+    timed = np.empty(len(events), _TIMED_WORD)
+    timed["word"] = word
+    timed["t"] = events["t"] & 0xFFFFFFFF
+    return timed.tobytes()
+
+
+class Decoder:
+    """Bytes of one stream to events. Never raises, whatever the bytes.
+
+    Times of 32 bits are unwrapped: each is taken to lie within 2**31 us (36 minutes) of the newest event before it, so
+    what comes out does not depend on how the stream was cut. `spif` has no time: its events get the time of arrival.
+
+    Parameters
+    ----------
+    format : one of `EVENT_BYTES`.
+    sensor : (width, height) in pixels; events beyond it are malformed. None: whatever the format can say.
+    max_jump_s : how far ahead of the stream, in seconds, an event may be; beyond that it is malformed, unless the
+        datagrams after it agree: then the stream has moved. So it has where they agree that it fell back: from then on
+        times are shifted, so that they go on, see `async_tnt.kernels.datagrams`. None: as far as it likes, and
+        times stay what they are.
+    """
+
+    def __init__(
+        self,
+        format: str = "t64_x16_y16_on8",
+        sensor: tuple[int, int] | None = None,
+        max_jump_s: float | None = None,
+    ) -> None:
+        self.format = checked_format(format)
+        if max_jump_s is not None and not 0 < max_jump_s < 1e9:
+            raise ValueError(f"`max_jump_s` must be a positive number of seconds, or None, got {max_jump_s}")
+        compile_only(decode_events, *ARGUMENTS)
+        self.event_bytes = EVENT_BYTES[format]
+        self.sensor = sensor
+        self.max_jump_s = max_jump_s
+        self._kind = _KIND[format]
+        self._width, self._height = sensor or (1 << 16, 1 << 16)
+        self._max_jump_us = NO_LIMIT if max_jump_s is None or format == "spif" else round(max_jump_s * 1e6)
+        self._state = np.array(INITIAL, np.int64)
+
+    @property
+    def malformed(self) -> int:
+        """Events left out so far, those of `ahead` and of `off_sensor` among them."""
+        return int(self._state[MALFORMED])
+
+    @property
+    def ahead(self) -> int:
+        """Events left out because their time was too far ahead of the stream."""
+        return int(self._state[AHEAD])
+
+    @property
+    def restarts(self) -> int:
+        """How often the sender's clock started anew: since then, times are shifted, so that they go on."""
+        return int(self._state[RESTARTS])
+
+    @property
+    def off_sensor(self) -> int:
+        """Events left out because they lie off the sensor."""
+        return int(self._state[OFF_SENSOR])
+
+    @property
+    def late(self) -> int:
+        """Events older than one before them; they are not left out."""
+        return int(self._state[LATE])
+
+    def decode(self, data: bytes | bytearray | memoryview, arrival_us: int | np.ndarray = 0) -> Decoded:
+        """The events in `data`: a datagram, or several of whole events, end to end.
+
+        Parameters
+        ----------
+        data : bytes. What is left after the last whole event counts as one malformed event.
+        arrival_us : microseconds on the receiver's clock: for `spif` the time of its events. One number for all as one
+            datagram, or one for each event, as if each had come in its own.
+        """
+        n, rest = divmod(len(data), self.event_bytes)
+        arrivals = np.array(arrival_us, np.int64, ndmin=1)
+        ends = np.arange(1, n + 1) if np.ndim(arrival_us) else np.array([n])
+        if len(arrivals) != len(ends):
+            raise ValueError(f"`arrival_us` must be one number or one for each of {n} events, got {len(arrivals)}")
+        self._state[MALFORMED] += rest > 0
+        before = self.malformed - (rest > 0)
+        events = self.decode_datagrams(np.frombuffer(data, np.uint8), ends, arrivals, len(ends))
+        return Decoded(events, self.malformed - before)
+
+    def decode_datagrams(self, raw: np.ndarray, ends: np.ndarray, arrivals: np.ndarray, n_datagrams: int) -> np.ndarray:
+        """The events of several datagrams of whole events, end to end in `raw`, as `EVENT_DTYPE` in new memory.
+
+        Parameters
+        ----------
+        raw : uint8, the bytes.
+        ends : int64, shape (at least n_datagrams,). Where each ends, in events.
+        arrivals : int64, as `ends`. When each came, in microseconds.
+        """
+        n = int(ends[n_datagrams - 1]) if n_datagrams else 0
+        events = np.empty(n, EVENT_DTYPE)
+        n_good = decode_events(
+            raw,
+            self._kind,
+            ends,
+            arrivals,
+            n_datagrams,
+            self._width,
+            self._height,
+            self._max_jump_us,
+            self._state,
+            np.frombuffer(events, np.uint8),
+        )
+        return events if n_good == n else events[:n_good]
+
+
+def decode(
+    data: bytes | bytearray | memoryview,
+    format: str = "t64_x16_y16_on8",
+    sensor: tuple[int, int] | None = None,
+    arrival_us: int = 0,
+) -> Decoded:
+    """The events of one datagram by itself; see `Decoder`, which goes on from datagram to datagram.
+
+    Examples
+    --------
+    >>> decode(bytes.fromhex("02 01 00 00 00 00 00 00 03 00 04 00 01 ff")).malformed
+    1
+    """
+    return Decoder(format, sensor).decode(data, arrival_us)

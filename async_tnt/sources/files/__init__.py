@@ -1,0 +1,1 @@
+"""Recordings: `open_recording`, and a file for each format that it reads."""

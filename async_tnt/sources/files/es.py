@@ -1,0 +1,128 @@
+"""Event Stream files (`.es`), version 2, with DVS or ATIS events; of ATIS events, those of changing light.
+
+    "Event Stream", version (3 bytes), type (1: DVS, 2: ATIS), width, height (2 bytes each, little-endian)
+    then, each event: time since the one before, and polarity, in a byte; x, y in two bytes each
+        DVS    bits 7-1 time, bit 0 polarity;  0xFF: 127 us pass;  0xFE: nothing
+        ATIS   bits 7-2 time, bits 1-0 what (0: OFF, 2: ON, 1 and 3: an exposure);  0xFC + n: 63 n us pass
+
+The format counts y from the bottom; here it counts from the top, as everywhere.
+
+References
+----------
+Marcireau, event_stream: the format's specification, version 2.0.0.
+"""
+
+# mypy: disallow-untyped-defs=False
+# (Numba functions: their types are in the docstrings)
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numba import types
+
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.kernels.jit import compile_only, compiled
+from async_tnt.kernels.records import COLUMN_TYPES
+from async_tnt.sources.files.damage import Damage
+from async_tnt.sources.files.source import BLOCK_EVENTS, Source
+
+MAGIC = b"Event Stream"
+HEADER_BYTES = 20
+DVS, ATIS = 1, 2
+PLACE_BYTES = 4
+KERNEL_TYPES = (
+    types.Array(types.uint8, 1, "C", readonly=True),
+    types.int64,
+    types.int64,
+    types.int64,
+    types.int64,
+    *COLUMN_TYPES,
+)
+
+
+@compiled
+def decode_es(data, time, kind, width, height, t, x, y, p):
+    """Read whole events; returns (events written, bytes read, time after them, whether the next is off the sensor)."""
+    n = 0
+    i = 0
+    while i < data.size and n < t.size:
+        byte = np.int64(data[i])
+        if kind == DVS and byte >= 254:
+            if byte == 255:
+                time += 127
+            i += 1
+            continue
+        if kind == ATIS and byte >= 252:
+            time += 63 * (byte & 3)
+            i += 1
+            continue
+        if i + 1 + PLACE_BYTES > data.size:
+            break
+        column = np.int64(data[i + 1]) | np.int64(data[i + 2]) << 8
+        row = np.int64(data[i + 3]) | np.int64(data[i + 4]) << 8
+        if column >= width or row >= height:
+            return n, i, time, True
+        time += byte >> 1 if kind == DVS else byte >> 2
+        if kind == DVS or byte & 1 == 0:
+            t[n], x[n], y[n] = time, column, height - 1 - row
+            p[n] = byte & 1 if kind == DVS else byte >> 1 & 1
+            n += 1
+        i += 1 + PLACE_BYTES
+    return n, i, time, False
+
+
+class EsSource(Source):
+    """The events of an Event Stream file.
+
+    Raises
+    ------
+    ValueError : no such header, another version than 2, or events of another type.
+    """
+
+    def __init__(self, path: Path) -> None:
+        with path.open("rb") as file:
+            header = file.read(HEADER_BYTES)
+        if not header.startswith(MAGIC) or len(header) < HEADER_BYTES:
+            raise ValueError(f"{path}: expected the {HEADER_BYTES} bytes of an Event Stream header, got {header!r}")
+        if header[12] != 2 or header[15] not in (DVS, ATIS):
+            raise ValueError(
+                f"{path}: expected Event Stream version 2 with DVS (1) or ATIS (2) events, "
+                f"got version {header[12]}.{header[13]}.{header[14]} with type {header[15]}"
+            )
+        self.path = path
+        self._kind = header[15]
+        self.sensor = int.from_bytes(header[16:18], "little"), int.from_bytes(header[18:20], "little")
+        if 0 in self.sensor:
+            raise ValueError(f"{path}: a sensor must have at least one pixel a side, got {self.sensor}")
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        compile_only(decode_es, *KERNEL_TYPES)
+        assert self.sensor is not None  # for mypy: the header has it
+        width, height = self.sensor
+        t, x, y, p = (np.empty(BLOCK_EVENTS, EVENT_DTYPE[name]) for name in ("t", "x", "y", "p"))
+        time, place, rest = 0, HEADER_BYTES, b""
+        with self.path.open("rb") as file:
+            file.seek(HEADER_BYTES)
+            while chunk := file.read(BLOCK_EVENTS):
+                data = rest + chunk
+                n, done, time, is_off = decode_es(
+                    np.frombuffer(data, np.uint8), time, self._kind, width, height, t, x, y, p
+                )
+                if n:
+                    events = np.empty(n, EVENT_DTYPE)
+                    events["t"], events["x"], events["y"], events["p"] = t[:n], x[:n], y[:n], p[:n]
+                    yield events
+                place += done
+                if is_off:
+                    raise Damage(f"the event at byte {place} is off the {width} x {height} sensor")
+                rest = data[done:]
+        if rest:
+            raise Damage(f"the file ends {len(rest)} bytes into the event at byte {place}, which has 5")
+
+
+def open_es(path: Path) -> Source:
+    """Open an Event Stream file."""
+    return EsSource(path)

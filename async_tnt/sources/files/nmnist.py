@@ -1,0 +1,205 @@
+"""N-MNIST recordings on disk: five bytes an event, no header.
+
+    byte 0   x
+    byte 1   y; 240 marks a timer overflow, not an event
+    byte 2   bit 7: polarity (1 = ON); bits 6-0: bits 22-16 of the time
+    byte 3   bits 15-8 of the time
+    byte 4   bits 7-0 of the time, in microseconds
+
+Events are in order of time. At each overflow row the camera's timer had lost 2^13 us: this row and every
+later one is that much later than written. N-Caltech101 uses the same layout on a larger sensor.
+
+References
+----------
+Orchard, Jayawant, Cohen, Thakor 2015, Converting Static Image Datasets to Spiking Neuromorphic Datasets
+Using Saccades, Frontiers in Neuroscience 9:437. The overflow rule is the one of the Python readers in use
+for the data set: the timer in the camera's own event words has 13 bits, and the marking row carries on from
+there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
+"""
+
+from __future__ import annotations
+
+import operator
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.files import replacing
+
+SENSOR = (34, 34)
+"""Width and height of N-MNIST's sensor crop, in pixels."""
+
+BYTES_PER_EVENT = 5
+OVERFLOW_Y = 240
+OVERFLOW_US = 1 << 13
+TIME_LIMIT_US = 1 << 23
+
+
+def read_nmnist(
+    path: str | os.PathLike[str],
+    *,
+    strict: bool = True,
+    sensor: tuple[int, int] | None = SENSOR,
+) -> np.ndarray:
+    """Read one recording in N-MNIST's format.
+
+    The format has no checksum. What can be recognised as damage is: a file that ends inside an event, an
+    event off the sensor, and a time earlier than the one before it.
+
+    Parameters
+    ----------
+    path : path of the `.bin` file.
+    strict : True raises at damage; False warns and returns the events before it.
+    sensor : (width, height) that every event must lie on; None for any pixel up to 255, for example to
+        read N-Caltech101 where its camera is not known.
+
+    Returns
+    -------
+    Structured array of `EVENT_DTYPE`, in order of time; of length 0 for an empty file. Overflow rows are
+    already applied and removed.
+
+    Raises
+    ------
+    ValueError : damage, when `strict`. The message names the file, the place and the rule; a note to it, which
+        Python shows and the program leaves out, what to pass.
+    OSError : no such file, a folder, or not readable.
+    """
+    path = Path(path)
+    raw = path.read_bytes()
+    n_rows, n_left = divmod(len(raw), BYTES_PER_EVENT)
+    rows = np.frombuffer(raw, np.uint8, n_rows * BYTES_PER_EVENT).reshape(n_rows, BYTES_PER_EVENT)
+
+    t_us = rows[:, 2].astype(np.int64) & 0x7F
+    t_us = t_us << 16 | rows[:, 3].astype(np.int64) << 8 | rows[:, 4]
+    is_overflow = rows[:, 1] == OVERFLOW_Y
+    t_us += OVERFLOW_US * np.cumsum(is_overflow)
+
+    event_rows = np.flatnonzero(~is_overflow)
+    events = np.empty(len(event_rows), EVENT_DTYPE)
+    events["t"] = t_us[event_rows]
+    events["x"] = rows[event_rows, 0]
+    events["y"] = rows[event_rows, 1]
+    events["p"] = rows[event_rows, 2] >> 7
+
+    n_good, damage = _first_damage(events, event_rows, sensor)
+    advice = f"Pass strict=False for the {n_good} events before."
+    remedy = "Fetch the file again"
+    if damage is not None and n_good < len(events) and _is_off(events[n_good], sensor):
+        remedy += ", or say its sensor if it is of another camera"
+        advice += " Pass sensor=(width, height), or None for any, if the recording is of another sensor."
+    if damage is None and n_left:
+        damage = (
+            f"the size must be a multiple of {BYTES_PER_EVENT} bytes (one event each), got {len(raw)}: "
+            f"the file ends {n_left} bytes into row {n_rows}"
+        )
+    if damage is None:
+        return events
+    text = f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {damage}"
+    if strict:
+        error = ValueError(f"{text}. {remedy}.")
+        error.add_note(advice)
+        raise error
+    warnings.warn(f"{text}. Keeping the {n_good} events before.", stacklevel=2)
+    return events[:n_good].copy()
+
+
+def write_nmnist(path: str | os.PathLike[str], events: np.ndarray, *, sensor: tuple[int, int] | None = SENSOR) -> None:
+    """Write events in N-MNIST's format; `read_nmnist` gives the same events back.
+
+    Parameters
+    ----------
+    path : file to write, replaced if it exists.
+    events : structured array with integer fields `t` (us), `x`, `y`, `p` (0 or 1), in order of time.
+    sensor : (width, height) that every event must lie on; None for any pixel the format can hold. On every sensor
+        that is up to 255, without row 240, which marks a timer overflow.
+
+    Raises
+    ------
+    TypeError : `events` is not such an array.
+    ValueError : a value does not fit the format; names field, rule, value and index. Nothing is written then.
+    OSError : the file cannot be written.
+    """
+    names = getattr(getattr(events, "dtype", None), "names", None) or ()
+    missing = [name for name in ("t", "x", "y", "p") if name not in names]
+    if missing or events.ndim != 1:
+        raise TypeError(f"`events` must be a 1-D structured array with fields t, x, y, p; got {_describe(events)}")
+    for name in ("t", "x", "y", "p"):
+        if events.dtype[name].kind not in "iub":
+            raise TypeError(f"`{name}` must have an integer type, got {events.dtype[name]}")
+
+    width, height = (min(side, 256) for side in (checked_sensor(sensor) if sensor is not None else (256, 256)))
+    _check_range("t", events["t"], TIME_LIMIT_US)
+    _check_range("x", events["x"], width)
+    _check_range("y", events["y"], height)
+    _check_range("p", events["p"], 2)
+    _refuse(events["y"] == OVERFLOW_Y, "y", events["y"], f"must not be {OVERFLOW_Y}, the mark of a timer overflow")
+    t_us = events["t"].astype(np.int64)
+    _refuse(np.diff(t_us, prepend=t_us[:1]) < 0, "t", t_us, "must never decrease")
+
+    rows = np.empty((len(events), BYTES_PER_EVENT), np.uint8)
+    rows[:, 0] = events["x"]
+    rows[:, 1] = events["y"]
+    rows[:, 2] = t_us >> 16 | events["p"].astype(np.int64) << 7
+    rows[:, 3] = t_us >> 8 & 0xFF
+    rows[:, 4] = t_us & 0xFF
+    with replacing(Path(path)) as part:
+        part.write_bytes(rows.tobytes())
+
+
+def _first_damage(events: np.ndarray, event_rows: np.ndarray, sensor: tuple[int, int] | None) -> tuple[int, str | None]:
+    """The number of good events before the first bad one, and what is wrong with it (None: nothing)."""
+    off_sensor = np.zeros(len(events), bool)
+    if sensor is not None:
+        width, height = checked_sensor(sensor)
+        off_sensor = (events["x"] >= width) | (events["y"] >= height)
+    backwards = np.zeros(len(events), bool)
+    backwards[1:] = np.diff(events["t"]) < 0
+    bad = np.flatnonzero(off_sensor | backwards)
+    if len(bad) == 0:
+        return len(events), None
+    i = int(bad[0])
+    row = int(event_rows[i])
+    place = f"event {i} (byte {row * BYTES_PER_EVENT})"
+    if off_sensor[i]:
+        x, y = int(events["x"][i]), int(events["y"][i])
+        return i, f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}"
+    return i, f"`t` must never decrease, got {events['t'][i]} us after {events['t'][i - 1]} us at {place}"
+
+
+def _is_off(event: np.void, sensor: tuple[int, int] | None) -> bool:
+    return sensor is not None and bool(event["x"] >= sensor[0] or event["y"] >= sensor[1])
+
+
+def checked_sensor(sensor: tuple[int, int]) -> tuple[int, int]:
+    """(width, height) as two Python integers; larger than a byte addresses, too: N-Caltech101's camera had 304 x 240.
+
+    Raises
+    ------
+    ValueError : not two whole numbers of at least 1.
+    """
+    try:
+        width, height = (operator.index(side) for side in sensor)
+    except (TypeError, ValueError):
+        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {sensor!r}") from None
+    if width < 1 or height < 1:
+        raise ValueError(f"`sensor` must be (width, height), each at least 1, got {sensor!r}")
+    return width, height
+
+
+def _check_range(name: str, values: np.ndarray, limit: int) -> None:
+    _refuse((values < 0) | (values >= limit), name, values, f"must be in [0, {limit})")
+
+
+def _refuse(bad: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise ValueError(f"`{name}` {rule}, got {int(values[i])} at event {i}")
+
+
+def _describe(events: object) -> str:
+    if isinstance(events, np.ndarray):
+        return f"shape {events.shape} of {events.dtype}"
+    return type(events).__name__

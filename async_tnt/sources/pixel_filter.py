@@ -1,0 +1,170 @@
+"""A filter of events by pixel: a region of interest, and a mask."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import int64, uint8
+
+from async_tnt.checks import is_whole
+from async_tnt.events import EVENT_DTYPE, EventDoor
+from async_tnt.kernels.jit import compile_only
+from async_tnt.kernels.pixel_filter import MASKED, OUTSIDE, keep_events
+from async_tnt.kernels.records import COLUMN_TYPES
+from async_tnt.sources.pixel_masks import checked_mask, checked_sensor, load_mask
+from async_tnt.sources.sizes import by
+
+
+@dataclass(frozen=True, slots=True)
+class PixelCounts:
+    """Events of a filter so far: received = kept + dropped_masked + dropped_outside."""
+
+    received: int = 0
+    kept: int = 0
+    dropped_masked: int = 0
+    """At masked pixels of the region of interest."""
+    dropped_outside: int = 0
+    """Outside of the region of interest, masked or not."""
+
+    def __add__(self, other: PixelCounts) -> PixelCounts:
+        return PixelCounts(*(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__))
+
+    def __sub__(self, other: PixelCounts) -> PixelCounts:
+        return PixelCounts(*(getattr(self, name) - getattr(other, name) for name in self.__dataclass_fields__))
+
+
+class PixelFilter:
+    """From any events to a packet without those of unwanted pixels, in their order.
+
+    Parameters
+    ----------
+    sensor : (width, height) of the camera, in pixels.
+    roi : region of interest (x, y, width, height), its upper left pixel and its size; None: the whole sensor.
+    mask : bool array, shape (H, W) of the whole sensor, True where a pixel's events are left out; or the path of such
+        a `.npy` file; None: no pixel is masked.
+    crop : shift coordinates to the region's upper left corner. Without it they stay as they are.
+
+    Attributes
+    ----------
+    sensor : (width, height) of the packets that come out: the region's size with `crop`, else the camera's.
+
+    Raises
+    ------
+    ValueError : a region that is not on the sensor, a mask of another type or shape, a damaged file.
+    OSError : the mask's file is missing or not readable.
+
+    Example
+    -------
+    >>> right_half = PixelFilter((34, 34), roi=(17, 0, 17, 34), crop=True)
+    >>> right_half(([10, 11], [5, 20], [3, 4], [1, 0])).tolist()  # t, x, y, p
+    [(11, 3, 4, 0)]
+    >>> right_half.sensor, right_half.counts.dropped_outside
+    ((17, 34), 1)
+    """
+
+    def __init__(
+        self,
+        sensor: tuple[int, int],
+        roi: tuple[int, int, int, int] | None = None,
+        mask: np.ndarray | str | os.PathLike[str] | None = None,
+        *,
+        crop: bool = False,
+    ) -> None:
+        compile_only(keep_events, *COLUMN_TYPES, int64, uint8[:, ::1], int64, int64, uint8[::1])
+        width, height = checked_sensor(sensor)
+        check_crop(crop, roi)
+        left, top, roi_width, roi_height = (0, 0, width, height) if roi is None else _checked_roi(roi, width, height)
+        if isinstance(mask, (str, os.PathLike)):
+            mask = load_mask(mask, (width, height))
+        elif mask is not None:
+            mask = checked_mask(mask, (width, height))
+        self.roi = (left, top, roi_width, roi_height)
+        self.crop = bool(crop)
+        self.sensor = (roi_width, roi_height) if crop else (width, height)
+        self.n_masked_pixels = 0 if mask is None else int(np.count_nonzero(mask))
+        self._verdicts = np.full((height, width), OUTSIDE, np.uint8)
+        inside = self._verdicts[top : top + roi_height, left : left + roi_width]
+        inside[:] = 0 if mask is None else mask[top : top + roi_height, left : left + roi_width] * np.uint8(MASKED)
+        self._corner = (left, top) if crop else (0, 0)
+        self._door = EventDoor((width, height))
+        self.reset()
+
+    def __call__(self, events: Any) -> np.ndarray:
+        """Filter a packet, in any form that `async_tnt.event_forms` lists.
+
+        Returns
+        -------
+        Structured array of `async_tnt.EVENT_DTYPE`, in memory of its own.
+
+        Raises
+        ------
+        ValueError, TypeError : as at the door of a Processor; nothing of such a packet counts.
+        """
+        t, x, y, p, n = self._door(events)
+        records = np.empty(n * EVENT_DTYPE.itemsize, np.uint8)
+        kept, masked = keep_events(t, x, y, p, n, self._verdicts, *self._corner, records)
+        self._received += n
+        self._kept += kept
+        self._masked += masked
+        return records[: kept * EVENT_DTYPE.itemsize].view(EVENT_DTYPE)
+
+    @property
+    def counts(self) -> PixelCounts:
+        """Events so far."""
+        outside = self._received - self._kept - self._masked
+        return PixelCounts(self._received, self._kept, self._masked, outside)
+
+    def reset(self) -> None:
+        """Set the counts to zero."""
+        self._received = self._kept = self._masked = 0
+
+    def __repr__(self) -> str:
+        height, width = self._verdicts.shape
+        crop = ", crop=True" if self.crop else ""
+        return f"PixelFilter(({width}, {height}), roi={self.roi}, {self.n_masked_pixels} pixels masked{crop})"
+
+
+def check_crop(crop: bool, roi: Any) -> None:
+    """Refuse `crop` where there is no region.
+
+    Raises
+    ------
+    ValueError.
+    """
+    if crop and roi is None:
+        raise ValueError("--crop belongs to --roi (in Python, `crop` to `roi`): the region that is to be the sensor")
+
+
+def whole_region(roi: Any) -> tuple[int, int, int, int]:
+    """(x, y, width, height) as four Python integers.
+
+    Raises
+    ------
+    ValueError : not four whole numbers, or no region of any sensor.
+    """
+    try:
+        numbers = tuple(roi)
+    except TypeError:
+        numbers = ()
+    if len(numbers) != 4 or not all(map(is_whole, numbers)):
+        raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {roi!r}")
+    left, top, width, height = map(int, numbers)
+    if min(left, top) < 0 or min(width, height) < 1:
+        raise ValueError(
+            "`roi` (x, y, width, height) must lie on the sensor, x and y at least 0, and hold at least one pixel, got "
+            f"({left}, {top}, {width}, {height})"
+        )
+    return left, top, width, height
+
+
+def _checked_roi(roi: Any, sensor_width: int, sensor_height: int) -> tuple[int, int, int, int]:
+    left, top, width, height = whole_region(roi)
+    if left + width > sensor_width or top + height > sensor_height:
+        raise ValueError(
+            f"`roi` (x, y, width, height) must lie on the sensor of {by((sensor_width, sensor_height))} pixels, got "
+            f"({left}, {top}, {width}, {height})"
+        )
+    return left, top, width, height

@@ -1,0 +1,81 @@
+"""A recording as if it came from a camera: at its own pace."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from async_tnt.sources.files.recording import open_recording
+
+
+def replay(
+    source: Iterable[np.ndarray] | np.ndarray | str | os.PathLike[str],
+    speed: float = 1.0,
+    *,
+    packet_us: int = 1000,
+) -> Iterator[np.ndarray]:
+    """Yield the packets of a recording when they happened, counted from the first event.
+
+    A packet comes when its last event is due, never before; it spans less than `packet_us`, so that its first event
+    is no later than that. Deadlines are absolute: sleeping a little too long is not added up, and a reader that was
+    slow gets what is overdue at once.
+
+    Parameters
+    ----------
+    source : a recording, its path, one structured array of events, or an iterable of such (fields t, x, y, p; t in
+        microseconds).
+    speed : recorded time per time on the clock: 2 is twice as fast. `math.inf` sleeps never; 0 is an error, since
+        nothing would ever come.
+    packet_us : the most recorded time of one packet, in microseconds.
+
+    Raises
+    ------
+    ValueError : `speed` is not above 0, or `packet_us` below 1.
+
+    Examples
+    --------
+    >>> import math
+    >>> from async_tnt.sources.files import sample_recordings
+    >>> packets = replay(sample_recordings()[7], speed=math.inf, packet_us=5000)
+    >>> packet = next(packets)
+    >>> bool(packet["t"][-1] - packet["t"][0] < 5000)
+    True
+    """
+    if not speed > 0:  # nan, too
+        raise ValueError(f"`speed` must be above 0 (math.inf: as fast as possible), got {speed}")
+    if packet_us < 1:
+        raise ValueError(f"`packet_us` must be at least 1, got {packet_us}")
+    if isinstance(source, (str, os.PathLike)):
+        source = open_recording(source)
+    return _replay([source] if isinstance(source, np.ndarray) else source, speed, int(packet_us))
+
+
+def _replay(source: Iterable[np.ndarray], speed: float, packet_us: int) -> Iterator[np.ndarray]:
+    started_ns = first_us = newest_us = None
+    for packet in source:
+        if len(packet) == 0:
+            continue
+        # an event that is out of order is due with the newest before it
+        due_us = np.maximum.accumulate(packet["t"].astype(np.int64))
+        if newest_us is not None:
+            np.maximum(due_us, newest_us, out=due_us)
+        newest_us = int(due_us[-1])
+        if first_us is None:
+            first_us = int(due_us[0])
+        cell = (due_us - first_us) // packet_us
+        cuts = np.flatnonzero(cell[1:] != cell[:-1]) + 1
+        for first, end in zip([0, *cuts.tolist()], [*cuts.tolist(), len(packet)], strict=True):
+            if started_ns is None:  # the clock starts when the first packet is asked for
+                started_ns = time.monotonic_ns()
+            wait_until(started_ns + round((int(due_us[end - 1]) - first_us) * 1000 / speed))
+            yield packet[first:end]
+
+
+def wait_until(deadline_ns: int) -> None:
+    """Sleep until `time.monotonic_ns()` says so; the system wakes us some 0.1 ms late, and no core is kept busy."""
+    left_ns = deadline_ns - time.monotonic_ns()
+    if left_ns > 0:
+        time.sleep(left_ns / 1e9)

@@ -1,0 +1,307 @@
+"""Events from the network as a source of packets, for `stream` and for `astream`."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import socket
+import threading
+import time
+from array import array
+from collections.abc import AsyncIterator, Iterator
+from typing import Any
+
+import numpy as np
+
+from async_tnt.sources.datagrams import Decoder
+from async_tnt.sources.udp_buffer import LostDatagrams, ask_for_buffer, buffer_advice
+from async_tnt.sources.udp_counts import NetworkCounts
+from async_tnt.sources.udp_url import checked_timeout, parse_udp_url, resolve
+from async_tnt.sources.udp_waiting import Waiter
+
+ROOM = 1 << 16  # more than any datagram: none is ever cut off
+BATCH_BYTES = 1 << 18
+DOUBTFUL = 1000  # events of which none is one: who listens is told what may be wrong
+MOST_DATAGRAMS = 1 << 14  # of one packet, as these may be empty
+
+log = logging.getLogger("async_tnt.sources")
+
+
+class UdpSource:
+    """Listens for datagrams of events.
+
+    Iterating (`for` or `async for`) yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of all
+    datagrams that were waiting, or of the one that ended a wait. It ends when `close` is called, from any thread, or
+    after `timeout_s` of silence. Outside data never raises: what is no event is counted, see `counts`. One thread, or
+    one task, iterates at a time.
+
+    Parameters
+    ----------
+    address, port : what to listen at; this machine alone by default. Anybody who reaches the port can send. Port 0
+        takes a free one: read `port`.
+    format : one of `async_tnt.sources.EVENT_BYTES`.
+    sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
+    buffer_bytes : asked of the system for datagrams that wait. If it gives less, `advice` says so, and so does the
+        log `async_tnt.sources`.
+    timeout_s : silence, in seconds, after which iterating ends; None waits for ever.
+    max_datagrams : of one packet.
+    max_jump_s : an event this many seconds ahead of where the stream should be by now is malformed, so that one forged
+        or damaged time does not close all windows; where the datagrams after it agree, the stream has moved, and is
+        followed. Where eight datagrams in a row are more than a second behind, the sender has started anew: from then
+        on its times are shifted, so that they go on, counted as `clock_restarts`. None: every time is believed, and
+        stays what it is.
+    spin_us : how long to ask again and again before sleeping, microseconds. A thread that does not sleep need not be
+        woken, which is most of the latency; it keeps a core busy meanwhile.
+
+    Raises
+    ------
+    OSError : the address is not this machine's, or taken.
+    ValueError : a setting out of range.
+
+    Examples
+    --------
+    >>> from async_tnt import EVENT_DTYPE
+    >>> from async_tnt.sources import UdpSender
+    >>> with UdpSource(port=0, timeout_s=1) as source, UdpSender(port=source.port) as sender:
+    ...     sender.send(np.array([(258, 3, 4, 1)], EVENT_DTYPE))
+    ...     next(iter(source)).tolist(), source.counts.events
+    ([(258, 3, 4, 1)], 1)
+    """
+
+    def __init__(
+        self,
+        address: str = "127.0.0.1",
+        port: int = 3333,
+        format: str = "t64_x16_y16_on8",
+        sensor: tuple[int, int] | None = None,
+        *,
+        buffer_bytes: int = 1 << 22,
+        timeout_s: float | None = None,
+        max_datagrams: int = 64,
+        max_jump_s: float | None = 10.0,
+        spin_us: float = 0.0,
+    ) -> None:
+        if not 0 <= port < 1 << 16:
+            raise ValueError(f"`port` must be in [0, 65535], got {port}")
+        if not 1 <= buffer_bytes < 1 << 30:
+            raise ValueError(f"`buffer_bytes` must be in [1, 2**30), got {buffer_bytes}")
+        if max_datagrams < 1:
+            raise ValueError(f"`max_datagrams` must be at least 1, got {max_datagrams}")
+        if not 0 <= spin_us <= 1e6:
+            raise ValueError(f"`spin_us` must be in [0, 1,000,000] microseconds, got {spin_us}")
+        self.timeout_s = None if timeout_s is None else checked_timeout(timeout_s)
+        self.max_datagrams = max_datagrams
+        self.spin_us = spin_us
+        self._decoder = Decoder(format, sensor, max_jump_s)
+        self._memory = memoryview(bytearray(BATCH_BYTES))
+        room = bytes(8 * min(max_datagrams, MOST_DATAGRAMS))
+        self._ends, self._arrivals = array("q", room), array("q", room)
+        # what the decoder sees of the three; to write a number through NumPy takes four times as long
+        self._raw = np.frombuffer(self._memory, np.uint8)
+        self._ends_seen, self._arrivals_seen = (
+            np.frombuffer(self._ends, np.int64),
+            np.frombuffer(self._arrivals, np.int64),
+        )
+        self._datagrams = self._bytes = self._events = self._cut = 0
+        self._started_ns = time.monotonic_ns()
+        self._closed = self._has_doubted = False
+        # Held while a thread reads or waits, so that `close` does not take the socket's number away under it:
+        # the system may give that to another one. Re-entrant: a signal's handler may close, too.
+        self._reading = threading.RLock()
+        family, where = resolve(address, port)
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            self._socket.bind(where)
+            self.buffer_bytes = ask_for_buffer(self._socket, buffer_bytes)
+            self._waiter = Waiter(self._socket)
+        except OSError as error:
+            self._socket.close()
+            raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
+        self._lost = LostDatagrams(self._socket)
+        self.address, self.port = self._socket.getsockname()[:2]
+        self.advice = buffer_advice(self.buffer_bytes, buffer_bytes)
+        if self.advice:
+            log.warning("%s", self.advice)
+
+    @property
+    def format(self) -> str:
+        return self._decoder.format
+
+    @property
+    def sensor(self) -> tuple[int, int] | None:
+        return self._decoder.sensor
+
+    @property
+    def closed(self) -> bool:
+        return self._closed
+
+    @property
+    def counts(self) -> NetworkCounts:
+        """Counts up to now; `lost` is asked of the system at this moment."""
+        decoder = self._decoder
+        return NetworkCounts(
+            self._datagrams,
+            self._bytes,
+            self._events,
+            self._cut + decoder.malformed,
+            decoder.late,
+            self._lost.read(),
+            decoder.ahead,
+            decoder.off_sensor,
+            decoder.restarts,
+        )
+
+    def summary(self) -> str:
+        """What was counted so far, in one line for people."""
+        return self.counts.summary()
+
+    def __repr__(self) -> str:
+        state = "closed" if self._closed else "open"
+        return f"UdpSource(udp://{self.address}:{self.port}?format={self.format}, {state}, {self.counts})"
+
+    # -- packets -----------------------------------------------------------------------------------------
+
+    def receive(self, timeout_s: float | None = None) -> np.ndarray | None:
+        """The next packet; None if none came within `timeout_s` (None: wait for ever) or the source was closed."""
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        spin_ns = round(self.spin_us * 1000)
+        most = MOST_DATAGRAMS
+        with self._reading:
+            while not self._closed:
+                events = self._drain(most)
+                if events is not None:
+                    return events
+                if spin_ns:
+                    spin_until = time.monotonic_ns() + spin_ns
+                    while time.monotonic_ns() < spin_until and not self._closed:
+                        if (events := self._drain(1)) is not None:
+                            return events
+                left = None if deadline is None else deadline - time.monotonic()
+                if left is not None and left <= 0:
+                    return None
+                self._waiter.wait(left)
+                # The datagram that ended the sleep is handed over by itself: to ask for more takes as long as plain
+                # `recv` does, when what it needs has left the processor's caches. The next call takes all the others.
+                most = 1
+        return None
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        while (events := self.receive(self.timeout_s)) is not None:
+            yield events
+
+    async def __aiter__(self) -> AsyncIterator[np.ndarray]:
+        """Cancelling the task that waits here closes the source."""
+        try:
+            while not self._closed:
+                with self._reading:
+                    events = self._drain(MOST_DATAGRAMS)
+                if events is None:
+                    if self._closed or not await self._waiter.wait_in_task(self.timeout_s, self._wait):
+                        return
+                    continue
+                yield events
+                await asyncio.sleep(0)  # a sender that never pauses must not keep other tasks from running
+        except asyncio.CancelledError:
+            self.close()
+            raise
+        finally:
+            if self._closed:
+                self._release()
+
+    def _wait(self, timeout_s: float | None) -> None:
+        with self._reading:
+            if not self._closed:
+                self._waiter.wait(timeout_s)
+
+    def _drain(self, most: int) -> np.ndarray | None:
+        """All that waits, up to the limits, as one packet; None if there is no event in it."""
+        size = self._decoder.event_bytes
+        memory, filled, n_datagrams, started_ns = self._memory, 0, 0, self._started_ns
+        ends, arrivals, most = self._ends, self._arrivals, min(most, self.max_datagrams, len(self._ends))
+        receive_into, clock = self._socket.recv_into, time.monotonic_ns
+        try:
+            while n_datagrams < most and filled + ROOM <= BATCH_BYTES:
+                n = receive_into(memory[filled:])
+                self._bytes += n
+                n_whole = n // size  # the next one goes where whole events end
+                self._cut += n_whole * size != n
+                filled += n_whole * size
+                ends[n_datagrams] = filled // size
+                arrivals[n_datagrams] = (clock() - started_ns) // 1000
+                n_datagrams += 1
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            if self._socket.fileno() == -1 or error.errno == errno.EBADF:
+                return None
+            # Windows tells here of a datagram too long, or of an answer of ours that was refused: none of ours
+        if not filled:
+            self._datagrams += n_datagrams
+            return None
+        events = self._decoder.decode_datagrams(self._raw, self._ends_seen, self._arrivals_seen, n_datagrams)
+        self._datagrams += n_datagrams
+        self._events += len(events)
+        if not self._events and not self._has_doubted and self._decoder.malformed >= DOUBTFUL:
+            self._has_doubted = True
+            log.warning("udp://%s:%s: %s", self.address, self.port, self._doubt())
+        return events if len(events) else None
+
+    def _doubt(self) -> str:
+        """What may be wrong where nothing that came is an event."""
+        decoder = self._decoder
+        others = decoder.malformed - decoder.off_sensor
+        reasons = []
+        if decoder.off_sensor and decoder.sensor is not None:
+            width, height = decoder.sensor
+            reasons.append(f"{decoder.off_sensor:,} lie off {width}x{height} pixels: is the camera larger?")
+        if others:
+            reasons.append(f"{others:,} are none of {decoder.format}: does the sender use another (?format=...)?")
+        return f"none of the first {decoder.malformed:,} events can be used; {' '.join(reasons)}"
+
+    # -- the end -----------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Stop listening and end every iteration, from any thread; counts stay. Twice does no harm."""
+        if self._closed:
+            return
+        self._lost.read()
+        self._closed = True
+        self._waiter.wake()
+        if not self._waiter.in_task:  # otherwise the task does it, once its event loop has let go of the socket
+            self._release()
+
+    def _release(self) -> None:
+        with self._reading:  # a thread that waited has been woken
+            self._socket.close()
+            self._waiter.close()
+
+    def __enter__(self) -> UdpSource:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
+
+    async def __aenter__(self) -> UdpSource:
+        return self
+
+    async def __aexit__(self, *error: Any) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        if hasattr(self, "_lost"):
+            self.close()
+            self._release()
+
+
+def open_udp(url: str, sensor: tuple[int, int] | None = None, **settings: Any) -> UdpSource:
+    """A `UdpSource` of `udp://HOST:PORT[?format=...&timeout_s=...]`; `settings` are its keyword arguments.
+
+    Raises
+    ------
+    ValueError : not such a URL; the message says what is wrong.
+    OSError : the address is not this machine's, or taken.
+    """
+    host, port, format, timeout_s = parse_udp_url(url)
+    return UdpSource(host, port, format, sensor, **{"timeout_s": timeout_s, **settings})

@@ -1,0 +1,96 @@
+"""Events out of this process: packets cut into datagrams."""
+
+from __future__ import annotations
+
+import socket
+from typing import Any
+
+import numpy as np
+
+from async_tnt.sources.datagrams import EVENT_BYTES, MAX_DATAGRAM_BYTES, checked_format, encode
+from async_tnt.sources.udp_url import resolve
+
+PACKET_EVENTS = 100  # 1300 bytes of the longest format: fits Ethernet's 1500 with all headers
+
+
+class UdpSender:
+    """Sends events to one address, without waiting for anybody to listen.
+
+    Parameters
+    ----------
+    address, port : where to.
+    format : one of `async_tnt.sources.EVENT_BYTES`.
+    packet_events : events of one datagram, at most.
+
+    Raises
+    ------
+    ValueError : unknown format, or more events than a datagram can hold.
+    OSError : no such host.
+    """
+
+    def __init__(
+        self,
+        address: str = "127.0.0.1",
+        port: int = 3333,
+        format: str = "t64_x16_y16_on8",
+        *,
+        packet_events: int = PACKET_EVENTS,
+    ) -> None:
+        most = MAX_DATAGRAM_BYTES // EVENT_BYTES[checked_format(format)]
+        if not 1 <= packet_events <= most:
+            raise ValueError(f"`packet_events` must be in [1, {most}] for {format}, got {packet_events}")
+        if not 1 <= port < 1 << 16:
+            raise ValueError(f"`port` must be in [1, 65535] to send to, got {port}")
+        self.format = format
+        self.packet_events = packet_events
+        self.events = 0
+        """Handed to the network so far; so are:"""
+        self.datagrams = 0
+        self.bytes = 0
+        self.refused = 0
+        """Times the other machine answered that nobody listens, or this one did not take a datagram."""
+        family, where = resolve(address, port)
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            self._socket.connect(where)  # so that a refusal is told
+        except OSError as error:
+            self._socket.close()
+            raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
+
+    def send(self, events: np.ndarray) -> None:
+        """Send a structured array of events, in as many datagrams as it needs.
+
+        Raises
+        ------
+        ValueError : a coordinate that the format has no bits for.
+        """
+        data = memoryview(encode(events, self.format))
+        size = EVENT_BYTES[self.format]
+        step = self.packet_events * size
+        for first in range(0, len(data), step):
+            datagram = data[first : first + step]
+            try:
+                self._socket.send(datagram)
+            except ConnectionRefusedError:  # an earlier one was; this one has not gone out yet
+                self.refused += 1
+                try:
+                    self._socket.send(datagram)
+                except OSError:
+                    self.refused += 1
+                    continue
+            except OSError:  # the network is down, or its queue is full
+                self.refused += 1
+                continue
+            self.datagrams += 1
+            self.bytes += len(datagram)
+            self.events += len(datagram) // size
+
+    def close(self) -> None:
+        """Close the socket; more than once does no harm."""
+        self._socket.close()
+
+    def __enter__(self) -> UdpSender:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()

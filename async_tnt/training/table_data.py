@@ -1,0 +1,137 @@
+"""The recordings that the table trains and tests on: N-MNIST by saccade, and simulated motions by shard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.simulation.moving_mnist import open_set
+from async_tnt.training.windows import COLUMNS, Recordings, Windows, lay_windows, read_folder, split_recordings
+
+WINDOW_US = 105_000
+OFFICIAL = (60_000, 10_000)
+VALIDATION_SEED = 0  # the same digits are held out in every row and for every seed
+
+
+@dataclass(frozen=True)
+class RealData:
+    """N-MNIST's recordings.
+
+    Parameters
+    ----------
+    training, held_out : windows of the training recordings, all three saccades; split by recording.
+    test : windows of the test recordings.
+    seen_images : indices of MNIST's test images that a training recording shows, held out or not. Empty with the
+        official split, see `shown_test_images`.
+    description : in words and numbers, for the results.
+    """
+
+    training: Windows
+    held_out: Windows
+    test: Windows
+    seen_images: np.ndarray
+    description: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RealFolder:
+    """Where N-MNIST lies, and how much of it is used.
+
+    Parameters
+    ----------
+    folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
+    validation : share of the training recordings that is held out.
+    per_digit : only the first so many recordings of each digit, in either folder; None for all.
+    skip_damaged : leave damaged recordings out, with a warning each, instead of stopping.
+    """
+
+    folder: Path
+    validation: float = 0.1
+    per_digit: int | None = None
+    skip_damaged: bool = False
+
+    def read(self) -> RealData:
+        """Read both folders; a second time in the same process gives the same object.
+
+        Raises
+        ------
+        FileNotFoundError : a folder is missing.
+        ValueError : a damaged file; the message names it.
+        """
+        return _read(self)
+
+
+@lru_cache(maxsize=1)
+def _read(real: RealFolder) -> RealData:
+    for name in ("Train", "Test"):
+        if not (real.folder / name).is_dir():
+            raise FileNotFoundError(
+                f"no folder {name} in {real.folder}; expected N-MNIST's Train/<digit>/*.bin and Test/<digit>/*.bin"
+            )
+    train, test = (
+        read_folder(real.folder / name, per_digit=real.per_digit, skip_damaged=real.skip_damaged)
+        for name in ("Train", "Test")
+    )
+    learned, held_out = split_recordings(train, real.validation, np.random.default_rng(VALIDATION_SEED))
+    official = (len(train), len(test)) == OFFICIAL
+    return RealData(
+        lay_windows(train, WINDOW_US, which=learned),
+        lay_windows(train, WINDOW_US, which=held_out),
+        lay_windows(test, WINDOW_US),
+        shown_test_images(train.names),
+        {
+            "training_recordings": len(learned),
+            "held_out_recordings": len(held_out),
+            "test_recordings": len(test),
+            "split": "the official one" if official else "not the official one (60,000 and 10,000 recordings)",
+        },
+    )
+
+
+def shown_test_images(names: Sequence[str]) -> np.ndarray:
+    """Which of MNIST's test images recordings show, by their names, such as `3/60026.bin`: int64, increasing.
+
+    Number n of the official Train shows image n of MNIST's training set. Where a set is split anew, official test
+    recording n is numbered 60,000 + n; it shows image n of MNIST's test set, index n - 1.
+    """
+    numbers = [int(stem) for stem in (Path(name).stem for name in names) if stem.isdigit()]
+    return np.unique([n - OFFICIAL[0] - 1 for n in numbers if OFFICIAL[0] < n <= sum(OFFICIAL)]).astype(np.int64)
+
+
+def saccade(windows: Windows) -> np.ndarray:
+    """Which saccade of its recording each window is: 0, 1 or 2."""
+    return windows.start_us // WINDOW_US
+
+
+def on_first_saccade(windows: Windows) -> Windows:
+    """Those of the first saccade."""
+    return windows[saccade(windows) == 0]
+
+
+def simulated_windows(folder: Path, seen_images: np.ndarray) -> Iterator[tuple[str, Windows]]:
+    """(name of the motion, windows) of each shard of a set that `async-tnt simulate` made.
+
+    Recordings of images that were seen in training, under whatever motion, are left out.
+
+    Raises
+    ------
+    ValueError, FileNotFoundError : no such set, or an incomplete or damaged one.
+    """
+    for shard in open_set(folder):
+        columns = {name: getattr(shard, name).astype(dtype) for name, dtype in COLUMNS.items()}
+        recordings = Recordings(
+            **columns,
+            offsets=shard.offsets.astype(np.int64),
+            labels=shard.labels.astype(np.int64),
+            names=tuple(map(str, shard.image)),
+        )
+        unseen = np.flatnonzero(~np.isin(shard.image, seen_images))
+        yield (
+            shard.metadata["motion"]["name"],
+            lay_windows(recordings, WINDOW_US, which=unseen, duration_us=WINDOW_US),
+        )

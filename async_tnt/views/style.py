@@ -1,0 +1,130 @@
+"""How all figures look, and how they reach a file: whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from async_tnt.files import check_writable, replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours: told apart by the colour-blind too
+ON, OFF = "#D55E00", "#0072B2"
+HIGHLIGHTS = (("#000000", "-"), ("#009E73", (0, (5, 1.5))), ("#CC79A7", (0, (3, 1, 1, 1))), ("#E69F00", (0, (1, 1))))
+GREY, PALE, TEXT = "#8a8a8a", "#c4c4c4", "#555555"
+
+SMALL, NORMAL, LARGE = 9, 10, 11  # points; a figure 10.4 inches wide shown 900 pixels wide keeps them legible
+WIDTH = 10.4  # inches
+
+MOST_DPI_OF_PALETTE = 200  # a picture for print keeps all its colours, and takes seconds less
+FORMATS = (".png", ".svg", ".pdf")
+_STYLE: dict[str, Any] = {
+    "font.size": NORMAL,
+    "axes.titlesize": LARGE,
+    "axes.labelsize": NORMAL,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.labelsize": SMALL,
+    "ytick.labelsize": SMALL,
+    "legend.fontsize": SMALL,
+    "legend.frameon": False,
+    "text.parse_math": False,  # a $ in a file's name is a $
+    "svg.fonttype": "none",  # words stay words: searchable, and small
+    "svg.hashsalt": "async_tnt",  # the same figure gives the same bytes
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Inside, figures look like ours, whatever the user's own settings say; outside, nothing changes."""
+    import matplotlib.style
+
+    with matplotlib.style.context(["default", _STYLE]):
+        yield
+
+
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    """A figure of so many inches, on no screen and in no list of pyplot's."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), facecolor="white")
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a file of --picture that `save` could not write, before any work is done.
+
+    Raises
+    ------
+    ImportError : matplotlib is missing. ValueError, OSError : see `check_writable`.
+    """
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"--picture draws with matplotlib: pip install '.[plot]' ({error})") from None
+    check_writable(path, FORMATS, option="--picture")
+
+
+def save(figure: Figure, path: Path, dpi: int) -> None:
+    """Write a figure, as its suffix says. An existing file is replaced at once, when the new one is complete.
+
+    A PNG for a screen gets a palette of 256 colours: a third of the bytes, and no eye sees it.
+
+    dpi : pixels per inch of a PNG, and of the clouds of dots in SVG and PDF.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    # no dates and versions: the same figure gives the same bytes
+    metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    with replacing(path) as part:
+        figure.savefig(part, format=kind, dpi=dpi, metadata=metadata)
+        if kind == "png" and dpi <= MOST_DPI_OF_PALETTE:
+            _give_palette(part, dpi)
+
+
+def _give_palette(path: Path, dpi: int) -> None:
+    """Rewrite a PNG with the palette that covers all its colours: a rare one keeps its hue, too."""
+    from PIL import Image  # matplotlib brings it along
+
+    with Image.open(path) as opened:
+        image = opened.convert("RGB")
+    enough = image.width * image.height // 100  # stop moving the palette when so few dots change their colour
+    image.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=enough, dither=Image.Dither.NONE).save(
+        path, format="png", optimize=True, dpi=(dpi, dpi)
+    )
+
+
+def polarity_map() -> Colormap:
+    """From OFF's colour over white (zero) to ON's."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("off-on", [OFF, "#ffffff", ON])
+
+
+def one_colour_map(colour: str) -> Colormap:
+    """From white (zero) to a colour."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("one", ["#ffffff", colour])
+
+
+def polarity_legend(axes: Axes, **settings: Any) -> None:
+    """Say which dots are ON and which are OFF."""
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], marker="o", ls="", ms=5, color=colour, mec="none", label=name)
+        for colour, name in ((ON, "ON (brighter)"), (OFF, "OFF (darker)"))
+    ]
+    axes.legend(handles=handles, handletextpad=0.2, borderpad=0, labelspacing=0.25, **settings)
+
+
+def few_ticks() -> Any:
+    """About four ticks, at round numbers."""
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(4)

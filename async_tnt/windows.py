@@ -1,0 +1,224 @@
+"""Which windows of a stream are open: one after the other, or overlapping, each with a volume of its own."""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import islice
+
+import numpy as np
+
+from async_tnt.checks import positive_int
+from async_tnt.config import TNTConfig
+from async_tnt.decision_counts import Counts
+from async_tnt.events import Columns
+from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.kernels.state import REMEMBERED
+from async_tnt.landmark_at_read import Regressor
+from async_tnt.snapshot import MAX_EVENTS, Arrays, part, taken, under
+from async_tnt.volume import TNTVolume
+
+MAX_OPEN_WINDOWS = 256
+
+
+class OpenWindows:
+    """The open windows of a stream, oldest first.
+
+    Parameters
+    ----------
+    config, replay_events, regressor : see `TNTVolume`.
+    hop_us : distance between the starts of windows; at most window_us, its default.
+    start_us : start of the first window; None: at the first event.
+    """
+
+    def __init__(
+        self,
+        config: TNTConfig,
+        hop_us: int | None,
+        start_us: int | None,
+        replay_events: int,
+        regressor: Regressor | None,
+    ) -> None:
+        self._window_us = window_us = config.window_us
+        self.hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
+        if self.hop_us > window_us:
+            raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {hop_us}")
+        n_volumes = -(-window_us // self.hop_us)
+        if n_volumes > MAX_OPEN_WINDOWS:
+            raise ValueError(
+                f"`hop_us` must be at least window_us / {MAX_OPEN_WINDOWS} = {-(-window_us // MAX_OPEN_WINDOWS)}, "
+                f"got {self.hop_us}: {n_volumes} windows would be open at once"
+            )
+        self._start_us = start_us
+        self.volumes = [TNTVolume(config, replay_events=replay_events, regressor=regressor) for _ in range(n_volumes)]
+        self.reset()
+
+    def reset(self) -> None:
+        """No window open, all counts zero."""
+        for volume in self.volumes:
+            volume.reset()
+        self._open: deque[TNTVolume] = deque()
+        self._free = list(self.volumes)
+        self._next_start_us: int | None = self._start_us  # of the next window to be opened; None: at the first event
+        # Bit k: the window k + 1 hops before the oldest open one, or before the next where none is, was closed early.
+        self._closed_early = 0
+        self._n_received = 0
+        self._n_late = 0
+        self._n_decided = 0
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    @property
+    def overlap(self) -> bool:
+        return len(self.volumes) > 1
+
+    @property
+    def oldest(self) -> TNTVolume:
+        """The oldest open window; an empty one where none is open."""
+        return self._open[0] if self._open else self.volumes[0]
+
+    @property
+    def oldest_end_us(self) -> int:
+        return self.oldest.start_us + self._window_us
+
+    def take(self, columns: Columns, first: int, last: int) -> int:
+        """Add events to all open windows, up to the limit; returns the first one not added."""
+        oldest = self._open[0]
+        if not self.overlap:  # it counts for itself
+            return oldest.take(columns, first, last)
+        before = oldest.n_late, oldest.n_decided
+        taken = oldest.take(columns, first, last)
+        self.note_taken(columns, first, taken, before)
+        return taken
+
+    def note_taken(self, columns: Columns, first: int, taken: int, before: tuple[int, int]) -> None:
+        """Where windows overlap: the oldest took these events; count them, and add them to the others.
+
+        before : its `n_late` and `n_decided` before.
+        """
+        oldest = self._open[0]
+        self._n_late += oldest.n_late - before[0]
+        self._n_decided += oldest.n_decided - before[1]
+        self._n_received += taken - first
+        for volume in islice(self._open, 1, None):
+            volume.take(columns, first, taken)
+
+    def open_until(self, t_us: int) -> bool:
+        """Open every window on the grid that holds `t_us` and is not open yet, skipping the empty ones between; one
+        at least is open then. Returns whether there is a new oldest one."""
+        was_empty = not self._open
+        if self._next_start_us is None:
+            self._next_start_us = t_us
+        start_us = self._next_start_us
+        if start_us + self._window_us <= t_us:  # then none is open
+            hops = (t_us - self._window_us - start_us) // self.hop_us + 1
+            start_us += hops * self.hop_us
+            self._remember(hops, 0)
+        while start_us <= t_us or not self._open:
+            volume = self._free.pop()
+            volume.open(start_us)
+            self._open.append(volume)
+            start_us += self.hop_us
+        self._next_start_us = start_us
+        if was_empty:
+            self._tell_oldest()
+        return was_empty
+
+    def limit(self, trigger_us: int) -> None:
+        """Make `take` stop where something has to happen: a window ends or begins, or the time `trigger_us`."""
+        assert self._next_start_us is not None
+        limit_us = min(self.oldest_end_us, self._next_start_us, trigger_us)
+        for volume in self._open:
+            volume.set_limit(limit_us)
+
+    def close_oldest(self, early: bool = False) -> None:
+        """The oldest window is over, and its volume empty and free for the next one to be opened.
+
+        early : it is over before its end. Events that still come for it are counted as `dropped_decided`.
+        """
+        volume = self._open.popleft()
+        volume.close()
+        self._free.append(volume)
+        self._remember(1, early)
+        if self._open:
+            self._tell_oldest()
+
+    def _remember(self, hops: int, early: int) -> None:
+        """The window to look back from is so many hops later; `early`: the one before it was closed early."""
+        before = self._closed_early << hops if hops < REMEMBERED else 0
+        self._closed_early = (before | early) & ((1 << REMEMBERED) - 1)
+
+    def _tell_oldest(self) -> None:
+        """The oldest volume counts the late events."""
+        if self._closed_early:
+            self.oldest.set_closed_early(self._closed_early, self.hop_us)
+
+    def snapshot(self) -> Arrays:
+        """All volumes, which of them are open, and the counts."""
+        number = {id(volume): k for k, volume in enumerate(self.volumes)}
+        order = [number[id(volume)] for volume in (*self._open, *self._free)]
+        next_us = -1 if self._next_start_us is None else self._next_start_us
+        counts = [len(self._open), next_us, -1, self._n_received, self._n_late, self._n_decided]
+        arrays = {"order": np.array(order, np.int64), "counts": np.array(counts, np.int64)}
+        closed_early = self._closed_early.to_bytes(REMEMBERED // 8, "little")
+        arrays["closed_early"] = np.frombuffer(closed_early, np.uint8)
+        for k, volume in enumerate(self.volumes):
+            arrays |= under(str(k), volume.snapshot())
+        return arrays
+
+    def restore(self, arrays: Arrays) -> None:
+        """The inverse.
+
+        Raises
+        ------
+        ValueError : some number is not one that such windows can have left. Call `reset` then.
+        """
+        order = taken(arrays, "order", np.int64, (len(self.volumes),)).tolist()
+        if sorted(order) != list(range(len(order))):
+            raise ValueError(f"its volumes cannot be in the order {order}")
+        n_open, next_start_us, decided_us, *counted = taken(arrays, "counts", np.int64, (6,)).tolist()
+        if not 0 <= n_open <= len(order):
+            raise ValueError(f"it has {n_open} open windows of {len(order)}")
+        if min(counted) < 0 or not sum(counted[1:]) <= counted[0] <= MAX_EVENTS:
+            raise ValueError(f"its counts {counted} are no parts of one another")
+        first_us = next_start_us - n_open * self.hop_us
+        for k, number in enumerate(order):
+            volume = self.volumes[number]
+            volume.restore(part(str(number), arrays), is_open=k < n_open)
+            if k < n_open and volume.start_us != first_us + k * self.hop_us:
+                raise ValueError(f"its windows do not lie {self.hop_us} us apart")
+        on_grid = self._start_us is None or (first_us - self._start_us) % self.hop_us == 0
+        if next_start_us == -1 and n_open == 0 and self._start_us is None:
+            self._next_start_us = None
+        elif 0 <= first_us < MAX_TIME_US + self._window_us and on_grid:
+            self._next_start_us = next_start_us
+        else:
+            raise ValueError(f"its next window cannot start at {next_start_us} us")
+        self._n_received, self._n_late, self._n_decided = counted
+        self._open = deque(self.volumes[number] for number in order[:n_open])
+        self._free = [self.volumes[number] for number in order[n_open:]]
+        self._closed_early = 0
+        if "closed_early" in arrays:
+            words = taken(arrays, "closed_early", np.uint8, (REMEMBERED // 8,))
+            self._closed_early = int.from_bytes(words.tobytes(), "little")
+        elif 0 <= decided_us < first_us:  # older states: of such windows the newest alone
+            self._closed_early = 1
+            self._remember((first_us - decided_us) // self.hop_us - 1, 0)
+        self._tell_oldest()
+
+    def counts(self, n_dropped_at_door: int) -> Counts:
+        """What became of the events. Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an
+        event once, the others once in every window it belongs to."""
+        total = sum((volume.counts for volume in self.volumes), Counts())
+        received, late, decided = total.received, total.dropped_late, total.dropped_decided
+        if self.overlap:
+            received, late, decided = self._n_received, self._n_late, self._n_decided
+        return Counts(
+            received + n_dropped_at_door,
+            total.kept,
+            total.dropped_outside,
+            total.dropped_tau_zero,
+            late + n_dropped_at_door,
+            total.dropped_unstored,
+            decided,
+        )
