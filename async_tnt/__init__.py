@@ -13,8 +13,8 @@ TYPE_CHECKING = False  # what type checkers take for `typing.TYPE_CHECKING`; imp
 if TYPE_CHECKING:
     from async_tnt.compile_ahead import warmup
     from async_tnt.config import TNTConfig
-    from async_tnt.decision import Decision
-    from async_tnt.decision_counts import Counts
+    from async_tnt.decision import Counts, Decision
+    from async_tnt.deferred_landmark import ReplayBufferFull
     from async_tnt.events import EVENT_DTYPE
     from async_tnt.networks.classifier import CompiledClassifier
     from async_tnt.networks.model import Model, bundled_models, load_model
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from async_tnt.streams import astream, stream
     from async_tnt.triggers import LeakyIntegrator
     from async_tnt.volume import TNTVolume
-    from async_tnt.window_replay import ReplayBufferFull
 
 __version__ = "0.1.0"
 
@@ -61,14 +60,14 @@ _MODULES = {
     "BackgroundReader": "sources.background_reader",
     "CompiledClassifier": "networks.classifier",
     "CompiledRegressor": "networks.regressor",
-    "Counts": "decision_counts",
+    "Counts": "decision",
     "Decision": "decision",
     "LeakyIntegrator": "triggers",
     "Model": "networks.model",
     "PacketQueue": "sources.queue",
     "PixelFilter": "sources.pixel_filter",
     "Processor": "processor",
-    "ReplayBufferFull": "window_replay",
+    "ReplayBufferFull": "deferred_landmark",
     "TNTConfig": "config",
     "TNTVolume": "volume",
     "astream": "streams",

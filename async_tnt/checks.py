@@ -1,15 +1,17 @@
-"""Settings that are whole numbers: checked, and as Python's int."""
+"""What callers pass, checked: whole numbers as Python's int, arrays without a mask, and text for messages."""
 
 from __future__ import annotations
 
 import operator
+import sys
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 
 def is_whole(value: Any) -> bool:
-    """Whether it is a whole number of any type, True and False not among them."""
+    """Whether it is a whole number of any type; True and False are not."""
     if isinstance(value, (bool, np.bool_)):  # the latter: NumPy 1 lets it pass for an index
         return False
     try:
@@ -37,3 +39,27 @@ def checked_time(name: str, t_us: Any) -> int:
     if not 0 <= t_us < 1 << 62:
         raise ValueError(f"`{name}` must be in [0, 2**62), got {t_us}")
     return int(t_us)
+
+
+def plain_array(name: str, values: Any, dtype: DTypeLike | None = None) -> np.ndarray:
+    """`np.asarray`, which silently drops the mask of a masked array, for arrays without one.
+
+    Raises
+    ------
+    TypeError : a masked array.
+    """
+    refuse_mask(name, values, "`.filled(value)`, or `.data` to use every value")
+    return np.asarray(values, dtype)
+
+
+def refuse_mask(name: str, values: Any, advice: str) -> None:
+    """Raise a TypeError for a masked array, even one that masks nothing; `advice` is what to pass instead."""
+    # through `sys.modules`: nothing can be masked before numpy.ma is imported, and importing it takes 10 ms
+    if isinstance(values, getattr(sys.modules.get("numpy.ma"), "MaskedArray", ())):
+        raise TypeError(f"`{name}` must not be a masked array, whose mask would be ignored; pass {advice}")
+
+
+def one_line(error: Exception, limit: int = 300) -> str:
+    """Text from a library or a file, for a message: on one line, and cut after `limit` characters."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= limit else text[:limit] + " ..."

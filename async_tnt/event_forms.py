@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.plain_arrays import refuse_mask
+from async_tnt.checks import one_line, refuse_mask
 
 NAMES = {
     "t": ("t", "ts", "timestamp"),
@@ -26,7 +26,7 @@ NAMES = {
     "p": ("p", "on", "polarity", "pol"),
 }
 UNMASKED = "`.compressed()` of each column, or `.data` to use every event"
-MAX_DEPTH = 4  # an object's .numpy() may be events in another form, but not itself for ever
+MAX_DEPTH = 4  # an object's .numpy() may be events in another form, but not itself forever
 FORMS = (
     "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
     "(t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
@@ -61,7 +61,7 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
         is_event = isinstance(events[0], (dict, np.void)) or (isinstance(events[0], tuple) and len(events) != 4)
         if isinstance(events, list) and is_event:
             raise TypeError(
-                f"a list of single events ({type(events[0]).__name__} at event 0) is no packet: hand it to "
+                f"a list of single events ({type(events[0]).__name__} at event 0) is not a packet: hand it to "
                 "`stream`, event by event, or push four columns (t, x, y, p)"
             )
         if len(events) != 4:
@@ -103,7 +103,7 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
 
     Raises
     ------
-    ValueError : there is none, or there are several: which of them is meant, nobody can tell.
+    ValueError : there is none, or there are several: ambiguous.
     """
     found = [name for name in have if name in NAMES[field]]
     if len(found) == 1:
@@ -111,11 +111,6 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
     if found:
         raise ValueError(f"events need one field `{field}`, got {' and '.join(found)} in {what}; leave out all but one")
     raise ValueError(f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}")
-
-
-def one_line(error: Exception) -> str:
-    """What another library's error says, in one line."""
-    return " ".join(str(error).split())[:300] or type(error).__name__
 
 
 def brief(value: Any) -> str:

@@ -1,7 +1,7 @@
-"""The door: whatever the field calls events becomes four checked, contiguous columns.
+"""Decoding: whatever the field calls events becomes four checked, contiguous columns.
 
-Behind it nothing is checked again. Numba compiles anew for every read-only, strided or unaligned array and
-never checks bounds, so packets are turned into one form here, once, and refused here if they are wrong.
+Nothing is checked again after this. Numba compiles once more for every read-only, strided or unaligned array and never
+checks bounds, so packets are brought into one form here, once, and refused here if they are invalid.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from async_tnt.kernels.records import (
 )
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
-
 """How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0 = OFF."""
 
 LATE_POLICIES = ("accept", "drop", "raise")
@@ -35,7 +34,7 @@ LATE_POLICIES = ("accept", "drop", "raise")
 class Columns(NamedTuple):
     """Checked events in contiguous columns, of which the first `n` places count.
 
-    They may be scratch memory of the door: valid until its next call.
+    They may be scratch memory of the decoder: valid until its next call.
     """
 
     t: np.ndarray
@@ -51,7 +50,7 @@ class Columns(NamedTuple):
 
 
 def empty_columns(n: int) -> Columns:
-    """Room for n events, none in it yet."""
+    """Room for n events, still empty."""
     t, x, y, p = (np.empty(n, dtype) for dtype in _DTYPES)
     return Columns(t, x, y, p, 0)
 
@@ -64,7 +63,7 @@ NO_EVENTS = empty_columns(0)
 _new_tuple = tuple.__new__  # what Columns(...) does, without a call of Python code
 
 
-class EventDoor:
+class EventDecoder:
     """Turns packets of one sensor into `Columns`, reusing its memory from packet to packet.
 
     Parameters
@@ -91,7 +90,18 @@ class EventDoor:
         self.newest_us = -1
         self.n_dropped = 0
 
-    def __call__(self, events: Any) -> Columns:
+    def restore(self, newest_us: int, n_dropped: int) -> None:
+        """Continue from a decoder that had these numbers.
+
+        Raises
+        ------
+        ValueError : no decoder can have had them.
+        """
+        if not (-1 <= newest_us < MAX_TIME_US and 0 <= n_dropped < MAX_TIME_US):
+            raise ValueError(f"its newest event cannot be at {newest_us} us, after {n_dropped} dropped ones")
+        self.newest_us, self.n_dropped = newest_us, n_dropped
+
+    def decode(self, events: Any) -> Columns:
         """Check a packet.
 
         Returns
@@ -101,12 +111,12 @@ class EventDoor:
         Raises
         ------
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event.
-            Nothing is taken over from such a packet.
+            None of its events counts then.
         """
         if type(events) is tuple:
-            columns = self._pass(events)
+            columns = self._checked_as_they_are(events)
         else:
-            columns = self._load(events) if type(events) in _RECORDS else None
+            columns = self._decode_records(events) if type(events) in _RECORDS else None
         if columns is None:
             named = named_columns(events)
             columns = NO_EVENTS if named is None else checked_columns(*named, self.sensor)
@@ -114,22 +124,16 @@ class EventDoor:
             columns = self._apply_policy(columns)
         return columns
 
-    def one(self, t: int, x: int, y: int, p: int) -> Columns | None:
-        """The fast way in for one event of Python's own integers; None where only `__call__` can tell."""
+    def decode_one(self, t: int, x: int, y: int, p: int) -> Columns:
+        """`decode` for one event; quick for Python integers."""
         try:
-            if type(t | x | y | p) is not int:
-                return None
-        except TypeError:
-            return None
-        width, height = self.sensor
-        if not (0 <= t < MAX_TIME_US and 0 <= x < width and 0 <= y < height and -1 <= p <= 1):
-            return None
+            width, height = self.sensor
+            valid = type(t | x | y | p) is int and 0 <= t < MAX_TIME_US and 0 <= x < width and 0 <= y < height
+            if not (valid and -1 <= p <= 1) or (self.late != "accept" and t < self.newest_us):
+                return self.decode(([t], [x], [y], [p]))
+        except TypeError:  # `|` refuses floats
+            return self.decode(([t], [x], [y], [p]))
         if self.late != "accept":
-            if t < self.newest_us:
-                if self.late == "raise":
-                    return None
-                self.n_dropped += 1
-                return NO_EVENTS
             self.newest_us = t
         if len(self._scratch.t) == 0:
             self._scratch = empty_columns(1024)
@@ -137,8 +141,8 @@ class EventDoor:
         column_t[0], column_x[0], column_y[0], column_p[0] = t, x, y, p > 0
         return _new_tuple(Columns, (column_t, column_x, column_y, column_p, 1))
 
-    def _load(self, events: np.ndarray) -> Columns | None:
-        """The fast way in for packed records of whole numbers; None where only a closer look can tell."""
+    def _decode_records(self, events: np.ndarray) -> Columns | None:
+        """Packed records of whole numbers, quickly; None where they need a closer look."""
         dtype = events.dtype
         if dtype is not self._dtype or dtype.names is not self._names:  # fields can be renamed in place
             self._dtype, self._names = dtype, dtype.names
@@ -160,8 +164,8 @@ class EventDoor:
             return None
         return _new_tuple(Columns, (t, x, y, p, n))
 
-    def _pass(self, events: tuple[Any, ...]) -> Columns | None:
-        """The fast way in for columns that have the right form already: used as they are, uncopied."""
+    def _checked_as_they_are(self, events: tuple[Any, ...]) -> Columns | None:
+        """Columns that have the right form already, not copied; None for any others."""
         if len(events) != 4:
             return None
         t, x, y, p = events
@@ -169,7 +173,7 @@ class EventDoor:
             return None
         width, height = self.sensor
         try:
-            # All four: Numba's dispatch refuses the other byte order, but was once seen to take an empty column of it.
+            # all four: Numba's dispatch should refuse the other byte order, but once took an empty column of it
             if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
                 return None
             if check_columns(t, x, y, p, width, height) != FINE:

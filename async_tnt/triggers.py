@@ -1,4 +1,4 @@
-"""When a processor decides besides at the end of a window: settings, checked, and as the kernels read them."""
+"""When a processor decides, apart from the end of each window: settings, checked, and as the kernels read them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.checked_tensors import Arrays, checked_array
 from async_tnt.checks import positive_int
 from async_tnt.kernels import trigger as T
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.kernels.state import NEVER_US
-from async_tnt.snapshot import Arrays, taken
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class LeakyIntegrator:
 
 
 class Triggers:
-    """The triggers of one processor, with what they remember of the stream.
+    """The triggers of one processor, and what they remember of the stream.
 
     Attributes
     ----------
-    due_us : next moment of `every_us` in the oldest window.
+    next_due_us : next moment of `every_us` in the oldest window.
     n_decided : events of the oldest window at its last triggered decision.
     """
 
@@ -93,8 +93,8 @@ class Triggers:
             self._discharge()
 
     def forget(self) -> None:
-        """The stream begins anew: no window, no potential."""
-        self.due_us = NEVER_US
+        """Another stream begins: no window, no potential."""
+        self.next_due_us = NEVER_US
         self.n_decided = 0
         self._discharge()
 
@@ -102,35 +102,42 @@ class Triggers:
         self.state[T.POTENTIAL] = 0.0
         self._ints[T.CHARGED_US] = 0
 
-    def wait(self, now_us: int, start_us: int) -> None:
-        """Be due at the first moment of `every_us` after `now_us`, in a window that starts at `start_us`."""
-        self.due_us = NEVER_US
+    def schedule(self, now_us: int, start_us: int) -> None:
+        """Set the next moment of `every_us`, the first after `now_us` in a window that starts at `start_us`."""
+        self.next_due_us = NEVER_US
         if self.every_us is not None:
-            self.due_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
+            self.next_due_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
 
-    def snapshot(self) -> Arrays:
-        """What they remember, as arrays that `restore` takes; `settings` are not in it."""
-        return {"state": self.state, "times": np.array((self.due_us, self.n_decided), np.int64)}
+    def save(self) -> Arrays:
+        """What they remember, as arrays for `restore`, without the settings."""
+        return {"state": self.state, "times": np.array((self.next_due_us, self.n_decided), np.int64)}
 
-    def restore(self, arrays: Arrays) -> None:
-        """Go on where triggers of the same settings gave a `snapshot`.
+    def restore(self, arrays: Arrays, settings: Any) -> None:
+        """Continue from triggers with this `save` and these `settings`.
 
         Raises
         ------
-        ValueError : some number is not one that they can have remembered.
+        TypeError, ValueError : a setting that breaks its rule, or a number that they cannot have remembered.
         """
-        state = taken(arrays, "state", np.float64, self.state.shape)
+        try:
+            settings = {name: settings[name] for name in _CHECKS}
+            if settings["activity"] is not None:
+                settings["activity"] = LeakyIntegrator(**settings["activity"])
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"its triggers lack settings: {error!r}") from None
+        self.set(**settings)
+        state = checked_array(arrays, "state", np.float64, self.state.shape)
         potential, charged_us = float(state[T.POTENTIAL]), int(state.view(np.int64)[T.CHARGED_US])
-        due_us, n_decided = taken(arrays, "times", np.int64, (2,)).tolist()
+        due_us, n_decided = checked_array(arrays, "times", np.int64, (2,)).tolist()
         if not (0 <= potential < self.state[T.THRESHOLD] and 0 <= charged_us < MAX_TIME_US):
             raise ValueError(f"its activity cannot be {potential} at {charged_us} us")
         if not (0 <= due_us <= NEVER_US and n_decided >= 0):
             raise ValueError(f"its triggers cannot be due at {due_us} us, after {n_decided} events")
         self.state[T.POTENTIAL], self._ints[T.CHARGED_US] = potential, charged_us
-        self.due_us, self.n_decided = due_us, n_decided
+        self.next_due_us, self.n_decided = due_us, n_decided
 
     def settings(self) -> dict[str, Any]:
-        """As JSON can say them."""
+        """The settings as JSON values."""
         activity = None if self.activity is None else vars(self.activity)
         return {
             "every_us": self.every_us,
@@ -140,12 +147,7 @@ class Triggers:
         }
 
     @property
-    def each_event(self) -> bool:
-        """Whether confidence is looked for after every event, as nothing else says when."""
-        return bool(self._ints[T.EACH])
-
-    @property
-    def look_at_events(self) -> bool:
+    def by_event(self) -> bool:
         """Whether any single event may make a decision due."""
         return bool(self._ints[T.EVERY_EVENTS] or self._ints[T.EACH] or self.activity is not None)
 

@@ -7,17 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.checked_tensors import Arrays, with_prefix, without_prefix
 from async_tnt.checks import checked_time
 from async_tnt.config import TNTConfig
-from async_tnt.decision_counts import Counts
-from async_tnt.events import Columns, EventDoor
+from async_tnt.decision import Counts
+from async_tnt.deferred_landmark import Regressor, ReplayBuffer, check_regressor
+from async_tnt.events import Columns, EventDecoder
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import copy_cells, empty_volume
-from async_tnt.landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
-from async_tnt.new_state import new_state, next_epoch
-from async_tnt.snapshot import Arrays, buffer_arrays, part, restore_counts, restore_window, under
-from async_tnt.window_replay import Replay
+from async_tnt.volume_state import new_state, next_epoch, restore_counts, restore_window, save_window
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
 
@@ -67,7 +66,7 @@ class TNTVolume:
     ) -> None:
         check_regressor(config, regressor)
         self.config = config
-        self._door = EventDoor(config.sensor, late)
+        self._decoder = EventDecoder(config.sensor, late)
         self._buffer = new_state(config)
         self._ints = self._buffer.view(np.int64)
         self._array = np.zeros(config.shape, np.float32)
@@ -75,11 +74,9 @@ class TNTVolume:
         self._view.flags.writeable = False
         self._replay = None
         if config.needs_replay:
-            landmark: LandmarkAtRead = WindowMean(config)
-            if regressor is not None:
-                raw = config.replace(transform="none", landmark="center")
-                landmark = RegressedLandmark(TNTVolume(raw), regressor)
-            self._replay = Replay(config, replay_events, landmark)
+            raw = config.replace(transform="none", landmark="center")
+            regressor_and_raw = None if regressor is None else (regressor, TNTVolume(raw))
+            self._replay = ReplayBuffer(config, replay_events, regressor_and_raw)
         self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
         self.reset()
 
@@ -88,8 +85,8 @@ class TNTVolume:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._ints = self._buffer.view(np.int64)  # views again, and not copies of what they showed
-        self._ints[S.EPOCH] = next_epoch()  # from now on its events are its own
+        self._ints = self._buffer.view(np.int64)  # views of the copied buffer, not copies of the views
+        self._ints[S.EPOCH] = next_epoch()  # from now on it differs from the volume that it was copied from
         self._view = self._array.view()
         self._view.flags.writeable = False
 
@@ -115,7 +112,7 @@ class TNTVolume:
         self._empty(0, UNOPENED)
 
     def set_limit(self, limit_us: int) -> None:
-        """Make `take` stop before events at or after `limit_us`, or at the window's end if that comes first."""
+        """Make `absorb` stop before events at or after `limit_us`, or at the window's end if that comes first."""
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
     def set_closed_early(self, closed_early: int, hop_us: int) -> None:
@@ -128,7 +125,7 @@ class TNTVolume:
         self._ints[S.CLOSED_EARLY : S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS] = np.frombuffer(words, np.int64)
 
     def warn(self) -> None:
-        """Give the warnings that the last packet made due."""
+        """Issue the warnings that the last packet made due."""
         if self._replay is not None:
             self._replay.warn()
 
@@ -148,41 +145,40 @@ class TNTVolume:
         ------
         ValueError, TypeError : the packet breaks a rule. Then none of it was added.
         """
-        return self._update(self._door(events))
+        return self._update(self._decoder.decode(events))
 
     def _update(self, columns: Columns) -> int:
         n = columns.n
-        first = self.take(columns, 0, n)
-        closed = 0
+        first = self.absorb(columns, 0, n)
+        n_closed = 0
         while first < n:
-            closed += self._open_next(int(columns.t[first]))
-            first = self.take(columns, first, n)
+            n_closed += self._open_next(int(columns.t[first]))
+            first = self.absorb(columns, first, n)
         self.warn()
-        return closed
+        return n_closed
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
         """Add one event: microseconds, pixels, polarity 0/1 or -1/+1. Returns and raises as `update`."""
+        return 0 if self.absorb_one(t, x, y, p) == ABSORBED else self._update(self._decoder.decode_one(t, x, y, p))
+
+    def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
+        """`update_one` for callers that manage windows themselves.
+
+        Returns
+        -------
+        int : ABSORBED; AT_LIMIT if the event is valid but at or past the limit; REFUSED if the decoder has to look at
+            it, because it is invalid, or not four Python integers.
+        """
         try:
             # `|` refuses floats; a NumPy scalar would make Numba compile for its type
-            if type(t | x | y | p) is int and self._is_plain and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED:
-                return 0
-        except (TypeError, OverflowError):
-            pass  # the door says what is wrong
-        columns = self._door.one(t, x, y, p)
-        return self._update(self._door(([t], [x], [y], [p])) if columns is None else columns)
-
-    def add(self, t: int, x: int, y: int, p: int) -> int:
-        """`update_one` for who lays the windows himself: ABSORBED; AT_LIMIT if the event is right but at or past
-        the limit; REFUSED if only the door can tell, as it is wrong or not of Python's own integers."""
-        try:
             if type(t | x | y | p) is int and self._is_plain:
                 return absorb_one(self._buffer, t, x, y, p * 1)
         except (TypeError, OverflowError):
-            pass
+            pass  # the decoder says what is wrong
         return REFUSED
 
-    def take(self, columns: Columns, first: int, last: int) -> int:
-        """Add checked events `first <= i < last` up to the limit (the window's end); returns the first not added."""
+    def absorb(self, columns: Columns, first: int, last: int) -> int:
+        """Add checked events `first <= i < last` up to the limit; returns the first one that was not added."""
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
         return absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)
@@ -199,37 +195,37 @@ class TNTVolume:
 
     def reset(self) -> None:
         """Back to the state after construction: no window open, all counts zero."""
-        self._door.reset()
+        self._decoder.reset()
         for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO, S.DECIDED):
             self._ints[slot] = 0
         if self._replay is not None:
             self._replay.reset()
         self._empty(0, UNOPENED)
 
-    def snapshot(self) -> Arrays:
-        """The open window and the counts, as arrays that `restore` takes."""
-        arrays = buffer_arrays(self._buffer, with_cells=self._replay is None)
-        return arrays if self._replay is None else arrays | under("replay", self._replay.snapshot())
+    def save(self) -> Arrays:
+        """The open window and the counts, as arrays for `restore`."""
+        arrays = save_window(self._buffer, with_cells=self._replay is None)
+        return arrays if self._replay is None else arrays | with_prefix("replay", self._replay.save())
 
     def restore(self, arrays: Arrays, is_open: bool) -> None:
-        """Go on where a volume of the same configuration gave a `snapshot`.
+        """Continue from the `save` of a volume of the same configuration.
 
         Parameters
         ----------
-        is_open : False takes over the counts alone.
+        is_open : False restores the counts alone.
 
         Raises
         ------
-        ValueError : some number is not one that a volume of this configuration can hold.
+        ValueError : a number that a volume of this configuration cannot hold.
         """
         self.reset()
         restore_counts(self._buffer, arrays)
         if is_open:
             restore_window(self._buffer, arrays, self.config)
         if self._replay is not None:
-            self._replay.restore(part("replay", arrays), self._buffer, is_open)
+            self._replay.restore(without_prefix("replay", arrays), self._buffer, is_open)
 
-    # -- what came of them -------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------
 
     @property
     def array(self) -> np.ndarray:
@@ -244,14 +240,14 @@ class TNTVolume:
         return self._view
 
     def state(self) -> np.ndarray:
-        """The numbers of the open window as the kernels lay them out (`kernels.state`), up to date, to be read only."""
+        """The open window's numbers as the kernels lay them out (`kernels.state`), up to date; only to be read."""
         if self._replay is not None:
             self._replay.run(self._buffer, self._array)
         return self._buffer
 
     @property
     def buffer(self) -> np.ndarray:
-        """The same as it stands, not replayed, for who adds events to it himself."""
+        """The same without a replay, for compiled code that adds events to it."""
         return self._buffer
 
     @property
@@ -293,7 +289,7 @@ class TNTVolume:
             self._replay.run(self._buffer, self._array)
             unstored = self._replay.n_unstored
         received, kept, late, tau_zero = (int(self._ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO))
-        dropped = self._door.n_dropped
+        dropped = self._decoder.n_dropped
         decided = self.n_decided
         outside = received - kept - late - tau_zero - unstored - decided
         return Counts(received + dropped, kept, outside, tau_zero, late + dropped, unstored, decided)

@@ -1,4 +1,4 @@
-"""Which windows of a stream are open: one after the other, or overlapping, each with a volume of its own."""
+"""Which windows of a stream are open: one after the other, or overlapping, each with its own volume."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from itertools import islice
 
 import numpy as np
 
+from async_tnt.checked_tensors import Arrays, checked_array, with_prefix, without_prefix
 from async_tnt.checks import positive_int
 from async_tnt.config import TNTConfig
-from async_tnt.decision_counts import Counts
+from async_tnt.decision import Counts
+from async_tnt.deferred_landmark import Regressor
 from async_tnt.events import Columns
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.kernels.state import REMEMBERED
-from async_tnt.landmark_at_read import Regressor
-from async_tnt.snapshot import MAX_EVENTS, Arrays, part, taken, under
 from async_tnt.volume import TNTVolume
+from async_tnt.volume_state import MAX_EVENTS
 
 MAX_OPEN_WINDOWS = 256
 
 
-class OpenWindows:
+class WindowScheduler:
     """The open windows of a stream, oldest first.
 
     Parameters
@@ -81,31 +82,39 @@ class OpenWindows:
     def oldest_end_us(self) -> int:
         return self.oldest.start_us + self._window_us
 
-    def take(self, columns: Columns, first: int, last: int) -> int:
-        """Add events to all open windows, up to the limit; returns the first one not added."""
+    def absorb(self, columns: Columns, first: int, last: int) -> int:
+        """Add events to all open windows, up to the limit; returns the first one that was not added."""
         oldest = self._open[0]
-        if not self.overlap:  # it counts for itself
-            return oldest.take(columns, first, last)
         before = oldest.n_late, oldest.n_decided
-        taken = oldest.take(columns, first, last)
-        self.note_taken(columns, first, taken, before)
-        return taken
+        absorbed = oldest.absorb(columns, first, last)
+        self.count_absorbed(columns, first, absorbed, before)
+        return absorbed
 
-    def note_taken(self, columns: Columns, first: int, taken: int, before: tuple[int, int]) -> None:
-        """Where windows overlap: the oldest took these events; count them, and add them to the others.
+    def count_absorbed(self, columns: Columns, first: int, absorbed: int, before: tuple[int, int]) -> None:
+        """The oldest window has absorbed the events `first <= i < absorbed`: where windows overlap, count them once,
+        and add them to the others.
 
-        before : its `n_late` and `n_decided` before.
+        Parameters
+        ----------
+        before : `n_late` and `n_decided` of the oldest window before.
         """
+        if not self.overlap:
+            return
         oldest = self._open[0]
         self._n_late += oldest.n_late - before[0]
         self._n_decided += oldest.n_decided - before[1]
-        self._n_received += taken - first
+        self._n_received += absorbed - first
         for volume in islice(self._open, 1, None):
-            volume.take(columns, first, taken)
+            volume.absorb(columns, first, absorbed)
 
-    def open_until(self, t_us: int) -> bool:
-        """Open every window on the grid that holds `t_us` and is not open yet, skipping the empty ones between; one
-        at least is open then. Returns whether there is a new oldest one."""
+    def warn(self) -> None:
+        """Issue the warnings that the last packet made due."""
+        for volume in self.volumes:
+            volume.warn()
+
+    def open_due(self, t_us: int) -> bool:
+        """Open the windows that hold `t_us` and are not open yet, or else the next one, so that at least one is open;
+        empty ones before them are skipped. Returns whether the oldest is another one."""
         was_empty = not self._open
         if self._next_start_us is None:
             self._next_start_us = t_us
@@ -121,11 +130,11 @@ class OpenWindows:
             start_us += self.hop_us
         self._next_start_us = start_us
         if was_empty:
-            self._tell_oldest()
+            self._inform_oldest()
         return was_empty
 
-    def limit(self, trigger_us: int) -> None:
-        """Make `take` stop where something has to happen: a window ends or begins, or the time `trigger_us`."""
+    def set_limit(self, trigger_us: int) -> None:
+        """Make `absorb` stop where something has to happen: a window ends or begins, or at `trigger_us`."""
         assert self._next_start_us is not None
         limit_us = min(self.oldest_end_us, self._next_start_us, trigger_us)
         for volume in self._open:
@@ -134,26 +143,26 @@ class OpenWindows:
     def close_oldest(self, early: bool = False) -> None:
         """The oldest window is over, and its volume empty and free for the next one to be opened.
 
-        early : it is over before its end. Events that still come for it are counted as `dropped_decided`.
+        early : before its end. Events that still come for it are counted as `dropped_decided`.
         """
         volume = self._open.popleft()
         volume.close()
         self._free.append(volume)
         self._remember(1, early)
         if self._open:
-            self._tell_oldest()
+            self._inform_oldest()
 
     def _remember(self, hops: int, early: int) -> None:
-        """The window to look back from is so many hops later; `early`: the one before it was closed early."""
+        """The window to look back from is now so many hops later; `early`: the one before it was closed early."""
         before = self._closed_early << hops if hops < REMEMBERED else 0
         self._closed_early = (before | early) & ((1 << REMEMBERED) - 1)
 
-    def _tell_oldest(self) -> None:
-        """The oldest volume counts the late events."""
+    def _inform_oldest(self) -> None:
+        """The oldest volume counts the late events, so it has to know which windows were closed early."""
         if self._closed_early:
             self.oldest.set_closed_early(self._closed_early, self.hop_us)
 
-    def snapshot(self) -> Arrays:
+    def save(self) -> Arrays:
         """All volumes, which of them are open, and the counts."""
         number = {id(volume): k for k, volume in enumerate(self.volumes)}
         order = [number[id(volume)] for volume in (*self._open, *self._free)]
@@ -163,7 +172,7 @@ class OpenWindows:
         closed_early = self._closed_early.to_bytes(REMEMBERED // 8, "little")
         arrays["closed_early"] = np.frombuffer(closed_early, np.uint8)
         for k, volume in enumerate(self.volumes):
-            arrays |= under(str(k), volume.snapshot())
+            arrays |= with_prefix(str(k), volume.save())
         return arrays
 
     def restore(self, arrays: Arrays) -> None:
@@ -171,20 +180,20 @@ class OpenWindows:
 
         Raises
         ------
-        ValueError : some number is not one that such windows can have left. Call `reset` then.
+        ValueError : a number that cannot have been saved by such windows. Some have been restored then: discard them.
         """
-        order = taken(arrays, "order", np.int64, (len(self.volumes),)).tolist()
+        order = checked_array(arrays, "order", np.int64, (len(self.volumes),)).tolist()
         if sorted(order) != list(range(len(order))):
             raise ValueError(f"its volumes cannot be in the order {order}")
-        n_open, next_start_us, decided_us, *counted = taken(arrays, "counts", np.int64, (6,)).tolist()
+        n_open, next_start_us, decided_us, *counted = checked_array(arrays, "counts", np.int64, (6,)).tolist()
         if not 0 <= n_open <= len(order):
             raise ValueError(f"it has {n_open} open windows of {len(order)}")
         if min(counted) < 0 or not sum(counted[1:]) <= counted[0] <= MAX_EVENTS:
-            raise ValueError(f"its counts {counted} are no parts of one another")
+            raise ValueError(f"its counts {counted} contradict each other")
         first_us = next_start_us - n_open * self.hop_us
         for k, number in enumerate(order):
             volume = self.volumes[number]
-            volume.restore(part(str(number), arrays), is_open=k < n_open)
+            volume.restore(without_prefix(str(number), arrays), is_open=k < n_open)
             if k < n_open and volume.start_us != first_us + k * self.hop_us:
                 raise ValueError(f"its windows do not lie {self.hop_us} us apart")
         on_grid = self._start_us is None or (first_us - self._start_us) % self.hop_us == 0
@@ -199,26 +208,25 @@ class OpenWindows:
         self._free = [self.volumes[number] for number in order[n_open:]]
         self._closed_early = 0
         if "closed_early" in arrays:
-            words = taken(arrays, "closed_early", np.uint8, (REMEMBERED // 8,))
+            words = checked_array(arrays, "closed_early", np.uint8, (REMEMBERED // 8,))
             self._closed_early = int.from_bytes(words.tobytes(), "little")
-        elif 0 <= decided_us < first_us:  # older states: of such windows the newest alone
+        elif 0 <= decided_us < first_us:  # states of version 0.1 know only the newest such window
             self._closed_early = 1
             self._remember((first_us - decided_us) // self.hop_us - 1, 0)
-        self._tell_oldest()
+        self._inform_oldest()
 
-    def counts(self, n_dropped_at_door: int) -> Counts:
-        """What became of the events. Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an
-        event once, the others once in every window it belongs to."""
+    def counts(self, n_dropped: int) -> Counts:
+        """See `Processor.counts`. `n_dropped` : late events that the decoder has dropped."""
         total = sum((volume.counts for volume in self.volumes), Counts())
         received, late, decided = total.received, total.dropped_late, total.dropped_decided
         if self.overlap:
             received, late, decided = self._n_received, self._n_late, self._n_decided
         return Counts(
-            received + n_dropped_at_door,
+            received + n_dropped,
             total.kept,
             total.dropped_outside,
             total.dropped_tau_zero,
-            late + n_dropped_at_door,
+            late + n_dropped,
             total.dropped_unstored,
             decided,
         )

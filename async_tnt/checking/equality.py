@@ -27,7 +27,7 @@ from async_tnt.checking.reference import (
     reference_volume,
 )
 from async_tnt.config import LANDMARKS, TNTConfig
-from async_tnt.landmark_at_read import Regressor
+from async_tnt.deferred_landmark import Regressor
 from async_tnt.networks.classifier import CompiledClassifier
 from async_tnt.networks.model import Model
 from async_tnt.networks.regressor import CompiledRegressor

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.decision_lines import Queue
-from async_tnt.decision import Decision
-from async_tnt.decision_counts import Counts
+from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
 
 BAR = 32  # characters of a probability of 1

@@ -60,7 +60,6 @@ def classify_stretch(
     """
     n = 0
     ints = buffer.view(np.int64)
-    every = trigger.view(np.int64)[T.EVERY_EVENTS]
     level = trigger[T.LEVEL]
     while first < last:
         if n == len(notes):
@@ -70,16 +69,14 @@ def classify_stretch(
         taken = absorb(buffer, t, x, y, p, first, stop)
         at_limit = taken < stop or taken == first
         first = taken
-        why = T.BY_ACTIVITY if fires else T.NOT_DUE
-        if every > 0 and ints[S.N] % every == 0:
-            why = T.BY_EVENTS
-        if ints[S.N] > n_before and (why != T.NOT_DUE or trigger.view(np.int64)[T.EACH] != 0):
+        why = T.why_due(trigger, n_before, ints[S.N], fires)
+        if why != T.NOT_DUE:
             best = classify_cells(buffer, plan, weights, maps, dirty, logits[n], probabilities[n])
             if best < 0:
                 return first, n, NOT_FINITE
             if probabilities[n, best] >= level:
                 why = T.BY_CONFIDENCE
-            if why != T.NOT_DUE:
+            if why != T.LOOK:
                 notes[n, 0] = ints[S.N]
                 notes[n, 1] = ints[S.NEWEST_US]
                 notes[n, 2] = why

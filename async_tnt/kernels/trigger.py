@@ -20,7 +20,7 @@ EACH = 6  # 1: look at every event, since nothing else says when to look for con
 CHARGED_US = 7  # newest time that the potential has leaked to
 SIZE = 8
 
-NOT_DUE, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE = 0, 1, 2, 3
+NOT_DUE, LOOK, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE = 0, 1, 2, 3, 4  # LOOK: only whether it is confident enough
 
 
 @compiled
@@ -66,3 +66,26 @@ def next_stop(trigger, buffer, t, first, last):
                 trigger[POTENTIAL] = 0.0
                 return i + 1, True
     return stop, False
+
+
+@compiled
+def why_due(trigger, n_before, n, fires):
+    """Why a decision is due now that a window holds `n` events and held `n_before` before: the one rule for it.
+
+    Parameters
+    ----------
+    trigger : float64, see above.
+    fires : bool. What `next_stop` said of activity.
+
+    Returns
+    -------
+    int : NOT_DUE, LOOK, BY_EVENTS or BY_ACTIVITY.
+    """
+    ints = trigger.view(np.int64)
+    if n == n_before:  # nothing came, or late events only
+        return NOT_DUE
+    if ints[EVERY_EVENTS] > 0 and n % ints[EVERY_EVENTS] == 0:
+        return BY_EVENTS
+    if fires:
+        return BY_ACTIVITY
+    return LOOK if ints[EACH] != 0 else NOT_DUE

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from async_tnt.checking.equality import LOGIT_BOUND, REGRESSED_LANDMARK_BOUND, Comparison, closed_volumes
+from async_tnt.deferred_landmark import Regressor
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.landmark_at_read import Regressor
 from async_tnt.networks.classifier import CompiledClassifier
 from async_tnt.networks.model import Model
 from async_tnt.networks.regressor import CompiledRegressor

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from async_tnt.checks import plain_array
 from async_tnt.kernels.conv_rows import FILTERS, PLACES, TAPS
-from async_tnt.plain_arrays import plain_array
 
 
 def pack_filters(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.ndarray, np.ndarray]:

@@ -14,11 +14,10 @@ import numpy as np
 from safetensors import SafetensorError
 
 from async_tnt.checked_tensors import checksum, read_tensors, tensor_bytes
+from async_tnt.checks import one_line, plain_array
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
-from async_tnt.messages import one_line
 from async_tnt.networks.layer_graph import check_layer_graph, layer_graph
-from async_tnt.plain_arrays import plain_array
 
 FORMAT = "async_tnt 2"
 UNCHECKED_FORMAT = "async_tnt 1"  # the one before, without a checksum

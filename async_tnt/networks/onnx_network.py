@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.messages import one_line
+from async_tnt.checks import one_line
 from async_tnt.networks.onnx_metadata import CLASSIFIER, REGRESSOR, Exported
 from async_tnt.networks.onnx_session import DTYPES, check_input, check_output, open_session, source_of, whole_number
 

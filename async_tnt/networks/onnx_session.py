@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt.checks import one_line
 from async_tnt.config import MAX_CELLS
-from async_tnt.messages import one_line
 from async_tnt.networks.model import UncheckedModelWarning
 from async_tnt.networks.onnx_metadata import Exported, is_damaged, read_metadata
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from async_tnt.checks import checked_time
 from async_tnt.config import TNTConfig
-from async_tnt.events import EventDoor
+from async_tnt.events import EventDecoder
 from async_tnt.representations.scatter import add_counts, add_counts_and_times
 
 
@@ -50,7 +50,7 @@ def count_image(events: Any, *, sensor: tuple[int, int], out: np.ndarray | None 
     [[0, 0, 0], [1, 1, 0]]
     """
     sensor = TNTConfig(sensor=sensor).sensor  # checked
-    _, x, y, p, n = EventDoor(sensor)(events)
+    _, x, y, p, n = EventDecoder(sensor).decode(events)
     image = _room_for(2, sensor, np.int32, out)
     add_counts(x, y, p, n, image)
     return image
@@ -102,7 +102,7 @@ def count_timestamp_image(
     """
     config = TNTConfig(sensor=sensor, window_us=window_us)  # checks both
     start_us = checked_time("start_us", start_us)
-    t, x, y, p, n = EventDoor(config.sensor)(events)
+    t, x, y, p, n = EventDecoder(config.sensor).decode(events)
     image = _room_for(4, config.sensor, np.float32, out)
     add_counts_and_times(t, x, y, p, n, start_us, config.window_us, image)
     return image

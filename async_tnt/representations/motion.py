@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import checked_time
+from async_tnt.checks import checked_time, plain_array
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.records import MAX_TIME_US
-from async_tnt.plain_arrays import plain_array
 
 Array = np.ndarray
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from async_tnt.checks import plain_array
 from async_tnt.kernels.jit import compiled
-from async_tnt.plain_arrays import plain_array
 
 
 @dataclass(frozen=True)

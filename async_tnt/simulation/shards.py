@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import save
 
+from async_tnt.checks import plain_array
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.files import replacing
-from async_tnt.plain_arrays import plain_array
 from async_tnt.simulation.mapped_tensors import map_tensors
 
 FORMAT = "async_tnt.shard"

@@ -25,9 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from async_tnt.checks import plain_array
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.kernels.jit import compiled
-from async_tnt.plain_arrays import plain_array
 
 MIN_THRESHOLD = 1e-3
 """Smallest threshold: one thousandth of log luminance is a 0.1 % change, far below any pixel's."""

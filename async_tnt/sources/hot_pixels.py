@@ -35,7 +35,7 @@ import numpy as np
 from numba import int64, uint16
 from numpy.lib.stride_tricks import sliding_window_view
 
-from async_tnt.events import EventDoor
+from async_tnt.events import EventDecoder
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixel_filter import count_events
 from async_tnt.sources.pixel_masks import checked_sensor
@@ -64,7 +64,7 @@ def learn_mask(
 
     Raises
     ------
-    ValueError, TypeError : wrong settings, or a packet that breaks a rule of the door.
+    ValueError, TypeError : wrong settings, or a packet that breaks a rule of the decoder.
 
     Example
     -------
@@ -84,10 +84,10 @@ def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
     """Events of each pixel in a source of packets: int64, shape (H, W)."""
     compile_only(count_events, uint16[::1], uint16[::1], int64, int64[:, ::1])
     width, height = checked_sensor(sensor)
-    door = EventDoor((width, height))
+    decoder = EventDecoder((width, height))
     counts = np.zeros((height, width), np.int64)
     for events in source:
-        _, x, y, _, n = door(events)
+        _, x, y, _, n = decoder.decode(events)
         count_events(x, y, n, counts)
     return counts
 

@@ -10,7 +10,7 @@ import numpy as np
 from numba import int64, uint8
 
 from async_tnt.checks import is_whole
-from async_tnt.events import EVENT_DTYPE, EventDoor
+from async_tnt.events import EVENT_DTYPE, EventDecoder
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixel_filter import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.records import COLUMN_TYPES
@@ -89,7 +89,7 @@ class PixelFilter:
         inside = self._verdicts[top : top + roi_height, left : left + roi_width]
         inside[:] = 0 if mask is None else mask[top : top + roi_height, left : left + roi_width] * np.uint8(MASKED)
         self._corner = (left, top) if crop else (0, 0)
-        self._door = EventDoor((width, height))
+        self._decoder = EventDecoder((width, height))
         self.reset()
 
     def __call__(self, events: Any) -> np.ndarray:
@@ -103,7 +103,7 @@ class PixelFilter:
         ------
         ValueError, TypeError : as at the door of a Processor; nothing of such a packet counts.
         """
-        t, x, y, p, n = self._door(events)
+        t, x, y, p, n = self._decoder.decode(events)
         records = np.empty(n * EVENT_DTYPE.itemsize, np.uint8)
         kept, masked = keep_events(t, x, y, p, n, self._verdicts, *self._corner, records)
         self._received += n

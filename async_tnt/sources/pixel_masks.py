@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import is_whole
+from async_tnt.checks import is_whole, plain_array
 from async_tnt.config import MAX_SIDE
 from async_tnt.files import check_writable, replacing
-from async_tnt.plain_arrays import plain_array
 from async_tnt.sources.files.npy_arrays import map_npy
 from async_tnt.sources.sizes import by
 

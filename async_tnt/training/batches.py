@@ -11,7 +11,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.training.augment import Draws, unchanged
 from async_tnt.training.gather import GIVEN, MEAN, OWN, landmark_gradients, window_volumes
 from async_tnt.training.windows import Windows
-from async_tnt.volume import new_state
+from async_tnt.volume_state import new_state
 
 
 class BatchVolumes:

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.events import EventDoor
+from async_tnt.events import EventDecoder
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import absorb
 from async_tnt.kernels.readout import empty_volume
 from async_tnt.kernels.splat import BORDER_TOLERANCE
-from async_tnt.new_state import new_state, next_epoch
+from async_tnt.volume_state import new_state, next_epoch
 
 
 class Coordinates(NamedTuple):
@@ -70,7 +70,7 @@ def transformed(
             f"`events` must lie in the window [{start_us}, {start_us + config.window_us}) us, "
             f"got {t.min()} to {t.max()}"
         )
-    columns = EventDoor(config.sensor)(events)
+    columns = EventDecoder(config.sensor).decode(events)
     buffer = new_state(config)
     empty_volume(buffer, np.zeros(config.shape, np.float32), start_us, start_us + config.window_us, next_epoch())
     if landmark is not None:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.decision import Decision
-from async_tnt.decision_counts import Counts
+from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
 from async_tnt.views import rerun_layout as layout
 from async_tnt.views.rerun_newest import newest_text

@@ -63,7 +63,7 @@ def as_records(columns, order="txyp", swap=False):
 
 
 def in_every_form(columns):
-    """The same packet as `EventDoor` may meet it."""
+    """The same packet as `EventDecoder` may meet it."""
     yield "records", as_records(columns)
     yield "records, other order", as_records(columns, "pyxt")
     yield "records, big-endian", as_records(columns, swap=True)
@@ -73,7 +73,7 @@ def in_every_form(columns):
     yield "lists", tuple(column.tolist() for column in columns.values())
     yield "object", SimpleNamespace(**columns)
     ours = {field: column.astype(EVENT_DTYPE[field]) for field, column in columns.items()}
-    if all(np.array_equal(ours[field], columns[field]) for field in columns):  # what the door does not copy
+    if all(np.array_equal(ours[field], columns[field]) for field in columns):  # what the decoder does not copy
         yield "columns as they should be", tuple(ours.values())
 
 

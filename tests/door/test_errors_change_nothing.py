@@ -1,20 +1,20 @@
-"""After an error everything is as before: the door, a volume, a processor, and what they say of later events."""
+"""After an error everything is as before: the decoder, a volume, a processor, and what they say of later events."""
 
 import re
 
 import numpy as np
 import pytest
-from door.bad_events import BAD, GOOD, ONE, SENSOR
+from decoder.bad_events import BAD, GOOD, ONE, SENSOR
 from made import random_events
 
 from async_tnt import Processor, TNTConfig, TNTVolume
-from async_tnt.events import EventDoor
+from async_tnt.events import EventDecoder
 
 T, X, Y, P = GOOD.values()
 
 
-def door_state(door):
-    return door.newest_us, door.n_dropped
+def door_state(decoder):
+    return decoder.newest_us, decoder.n_dropped
 
 
 def volume_state(volume):
@@ -34,13 +34,13 @@ def told(decisions):
 
 @pytest.mark.parametrize("late", ["accept", "drop", "raise"])
 def test_the_door_is_as_before(late):
-    door = EventDoor(SENSOR, late)
-    door((T, X, Y, P))
-    before = door_state(door)
+    decoder = EventDecoder(SENSOR, late)
+    decoder.decode((T, X, Y, P))
+    before = door_state(decoder)
     for events, error, _ in BAD.values():
         with pytest.raises(error):
-            door(events)
-        assert door_state(door) == before
+            decoder.decode(events)
+        assert door_state(decoder) == before
 
 
 @pytest.mark.parametrize("landmark", ["running", "line", "window"])

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from async_tnt import events as door_module
-from async_tnt.events import EVENT_DTYPE, EventDoor, as_events
+from async_tnt.events import EVENT_DTYPE, EventDecoder, as_events
 from async_tnt.kernels.records import FINE
 
 SENSOR = (346, 260)
@@ -104,9 +104,9 @@ STORED = {
 }
 
 
-def taken(door, events):
+def taken(decoder, events):
     """The door's columns, as lists; what is promised of their memory is checked on the way."""
-    columns = door(events)
+    columns = decoder.decode(events)
     for column, dtype in zip(columns[:4], TYPES, strict=True):
         assert column.dtype == dtype
         assert column.flags.carray  # one compiled version of every kernel
@@ -123,11 +123,11 @@ def as_it_is(values):
 
 
 def assert_taken(events, expected=(T, X, Y, P), *, arrays=()):
-    """`events` come out as `expected`, from the door and from `as_events`; `arrays` are left as they are."""
+    """`events` come out as `expected`, from the decoder and from `as_events`; `arrays` are left as they are."""
     before = [as_it_is(a) for a in arrays]
-    door = EventDoor(SENSOR)
+    decoder = EventDecoder(SENSOR)
     for _ in range(2):
-        assert taken(door, events) == [list(column) for column in expected]
+        assert taken(decoder, events) == [list(column) for column in expected]
     packed = as_events(events, SENSOR)
     assert packed.dtype == EVENT_DTYPE
     assert [packed[name].tolist() for name in "txyp"] == [list(column) for column in expected]
@@ -148,8 +148,8 @@ def test_structured_arrays(layout, stored):
 def test_packed_records_take_the_fast_way(layout, monkeypatch):
     monkeypatch.delattr(door_module, "named_columns")
     events = records(PACKED[layout])
-    assert taken(EventDoor(SENSOR), events) == [T, X, Y, P]
-    assert taken(EventDoor(SENSOR), unaligned(read_only(events))) == [T, X, Y, P]
+    assert taken(EventDecoder(SENSOR), events) == [T, X, Y, P]
+    assert taken(EventDecoder(SENSOR), unaligned(read_only(events))) == [T, X, Y, P]
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -184,30 +184,30 @@ def test_field_names(t, p):
 
 
 def test_one_door_takes_any_form_after_any_other():
-    door = EventDoor(SENSOR)
+    decoder = EventDecoder(SENSOR)
     for _ in range(2):
         for layout in LAYOUTS.values():
-            assert taken(door, records(layout)) == [T, X, Y, P]
-            assert taken(door, records(layout)[2:3]) == [T[2:3], X[2:3], Y[2:3], P[2:3]]
-            assert taken(door, (T, X, Y, P)) == [T, X, Y, P]
-            assert taken(door, None) == [[], [], [], []]
+            assert taken(decoder, records(layout)) == [T, X, Y, P]
+            assert taken(decoder, records(layout)[2:3]) == [T[2:3], X[2:3], Y[2:3], P[2:3]]
+            assert taken(decoder, (T, X, Y, P)) == [T, X, Y, P]
+            assert taken(decoder, None) == [[], [], [], []]
 
 
 @pytest.mark.parametrize("sizes", [(1, 1023, 1024, 1025, 2, 5000, 1), (3000, 0, 3001, 1)])
 def test_packets_of_growing_and_shrinking_size(sizes):
-    door = EventDoor(SENSOR)
+    decoder = EventDecoder(SENSOR)
     rng = np.random.default_rng(0)
     for n in sizes:
         columns = [rng.integers(0, 2**62, n), rng.integers(0, 346, n), rng.integers(0, 260, n), rng.integers(0, 2, n)]
-        assert taken(door, records(PACKED["metavision"], columns)) == [column.tolist() for column in columns]
+        assert taken(decoder, records(PACKED["metavision"], columns)) == [column.tolist() for column in columns]
 
 
 def test_fields_renamed_in_place_between_packets():
     events = np.array([(5, 1, 2, 1)], EVENT_DTYPE.descr)
-    door = EventDoor(SENSOR)
-    assert taken(door, events) == [[5], [1], [2], [1]]
+    decoder = EventDecoder(SENSOR)
+    assert taken(decoder, events) == [[5], [1], [2], [1]]
     events.dtype.names = ("t", "y", "x", "p")  # the same dtype object with another meaning
-    assert taken(door, events) == [[5], [2], [1], [1]]
+    assert taken(decoder, events) == [[5], [2], [1], [1]]
 
 
 # -- polarity --------------------------------------------------------------------------------------------
@@ -237,9 +237,9 @@ def test_polarity_of_one_kind_only(polarity, expected, number):
 
 
 def test_one_packet_may_say_minus_one_and_the_next_zero():
-    door = EventDoor(SENSOR)
-    assert taken(door, ([1, 2], [0, 0], [0, 0], [-1, 1]))[3] == [0, 1]
-    assert taken(door, ([1, 2], [0, 0], [0, 0], [0, 1]))[3] == [0, 1]
+    decoder = EventDecoder(SENSOR)
+    assert taken(decoder, ([1, 2], [0, 0], [0, 0], [-1, 1]))[3] == [0, 1]
+    assert taken(decoder, ([1, 2], [0, 0], [0, 0], [0, 1]))[3] == [0, 1]
 
 
 # -- columns ---------------------------------------------------------------------------------------------
@@ -262,7 +262,7 @@ def test_columns_of_the_right_types(stored):
 
 def test_columns_of_the_right_form_are_not_copied():
     columns = tuple(np.array(c, dtype) for c, dtype in zip((T, X, Y, P), TYPES, strict=True))
-    for came, went in zip(columns, EventDoor(SENSOR)(columns)[:4], strict=True):
+    for came, went in zip(columns, EventDecoder(SENSOR).decode(columns)[:4], strict=True):
         assert came is went
 
 
@@ -400,22 +400,22 @@ EMPTY = {
 @pytest.mark.parametrize("form", EMPTY)
 @pytest.mark.parametrize("late", ["accept", "drop", "raise"])
 def test_empty_packets(form, late):
-    door = EventDoor(SENSOR, late)
+    decoder = EventDecoder(SENSOR, late)
     for _ in range(2):
-        assert taken(door, EMPTY[form]) == [[], [], [], []]
-    assert taken(door, (T[:1], X[:1], Y[:1], P[:1])) == [T[:1], X[:1], Y[:1], P[:1]]
-    assert taken(door, EMPTY[form]) == [[], [], [], []]
-    assert (door.newest_us, door.n_dropped) == ((-1, 0) if late == "accept" else (T[0], 0))
+        assert taken(decoder, EMPTY[form]) == [[], [], [], []]
+    assert taken(decoder, (T[:1], X[:1], Y[:1], P[:1])) == [T[:1], X[:1], Y[:1], P[:1]]
+    assert taken(decoder, EMPTY[form]) == [[], [], [], []]
+    assert (decoder.newest_us, decoder.n_dropped) == ((-1, 0) if late == "accept" else (T[0], 0))
     assert len(as_events(EMPTY[form], SENSOR)) == 0
 
 
 @pytest.mark.parametrize("swapped", range(3))
 @pytest.mark.parametrize("rows", [[], [(5, 3, 2, 1)]])
 def test_columns_of_the_other_byte_order_are_turned_whatever_numba_takes_them_for(monkeypatch, swapped, rows):
-    door = EventDoor((34, 34))
+    decoder = EventDecoder((34, 34))
     monkeypatch.setattr(door_module, "check_columns", lambda *columns: FINE)  # as if all had the right form
     columns = [np.array([row[k] for row in rows], dtype) for k, dtype in enumerate(("<i8", "<u2", "<u2", "u1"))]
     columns[swapped] = columns[swapped].astype(columns[swapped].dtype.newbyteorder(">"))
-    taken = door(tuple(columns))
+    taken = decoder.decode(tuple(columns))
     assert [column.dtype.str for column in taken[:4]] == ["<i8", "<u2", "<u2", "|u1"]
     assert list(zip(*(column[: taken.n].tolist() for column in taken[:4]), strict=True)) == rows

@@ -1,4 +1,4 @@
-"""Any record layout, any numbers around the limits, any Python object: the door agrees with a slow oracle, and
+"""Any record layout, any numbers around the limits, any Python object: the decoder agrees with a slow oracle, and
 nothing but ValueError or TypeError ever comes out of it."""
 
 import datetime
@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
 from async_tnt import EVENT_DTYPE
-from async_tnt.events import NAMES, EventDoor, as_events, checked_columns, named_columns
+from async_tnt.events import NAMES, EventDecoder, as_events, checked_columns, named_columns
 
 INTEGERS = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
 OURS = (np.int64, np.uint16, np.uint16, np.uint8)
@@ -169,15 +169,15 @@ def test_records_of_any_layout(data, layout, sensor, trouble, how, padding):
     events = stored(events, how)
     before = memory(events)
 
-    door = EventDoor(sensor)
-    assert outcome(door, events) == expected  # most of them by the fast way
-    assert outcome(door, events) == expected
+    decoder = EventDecoder(sensor)
+    assert outcome(decoder, events) == expected  # most of them by the fast way
+    assert outcome(decoder, events) == expected
     assert outcome(lambda: checked_columns(*named_columns(events), sensor)) == expected  # all by the slow one
     columns = tuple(events[name] for name in names)
-    assert outcome(door, columns) == (expected if rows else [])
-    assert outcome(door, tuple(column.copy() for column in columns)) == (expected if rows else [])
+    assert outcome(decoder, columns) == (expected if rows else [])
+    assert outcome(decoder, tuple(column.copy() for column in columns)) == (expected if rows else [])
     if rows:
-        assert outcome(door, events[-1]) == refused_or_columns(rows[-1:], kinds, sensor)
+        assert outcome(decoder, events[-1]) == refused_or_columns(rows[-1:], kinds, sensor)
     if expected is not None:
         assert [tuple(row) for row in as_events(events, sensor).tolist()] == expected
     assert memory(events) == before
@@ -190,11 +190,11 @@ def test_columns_of_python_integers(data, sensor, trouble):
     expected = refused_or_columns(rows, dict.fromkeys(NAMES, "i"), sensor)
     event("refused" if expected is None else "taken")
     columns = [list(column) for column in zip(*rows, strict=True)]
-    door = EventDoor(sensor)
-    assert outcome(door, tuple(columns)) == expected
-    assert outcome(door, SimpleNamespace(**dict(zip(NAMES, columns, strict=True)))) == expected
+    decoder = EventDecoder(sensor)
+    assert outcome(decoder, tuple(columns)) == expected
+    assert outcome(decoder, SimpleNamespace(**dict(zip(NAMES, columns, strict=True)))) == expected
     for row in rows:
-        assert outcome(door, row) == refused_or_columns([row], dict.fromkeys(NAMES, "i"), sensor)
+        assert outcome(decoder, row) == refused_or_columns([row], dict.fromkeys(NAMES, "i"), sensor)
 
 
 @FUZZ
@@ -205,7 +205,7 @@ def test_columns_of_the_right_types(data, sensor, trouble):
     expected = refused_or_columns(rows, dict.fromkeys(NAMES, "i"), sensor)
     event("refused" if expected is None else "taken")
     columns = tuple(np.array(column, dtype) for column, dtype in zip(zip(*rows, strict=True), OURS, strict=True))
-    assert outcome(EventDoor(sensor), columns) == expected
+    assert outcome(EventDecoder(sensor), columns) == expected
     assert outcome(lambda: checked_columns(*columns, sensor)) == expected
 
 
@@ -213,7 +213,7 @@ def test_columns_of_the_right_types(data, sensor, trouble):
 
 
 class Holder:
-    """An object that hands something out in one of the ways that the door knows."""
+    """An object that hands something out in one of the ways that the decoder knows."""
 
     def __init__(self, how, value):
         self.how, self.value = how, value
@@ -313,10 +313,10 @@ RENAMED = st.permutations(["t", "x", "y", "p", "a"])
 @settings(FUZZ, max_examples=600)
 @given(ANYTHING, st.sampled_from(["accept", "drop", "raise"]))
 def test_anything_at_all(thing, late):
-    door = EventDoor((34, 33), late)
+    decoder = EventDecoder((34, 33), late)
     for _ in range(2):
         try:
-            columns = door(thing)
+            columns = decoder.decode(thing)
         except (ValueError, TypeError) as error:
             assert str(error)
             event(type(error).__name__)
@@ -324,7 +324,7 @@ def test_anything_at_all(thing, late):
         event("taken, empty" if columns.n == 0 else "taken")
         for t, x, y, p in rows_of(columns):
             assert 0 <= t < 2**62 and 0 <= x < 34 and 0 <= y < 33 and p in (0, 1)
-    assert rows_of(door(([2**62 - 1], [33], [32], [1]))) == [(2**62 - 1, 33, 32, 1)]
+    assert rows_of(decoder.decode(([2**62 - 1], [33], [32], [1]))) == [(2**62 - 1, 33, 32, 1)]
 
 
 @FUZZ
@@ -340,8 +340,8 @@ def test_structured_arrays_of_any_types(dtype, names, n, byte):
         formats = [dtype.fields[name][0] for name in dtype.names][:5]
         dtype = np.dtype(list(zip(names, formats, strict=False)))
     events = made_array(dtype, (n,), byte)
-    fast = outcome(EventDoor((34, 33)), events)
-    assert fast == outcome(EventDoor((34, 33)), np.repeat(events, 2)[::2])
+    fast = outcome(EventDecoder((34, 33)), events)
+    assert fast == outcome(EventDecoder((34, 33)), np.repeat(events, 2)[::2])
     event("taken" if fast else "refused or empty")
     if fast:
         assert all(dtype.fields[name][0].kind in "iu" for name in "txy")
@@ -350,5 +350,5 @@ def test_structured_arrays_of_any_types(dtype, names, n, byte):
 
 def test_a_mock_has_every_attribute():
     with pytest.raises(ValueError, match=r"^events need one field `t`, got t and ts and timestamp in a Mock"):
-        EventDoor((34, 34))(Mock())
-    assert outcome(EventDoor((34, 34)), MagicMock()) in (None, [])
+        EventDecoder((34, 34)).decode(Mock())
+    assert outcome(EventDecoder((34, 34)), MagicMock()) in (None, [])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from made import events_of
 
 from async_tnt import Processor, TNTConfig, TNTVolume
-from async_tnt.events import EventDoor
+from async_tnt.events import EventDecoder
 
 SENSOR = (34, 34)
 T = [5, 7, 6, 7, 9, 8, 8, 9, 3]  # 6, 8, 8 and 3 are late
@@ -40,32 +40,32 @@ def rows(columns):
 @pytest.mark.parametrize("form", range(4))
 def test_accept_takes_them_in_the_order_of_arrival(form):
     events = list(forms(T))[form]
-    door = EventDoor(SENSOR, "accept")
-    assert rows(door(events)) == packet(T).tolist()
-    assert rows(door(events)) == packet(T).tolist()
-    assert door.n_dropped == 0
+    decoder = EventDecoder(SENSOR, "accept")
+    assert rows(decoder.decode(events)) == packet(T).tolist()
+    assert rows(decoder.decode(events)) == packet(T).tolist()
+    assert decoder.n_dropped == 0
 
 
 @pytest.mark.parametrize("form", range(4))
 def test_drop_drops_and_counts_them(form):
     events = list(forms(T))[form]
-    door = EventDoor(SENSOR, "drop")
-    assert rows(door(events)) == packet(T)[KEPT].tolist()
-    assert (door.n_dropped, door.newest_us) == (4, 9)
-    assert rows(door(events)) == [row for row in packet(T).tolist() if row[0] == 9]  # 9 is not older than 9
-    assert (door.n_dropped, door.newest_us) == (11, 9)
-    door.reset()
-    assert (door.n_dropped, door.newest_us) == (0, -1)
-    assert rows(door(events)) == packet(T)[KEPT].tolist()
+    decoder = EventDecoder(SENSOR, "drop")
+    assert rows(decoder.decode(events)) == packet(T)[KEPT].tolist()
+    assert (decoder.n_dropped, decoder.newest_us) == (4, 9)
+    assert rows(decoder.decode(events)) == [row for row in packet(T).tolist() if row[0] == 9]  # 9 is not older than 9
+    assert (decoder.n_dropped, decoder.newest_us) == (11, 9)
+    decoder.reset()
+    assert (decoder.n_dropped, decoder.newest_us) == (0, -1)
+    assert rows(decoder.decode(events)) == packet(T)[KEPT].tolist()
 
 
 def test_drop_at_the_border_of_two_packets():
-    door = EventDoor(SENSOR, "drop")
-    assert [row[0] for row in rows(door(packet([10, 20])))] == [10, 20]
-    assert [row[0] for row in rows(door(packet([19, 20, 21])))] == [20, 21]
-    assert rows(door(packet([0, 20]))) == []
-    assert [row[0] for row in rows(door(packet([21])))] == [21]
-    assert door.n_dropped == 3
+    decoder = EventDecoder(SENSOR, "drop")
+    assert [row[0] for row in rows(decoder.decode(packet([10, 20])))] == [10, 20]
+    assert [row[0] for row in rows(decoder.decode(packet([19, 20, 21])))] == [20, 21]
+    assert rows(decoder.decode(packet([0, 20]))) == []
+    assert [row[0] for row in rows(decoder.decode(packet([21])))] == [21]
+    assert decoder.n_dropped == 3
 
 
 @pytest.mark.parametrize("form", range(4))
@@ -79,19 +79,19 @@ def test_drop_at_the_border_of_two_packets():
     ],
 )
 def test_raise_names_the_first_late_event_and_takes_nothing(form, first, second, message):
-    door = EventDoor(SENSOR, "raise")
-    door(packet(first))
-    newest_us = door.newest_us
+    decoder = EventDecoder(SENSOR, "raise")
+    decoder.decode(packet(first))
+    newest_us = decoder.newest_us
     with pytest.raises(ValueError, match=rf"^`t` must not run backwards \(late=\"raise\"\), {message}; .*drops and"):
-        door(list(forms(second))[form])
-    assert (door.newest_us, door.n_dropped) == (newest_us, 0)
-    assert rows(door(packet([first[-1] if first else 0])))
+        decoder.decode(list(forms(second))[form])
+    assert (decoder.newest_us, decoder.n_dropped) == (newest_us, 0)
+    assert rows(decoder.decode(packet([first[-1] if first else 0])))
 
 
 def test_a_policy_that_is_none():
     message = "^`late` must be one of accept, drop, raise, got 'ignore'$"
     with pytest.raises(ValueError, match=message):
-        EventDoor(SENSOR, "ignore")
+        EventDecoder(SENSOR, "ignore")
     with pytest.raises(ValueError, match=message):
         TNTVolume(TNTConfig(), late="ignore")
     with pytest.raises(ValueError, match=message):
@@ -106,7 +106,7 @@ def test_a_policy_that_is_none():
     form=st.integers(0, 3),
 )
 def test_any_stream_in_any_packets(times, cuts, late, form):
-    door = EventDoor(SENSOR, late)
+    decoder = EventDecoder(SENSOR, late)
     events = packet(times)
     borders = [0, *sorted(min(cut, len(times)) for cut in cuts), len(times)]
     newest, n_dropped = -1, 0
@@ -122,12 +122,12 @@ def test_any_stream_in_any_packets(times, cuts, late, form):
         part = tuple(column[first:last] for column in came) if isinstance(came, tuple) else came[first:last]
         if late == "raise" and n_late:
             with pytest.raises(ValueError, match="must not run backwards"):
-                door(part)
+                decoder.decode(part)
         else:
-            assert rows(door(part)) == expected
+            assert rows(decoder.decode(part)) == expected
             newest, n_dropped = packet_newest, n_dropped + n_late
         if late != "accept":
-            assert (door.newest_us, door.n_dropped) == (newest, n_dropped)
+            assert (decoder.newest_us, decoder.n_dropped) == (newest, n_dropped)
 
 
 def test_volume_counts_every_late_event_once():

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from door.bad_events import MASKED, SENSOR
+from decoder.bad_events import MASKED, SENSOR
 
 from async_tnt import Model, load_model
-from async_tnt.events import EventDoor
+from async_tnt.events import EventDecoder
 from async_tnt.networks.classifier import CompiledClassifier
 from async_tnt.representations.motion import move_by_flow
 from async_tnt.simulation.scene import render
@@ -40,5 +40,5 @@ def test_other_arrays(name, take, array):
 
 def test_a_masked_number():
     with pytest.raises(TypeError) as told:
-        EventDoor(SENSOR)((5, 1, np.ma.masked, 1))
+        EventDecoder(SENSOR).decode((5, 1, np.ma.masked, 1))
     assert str(told.value) == MASKED.format("y")

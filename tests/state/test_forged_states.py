@@ -9,7 +9,7 @@ from deciding import CONFIG
 from made import random_events, random_model
 
 from async_tnt import LeakyIntegrator, Processor
-from async_tnt.snapshot import from_bytes, to_bytes
+from async_tnt.checked_tensors import read_state, state_bytes
 
 N_FORGED = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", 1000))
 SMALL = CONFIG.replace(sensor=(30, 24), grid=(12, 10), bins=3)
@@ -44,7 +44,7 @@ def refused(case, arrays, about, rest):
     """Whether a state is refused; if not, its stream has gone on to the end."""
     processor = make(case)
     try:
-        processor.restore_state(to_bytes(arrays, about))
+        processor.restore_state(state_bytes(arrays, about))
     except ValueError as error:
         assert "\n" not in str(error) and len(str(error)) < 1000
         assert processor.counts.received == 0
@@ -85,7 +85,7 @@ def misshapen(array):
 def test_every_number(case):
     """The state itself is fine, and what is done to it afterwards is signed as if it were."""
     state, rest = stopped(case)
-    arrays, about = from_bytes(state)
+    arrays, about = read_state(state)
     assert not refused(case, arrays, about, rest)
     rng = np.random.default_rng(case)
     states = [
@@ -103,7 +103,7 @@ def test_every_number(case):
 def test_several_numbers_at_once(case):
     """So that one forged number fits the next."""
     state, rest = stopped(case)
-    arrays, about = from_bytes(state)
+    arrays, about = read_state(state)
     rng = np.random.default_rng(case)
     for _ in range(N_FORGED // 2):
         forged = {name: array.copy() for name, array in arrays.items()}
@@ -120,7 +120,7 @@ def test_several_numbers_at_once(case):
 def test_every_setting():
     for case in (0, 1):
         state, rest = stopped(case)
-        arrays, about = from_bytes(state)
+        arrays, about = read_state(state)
         for name, value in itertools.product(about["triggers"], SETTINGS):
             refused(case, arrays, about | {"triggers": about["triggers"] | {name: value}}, rest)
         for value in SETTINGS:
@@ -145,8 +145,8 @@ def test_every_setting():
 )
 def test_what_is_said_of_a_volume(name, slot, value, message):
     state, _ = stopped(4)
-    arrays, about = from_bytes(state)
+    arrays, about = read_state(state)
     arrays = {key: array.copy() for key, array in arrays.items()}
     arrays[f"0.{name}"][slot] = value
     with pytest.raises(ValueError, match=f"`state` cannot be restored here: .*{message}"):
-        make(4).restore_state(to_bytes(arrays, about))
+        make(4).restore_state(state_bytes(arrays, about))

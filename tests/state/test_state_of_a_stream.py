@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_model, random_regressor_model
 
 from async_tnt import LeakyIntegrator, Processor, TNTConfig
-from async_tnt.checked_tensors import checksum, tensor_bytes
-from async_tnt.snapshot import FORMAT, from_bytes, to_bytes
+from async_tnt.checked_tensors import STATE_FORMAT, checksum, read_state, state_bytes, tensor_bytes
 
 SETTINGS = [
     {},
@@ -158,15 +157,15 @@ def test_damage_is_noticed():
 
 @pytest.mark.parametrize("text", [None, "", "[" * 100_000, "nonsense"], ids=["none", "empty", "deep", "no JSON"])
 def test_a_valid_checksum_over_no_state(text):
-    metadata = {"format": FORMAT, "sha256": checksum({}, text or "")} | ({} if text is None else {"about": text})
+    metadata = {"format": STATE_FORMAT, "sha256": checksum({}, text or "")} | ({} if text is None else {"about": text})
     with pytest.raises(ValueError, match=r"^`state` is damaged: .+$"):
-        from_bytes(tensor_bytes({}, metadata))
+        read_state(tensor_bytes({}, metadata))
 
 
 def test_a_state_of_another_type():
-    state = tensor_bytes({"slots": np.zeros(4, np.float16)}, {"format": FORMAT})
+    state = tensor_bytes({"slots": np.zeros(4, np.float16)}, {"format": STATE_FORMAT})
     with pytest.raises(ValueError, match="something else: NumPy has no type BF16"):
-        from_bytes(state.replace(b'"F16"', b'"BF16"').replace(state[:8], (state[0] + 1).to_bytes(8, "little"), 1))
+        read_state(state.replace(b'"F16"', b'"BF16"').replace(state[:8], (state[0] + 1).to_bytes(8, "little"), 1))
 
 
 def test_what_the_door_dropped_is_remembered():
@@ -183,12 +182,12 @@ def test_what_the_door_dropped_is_remembered():
 
 def test_where_restoring_fails_the_triggers_are_as_before():
     model = random_model(CONFIG, classes=3, widths=(3, 4, 5))
-    arrays, about = from_bytes(Processor(model, every_us=100).save_state())
+    arrays, about = read_state(Processor(model, every_us=100).save_state())
     arrays.pop("door")
     here = Processor(model, every_us=777)
     here.push(random_events(20, duration_us=100, sensor=(30, 30)))
     with pytest.raises(ValueError, match="cannot be restored here"):
-        here.restore_state(to_bytes(arrays, about))
+        here.restore_state(state_bytes(arrays, about))
     assert here.every_us == 777 and here.counts.received == 0
 
 

@@ -9,7 +9,7 @@ from made import random_events, random_model, random_regressor_model
 from async_tnt import TNTConfig
 from async_tnt.checking.equality import check_recording, configurations
 from async_tnt.cli import main
-from async_tnt.landmark_at_read import RegressedLandmark
+from async_tnt.deferred_landmark import RegressedLandmark
 from async_tnt.networks.regressor import CompiledRegressor
 from async_tnt.sources.files.recording import sample_recordings
 

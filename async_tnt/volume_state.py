@@ -1,28 +1,21 @@
-"""Snapshots: what a stream remembers, as named arrays and as bytes.
+"""A volume's flat buffer, see `kernels.state`: made for a configuration, saved, and restored from elsewhere.
 
-Parameters of a volume are not in it: they follow from the configuration, and a damaged file must not change where
-compiled code writes. Cells are kept where they are not zero, and the events of a replay instead of cells.
+Parameters are not saved: they follow from the configuration, and damaged ones must not change where compiled code
+writes. Cells are saved where they are not zero.
 """
 
 from __future__ import annotations
 
-import io
-import json
-from typing import Any
+import itertools
 
 import numpy as np
-from safetensors import SafetensorError
 
-from async_tnt.checked_tensors import checksum, read_tensors, tensor_bytes
+from async_tnt.checked_tensors import Arrays, checked_array
 from async_tnt.config import TNTConfig
 from async_tnt.kernels import state as S
 from async_tnt.kernels.records import MAX_TIME_US
-from async_tnt.messages import one_line
-from async_tnt.new_state import next_epoch
 
-FORMAT = "async_tnt stream 2"
-Arrays = dict[str, np.ndarray]
-DERIVED = 0  # a slot that follows from the others, and is not believed
+DERIVED = 0  # follows from other slots; not restored
 SLOTS = {
     "start_us": S.START_US,
     "limit_us": DERIVED,
@@ -43,11 +36,53 @@ SLOTS = {
     "fixed_x": DERIVED,
     "fixed_y": DERIVED,
 }
-MAX_EVENTS = 1 << 53  # a century of a busy camera; sums of counts stay far from the end of int64
+MAX_EVENTS = 1 << 53  # 28 years at 10 million events a second; sums stay far from the end of int64
+_epochs = itertools.count(1)
 
 
-def buffer_arrays(buffer: np.ndarray, with_cells: bool) -> Arrays:
-    """The open window of a volume's `kernels.state`, and its counts; all numbers by their bits."""
+def next_epoch() -> int:
+    """A number for a window's EPOCH that no other window of this process has."""
+    return next(_epochs)
+
+
+def new_state(config: TNTConfig) -> np.ndarray:
+    """The buffer of a volume, its parameters set, no window open (see `kernels.state`)."""
+    (sensor_w, sensor_h), (width, height) = config.sensor, config.grid
+    plane = 2 * (width + 1) * (height + 1)
+    n_cells = config.channels * plane
+    log_size = 1 << (max(S.BLOCK, n_cells // S.NUMBERS_PER_LOGGED) - 1).bit_length()
+    buffer = np.zeros(S.CELLS + n_cells + log_size)
+    ints = buffer.view(np.int64)
+    gain_x, gain_y = config.to_grid(1.0, 1.0)
+    raw = config.transform == "none"
+    buffer[S.WINDOW_US] = config.window_us
+    buffer[S.BIN_SCALE] = (config.bins - 1) / config.window_us
+    buffer[S.SCALE_X] = gain_x * (1.0 if raw else config.window_us / config.t_max)
+    buffer[S.SCALE_Y] = gain_y * (1.0 if raw else config.window_us / config.t_max)
+    buffer[S.CENTER_X] = 0.0 if raw else (width - 1) / 2
+    buffer[S.CENTER_Y] = 0.0 if raw else (height - 1) / 2
+    buffer[S.MAX_U] = width - 1
+    buffer[S.MAX_V] = height - 1
+    buffer[S.SIGN_ON] = 1.0
+    buffer[S.SIGN_OFF] = -1.0 if config.polarity == "signed" else 1.0
+    buffer[S.FIXED_X] = (sensor_w - 1) / 2  # the grid's centre
+    buffer[S.FIXED_Y] = (sensor_h - 1) / 2
+    modes = {"running": S.MODE_RUNNING, "line": S.MODE_LINE}
+    mode = S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes.get(config.landmark, S.MODE_FIXED)
+    ints[S.MODE] = S.MODE_RAW if raw else mode
+    ints[S.HOP_US] = config.window_us
+    ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
+    ints[S.ROW] = 2 * (width + 1)
+    ints[S.PLANE] = plane
+    ints[S.OFF_SHIFT] = plane * config.bins if config.polarity == "split" else 0
+    ints[S.LOG] = S.CELLS + n_cells
+    ints[S.BIN_LO], ints[S.BIN_HI] = S.NO_BIN, -1
+    ints[S.LOG_SIZE] = log_size
+    return buffer
+
+
+def save_window(buffer: np.ndarray, with_cells: bool) -> Arrays:
+    """The open window of a volume, and its counts; all numbers by their bits."""
     ints = buffer.view(np.int64)
     places = np.flatnonzero(ints[S.CELLS : ints[S.LOG]]) if with_cells else np.empty(0, np.int64)
     return {"slots": ints[list(SLOTS.values())], "places": places, "cells": buffer[S.CELLS + places]}
@@ -65,9 +100,9 @@ def restore_counts(buffer: np.ndarray, arrays: Arrays) -> None:
 def restore_window(buffer: np.ndarray, arrays: Arrays, config: TNTConfig) -> None:
     """An open window, into the buffer of an empty volume of the same configuration, whose counts are back.
 
-    Every number that the kernels index or divide with is what a stream can have left there: whoever has written the
-    state, they stay within the buffer. The log of touched cells is not kept: readers find that they have missed more
-    than it holds, and read all.
+    Every number that the kernels index or divide with is checked to be one that a stream can have left there, as if an
+    enemy had written the state. The log of touched cells is not saved: readers find that they have missed more than it
+    holds, and read everything.
     """
     ints = buffer.view(np.int64)
     slots = _slots(arrays)
@@ -86,8 +121,8 @@ def restore_window(buffer: np.ndarray, arrays: Arrays, config: TNTConfig) -> Non
     if not (np.all(np.abs(lines) <= n * np.array((width, height, 1))) and lines[2] >= 0):  # False for nan
         raise ValueError(f"its running line has the sums {lines.tolist()}, which {n} events cannot have")
     places = arrays.get("places", np.empty(0))
-    places = taken(arrays, "places", np.int64, places.shape)
-    cells = taken(arrays, "cells", np.float64, (places.size,))
+    places = checked_array(arrays, "places", np.int64, places.shape)
+    cells = checked_array(arrays, "cells", np.float64, (places.size,))
     n_cells = 0 if config.needs_replay else int(ints[S.LOG]) - S.CELLS
     if np.any((places < 0) | (places >= n_cells)) or not np.all(np.abs(cells) <= 1.001 * n):
         raise ValueError("its cells are not those of such a window")
@@ -100,61 +135,10 @@ def restore_window(buffer: np.ndarray, arrays: Arrays, config: TNTConfig) -> Non
     ints[S.BIN_LO], ints[S.BIN_HI] = 0, config.bins - 1
 
 
-def taken(arrays: Arrays, name: str, dtype: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """One array of a snapshot.
-
-    Raises
-    ------
-    ValueError : it is missing, or of another type or shape.
-    """
-    array = arrays.get(name)
-    if array is None or array.dtype != dtype or array.shape != shape:
-        got = "none" if array is None else f"{array.dtype} {array.shape}"
-        raise ValueError(f"its `{name}` must be {np.dtype(dtype)} {shape}, got {got}")
-    return array
-
-
 def _slots(arrays: Arrays) -> dict[str, int]:
-    return dict(zip(SLOTS, taken(arrays, "slots", np.int64, (len(SLOTS),)).tolist(), strict=True))
+    return dict(zip(SLOTS, checked_array(arrays, "slots", np.int64, (len(SLOTS),)).tolist(), strict=True))
 
 
 def _set(buffer: np.ndarray, slots: dict[str, int], *names: str) -> None:
     for name in names:
         buffer.view(np.int64)[SLOTS[name]] = slots[name]
-
-
-def under(prefix: str, arrays: Arrays) -> Arrays:
-    """Names with a prefix."""
-    return {f"{prefix}.{name}": array for name, array in arrays.items()}
-
-
-def part(prefix: str, arrays: Arrays) -> Arrays:
-    """The arrays whose names have a prefix, without it."""
-    return {name[len(prefix) + 1 :]: array for name, array in arrays.items() if name.startswith(prefix + ".")}
-
-
-def to_bytes(arrays: Arrays, about: dict[str, Any]) -> bytes:
-    """Arrays, and what JSON can say, as the content of a .safetensors file with a checksum."""
-    arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    text = json.dumps(about, sort_keys=True)
-    return tensor_bytes(arrays, {"format": FORMAT, "about": text, "sha256": checksum(arrays, text)})
-
-
-def from_bytes(content: bytes) -> tuple[Arrays, dict[str, Any]]:
-    """The inverse.
-
-    Raises
-    ------
-    ValueError : it is something else, or damaged.
-    """
-    try:
-        arrays, metadata = read_tensors(io.BytesIO(bytes(content)), (FORMAT,))
-    except (SafetensorError, TypeError, ValueError) as error:
-        raise ValueError(f"`state` must be what `save_state` returned, got something else: {one_line(error)}") from None
-    text = metadata.get("about", "")
-    if metadata.get("sha256") != checksum(arrays, text):
-        raise ValueError("`state` is damaged: its checksum differs")
-    try:
-        return arrays, json.loads(text)
-    except (ValueError, RecursionError) as error:  # the latter: nested too deep
-        raise ValueError(f"`state` is damaged: {one_line(error)}") from None

@@ -1,0 +1,246 @@
+"""Landmarks that are known only when the volume is read: events are stored, and replayed about the landmark then.
+
+window      the centroid of all the window's events so far, also of those that could not be stored
+regressor   what a network makes of the raw volume, which is kept up to date in O(1) per event
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+import warnings
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from async_tnt.checked_tensors import Arrays, checked_array
+from async_tnt.config import TNTConfig
+from async_tnt.events import Columns, checked_columns, empty_columns
+from async_tnt.kernels import state as S
+from async_tnt.kernels.absorb import absorb
+from async_tnt.kernels.readout import empty_volume
+from async_tnt.kernels.store import store_events
+from async_tnt.volume_state import next_epoch
+
+Regressor = Callable[[np.ndarray], Any]
+FIRST_CAPACITY = 4096
+UNCHANGED_BY_REPLAY = (
+    *(S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE, S.DECIDED),
+    *range(S.CLOSED_EARLY, S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS),
+)
+
+
+class ReplayBufferFull(UserWarning):
+    """A window held more events than the replay buffer; the rest is missing from its volume."""
+
+
+class RawVolume(Protocol):
+    """What a regressor looks at: a `TNTVolume` without the transform."""
+
+    @property
+    def array(self) -> np.ndarray: ...
+
+    def open(self, start_us: int) -> None: ...
+
+    def absorb(self, columns: Columns, first: int, last: int) -> int: ...
+
+
+class ReplayBuffer:
+    """The events of one window, and their replay about the landmark of the moment.
+
+    Parameters
+    ----------
+    config : of the volume that they are replayed into.
+    capacity : how many events are stored at most; memory grows with need up to that.
+    regressor : the callable of landmark `regressor`, and the raw volume that it is shown; None: landmark `window`. The
+        raw volume holds the stored events and no others, as the replay does: both are functions of the same events,
+        as in the batch reference.
+    """
+
+    def __init__(self, config: TNTConfig, capacity: int, regressor: tuple[Regressor, RawVolume] | None) -> None:
+        if capacity < 1:
+            raise ValueError(f"`replay_events` must be at least 1, got {capacity}")
+        self.capacity = capacity
+        self._config = config
+        self._regressor: Regressor | None = None
+        self._raw: RawVolume | None = None
+        if regressor is not None:
+            self._regressor, self._raw = regressor
+        self._columns = empty_columns(min(FIRST_CAPACITY, capacity))
+        self.reset()
+
+    def reset(self) -> None:
+        """All counts zero; the next window is to be opened."""
+        self.n_unstored = 0
+        self._closed_kept = 0  # counts of closed windows; those of the open one change with every replay
+        self._closed_tau_zero = 0
+        self._warning_due = False
+
+    def open(self, start_us: int) -> None:
+        """A window begins; its volume is empty."""
+        self.n = 0
+        self._landmark: tuple[float, float] | None = None  # as of the newest event, once it is known
+        self._is_replayed = True
+        self._warned = False
+        if self._raw is not None:
+            self._raw.open(start_us)
+
+    def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
+        """Absorb events up to the volume's limit; returns the first one that was not absorbed."""
+        if self.n + last - first > self._columns.t.size:
+            before_limit = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
+            self._grow(self.n + int(np.count_nonzero(before_limit)))
+        n_in_window, n_before = _n_events(buffer), self.n
+        first, self.n = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self.n)
+        n_new = _n_events(buffer) - n_in_window
+        if n_new:
+            self._show_raw(n_before)
+            self._landmark = None
+            self._is_replayed = False
+        n_missing = n_new - (self.n - n_before)
+        if n_missing:
+            self.n_unstored += n_missing
+            self._warning_due = self._warning_due or not self._warned
+            self._warned = True
+        return first
+
+    def warn(self) -> None:
+        """Warn that the buffer is full, once a window; after the packet, because a warning may be an error."""
+        if self._warning_due:
+            self._warning_due = False
+            warnings.warn(
+                f"the replay buffer of {self.capacity} events is full; what exceeds it is missing from the "
+                "window's volume and counted as dropped_unstored (raise replay_events, or shorten window_us)",
+                ReplayBufferFull,
+                stacklevel=5,
+            )
+
+    def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
+        """The landmark (x, y) in grid pixels; computed once, until new events come. Not for an empty window."""
+        if self._landmark is None:
+            if self._regressor is not None and self._raw is not None:
+                self._landmark = checked_landmark(self._regressor(self._raw.array))
+            else:
+                ints, n = buffer.view(np.int64), _n_events(buffer)
+                self._landmark = self._config.to_grid(int(ints[S.SUM_X]) / n, int(ints[S.SUM_Y]) / n)
+        return self._landmark
+
+    def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
+        """Bring a volume's cells and counts up to date: all stored events about the landmark.
+
+        Parameters
+        ----------
+        buffer, array : the volume's, see `kernels.readout.empty_volume`.
+        """
+        if self._is_replayed:
+            return
+        landmark = self.landmark(buffer)  # first: if the regressor raises, the volume must stay as it was
+        ints = buffer.view(np.int64)
+        saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
+        empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US], next_epoch())
+        ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
+        buffer[S.FIXED_X], buffer[S.FIXED_Y] = self._config.to_sensor(*landmark)
+        absorb(buffer, *self._columns[:4], 0, self.n)
+        for slot, value in saved.items():
+            ints[slot] = value
+        self._is_replayed = True
+
+    def close(self, buffer: np.ndarray, array: np.ndarray) -> None:
+        """The window is over: keep its final counts."""
+        self.run(buffer, array)
+        ints = buffer.view(np.int64)
+        self._closed_kept = int(ints[S.KEPT])
+        self._closed_tau_zero = int(ints[S.TAU_ZERO])
+
+    def save(self) -> Arrays:
+        """The stored events, and the counts of closed windows."""
+        counts = self.n_unstored, self._closed_kept, self._closed_tau_zero, self._warned, 0
+        stored = {f"stored_{name}": column[: self.n] for name, column in zip("txyp", self._columns[:4], strict=True)}
+        return {"counts": np.array(counts, np.int64), **stored}
+
+    def restore(self, arrays: Arrays, buffer: np.ndarray, is_open: bool) -> None:
+        """The inverse, once the volume's own numbers are restored; replayed at the next read.
+
+        Raises
+        ------
+        ValueError : a number that cannot have been saved by such a volume.
+        """
+        ints = buffer.view(np.int64)
+        *counts, warned, _ = checked_array(arrays, "counts", np.int64, (5,)).tolist()
+        if not is_open:  # the volume's own counts include its last replay
+            counts[1:] = int(ints[S.KEPT]), int(ints[S.TAU_ZERO])
+        if min(counts) < 0 or sum(counts) > int(ints[S.RECEIVED]):
+            raise ValueError(f"its replay counts {counts} of {int(ints[S.RECEIVED])} events")
+        self.n_unstored, self._closed_kept, self._closed_tau_zero = counts
+        self._warned = warned != 0
+        if not is_open:
+            return
+        size, start_us = np.shape(arrays.get("stored_t", 0)), int(ints[S.START_US])
+        t, x, y, p = (
+            checked_array(arrays, f"stored_{name}", own.dtype, size)
+            for name, own in zip("txyp", self._columns[:4], strict=True)
+        )
+        stored = checked_columns(t, x, y, p, self._config.sensor)
+        if stored.n > self.capacity:
+            raise ValueError(f"it stores {stored.n} events, but `replay_events` is {self.capacity}")
+        t_us, end_us = stored.t[: stored.n], start_us + self._config.window_us
+        if stored.n > _n_events(buffer) or np.any((t_us < start_us) | (t_us >= end_us)):
+            raise ValueError(f"its stored events do not belong to the window from {start_us} us on")
+        self._grow(stored.n)
+        for column, values in zip(self._columns[:4], stored[:4], strict=True):
+            column[: stored.n] = values
+        self.n = stored.n
+        self._landmark, self._is_replayed = None, self.n == 0
+        if self._raw is not None:
+            self._raw.open(start_us)
+        self._show_raw(0)
+
+    def _show_raw(self, first: int) -> None:
+        """Add the stored events from `first` on to the raw volume."""
+        if self._raw is not None:
+            self._raw.absorb(self._columns, first, self.n)
+
+    def _grow(self, n: int) -> None:
+        n = min(n, self.capacity)
+        if n > self._columns.t.size:
+            larger = empty_columns(min(self.capacity, max(n, 2 * self._columns.t.size)))
+            for old, new in zip(self._columns[:4], larger[:4], strict=True):
+                new[: self.n] = old[: self.n]
+            self._columns = larger
+
+
+def checked_landmark(answer: Any) -> tuple[float, float]:
+    """A regressor's answer as two floats.
+
+    Raises
+    ------
+    ValueError : it is something else, or not finite.
+    """
+    try:
+        x, y = (float(value) for value in answer)
+    except (TypeError, ValueError, OverflowError):
+        got = " ".join(reprlib.repr(answer).split())  # short, and on one line
+        raise ValueError(f"`regressor` must return two numbers (x, y) in grid pixels, got {got}") from None
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ValueError(f"`regressor` must return a finite landmark, got {(x, y)}")
+    return x, y
+
+
+def check_regressor(config: TNTConfig, regressor: Any) -> None:
+    """Raise unless there is a regressor exactly where the configuration needs one."""
+    here = f"landmark={config.landmark!r}, transform={config.transform!r}"
+    if regressor is None:
+        if config.needs_regressor:
+            raise ValueError(
+                f"`regressor` is missing: {here} needs a callable from a raw volume to (x, y); "
+                "a Model brings its own, CompiledRegressor(model)"
+            )
+    elif not callable(regressor):
+        raise TypeError(f"`regressor` must be callable, got {type(regressor).__name__}")
+    elif not config.needs_regressor:
+        raise ValueError(f'`regressor` needs landmark="regressor" and transform="tnt", got {here}')
+
+
+def _n_events(buffer: np.ndarray) -> int:
+    return int(buffer.view(np.int64)[S.N])
