@@ -11,7 +11,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.events import Columns
 from async_tnt.kernels import trigger as T
-from async_tnt.kernels.classify import FULL, NOT_FINITE, NOTED, classify_stretch, softmax
+from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, absorb_and_decide, softmax
 from async_tnt.landmark_at_read import Regressor
 from async_tnt.networks.classifier import CompiledClassifier
 from async_tnt.networks.model import Model
@@ -117,7 +117,7 @@ class Decider:
             return self._take_compiled(self._compiled, windows, triggers, columns, first, last)
         oldest = windows.oldest
         n_before = oldest.n_events
-        stop, fires = T.next_stop(triggers.state, oldest.buffer, columns.t, first, last)
+        stop, fires = T.advance_triggers(triggers.state, oldest.buffer, columns.t, first, last)
         taken = windows.take(columns, first, stop)
         n_events = oldest.n_events
         trigger = "activity" if fires else ""
@@ -149,8 +149,8 @@ class Decider:
                 n_rows = n_rows // triggers.every_events + 1
             logits = np.empty((min(ROWS, n_rows), classifier.n_classes), np.float32)
             probabilities = np.empty(logits.shape)
-            notes = np.empty((len(logits), NOTED), np.int64)
-            taken, n, end = classify_stretch(
+            notes = np.empty((len(logits), DECISION_FIELDS), np.int64)
+            taken, n, end = absorb_and_decide(
                 oldest.buffer,
                 *columns[:4],
                 taken,

@@ -13,7 +13,7 @@ from async_tnt.decision_counts import Counts
 from async_tnt.events import Columns, EventDoor
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
-from async_tnt.kernels.readout import copy_cells, empty_volume
+from async_tnt.kernels.readout import cells_to_float32, empty_volume
 from async_tnt.landmark_at_read import LandmarkAtRead, RegressedLandmark, Regressor, WindowMean, check_regressor
 from async_tnt.new_state import new_state, next_epoch
 from async_tnt.snapshot import Arrays, buffer_arrays, part, restore_counts, restore_window, under
@@ -240,7 +240,7 @@ class TNTVolume:
         """
         buffer = self.state()
         if self._ints[S.N_LOG] > self._ints[S.N_READ]:
-            copy_cells(buffer, self._array, self.config.bins)
+            cells_to_float32(buffer, self._array, self.config.bins)
         return self._view
 
     def state(self) -> np.ndarray:

@@ -9,9 +9,8 @@ import numpy as np
 from async_tnt.config import TNTConfig
 from async_tnt.events import Columns, checked_columns, empty_columns
 from async_tnt.kernels import state as S
-from async_tnt.kernels.absorb import absorb
+from async_tnt.kernels.absorb import absorb, store_events
 from async_tnt.kernels.readout import empty_volume
-from async_tnt.kernels.store import store_events
 from async_tnt.landmark_at_read import LandmarkAtRead
 from async_tnt.new_state import next_epoch
 from async_tnt.snapshot import Arrays, taken
@@ -110,7 +109,7 @@ class Replay:
 
         Parameters
         ----------
-        buffer, array : the volume's, see `kernels.read.empty_volume`.
+        buffer, array : the volume's, see `kernels.readout.empty_volume`.
         """
         if self._is_replayed:
             return
