@@ -18,9 +18,8 @@ from async_tnt.checked_tensors import Arrays, checked_array
 from async_tnt.config import TNTConfig
 from async_tnt.events import Columns, checked_columns, empty_columns
 from async_tnt.kernels import state as S
-from async_tnt.kernels.absorb import absorb
+from async_tnt.kernels.absorb import absorb, store_events
 from async_tnt.kernels.readout import empty_volume
-from async_tnt.kernels.store import store_events
 from async_tnt.volume_state import next_epoch
 
 Regressor = Callable[[np.ndarray], Any]

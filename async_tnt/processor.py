@@ -21,7 +21,7 @@ from async_tnt.deferred_landmark import Regressor
 from async_tnt.events import Columns, EventDecoder
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.state import NEVER_US
-from async_tnt.kernels.trigger import NOT_DUE, next_stop, why_due
+from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
 from async_tnt.networks.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.triggers import LeakyIntegrator, Triggers
@@ -228,7 +228,7 @@ class Processor:
             windows.count_absorbed(columns, first, absorbed, before)
         else:
             n_before = oldest.n_events
-            stop, fires = next_stop(triggers.state, oldest.buffer, columns.t, first, columns.n)
+            stop, fires = advance_triggers(triggers.state, oldest.buffer, columns.t, first, columns.n)
             absorbed = windows.absorb(columns, first, stop)
             new = self._decide_if_due(n_before, fires)
         if error is not None:

@@ -81,14 +81,14 @@ class Triggers:
             settings[name] = None if value is None else _CHECKS[name](name, value)
         restarts = settings.get("activity", self.activity) != self.activity
         vars(self).update(settings)
-        self.state[T.LEVEL] = math.inf if self.confidence is None else self.confidence
+        self.state[T.CONFIDENCE] = math.inf if self.confidence is None else self.confidence
         activity = self.activity
         self.state[T.THRESHOLD] = math.inf if activity is None else activity.threshold
         if activity is not None:
             self.state[T.LEAK_US], self.state[T.CHARGE] = activity.leak_us, activity.charge
         self._ints[T.EVERY_EVENTS] = self.every_events or 0
         others = (self.every_us, self.every_events, self.activity)
-        self._ints[T.EACH] = self.confidence is not None and others == (None, None, None)
+        self._ints[T.EACH_EVENT] = self.confidence is not None and others == (None, None, None)
         if restarts:
             self._discharge()
 
@@ -149,7 +149,7 @@ class Triggers:
     @property
     def by_event(self) -> bool:
         """Whether any single event may make a decision due."""
-        return bool(self._ints[T.EVERY_EVENTS] or self._ints[T.EACH] or self.activity is not None)
+        return bool(self._ints[T.EVERY_EVENTS] or self._ints[T.EACH_EVENT] or self.activity is not None)
 
 
 def _level(name: str, value: Any) -> float:

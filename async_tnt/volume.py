@@ -15,7 +15,7 @@ from async_tnt.deferred_landmark import Regressor, ReplayBuffer, check_regressor
 from async_tnt.events import Columns, EventDecoder
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
-from async_tnt.kernels.readout import copy_cells, empty_volume
+from async_tnt.kernels.readout import cells_to_float32, empty_volume
 from async_tnt.volume_state import new_state, next_epoch, restore_counts, restore_window, save_window
 
 UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
@@ -236,7 +236,7 @@ class TNTVolume:
         """
         buffer = self.state()
         if self._ints[S.N_LOG] > self._ints[S.N_READ]:
-            copy_cells(buffer, self._array, self.config.bins)
+            cells_to_float32(buffer, self._array, self.config.bins)
         return self._view
 
     def state(self) -> np.ndarray:

@@ -68,6 +68,42 @@ def absorb_one(buffer, t, x, y, p):
 
 
 @compiled
+def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_stored):
+    """What `absorb` does for a landmark known only at the read: count and sum, and store the events.
+
+    Parameters
+    ----------
+    buffer : float64, the volume's `state`. Updated in place, its cells excepted.
+    t, x, y, p, first, last : as for `absorb`.
+    stored_t, stored_x, stored_y, stored_p : columns. Updated in place from `n_stored` on; what exceeds them
+        is counted in the sums and not stored.
+
+    Returns
+    -------
+    first : int. The first event not taken (at or after LIMIT_US).
+    n_stored : int. Events stored now.
+    """
+    ints = buffer.view(np.int64)
+    while first < last and t[first] < ints[S.LIMIT_US]:
+        ints[S.RECEIVED] += 1
+        if t[first] < ints[S.START_US]:
+            count_late(ints, t[first])
+        else:
+            ints[S.N] += 1
+            ints[S.SUM_X] += x[first]
+            ints[S.SUM_Y] += y[first]
+            ints[S.NEWEST_US] = max(ints[S.NEWEST_US], t[first])
+            if n_stored < stored_t.size:
+                stored_t[n_stored] = t[first]
+                stored_x[n_stored] = x[first]
+                stored_y[n_stored] = y[first]
+                stored_p[n_stored] = p[first]
+                n_stored += 1
+        first += 1
+    return first, n_stored
+
+
+@compiled
 def _absorb_event(buffer, ints, t, x, y, p):
     """Add one event before LIMIT_US."""
     ints[S.RECEIVED] += 1
@@ -139,8 +175,8 @@ def _place(buffer, ints, t, p, m):
     den = buffer[S.DEN : S.DEN + S.BLOCK]
     y_fracs = buffer[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
     x_fracs = buffer[S.X_FRAC : S.X_FRAC + S.BLOCK]
-    earlies = buffer[S.EARLY : S.EARLY + S.BLOCK]
-    laters = buffer[S.LATER : S.LATER + S.BLOCK]
+    earlies = buffer[S.LOWER : S.LOWER + S.BLOCK]
+    laters = buffer[S.UPPER : S.UPPER + S.BLOCK]
     corners = ints[S.CORNER : S.CORNER + S.BLOCK]
     start_us = ints[S.START_US]
     grid = grid_of(buffer, ints)
@@ -168,8 +204,8 @@ def _splat(buffer, ints, m):
     corners = ints[S.CORNER : S.CORNER + S.BLOCK]
     y_fracs = buffer[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
     x_fracs = buffer[S.X_FRAC : S.X_FRAC + S.BLOCK]
-    early = buffer[S.EARLY : S.EARLY + S.BLOCK]
-    later = buffer[S.LATER : S.LATER + S.BLOCK]
+    early = buffer[S.LOWER : S.LOWER + S.BLOCK]
+    later = buffer[S.UPPER : S.UPPER + S.BLOCK]
     row = np.uint64(ints[S.ROW])
     for i in range(m):
         add_event(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], early[i], later[i])

@@ -11,7 +11,7 @@ from .jit import compiled, compiled_without_gil
 from .sync_input import watch_array, watch_cells
 
 WENT_ON, FULL, CLOSE, NOT_FINITE = 0, 1, 2, 3  # how a stretch ended
-NOTED = 4  # what a decision notes: events, newest time, trigger, class
+DECISION_FIELDS = 4  # what a decision notes: events, newest time, trigger, class
 
 
 @compiled
@@ -37,7 +37,7 @@ def classify_cells(buffer, plan, weights, maps, dirty, logits, probabilities):
 
 
 @compiled_without_gil
-def classify_stretch(
+def absorb_and_decide(
     buffer, t, x, y, p, first, last, trigger, plan, weights, maps, dirty, logits, probabilities, notes
 ):
     """Take events, and decide at each that a trigger makes due.
@@ -48,8 +48,8 @@ def classify_stretch(
     t, x, y, p, first, last : as for `absorb`.
     trigger : float64, see `trigger`. Updated in place.
     plan, weights, maps, dirty : the classifier's, see `plan`. Updated in place.
-    logits, probabilities, notes : float32 and float64 (n, n_classes), int64 (n, NOTED). Overwritten, a row for each
-        decision.
+    logits, probabilities, notes : float32 and float64 (n, n_classes), int64 (n, DECISION_FIELDS). Overwritten, one
+        row per decision.
 
     Returns
     -------
@@ -60,12 +60,12 @@ def classify_stretch(
     """
     n = 0
     ints = buffer.view(np.int64)
-    level = trigger[T.LEVEL]
+    level = trigger[T.CONFIDENCE]
     while first < last:
         if n == len(notes):
             return first, n, FULL
         n_before = ints[S.N]
-        stop, fires = T.next_stop(trigger, buffer, t, first, last)
+        stop, fires = T.advance_triggers(trigger, buffer, t, first, last)
         taken = absorb(buffer, t, x, y, p, first, stop)
         at_limit = taken < stop or taken == first
         first = taken

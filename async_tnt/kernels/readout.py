@@ -51,7 +51,7 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
 
 
 @compiled
-def copy_cells(buffer, array, n_intervals):
+def cells_to_float32(buffer, array, n_intervals):
     """Bring the array up to date:  array[b, y, x] = cells[b, y, x, 0] + cells[b - 1, y, x, 1].
 
     Parameters
@@ -79,7 +79,7 @@ def _note_read(ints):
 
 @compiled
 def _copy_bins(buffer, ints, array, n_intervals):
-    """`copy_cells` for all cells of the bins that changed.
+    """`cells_to_float32` for all cells of the bins that changed.
 
     Row by row of the image through all bins: a row of cells, of which one bin takes the early shares and the next
     bin the late ones, then comes from memory once.
@@ -103,7 +103,7 @@ def _copy_bins(buffer, ints, array, n_intervals):
 
 @inlined
 def _copy_around(buffer, ints, corner, array):
-    """`copy_cells` for the eight cells of an event at this corner."""
+    """`cells_to_float32` for the eight cells of an event at this corner."""
     n_bins, height, width = array.shape
     row = ints[S.ROW]
     plane = ints[S.PLANE]

@@ -11,7 +11,7 @@ the two shares lie side by side, cells[b, y, x] = (to bin b, to bin b + 1). Time
 other, so an interval's cells stay in the first-level cache while its events arrive. One row and one column
 more than the grid spare every event a test at the border: its share out there is zero. They are float64,
 because a volume is promised to 1e-6 of its largest cell even after thousands of opposite events cancelled in
-it, which float32 sums would lose; `read.copy_cells` rounds to float32 once, when somebody looks.
+it, which float32 sums would lose; `readout.cells_to_float32` rounds to float32 once, when somebody looks.
 
 The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and
 emptying a large volume cost what changed in it and not what it measures. It is as long as it pays: working
@@ -78,9 +78,9 @@ NUM_Y = NUM_X + BLOCK
 DEN = NUM_Y + BLOCK
 Y_FRAC = DEN + BLOCK  # buffer: place in the volume
 X_FRAC = Y_FRAC + BLOCK
-EARLY = X_FRAC + BLOCK
-LATER = EARLY + BLOCK
-PREFIX = LATER + BLOCK  # ints: sums over the block up to each event
+LOWER = X_FRAC + BLOCK
+UPPER = LOWER + BLOCK
+PREFIX = UPPER + BLOCK  # ints: sums over the block up to each event
 CORNER = PREFIX + BLOCK
 CELLS = CORNER + BLOCK
 

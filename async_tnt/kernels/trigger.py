@@ -9,14 +9,14 @@ from . import state as S
 from .jit import compiled
 
 # trigger
-LEVEL = 0  # confidence: a class probability that closes the window; inf: none
+CONFIDENCE = 0  # confidence: a class probability that closes the window; inf: none
 THRESHOLD = 1  # activity: fires at this potential; inf: never
 LEAK_US = 2  # the potential's time constant
 CHARGE = 3  # what each event adds
 POTENTIAL = 4
 # ints
 EVERY_EVENTS = 5  # 0: not by number
-EACH = 6  # 1: look at every event, since nothing else says when to look for confidence
+EACH_EVENT = 6  # 1: look at every event, since nothing else says when to look for confidence
 CHARGED_US = 7  # newest time that the potential has leaked to
 SIZE = 8
 
@@ -24,7 +24,7 @@ NOT_DUE, LOOK, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE = 0, 1, 2, 3, 4  # LOOK: on
 
 
 @compiled
-def next_stop(trigger, buffer, t, first, last):
+def advance_triggers(trigger, buffer, t, first, last):
     """How far events may be taken until one of them may be due for a decision.
 
     The potential of the leaky integrate-and-fire trigger is that after event i, at time t_i,
@@ -49,7 +49,7 @@ def next_stop(trigger, buffer, t, first, last):
     stop = last
     if ints[EVERY_EVENTS] > 0:
         stop = min(stop, first + ints[EVERY_EVENTS] - volume[S.N] % ints[EVERY_EVENTS])
-    if ints[EACH] != 0:
+    if ints[EACH_EVENT] != 0:
         stop = min(stop, first + 1)
     if trigger[THRESHOLD] < np.inf:
         for i in range(first, stop):
@@ -75,7 +75,7 @@ def why_due(trigger, n_before, n, fires):
     Parameters
     ----------
     trigger : float64, see above.
-    fires : bool. What `next_stop` said of activity.
+    fires : bool. What `advance_triggers` said of activity.
 
     Returns
     -------
@@ -88,4 +88,4 @@ def why_due(trigger, n_before, n, fires):
         return BY_EVENTS
     if fires:
         return BY_ACTIVITY
-    return LOOK if ints[EACH] != 0 else NOT_DUE
+    return LOOK if ints[EACH_EVENT] != 0 else NOT_DUE

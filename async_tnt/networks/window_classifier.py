@@ -11,7 +11,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.events import Columns
 from async_tnt.kernels import trigger as T
-from async_tnt.kernels.classify import FULL, NOT_FINITE, NOTED, classify_stretch, softmax
+from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, absorb_and_decide, softmax
 from async_tnt.networks.classifier import CompiledClassifier
 from async_tnt.networks.model import Model
 from async_tnt.networks.regressor import CompiledRegressor
@@ -134,8 +134,8 @@ class WindowClassifier:
                 n_rows = n_rows // every_events + 1
             logits = np.empty((min(ROWS, n_rows), n_classes), np.float32)
             probabilities = np.empty(logits.shape)
-            notes = np.empty((len(logits), NOTED), np.int64)
-            absorbed, n, end = classify_stretch(
+            notes = np.empty((len(logits), DECISION_FIELDS), np.int64)
+            absorbed, n, end = absorb_and_decide(
                 volume.buffer,
                 *columns[:4],
                 absorbed,

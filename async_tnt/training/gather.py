@@ -9,7 +9,7 @@ from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import absorb
 from async_tnt.kernels.jit import compiled, inlined
 from async_tnt.kernels.landmark import displace_fixed
-from async_tnt.kernels.readout import copy_cells, empty_volume
+from async_tnt.kernels.readout import cells_to_float32, empty_volume
 from async_tnt.kernels.splat import grid_of, place_event
 
 OWN, MEAN, GIVEN = 0, 1, 2
@@ -91,7 +91,7 @@ def window_volumes(
             buffer[S.FIXED_X] = sum_x / n
             buffer[S.FIXED_Y] = sum_y / n
         absorb(buffer, scratch_t, scratch_x, scratch_y, scratch_p, 0, n)
-        copy_cells(buffer, out[i], n_bins)
+        cells_to_float32(buffer, out[i], n_bins)
 
 
 @compiled

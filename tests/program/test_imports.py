@@ -119,7 +119,7 @@ def test_an_edited_constant_reaches_kernels_that_were_cached_before(tmp_path):
     package = tmp_path / "async_tnt"
     shutil.copytree(Path(async_tnt.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__", "assets"))
     code = (
-        "import numpy as np; from async_tnt.kernels.store import store_events; "
+        "import numpy as np; from async_tnt.kernels.absorb import store_events; "
         "t = np.ones(1, np.int64); x = np.ones(1, np.uint16); p = np.ones(1, np.uint8); b = np.zeros(60); "
         "b.view(np.int64)[25] = 5; store_events(b, t, x, x, p, 0, 1, t, x, x, p, 0); print(b.view(np.int64)[31])"
     )
