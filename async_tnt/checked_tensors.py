@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import reprlib
 from collections.abc import Collection, Mapping
 from typing import Any, BinaryIO
 
@@ -83,12 +84,16 @@ def state_bytes(arrays: Arrays, about: dict[str, Any]) -> bytes:
     return tensor_bytes(arrays, {"format": STATE_FORMAT, "about": text, "sha256": checksum(arrays, text)})
 
 
-def read_state(content: bytes) -> tuple[Arrays, dict[str, Any]]:
+def read_state(content: bytes, fixed: Mapping[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
     """The inverse of `state_bytes`.
+
+    Parameters
+    ----------
+    fixed : settings that must be the same under "fixed" in what JSON said.
 
     Raises
     ------
-    ValueError : it is something else, or damaged.
+    ValueError : it is something else, or damaged, or has other settings; the message names them.
     """
     try:
         arrays, metadata = read_tensors(io.BytesIO(bytes(content)), (STATE_FORMAT,))
@@ -98,9 +103,16 @@ def read_state(content: bytes) -> tuple[Arrays, dict[str, Any]]:
     if metadata.get("sha256") != checksum(arrays, text):
         raise ValueError("`state` is damaged: its checksum differs")
     try:
-        return arrays, json.loads(text)
-    except (ValueError, RecursionError) as error:  # the latter: nested too deep
+        about = json.loads(text)
+        theirs = about["fixed"] if fixed else {}
+        wrong = [
+            f"{name} = {reprlib.repr(theirs.get(name))}" for name in fixed or () if theirs.get(name) != fixed[name]
+        ]
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:  # the last: nested too deep
         raise ValueError(f"`state` is damaged: {one_line(error)}") from None
+    if wrong:
+        raise ValueError(f"`state` is of another processor, with {', '.join(wrong)}; here {fixed}")
+    return arrays, about
 
 
 def with_prefix(prefix: str, arrays: Arrays) -> Arrays:

@@ -6,7 +6,6 @@ A decision: a moment passes (`_advance`) or an event makes one due (`_absorb_unt
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -349,19 +348,11 @@ class Processor:
         ValueError : damaged, or of a processor with other settings; the message names them. This one is then as it
             was before.
         """
-        arrays, about = read_state(state)
-        fixed = self._fixed_settings()
-        try:
-            theirs, settings = about["fixed"], about["triggers"]
-            wrong = [f"{name} = {reprlib.repr(theirs.get(name))}" for name in fixed if theirs.get(name) != fixed[name]]
-        except (AttributeError, KeyError, TypeError) as error:
-            raise ValueError(f"`state` lacks its settings: {error!r}") from None
-        if wrong:
-            raise ValueError(f"`state` is of another processor, with {', '.join(wrong)}; here {fixed}")
+        arrays, about = read_state(state, self._fixed_settings())
         windows, triggers = self._new_windows(), Triggers()
         try:
             windows.restore(arrays)
-            triggers.restore(without_prefix("triggers", arrays), settings)
+            triggers.restore(without_prefix("triggers", arrays), about.get("triggers"))
             newest_us, n_dropped = checked_array(arrays, "door", np.int64, (2,)).tolist()
             self._decoder.restore(newest_us, n_dropped)
         except (TypeError, ValueError) as error:

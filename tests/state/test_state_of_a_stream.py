@@ -185,7 +185,9 @@ def test_where_restoring_fails_nothing_has_changed():
     here, there = (Processor(model, every_us=777) for _ in range(2))
     for processor in (here, there):
         processor.push(random_events(20, duration_us=100, sensor=(30, 30)))
-    arrays, about = read_state(Processor(model, every_us=100).save_state())
+    stopped = Processor(model, every_us=100)
+    stopped.push(random_events(20, duration_us=100, sensor=(30, 30)))
+    arrays, about = read_state(stopped.save_state())
     for missing in ("counts", "order", "0.slots", "0.cells", "triggers.times", "door"):
         with pytest.raises(ValueError, match="cannot be restored here"):
             here.restore_state(state_bytes({name: a for name, a in arrays.items() if name != missing}, about))
