@@ -105,13 +105,12 @@ def read_state(content: bytes, fixed: Mapping[str, Any] | None = None) -> tuple[
     try:
         about = json.loads(text)
         theirs = about["fixed"] if fixed else {}
-        wrong = [
-            f"{name} = {reprlib.repr(theirs.get(name))}" for name in fixed or () if theirs.get(name) != fixed[name]
-        ]
+        differ = [name for name, value in (fixed or {}).items() if theirs.get(name) != value]
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:  # the last: nested too deep
         raise ValueError(f"`state` is damaged: {one_line(error)}") from None
-    if wrong:
-        raise ValueError(f"`state` is of another processor, with {', '.join(wrong)}; here {fixed}")
+    if differ:
+        wrong = ", ".join(f"{name} = {reprlib.repr(theirs.get(name))}" for name in differ)
+        raise ValueError(f"`state` is of another processor, with {wrong}; here {fixed}")
     return arrays, about
 
 

@@ -20,7 +20,7 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     """Compile everything that a stream may call, or load it from Numba's cache.
 
     The first time on a machine this takes some seconds, later a fraction of one. After it, no event waits for
-    the compiler. Where it takes long, it says so on stderr.
+    the compiler. A line on stderr explains a long wait.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ class TNTConfig:
 
     @property
     def needs_regressor(self) -> bool:
-        """Whether a landmark network has its say: without the transform, landmarks are ignored."""
+        """Whether a landmark network is used: without the transform, landmarks are ignored."""
         return self.landmark == "regressor" and self.transform == "tnt"
 
     @property

@@ -66,7 +66,7 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
             )
         if len(events) != 4:
             raise ValueError(f"a tuple of events must hold four columns (t, x, y, p), got {len(events)}")
-        if not by_name:  # a named tuple says itself which is which
+        if not by_name:  # a named tuple names its columns
             t, x, y, p = (_as_column(field, column) for field, column in zip(NAMES, events, strict=True))
             return t, x, y, p
     if depth < MAX_DEPTH and hasattr(events, "polarity_events"):
@@ -99,11 +99,11 @@ def _as_column(field: str, values: Any) -> np.ndarray:
 
 
 def the_name(field: str, have: Collection[str], what: str) -> str:
-    """The one name among `have` that says `field`.
+    """The one name among `have` that means `field`.
 
     Raises
     ------
-    ValueError : there is none, or there are several: ambiguous.
+    ValueError : there is none, or there are several.
     """
     found = [name for name in have if name in NAMES[field]]
     if len(found) == 1:

@@ -96,7 +96,7 @@ class Replacement:
         model = self._target if self._target.exists() else like
         self._mode = None if model is None else model.stat().st_mode
         self.part.unlink(missing_ok=True)  # a kill has left it: anything else of that name is refused
-        # O_EXCL follows no link that has just been put there; meanwhile nobody reads who may not read the file
+        # O_EXCL does not follow a link placed there meanwhile; the part is as private as the file that it will replace
         os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666 if model is None else 0o600))
 
     def complete(self) -> None:
@@ -145,7 +145,7 @@ def write_text(path: Path, text: str, *, shared: bool = False) -> None:
 
 
 def set_mode(path: Path, mode: int) -> None:
-    """Say who may read and write a file, where the file system knows of that."""
+    """Set a file's permissions, where the file system has any."""
     with contextlib.suppress(OSError):
         path.chmod(stat.S_IMODE(mode))
 
