@@ -9,7 +9,7 @@ import pytest
 from deciding import CONFIG, key, total_and_size
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import nasty_streams, random_events, random_model, random_regressor_model
+from made import nasty_streams, random_events, random_model
 
 from async_tnt import LeakyIntegrator, Processor, TNTConfig
 from async_tnt.checked_tensors import STATE_FORMAT, checksum, read_state, state_bytes, tensor_bytes
@@ -48,23 +48,6 @@ def assert_goes_on_the_same(make, events, stop):
     after = events[stop:]
     assert seen(whole, go_on(whole, after)) == seen(resumed, go_on(resumed, after))
     assert seen(whole, whole.finish()) == seen(resumed, resumed.finish())
-
-
-@pytest.mark.parametrize("settings", SETTINGS, ids=str)
-@pytest.mark.parametrize("landmark", ["running", "line", "window"])
-def test_after_any_event(settings, landmark):
-    model = random_model(CONFIG.replace(landmark=landmark), classes=3, widths=(3, 4, 5))
-    events = random_events(300, seed=3, duration_us=3500, sensor=(30, 30))
-    for stop in (0, 1, 77, 150, 299, 300):
-        assert_goes_on_the_same(lambda: Processor(model, **settings), events, stop)
-
-
-@pytest.mark.parametrize("polarity", ["signed", "split"])
-def test_with_a_landmark_network(polarity):
-    model = random_regressor_model(CONFIG.replace(polarity=polarity, bins=3), widths=(3, 4, 5), sharpness=20.0)
-    events = random_events(250, seed=4, duration_us=2500, sensor=(30, 30))
-    for stop in (0, 60, 170):
-        assert_goes_on_the_same(lambda: Processor(model, every_us=300), events, stop)
 
 
 @settings(deadline=None, max_examples=60)

@@ -1,12 +1,9 @@
 """Processor: which decisions fall when, and that cutting the stream differently changes none of them."""
 
-import pytest
-from deciding import CONFIG, at, key, run, summary, total_and_size
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from made import events_of, nasty_streams, random_events
+from deciding import CONFIG, at, run, summary, total_and_size
+from made import events_of, random_events
 
-from async_tnt import Counts, Processor
+from async_tnt import Processor
 
 # -- windows -----------------------------------------------------------------------------------------------
 
@@ -97,64 +94,6 @@ def test_every_event():
 # -- laws --------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=150, deadline=None)
-@given(
-    events=nasty_streams((34, 34), 4000, 50, max_events=80),
-    landmark=st.sampled_from(["center", "running", "line", "window"]),
-    hop_us=st.sampled_from([None, 1000, 999, 500, 250, 70]),
-    every_us=st.sampled_from([None, 1, 77, 500, 1000, 3000]),
-    every_events=st.sampled_from([None, 1, 3, 50]),
-    start_us=st.sampled_from([None, 0, 300]),
-    late=st.sampled_from(["accept", "drop"]),
-)
-def test_decisions_do_not_depend_on_packets(events, landmark, hop_us, every_us, every_events, start_us, late):
-    settings = {
-        "hop_us": hop_us,
-        "every_us": every_us,
-        "every_events": every_events,
-        "start_us": start_us,
-        "late": late,
-    }
-    config = CONFIG.replace(landmark=landmark)
-    expected, processor = run(events, config=config, **settings)
-    for size in (1, 2, 7):
-        decisions, other = run(events, size, config=config, **settings)
-        assert [key(d) for d in decisions] == [key(d) for d in expected]
-        assert other.counts == processor.counts
-    one = Processor(config, classifier=total_and_size, **settings)
-    decisions = [d for event in events.tolist() for d in one.push_one(*event)] + one.finish()
-    assert [key(d) for d in decisions] == [key(d) for d in expected]
-    assert one.counts == processor.counts
-
-
-def test_fire_changes_nothing():
-    events = random_events(2000, seed=6, duration_us=5000)
-    for triggers in ({}, {"every_us": 70}, {"every_events": 30}, {"hop_us": 400}):
-        for landmark in ("running", "window"):
-            config = CONFIG.replace(landmark=landmark)
-            expected, quiet = run(events, 50, config=config, **triggers)
-            fired = Processor(config, classifier=total_and_size, **triggers)
-            decisions = []
-            for first in range(0, len(events), 50):
-                decisions += fired.push(events[first : first + 50])
-                assert key(fired.fire()) == key(fired.fire())
-            decisions += fired.finish()
-            assert [key(d) for d in decisions] == [key(d) for d in expected]
-            assert fired.counts == quiet.counts
-
-
-def test_a_bad_packet_changes_nothing():
-    processor = Processor(CONFIG, classifier=total_and_size, every_events=3)
-    processor.push(at([100, 200]))
-    before = key(processor.fire()), processor.counts, processor.landmark, processor.volume().tobytes()
-    for bad in (([300, 5000], [1, 34], [1, 1], [1, 1]), ([300, -1], [1, 1], [1, 1], [1, 1]), [1, 2, 3], "abc", 7):
-        with pytest.raises((ValueError, TypeError)):
-            processor.push(bad)
-        with pytest.raises((ValueError, TypeError)):
-            processor.push_one(300, 1, 99, 1)
-    assert (key(processor.fire()), processor.counts, processor.landmark, processor.volume().tobytes()) == before
-
-
 def test_counts_with_overlapping_windows_count_received_once():
     events = random_events(1000, seed=9, duration_us=10_000)
     _, plain = run(events)
@@ -163,15 +102,6 @@ def test_counts_with_overlapping_windows_count_received_once():
     c = plain.counts
     assert c.received == c.kept + c.dropped_outside + c.dropped_tau_zero + c.dropped_late
     assert hop.counts.kept > 1.5 * c.kept
-
-
-def test_reset_forgets_the_stream():
-    processor = Processor(CONFIG, classifier=total_and_size, hop_us=300, every_us=100, late="drop")
-    first = processor.push(random_events(500, duration_us=5000)) + processor.finish()
-    processor.reset()
-    assert processor.counts == Counts()
-    again = processor.push(random_events(500, duration_us=5000)) + processor.finish()
-    assert [key(d) for d in first] == [key(d) for d in again] and first
 
 
 def test_a_stream_may_go_on_after_finish():

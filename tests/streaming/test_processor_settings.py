@@ -1,8 +1,5 @@
 """Processor: classifiers, settings, and what must not harm it."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 from deciding import CONFIG, at, key, run, total_and_size
@@ -74,24 +71,6 @@ def test_a_classifier_that_raises_once_costs_only_the_rest_of_its_packet(setting
     if "every_events" not in settings:  # there the event is taken before its decision fails
         assert [key(d) for d in decisions] == [key(d) for d in expected]
     assert processor.counts.received >= 300 and decisions
-
-
-@pytest.mark.parametrize("settings", [{}, {"hop_us": 300, "every_us": 70}, {"every_events": 7, "late": "drop"}])
-@pytest.mark.parametrize("landmark", ["running", "line", "window"])
-def test_a_copy_goes_on_as_the_original(settings, landmark):
-    events = random_events(600, seed=8, duration_us=4000)
-    config = CONFIG.replace(landmark=landmark)
-    original = Processor(config, classifier=total_and_size, **settings)
-    original.push(events[:250])
-    for duplicate in (copy.deepcopy(original), pickle.loads(pickle.dumps(original))):
-        before = key(original.fire())
-        decisions = duplicate.push(events[250:]) + duplicate.finish()
-        assert key(original.fire()) == before
-        expected = copy.deepcopy(original)
-        assert [key(d) for d in decisions] == [key(d) for d in expected.push(events[250:]) + expected.finish()]
-    rest, untouched = original.push(events[250:]) + original.finish(), run(events, config=config, **settings)[0]
-    assert [key(d) for d in rest] == [key(d) for d in untouched][-len(rest) :]
-    assert [key(d) for d in rest] == [key(d) for d in decisions]
 
 
 def test_a_full_replay_buffer_warns_after_the_packet_is_done():

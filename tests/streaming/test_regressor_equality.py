@@ -9,7 +9,7 @@ from made import random_events, random_model, random_regressor_model
 from async_tnt import TNTConfig
 from async_tnt.checking.equality import check_recording, configurations
 from async_tnt.cli import main
-from async_tnt.deferred_landmark import RegressedLandmark
+from async_tnt.deferred_landmark import ReplayBuffer
 from async_tnt.networks.regressor import CompiledRegressor
 from async_tnt.sources.files.recording import sample_recordings
 
@@ -73,10 +73,8 @@ def test_a_replay_about_another_landmark_than_told_fails(monkeypatch):
 
 
 def test_a_raw_volume_that_lacks_one_event_fails(monkeypatch):
-    right = RegressedLandmark.see
-    monkeypatch.setattr(
-        RegressedLandmark, "see", lambda self, columns, first, last: right(self, columns, max(first, 1), last)
-    )
+    right = ReplayBuffer._show_raw
+    monkeypatch.setattr(ReplayBuffer, "_show_raw", lambda self, first: right(self, max(first, 1)))
     assert ("landmark against reference, px", "regressor") in failing()
 
 

@@ -1,8 +1,5 @@
 """Landmark "regressor": the streamed volume equals the reference's, at every prefix and however cut."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -95,37 +92,6 @@ def test_every_prefix_of_a_window_whose_landmark_wanders(model):
     assert volume.counts.kept > 5
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(st.data())
-def test_any_packets_give_the_same_bits(data):
-    model = data.draw(st.sampled_from(MODELS))
-    config, start_us = model.config, data.draw(st.sampled_from(STARTS))
-    # three windows long, so that packets span windows, and some events come before their window
-    events = data.draw(nasty_streams(config.sensor, 3 * config.window_us, start_us, max_events=60))
-    expected = None
-    for size in (1, 2, 7, 59, 60):
-        volume = volume_of(model)
-        volume.open(start_us)
-        closed = sum(volume.update(events[first : first + size]) for first in range(0, events.size, size))
-        got = volume.array.tobytes(), volume.landmark, volume.counts, volume.start_us, volume.n_events, closed
-        assert expected is None or got == expected
-        expected = got
-
-
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: f"{m.config.grid}-{m.config.polarity}")
-def test_long_packets_take_the_block_path_to_the_same_bits(model):
-    config = model.config
-    events = random_events(1500, seed=1, sensor=config.sensor, duration_us=config.window_us)
-    one, many = volume_of(model), volume_of(model)
-    one.open(0), many.open(0)
-    for event in events.tolist():
-        one.update_one(*event)
-    many.update(events)
-    assert one.array.any()
-    assert one.array.tobytes() == many.array.tobytes()
-    assert (one.landmark, one.counts) == (many.landmark, many.counts)
-
-
 @settings(max_examples=100, deadline=None)
 @given(
     st.lists(st.one_of(st.integers(1, 400), st.sampled_from(["read", "open", "late"])), min_size=3, max_size=25),
@@ -183,7 +149,7 @@ def test_it_sees_the_raw_volume_of_its_window_read_only():
 
 def test_it_is_asked_once_until_new_events_come(monkeypatch):
     asked, replayed = [], []
-    import async_tnt.window_replay as module
+    import async_tnt.deferred_landmark as module
 
     absorb = module.absorb
     monkeypatch.setattr(module, "absorb", lambda *args: replayed.append(1) or absorb(*args))
@@ -278,17 +244,6 @@ def test_a_torch_module_may_be_the_regressor():
 # -- windows, counts, copies ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late", ["accept", "drop"])
-def test_every_event_is_counted_once(late):
-    volume = TNTVolume(CONFIG, regressor=brightest, late=late)
-    rng = np.random.default_rng(7)
-    n = 5000
-    volume.update((rng.integers(0, 20_000, n) // 7 * 7, *rng.integers(0, 34, (2, n)), rng.integers(0, 2, n)))
-    c = volume.counts
-    assert c.received == n and c.kept > 0 and c.dropped_late > 0
-    assert c.received == c.kept + c.dropped_outside + c.dropped_tau_zero + c.dropped_late + c.dropped_unstored
-
-
 def test_a_full_buffer_hides_the_same_events_from_replay_and_regressor():
     """So the promise to the reference holds for the events that are stored."""
     events = random_events(90, seed=8, duration_us=1000)
@@ -308,41 +263,6 @@ def test_a_full_buffer_hides_the_same_events_from_replay_and_regressor():
     full.open(1000)  # and the next window stores again
     full.update_one(1500, 3, 3, 1)
     assert full.counts.received == 91 and full.counts.dropped_unstored == 50
-
-
-def test_reset_forgets_the_stream():
-    volume, fresh = (TNTVolume(CONFIG, regressor=brightest) for _ in range(2))
-    volume.update(random_events(100, duration_us=5000))
-    volume.reset()
-    assert volume.counts == Counts() and not volume.array.any() and volume.landmark == (16.5, 16.5)
-    for v in (volume, fresh):
-        v.update(random_events(100, seed=3, duration_us=5000))
-    assert volume.array.tobytes() == fresh.array.tobytes() and volume.counts == fresh.counts
-
-
-@pytest.mark.parametrize(
-    "duplicate",
-    [copy.copy, copy.deepcopy, lambda volume: pickle.loads(pickle.dumps(volume))],
-    ids=["copy", "deepcopy", "pickle"],
-)
-@pytest.mark.parametrize("read_before", [False, True])
-def test_a_copy_in_the_middle_of_a_window_goes_on_and_shares_nothing(duplicate, read_before):
-    model = random_regressor_model(CONFIG, sharpness=20.0)
-    events = random_events(400, seed=5, duration_us=1900)
-    original, untouched = volume_of(model), volume_of(model)
-    original.update(events[:150]), untouched.update(events[:150])
-    if read_before:
-        _ = original.array
-    twin = duplicate(original)
-    twin.update(events[150:])
-    assert original.array.tobytes() == untouched.array.tobytes() and original.n_events == 150
-    assert original.landmark == untouched.landmark and original.counts == untouched.counts
-    original.update(events[150:]), untouched.update(events[150:])
-    for volume in (original, twin):
-        assert volume.array.tobytes() == untouched.array.tobytes() and volume.array.any()
-        assert (volume.landmark, volume.counts) == (untouched.landmark, untouched.counts)
-    with pytest.raises(ValueError, match="read-only"):
-        twin.array[0, 0, 0] = 1
 
 
 def test_without_the_transform_there_is_no_landmark():

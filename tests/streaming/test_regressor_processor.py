@@ -1,8 +1,6 @@
 """Landmark "regressor" in the Processor: decisions equal the torch pipeline's, however the stream is cut."""
 
 import asyncio
-import copy
-import pickle
 import threading
 import tracemalloc
 
@@ -10,9 +8,7 @@ import numpy as np
 import pytest
 from deciding import key, total_and_size
 from held_memory import held
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from made import nasty_streams, random_events, random_model, random_regressor_model
+from made import random_events, random_model, random_regressor_model
 
 from async_tnt import Processor, TNTConfig, astream, load_model, stream, warmup
 from async_tnt.checking.reference import reference_pipeline
@@ -50,34 +46,6 @@ def test_decisions_equal_the_torch_pipeline(settings, polarity):
     assert len(seen) > len(decisions) / 2
 
 
-@settings(max_examples=80, deadline=None)
-@given(
-    events=nasty_streams((34, 34), 4000, 50, max_events=80),
-    hop_us=st.sampled_from([None, 1000, 999, 500, 250]),
-    every_us=st.sampled_from([None, 77, 500, 3000]),
-    every_events=st.sampled_from([None, 1, 3, 50]),
-    start_us=st.sampled_from([None, 0, 300]),
-    late=st.sampled_from(["accept", "drop"]),
-)
-def test_decisions_do_not_depend_on_packets(events, hop_us, every_us, every_events, start_us, late):
-    settings = {
-        "hop_us": hop_us,
-        "every_us": every_us,
-        "every_events": every_events,
-        "start_us": start_us,
-        "late": late,
-    }
-    expected, processor = run(events, **settings)
-    for size in (1, 2, 7):
-        decisions, other = run(events, size, **settings)
-        assert [key(d) for d in decisions] == [key(d) for d in expected]
-        assert other.counts == processor.counts
-    one = Processor(MODEL, **settings)
-    decisions = [d for event in events.tolist() for d in one.push_one(*event)] + one.finish()
-    assert [key(d) for d in decisions] == [key(d) for d in expected]
-    assert one.counts == processor.counts
-
-
 def test_overlapping_windows_have_each_its_own_landmark():
     """Every window by itself gives the decision that it gives among others."""
     events = random_events(600, seed=4, duration_us=3000)
@@ -88,43 +56,6 @@ def test_overlapping_windows_have_each_its_own_landmark():
         inside = events[(events["t"] >= start_us) & (events["t"] < start_us + 1000)]
         alone, _ = run(inside, start_us=start_us)
         assert alone[0].logits.tobytes() == decision.logits.tobytes()
-
-
-def test_fire_changes_nothing():
-    events = random_events(1000, seed=6, duration_us=4000)
-    for triggers in ({}, {"every_us": 70}, {"every_events": 30}, {"hop_us": 400}):
-        expected, quiet = run(events, 50, **triggers)
-        fired = Processor(MODEL, **triggers)
-        decisions = []
-        for first in range(0, len(events), 50):
-            decisions += fired.push(events[first : first + 50])
-            assert key(fired.fire()) == key(fired.fire())
-            _ = fired.landmark, fired.volume(), fired.counts
-        decisions += fired.finish()
-        assert [key(d) for d in decisions] == [key(d) for d in expected]
-        assert fired.counts == quiet.counts
-
-
-def test_reset_forgets_the_stream():
-    processor = Processor(MODEL, hop_us=300, every_us=100)
-    events = random_events(500, duration_us=5000)
-    first = processor.push(events) + processor.finish()
-    processor.reset()
-    again = processor.push(events) + processor.finish()
-    assert [key(d) for d in first] == [key(d) for d in again] and first
-
-
-@pytest.mark.parametrize("settings", [{}, {"hop_us": 300, "every_us": 70}, {"every_events": 7, "late": "drop"}])
-def test_a_copy_goes_on_as_the_original(settings):
-    events = random_events(600, seed=8, duration_us=4000)
-    original = Processor(MODEL, **settings)
-    original.push(events[:250])
-    for duplicate in (copy.deepcopy(original), pickle.loads(pickle.dumps(original))):
-        before = key(original.fire())
-        decisions = duplicate.push(events[250:]) + duplicate.finish()
-        assert key(original.fire()) == before
-    rest, untouched = original.push(events[250:]) + original.finish(), run(events, **settings)[0]
-    assert [key(d) for d in rest] == [key(d) for d in decisions] == [key(d) for d in untouched][-len(rest) :]
 
 
 def test_a_network_of_ones_own_beside_a_configuration():

@@ -90,26 +90,6 @@ def test_update_equals_batch_at_every_prefix(data):
         assert_equals_reference(volume, events[:n], config, start_us)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(st.data())
-def test_any_packets_give_the_same_bits(data):
-    sensor, grid, bins, window_us, t_max = data.draw(st.sampled_from(SHAPES))
-    config = data.draw(st.sampled_from(CONFIGS)).replace(
-        sensor=sensor, grid=grid, bins=bins, window_us=window_us, t_max=t_max
-    )
-    start_us = data.draw(st.sampled_from(STARTS))
-    # three windows long, so that packets span windows, and some events come before their window
-    events = data.draw(nasty_streams(sensor, 3 * window_us, start_us, max_events=60))
-    expected = None
-    for size in (1, 2, 7, 59, 60):
-        volume = TNTVolume(config)
-        volume.open(start_us)
-        closed = sum(volume.update(events[first : first + size]) for first in range(0, events.size, size))
-        got = volume.array.tobytes(), volume.landmark, volume.counts, volume.start_us, volume.n_events, closed
-        assert expected is None or got == expected
-        expected = got
-
-
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda c: f"{c.landmark}-{c.polarity}-{c.transform}-{c.remove_flow}")
 def test_long_packets_take_the_block_path_to_the_same_bits(config):
     """Blocks of events run in vector registers, single events in scalars."""

@@ -54,18 +54,6 @@ def test_array_is_a_read_only_float32_view_of_the_open_window():
     assert not volume.array.any()
 
 
-def test_reading_between_events_changes_nothing():
-    events = random_events(300, seed=5, duration_us=1000)
-    for landmark in ("center", "running", "line", "window"):
-        read, unread = (TNTVolume(CONFIG.replace(landmark=landmark)) for _ in range(2))
-        for event in events.tolist():
-            read.update_one(*event)
-            _ = read.array, read.counts, read.landmark
-            unread.update_one(*event)
-        assert read.array.tobytes() == unread.array.tobytes()
-        assert read.counts == unread.counts
-
-
 @settings(max_examples=200, deadline=None)
 @given(
     st.lists(st.one_of(st.integers(1, 400), st.sampled_from(["read", "open"])), min_size=3, max_size=25),
@@ -133,32 +121,6 @@ def test_late_raise_refuses_the_whole_packet():
     volume.update_one(500, 16, 16, 1)
 
 
-@pytest.mark.parametrize("landmark", ["center", "running", "line", "window"])
-def test_every_event_is_counted_once(landmark):
-    volume = TNTVolume(CONFIG.replace(landmark=landmark), late="drop")
-    rng = np.random.default_rng(7)
-    n = 5000
-    volume.update((rng.integers(0, 20_000, n) // 7 * 7, *rng.integers(0, 34, (2, n)), rng.integers(0, 2, n)))
-    c = volume.counts
-    assert c.received == n
-    assert c.received == c.kept + c.dropped_outside + c.dropped_tau_zero + c.dropped_late + c.dropped_unstored
-
-
-@pytest.mark.parametrize(
-    "bad", [(5, 34, 0, 1), (5, 0, -1, 1), (-1, 0, 0, 1), (5, 0, 0, 2), (5.0, 0, 0, 1), (5, "3", 0, 1)]
-)
-def test_a_bad_event_leaves_everything_as_it_was(bad):
-    volume = TNTVolume(CONFIG)
-    volume.open(0)
-    volume.update_one(300, 3, 4, 1)
-    before = volume._buffer.tobytes(), volume.counts
-    with pytest.raises((ValueError, TypeError)):
-        volume.update_one(*bad)
-    with pytest.raises((ValueError, TypeError)):
-        volume.update(([4, bad[0]], [4, bad[1]], [4, bad[2]], [1, bad[3]]))
-    assert (volume._buffer.tobytes(), volume.counts) == before
-
-
 def test_numpy_scalars_and_bools_are_events_too():
     plain, numpy = TNTVolume(CONFIG), TNTVolume(CONFIG)
     plain.update_one(300, 3, 4, 1)
@@ -211,17 +173,6 @@ def test_replay_buffer_grows_to_its_bound_only():
     assert volume.counts.received == 9_000 and volume.counts.dropped_unstored == 0
     with pytest.raises(ValueError, match="`replay_events` must be at least 1, got 0"):
         TNTVolume(TNTConfig(landmark="window"), replay_events=0)
-
-
-def test_reset_forgets_the_stream():
-    volume = TNTVolume(CONFIG, late="drop")
-    volume.update(random_events(100, duration_us=5000))
-    volume.reset()
-    assert volume.counts == Counts() and not volume.array.any() and volume.n_events == 0
-    fresh = TNTVolume(CONFIG, late="drop")
-    for v in (volume, fresh):
-        v.update(random_events(100, seed=3, duration_us=5000))
-    assert volume.array.tobytes() == fresh.array.tobytes() and volume.counts == fresh.counts
 
 
 def test_landmark_is_the_centre_where_none_is_defined():

@@ -1,8 +1,6 @@
 """The leaky integrate-and-fire trigger, by hand."""
 
-import copy
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -131,18 +129,6 @@ def test_reset_and_another_integrator_begin_at_zero(model):
     assert processor.push(at([0] * 9)) == []
     processor.activity = LeakyIntegrator(3.0, math.inf)
     assert processor.push(at([0, 0])) == [] and len(processor.push(at([0]))) == 1
-
-
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
-def test_a_copy_has_a_potential_of_its_own(duplicate):
-    original = Processor(random_model(CONFIG), activity=LeakyIntegrator(3.0, math.inf))
-    original.push(at([0, 0]))
-    other = duplicate(original)
-    assert [d.trigger for d in original.push(at([0]))] == ["activity"]
-    assert original.push(at([0, 0])) == []
-    assert [d.trigger for d in other.push(at([0]))] == ["activity"]
-    other.activity = None
-    assert original.activity == LeakyIntegrator(3.0, math.inf) and len(original.push(at([0]))) == 1
 
 
 def test_a_busy_scene_is_decided_more_often_than_a_slow_one(model):

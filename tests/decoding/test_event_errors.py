@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from decoder.bad_events import BAD, SENSOR, columns_of, in_every_form
+from decoding.bad_events import BAD, SENSOR, columns_of, in_every_form
 
 from async_tnt.events import NAMES, EventDecoder, as_events
 
@@ -15,7 +15,11 @@ def test_message(error, message):
     packets = {name: bad[0] for name, bad in BAD.items() if bad[1:] == (error, message)}
     for name, events in packets.items():
         decoder = EventDecoder(SENSOR)
-        for take in (decoder, decoder, lambda events: as_events(events, SENSOR)):  # at the second, the layout is known
+        for take in (
+            decoder.decode,
+            decoder.decode,
+            lambda events: as_events(events, SENSOR),
+        ):  # at the second, the layout is known
             with pytest.raises(error) as raised:
                 take(events)
             assert str(raised.value) == message, name

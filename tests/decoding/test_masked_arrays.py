@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from decoder.bad_events import MASKED, SENSOR
+from decoding.bad_events import MASKED, SENSOR
 
 from async_tnt import Model, load_model
 from async_tnt.events import EventDecoder

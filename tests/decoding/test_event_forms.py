@@ -105,7 +105,7 @@ STORED = {
 
 
 def taken(decoder, events):
-    """The door's columns, as lists; what is promised of their memory is checked on the way."""
+    """The decoder's columns, as lists; what is promised of their memory is checked on the way."""
     columns = decoder.decode(events)
     for column, dtype in zip(columns[:4], TYPES, strict=True):
         assert column.dtype == dtype

@@ -293,7 +293,7 @@ BAD |= {
     "four events, not four columns": (
         list(np.zeros(4, EVENT_DTYPE)),
         TypeError,
-        "a list of single events (void at event 0) is no packet: hand it to `stream`, event by event, or push "
+        "a list of single events (void at event 0) is not a packet: hand it to `stream`, event by event, or push "
         "four columns (t, x, y, p)",
     ),
     "a time beyond int64": (

@@ -170,14 +170,14 @@ def test_records_of_any_layout(data, layout, sensor, trouble, how, padding):
     before = memory(events)
 
     decoder = EventDecoder(sensor)
-    assert outcome(decoder, events) == expected  # most of them by the fast way
-    assert outcome(decoder, events) == expected
+    assert outcome(decoder.decode, events) == expected  # most of them by the fast way
+    assert outcome(decoder.decode, events) == expected
     assert outcome(lambda: checked_columns(*named_columns(events), sensor)) == expected  # all by the slow one
     columns = tuple(events[name] for name in names)
-    assert outcome(decoder, columns) == (expected if rows else [])
-    assert outcome(decoder, tuple(column.copy() for column in columns)) == (expected if rows else [])
+    assert outcome(decoder.decode, columns) == (expected if rows else [])
+    assert outcome(decoder.decode, tuple(column.copy() for column in columns)) == (expected if rows else [])
     if rows:
-        assert outcome(decoder, events[-1]) == refused_or_columns(rows[-1:], kinds, sensor)
+        assert outcome(decoder.decode, events[-1]) == refused_or_columns(rows[-1:], kinds, sensor)
     if expected is not None:
         assert [tuple(row) for row in as_events(events, sensor).tolist()] == expected
     assert memory(events) == before
@@ -191,10 +191,10 @@ def test_columns_of_python_integers(data, sensor, trouble):
     event("refused" if expected is None else "taken")
     columns = [list(column) for column in zip(*rows, strict=True)]
     decoder = EventDecoder(sensor)
-    assert outcome(decoder, tuple(columns)) == expected
-    assert outcome(decoder, SimpleNamespace(**dict(zip(NAMES, columns, strict=True)))) == expected
+    assert outcome(decoder.decode, tuple(columns)) == expected
+    assert outcome(decoder.decode, SimpleNamespace(**dict(zip(NAMES, columns, strict=True)))) == expected
     for row in rows:
-        assert outcome(decoder, row) == refused_or_columns([row], dict.fromkeys(NAMES, "i"), sensor)
+        assert outcome(decoder.decode, row) == refused_or_columns([row], dict.fromkeys(NAMES, "i"), sensor)
 
 
 @FUZZ
@@ -205,7 +205,7 @@ def test_columns_of_the_right_types(data, sensor, trouble):
     expected = refused_or_columns(rows, dict.fromkeys(NAMES, "i"), sensor)
     event("refused" if expected is None else "taken")
     columns = tuple(np.array(column, dtype) for column, dtype in zip(zip(*rows, strict=True), OURS, strict=True))
-    assert outcome(EventDecoder(sensor), columns) == expected
+    assert outcome(EventDecoder(sensor).decode, columns) == expected
     assert outcome(lambda: checked_columns(*columns, sensor)) == expected
 
 
@@ -340,8 +340,8 @@ def test_structured_arrays_of_any_types(dtype, names, n, byte):
         formats = [dtype.fields[name][0] for name in dtype.names][:5]
         dtype = np.dtype(list(zip(names, formats, strict=False)))
     events = made_array(dtype, (n,), byte)
-    fast = outcome(EventDecoder((34, 33)), events)
-    assert fast == outcome(EventDecoder((34, 33)), np.repeat(events, 2)[::2])
+    fast = outcome(EventDecoder((34, 33)).decode, events)
+    assert fast == outcome(EventDecoder((34, 33)).decode, np.repeat(events, 2)[::2])
     event("taken" if fast else "refused or empty")
     if fast:
         assert all(dtype.fields[name][0].kind in "iu" for name in "txy")
@@ -351,4 +351,4 @@ def test_structured_arrays_of_any_types(dtype, names, n, byte):
 def test_a_mock_has_every_attribute():
     with pytest.raises(ValueError, match=r"^events need one field `t`, got t and ts and timestamp in a Mock"):
         EventDecoder((34, 34)).decode(Mock())
-    assert outcome(EventDecoder((34, 34)), MagicMock()) in (None, [])
+    assert outcome(EventDecoder((34, 34)).decode, MagicMock()) in (None, [])

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from decoder.bad_events import BAD, GOOD, ONE, SENSOR
+from decoding.bad_events import BAD, GOOD, ONE, SENSOR
 from made import random_events
 
 from async_tnt import Processor, TNTConfig, TNTVolume
@@ -19,12 +19,12 @@ def door_state(decoder):
 
 def volume_state(volume):
     state = volume.array.tobytes(), volume.counts, volume.landmark, volume.n_events, volume.start_us
-    return *state, volume.newest_us, door_state(volume._door)
+    return *state, volume.newest_us, door_state(volume._decoder)
 
 
 def processor_state(processor):
     decision = processor.fire()
-    state = processor.volume().tobytes(), processor.counts, processor.landmark, door_state(processor._door)
+    state = processor.volume().tobytes(), processor.counts, processor.landmark, door_state(processor._decoder)
     return *state, decision.logits.tobytes(), decision.events, decision.time_us, decision.window_start_us
 
 

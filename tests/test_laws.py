@@ -1,0 +1,244 @@
+"""Laws that hold for everything that takes a stream: volumes of every kind, processors with every trigger.
+
+However the stream is cut into packets; after a reset, in a copy, restored in another object; whatever invalid packets
+came and whatever was read in between: the same decisions, volumes, landmarks and counts, bit for bit.
+"""
+
+import copy
+import itertools
+import pickle
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made import nasty_streams, random_events, random_model, random_regressor_model
+
+from async_tnt import CompiledRegressor, LeakyIntegrator, Processor, TNTConfig, TNTVolume
+
+CONFIG = TNTConfig(sensor=(30, 24), grid=(14, 12), bins=3, window_us=1000, t_max=2.0)
+KINDS = {
+    "center": CONFIG.replace(landmark="center"),
+    "running": CONFIG,
+    "line": CONFIG.replace(landmark="line", polarity="unsigned"),
+    "line, flow removed": CONFIG.replace(landmark="line", remove_flow=True, polarity="split"),
+    "window": CONFIG.replace(landmark="window", polarity="split"),
+    "regressor": CONFIG.replace(landmark="regressor"),
+    "no transform": CONFIG.replace(transform="none", polarity="split"),
+    "one bin, large": CONFIG.replace(sensor=(300, 200), grid=(300, 200), bins=1),
+}
+SETTINGS = {
+    "windows": {},
+    "overlapping": {"hop_us": 300},
+    "overlapping, uneven": {"hop_us": 999, "start_us": 40, "every_us": 90},
+    "every_us": {"every_us": 170, "start_us": 60},
+    "every_events": {"every_events": 7, "late": "drop"},
+    "every event": {"every_events": 1},
+    "confidence": {"confidence": 0.4},
+    "confidence every 3 events, overlapping": {"confidence": 0.38, "every_events": 3, "hop_us": 250},
+    "activity": {"activity": LeakyIntegrator(5, 300.0), "hop_us": 450},
+    "activity and every_us": {"activity": LeakyIntegrator(3, 90.0), "every_us": 300},
+}
+
+
+def uneven(volume):
+    """A classifier whose probabilities go up and down with what it sees."""
+    total, size = float(volume.sum()), float(np.abs(volume).sum())
+    return [total, 0.5 * size - 1.5, float(np.sin(size))]
+
+
+class Volume:
+    """A TNTVolume, used like a Processor that never decides."""
+
+    def __init__(self, config):
+        model = random_regressor_model(config, widths=(3, 4, 5), sharpness=20.0) if config.needs_regressor else None
+        self.volume = TNTVolume(config, regressor=model and CompiledRegressor(model))
+        self.push, self.push_one, self.reset = self.volume.update, self.volume.update_one, self.volume.reset
+
+    def __reduce__(self):
+        return _volume_around, (self.volume,)
+
+    def look(self):
+        volume = self.volume
+        return volume.array.tobytes(), volume.landmark, volume.counts, volume.start_us, volume.n_events
+
+
+def _volume_around(volume):
+    made = Volume.__new__(Volume)
+    made.volume, made.push, made.push_one, made.reset = volume, volume.update, volume.update_one, volume.reset
+    return made
+
+
+class Stream:
+    """A Processor, its decisions as comparable values."""
+
+    def __init__(self, config, compiled, settings):
+        model = random_model(config, classes=3, widths=(3, 4, 5), regressor_widths=(3, 3, 3), sharpness=20.0)
+        self.processor = Processor(model, classifier=None if compiled else uneven, **settings)
+
+    def push(self, events):
+        return [_as_values(decision) for decision in self.processor.push(events)]
+
+    def push_one(self, *event):
+        return [_as_values(decision) for decision in self.processor.push_one(*event)]
+
+    def reset(self):
+        self.processor.reset()
+
+    def look(self):
+        processor, fired = self.processor, self.processor.fire()
+        return processor.volume().tobytes(), processor.landmark, processor.counts, _as_values(fired)
+
+
+def _as_values(decision):
+    values = decision.trigger, decision.window_start_us, decision.time_us, decision.events, decision.complete
+    return *values, decision.label, decision.logits.tobytes(), decision.probabilities.tobytes()
+
+
+VOLUMES = {f"volume: {kind}": partial(Volume, config) for kind, config in KINDS.items()}
+PROCESSORS = {
+    f"{kind}, {name}, {'network' if compiled else 'callable'}": partial(Stream, KINDS[kind], compiled, settings)
+    for (kind, compiled), (name, settings) in itertools.product(
+        [("running", True), ("running", False), ("line", True), ("window", True), ("regressor", True)], SETTINGS.items()
+    )
+}
+ALL = VOLUMES | PROCESSORS
+of_all = pytest.mark.parametrize("make", ALL.values(), ids=ALL)
+
+
+def events_of(make, n=400, seed=1, start_us=50):
+    """Four windows of events, some of them late."""
+    sensor = make.args[0].sensor
+    events = random_events(n, seed=seed, duration_us=4000, start_us=start_us, sensor=sensor)
+    events["t"][::23] = np.maximum(start_us, events["t"][::23] - 700)
+    return events
+
+
+def fed(stream, events, sizes=(400,)):
+    """What came out of a stream cut into packets of these sizes, over and over; 0: one event by `push_one`."""
+    outputs, first, sizes = [], 0, itertools.cycle(sizes)
+    while first < len(events):
+        size = next(sizes)
+        out = stream.push(events[first : first + size]) if size else stream.push_one(*events[first].tolist())
+        outputs += out if isinstance(out, list) else [out] * (out > 0)
+        first += size or 1
+    return outputs
+
+
+@of_all
+@pytest.mark.parametrize("sizes", [(0,), (1,), (2, 0, 7), (399,), (401,)], ids=str)
+def test_packets_of_any_size_give_the_same(make, sizes):
+    events, whole, cut = events_of(make), make(), make()
+    expected, got = fed(whole, events), fed(cut, events, sizes)
+    assert cut.look() == whole.look()
+    if isinstance(whole, Volume):  # which says how many windows a packet closed
+        assert sum(got) == sum(expected) and any(whole.look()[0])
+    else:
+        assert got == expected != []
+
+
+@given(data=st.data())
+def test_any_packets_of_any_stream_give_the_same(data):
+    name = data.draw(st.sampled_from(list(ALL)))
+    make = ALL[name]
+    start_us = data.draw(st.sampled_from([0, 123_456_789, 1_700_000_000_000_000]))
+    events = data.draw(nasty_streams(make.args[0].sensor, 3500, start_us, max_events=60))
+    sizes = data.draw(st.lists(st.integers(0, 40), min_size=1, max_size=6))
+    whole, cut = make(), make()
+    expected, got = fed(whole, events), fed(cut, events, sizes)
+    assert got == expected or (isinstance(whole, Volume) and sum(got) == sum(expected))
+    assert cut.look() == whole.look()
+
+
+@pytest.mark.parametrize("make", VOLUMES.values(), ids=VOLUMES)
+def test_blocks_of_events_have_the_bits_of_single_events(make):
+    """Long packets run in vector registers, single events in scalars."""
+    events = random_events(1500, seed=2, duration_us=1000, sensor=make.args[0].sensor)
+    one, many = make(), make()
+    fed(one, events, (0,)), fed(many, events, (1500,))
+    assert one.look() == many.look() and any(one.look()[0])
+
+
+@of_all
+def test_after_a_reset_it_is_as_new(make):
+    used, new = make(), make()
+    fed(used, events_of(make, seed=5, start_us=90_000))
+    used.look()
+    used.reset()
+    assert used.look() == new.look()
+    assert fed(used, events_of(make)) == fed(new, events_of(make))
+    assert used.look() == new.look()
+
+
+@of_all
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream))])
+def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
+    original, alone, events = make(), make(), events_of(make)
+    if duplicate is copy.copy:
+        if not isinstance(original, Volume):
+            pytest.skip("processors are copied by deepcopy")
+        duplicate = lambda stream: _volume_around(copy.copy(stream.volume))  # noqa: E731
+    fed(original, events[:170], (13,)), fed(alone, events[:170], (13,))
+    twin = duplicate(original)
+    before = original.look()
+    outputs = fed(twin, events[170:], (11,))
+    assert original.look() == before
+    assert fed(original, events[170:], (11,)) == outputs == fed(alone, events[170:], (11,))
+    assert original.look() == twin.look() == alone.look()
+
+
+@pytest.mark.parametrize("make", PROCESSORS.values(), ids=PROCESSORS)
+@pytest.mark.parametrize("stop", [0, 1, 150, 399])
+def test_restored_elsewhere_it_continues_as_if_it_had_not_stopped(make, stop):
+    whole, stopped, resumed, events = make(), make(), make(), events_of(make)
+    fed(whole, events[:stop]), fed(stopped, events[:stop])
+    fed(resumed, events_of(make, n=30, seed=9))  # is forgotten
+    resumed.processor.restore_state(stopped.processor.save_state())
+    assert resumed.look() == stopped.look() == whole.look()
+    assert fed(resumed, events[stop:], (13,)) == fed(whole, events[stop:], (13,))
+    assert resumed.look() == whole.look()
+
+
+@of_all
+def test_invalid_packets_change_nothing(make):
+    stream, alone, events = make(), make(), events_of(make)
+    width = make.args[0].sensor[0]
+    fed(stream, events[:170]), fed(alone, events[:170])
+    for invalid in (([9000, 9001], [1, width], [1, 1], [1, 1]), ([9000, -1], [1, 1], [1, 1], [0, 1]), [1, 2, 3], "abc"):
+        with pytest.raises((ValueError, TypeError)):
+            stream.push(invalid)
+    for invalid in ((9000, width, 1, 1), (-1, 1, 1, 1), (9000, 1, 1, 2), (9000.5, 1, 1, 1)):
+        with pytest.raises((ValueError, TypeError)):
+            stream.push_one(*invalid)
+    assert stream.look() == alone.look()
+    assert fed(stream, events[170:]) == fed(alone, events[170:])
+    assert stream.look() == alone.look()
+
+
+@of_all
+def test_reading_changes_nothing(make):
+    read, unread, events = make(), make(), events_of(make)
+    outputs = []
+    for first in range(0, len(events), 9):
+        outputs += fed(read, events[first : first + 9])
+        assert read.look() == read.look()
+    expected = fed(unread, events, (9,))
+    assert outputs == expected and read.look() == unread.look()
+
+
+@of_all
+def test_every_event_is_counted_once(make):
+    stream, events = make(), events_of(make)
+    fed(stream, events, (50,))
+    counts = stream.look()[2]
+    dropped = (
+        counts.dropped_outside
+        + counts.dropped_tau_zero
+        + counts.dropped_late
+        + counts.dropped_unstored
+        + counts.dropped_decided
+    )
+    assert counts.received == len(events)
+    if isinstance(stream, Volume) or "hop_us" not in make.args[2]:  # else once in every window
+        assert counts.kept + dropped == len(events)
