@@ -50,9 +50,15 @@ def collect(path):
 
 def shard(path):
     write_shard(
-        path, [random_events(20)], labels=[1], image=[0], flow=np.zeros((1, 2, 2)), flow_times_us=[0, 105_000],
-        sensor=(34, 34), duration_us=105_000,
-    )  # fmt: skip
+        path,
+        [random_events(20)],
+        labels=[1],
+        image=[0],
+        flow=np.zeros((1, 2, 2)),
+        flow_times_us=[0, 105_000],
+        sensor=(34, 34),
+        duration_us=105_000,
+    )
 
 
 WRITERS = {
