@@ -17,7 +17,7 @@ from ..archive.records import Record, run_recording
 from ..archive.results import check_out
 from ..engines.choice import choose_engine
 from ..progress import progress
-from .files import complain, paths_of, positive_int
+from .files import complain, one_line, paths_of, positive_int
 from .pixel_options import selector_of
 from .trigger_options import triggers_of
 
@@ -144,7 +144,7 @@ def run_archive(args: argparse.Namespace) -> int:
     took = time.monotonic() - started
     unread = f" ({len(errors):,} of them with an error)" if errors else ""
     recordings = counted(collected.total, "recording") + unread
-    print(f"{args.out}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
+    print(f"{one_line(str(args.out))}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
     if collected.done:
         print(f"{counted(collected.done, 'recording')} streamed now, {collected.done / took:,.1f} a second")
     if any(labels.values()):

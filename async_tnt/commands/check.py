@@ -10,7 +10,7 @@ from pathlib import Path
 from ..equality import PACKET_SIZES, Comparison, check_recording, configurations
 from ..events import EVENT_DTYPE
 from ..progress import progress
-from .files import add_files, add_start, complain, model_of, open_all, paths_of
+from .files import add_files, add_start, complain, model_of, one_line, open_all, paths_of
 
 DESCRIPTION = f"""Hold the stream against the batch reference (torch) on recordings, under every landmark:
 
@@ -88,7 +88,8 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
     for path, comparisons in results.items():
         for c in comparisons:
             if not c.holds:
-                print(f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons", file=sys.stderr)
+                told = f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons"
+                print(one_line(told), file=sys.stderr)
     print(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
 
 

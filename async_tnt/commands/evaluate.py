@@ -21,7 +21,7 @@ from ..engines.choice import Engine
 from ..figures.style import check_picture
 from ..model import Model, bundled_models
 from .archive_options import Interrupted, add_archive, place_of, stream_archive
-from .files import complain, model_of
+from .files import complain, model_of, one_line
 from .pixel_options import add_pixels, selector_of
 
 SHOWN = 10  # classes that a refusal names
@@ -103,7 +103,7 @@ def main(args: argparse.Namespace) -> int:
     else:
         print(text_of(report))
         if args.picture is not None:
-            print(f"wrote {args.picture}")
+            print(f"wrote {one_line(str(args.picture))}")
     if report["late"]:
         where = f" (see `late` in {args.out})" if args.out else ""
         complain(f"{report['late']:,} events dropped: they came late, before every open window{where}")

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..model import Model, bundled_models
 from ..whole_files import Replacement, check_writable
-from .files import model_of
+from .files import model_of, one_line
 
 DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
 (1, C, H, W); output `logits`, float32, (1, n_classes). The file also holds configuration, classes and training
@@ -86,7 +86,7 @@ def main(args: argparse.Namespace) -> int:
 def _print(report: dict[str, Any], model: Model) -> None:
     gives = (f"logits (1, {len(model.classes)})", "landmark (1, 2)")
     for (path, n_bytes), what in zip(report["files"].items(), gives, strict=False):
-        print(f"{path} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> {what}")
+        print(f"{one_line(str(path))} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> {what}")
     landmark = report["largest_landmark_difference_px"]
     print(
         f"onnxruntime {report['onnxruntime']} against the compiled network, {report['windows']} windows of "

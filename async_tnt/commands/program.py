@@ -15,7 +15,7 @@ from typing import NoReturn
 
 from .. import __version__
 from ..signals import handled_by
-from .files import complain
+from .files import complain, one_line
 
 COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)
     "run": ("async_tnt.commands.run", "stream recordings through a model and print its decisions"),
@@ -108,7 +108,7 @@ class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, as everything else here does; `--help` has the rest."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message} ({self.prog} --help)\n")
+        self.exit(2, f"{self.prog}: {one_line(message)} ({self.prog} --help)\n")
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from ..processor import Processor
 from ..recordings import Recording
 from ..sources import replay
 from .decision_lines import Line
-from .files import complain
+from .files import complain, one_line
 from .live_view import LiveView, decide_often
 
 
@@ -83,7 +83,9 @@ def print_decisions(
         mean = np.mean(closed, axis=0)
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
-        print(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
+        print(
+            f"{one_line(recording.path.name)}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})"
+        )
     late = processor.counts.dropped_late
     if late:
         complain(f"{recording.path}: {late} of {seen.n_events} events dropped: they came late (see --late, --start-us)")

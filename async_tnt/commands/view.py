@@ -17,7 +17,7 @@ from ..sources import replay
 from ..views import RerunView
 from ..views.sinks import SUFFIXES, import_rerun
 from ..whole_files import check_writable
-from .files import add_files, add_start, complain, paths_of, positive_number
+from .files import add_files, add_start, complain, one_line, paths_of, positive_number
 from .live_packets import add_latest, live_packets
 from .pixel_options import add_pixels, selector_of
 from .run_recording import open_selected
@@ -103,7 +103,8 @@ def main(args: argparse.Namespace) -> int:
         left_out = pixels.nothing_left()
         raise ValueError(f"{names}: {left_out}" if left_out else f"no event in {names}: nothing to show")
     if args.out is not None:
-        print(f"{args.out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {args.out}")
+        out = one_line(str(args.out))
+        print(f"{out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {out}")
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
     return 130 if stopped else 0

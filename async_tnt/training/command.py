@@ -15,7 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from async_tnt.commands.files import complain
+from async_tnt.commands.files import complain, one_line
 from async_tnt.commands.record import command_words, data_folder
 from async_tnt.config import TNTConfig
 from async_tnt.datasets.scores import Scores
@@ -251,7 +251,7 @@ def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: l
                 f"{title}: {found['per_window']:.4f} of {found['windows']} windows, "
                 f"{found['per_recording']:.4f} of {found['recordings']} recordings right"
             )
-    print(f"wrote {', '.join(map(str, written))}")
+    print(one_line(f"wrote {', '.join(map(str, written))}"))
 
 
 def show_progress(items: Iterable[Any], title: str, total: int) -> Iterator[Any]:

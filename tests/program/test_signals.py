@@ -35,12 +35,20 @@ def interrupted(folder, words, *, point, number, in_callback=False, ignored=None
     (folder / "sitecustomize.py").write_text(SITECUSTOMIZE)
     paths = os.pathsep.join([str(folder), *filter(None, sys.path)])
     return subprocess.run(
-        [sys.executable, "-m", "async_tnt.cli", *words], stdout=subprocess.PIPE, stderr=stderr, text=True, cwd=folder,
-        env=os.environ | {
-            "PYTHONPATH": paths, "POINT": point, "NUMBER": str(int(number)), "IN_CALLBACK": str(int(in_callback)),
+        [sys.executable, "-m", "async_tnt.cli", *words],
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        text=True,
+        cwd=folder,
+        env=os.environ
+        | {
+            "PYTHONPATH": paths,
+            "POINT": point,
+            "NUMBER": str(int(number)),
+            "IN_CALLBACK": str(int(in_callback)),
         },
         preexec_fn=None if ignored is None else lambda: signal.signal(ignored, signal.SIG_IGN),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
@@ -94,8 +102,10 @@ def test_a_signal_while_workers_are_spawned(number, tmp_path):
     code = (
         "import multiprocessing.util as util, os, sys\n"
         "spawn = util.spawnv_passfds\n"
-        "def spawned(*words):\n"
-        f"    made = spawn(*words); os.kill(os.getpid(), {int(number)}); return made\n"
+        "def spawned(path, words, handed_over):\n"
+        "    made = spawn(path, words, handed_over)\n"
+        f"    if 'spawn_main' in str(words): os.kill(os.getpid(), {int(number)})\n"
+        "    return made\n"
         "util.spawnv_passfds = spawned\n"
         "from async_tnt.cli import main; sys.exit(main())"
     )
