@@ -14,7 +14,7 @@ import numpy as np
 from async_tnt import CompiledClassifier, Model
 from async_tnt.checking.bench_network import Feed
 from async_tnt.checking.moments import NEW_EVENTS, Moments
-from async_tnt.kernels import layout as P
+from async_tnt.kernels import layout as L
 
 LAYERS = ("input", "pooled_1", "pooled_2", "partial")
 
@@ -73,19 +73,19 @@ def _count(model: Model, block: list[Any]) -> list[dict[str, dict[str, float]]]:
 
 def _maps(network: CompiledClassifier) -> dict[str, np.ndarray]:
     """Copies: input (H, C, W), the others (rows, columns, filters or units)."""
-    plan, maps = network.network.plan, network.network.maps
-    channels, height, width = (int(plan[k]) for k in (P.CHANNELS, P.HEIGHT, P.WIDTH))
-    rows_1, columns_1, rows_2, columns_2 = (int(plan[k]) for k in (P.ROWS_1, P.COLUMNS_1, P.ROWS_2, P.COLUMNS_2))
+    layout, maps = network.network.layout, network.network.maps
+    channels, height, width = (int(layout[k]) for k in (L.CHANNELS, L.HEIGHT, L.WIDTH))
+    rows_1, columns_1, rows_2, columns_2 = (int(layout[k]) for k in (L.ROWS_1, L.COLUMNS_1, L.ROWS_2, L.COLUMNS_2))
 
     def part(place: int, *shape: int) -> np.ndarray:
-        first = int(plan[place])
+        first = int(layout[place])
         return maps[first : first + int(np.prod(shape))].reshape(shape).copy()
 
     return {
-        "input": part(P.INPUT, height + 2, channels, width + 2)[1:-1, :, 1:-1],
-        "pooled_1": part(P.POOLED_1, rows_1 + 2, columns_1 + 2, int(plan[P.F]))[1:-1, 1:-1],
-        "pooled_2": part(P.POOLED_2, rows_2, columns_2, int(plan[P.G])),
-        "partial": part(P.PARTIAL, rows_2, columns_2, int(plan[P.U])),
+        "input": part(L.INPUT, height + 2, channels, width + 2)[1:-1, :, 1:-1],
+        "pooled_1": part(L.POOLED_1, rows_1 + 2, columns_1 + 2, int(layout[L.F]))[1:-1, 1:-1],
+        "pooled_2": part(L.POOLED_2, rows_2, columns_2, int(layout[L.G])),
+        "partial": part(L.PARTIAL, rows_2, columns_2, int(layout[L.U])),
     }
 
 

@@ -1,24 +1,25 @@
 """Absorb events into a volume, one by one or in packets, with bit-identical results.
 
-A packet is worked through in blocks, each in four passes over arrays that stay in the first-level cache:
+A packet is processed in blocks, each in four passes over arrays that stay in the first-level cache:
 
     check  ->  displacement from the landmark  ->  place in the volume  ->  splat
 
 The second and third run in vector registers. One event takes the same steps in scalars. Both call the same
 formulas of `landmark` and `splat`, and floating point is strict (no fastmath, no contraction), so how a
 stream is cut cannot matter.
+
+Landmarks that are known only at the moment of reading have their events stored for a replay instead.
 """
 
 import numpy as np
 
 from . import state as S
-from .displace import displace
 from .jit import compiled, inlined
-from .landmark import displace_fixed, displace_line, displace_raw, displace_running
+from .landmark import block_of, displace, displace_fixed, displace_line, displace_raw, displace_running
 from .records import MAX_TIME_US
 from .splat import add_event, grid_of, place_event
 
-ABSORBED, AT_LIMIT, REFUSED = 0, 1, 2  # what absorb_one answers
+ABSORBED, AT_LIMIT, REFUSED = 0, 1, 2  # what absorb_one returns
 
 
 @compiled
@@ -38,7 +39,9 @@ def absorb(buffer, t, x, y, p, first, last):
     while first < last:
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]
-        if _all_in_window(buffer, ints, block_t, m):
+        oldest_us, newest_us = _time_range(block_t, m)
+        if (oldest_us >= ints[S.START_US]) & (newest_us < ints[S.LIMIT_US]):
+            _count_block(buffer, ints, block_t, m, oldest_us, newest_us)
             displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
             _place(buffer, ints, block_t, p[first : first + m], m)
             _splat(buffer, ints, m)
@@ -69,36 +72,28 @@ def absorb_one(buffer, t, x, y, p):
 
 @compiled
 def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_stored):
-    """What `absorb` does for a landmark known only at the read: count and sum, and store the events.
+    """`absorb` for a landmark known only at the moment of reading: count, sum, and store the events.
 
     Parameters
     ----------
-    buffer : float64, the volume's `state`. Updated in place, its cells excepted.
+    buffer : float64, the volume's `state`. Updated in place, except for its cells.
     t, x, y, p, first, last : as for `absorb`.
-    stored_t, stored_x, stored_y, stored_p : columns. Updated in place from `n_stored` on; what exceeds them
-        is counted in the sums and not stored.
+    stored_t, stored_x, stored_y, stored_p : columns. Updated in place from `n_stored` on; events that do not fit
+        are summed and not stored.
 
     Returns
     -------
-    first : int. The first event not taken (at or after LIMIT_US).
+    first : int. The first event not absorbed (at or after LIMIT_US).
     n_stored : int. Events stored now.
     """
     ints = buffer.view(np.int64)
     while first < last and t[first] < ints[S.LIMIT_US]:
-        ints[S.RECEIVED] += 1
-        if t[first] < ints[S.START_US]:
-            count_late(ints, t[first])
-        else:
-            ints[S.N] += 1
-            ints[S.SUM_X] += x[first]
-            ints[S.SUM_Y] += y[first]
-            ints[S.NEWEST_US] = max(ints[S.NEWEST_US], t[first])
-            if n_stored < stored_t.size:
-                stored_t[n_stored] = t[first]
-                stored_x[n_stored] = x[first]
-                stored_y[n_stored] = y[first]
-                stored_p[n_stored] = p[first]
-                n_stored += 1
+        if _count_event(ints, t[first], x[first], y[first]) and n_stored < stored_t.size:
+            stored_t[n_stored] = t[first]
+            stored_x[n_stored] = x[first]
+            stored_y[n_stored] = y[first]
+            stored_p[n_stored] = p[first]
+            n_stored += 1
         first += 1
     return first, n_stored
 
@@ -106,15 +101,9 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
 @compiled
 def _absorb_event(buffer, ints, t, x, y, p):
     """Add one event before LIMIT_US."""
-    ints[S.RECEIVED] += 1
-    dt = t - ints[S.START_US]
-    if dt < 0:
-        count_late(ints, t)
+    if not _count_event(ints, t, x, y):
         return
-    ints[S.N] += 1
-    ints[S.SUM_X] += x
-    ints[S.SUM_Y] += y
-    ints[S.NEWEST_US] = max(ints[S.NEWEST_US], t)
+    dt = t - ints[S.START_US]
     mode = ints[S.MODE]
     if mode == S.MODE_RUNNING:
         num_x, num_y, den = displace_running(x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y])
@@ -129,61 +118,70 @@ def _absorb_event(buffer, ints, t, x, y, p):
             buffer, x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y], ints[S.SUM_T], remove_flow
         )
     grid = grid_of(buffer, ints)
-    corner, y_frac, x_frac, early, later, keep = place_event(grid, np.float64(dt), p > 0, num_x, num_y, den)
+    corner, y_frac, x_frac, lower, upper, keep = place_event(grid, np.float64(dt), p > 0, num_x, num_y, den)
     ints[S.KEPT] += keep
     ints[S.TAU_ZERO] += den == 0.0
-    _mark_bins(ints, grid, dt, dt)
+    _note_changed_bins(ints, grid, dt, dt)
     ints[ints[S.LOG] + (ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1))] = corner
     ints[S.N_LOG] += 1
-    add_event(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, early, later)
+    add_event(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, lower, upper)
 
 
 @inlined
-def count_late(ints, t):
-    """Count an event before the open window: as DECIDED where the newest window that holds it was closed early."""
-    hops = (ints[S.START_US] - 1 - t) // ints[S.HOP_US]  # 0: that window is the one before the open one
-    decided = hops < S.REMEMBERED and (ints[S.CLOSED_EARLY + (hops >> 6)] >> (hops & 63)) & 1 == 1
-    ints[S.DECIDED if decided else S.LATE] += 1
+def _count_event(ints, t, x, y):
+    """Count and sum one event before LIMIT_US; returns whether it is in the open window.
+
+    An event before it counts as DECIDED where the newest window that holds it was closed early, else as LATE.
+    """
+    ints[S.RECEIVED] += 1
+    if t < ints[S.START_US]:
+        hops = (ints[S.START_US] - 1 - t) // ints[S.HOP_US]  # 0: that window is the one before the open one
+        decided = hops < S.REMEMBERED and (ints[S.CLOSED_EARLY + (hops >> 6)] >> (hops & 63)) & 1 == 1
+        ints[S.DECIDED if decided else S.LATE] += 1
+        return False
+    ints[S.N] += 1
+    ints[S.SUM_X] += x
+    ints[S.SUM_Y] += y
+    ints[S.NEWEST_US] = max(ints[S.NEWEST_US], t)
+    return True
 
 
 @compiled
-def _all_in_window(buffer, ints, t, m):
-    """Whether a block lies in the open window and before the limit; if so, takes note of it."""
+def _time_range(t, m):
     oldest_us = t[0]
     newest_us = t[0]
     for i in range(m):
         oldest_us = min(oldest_us, t[i])
         newest_us = max(newest_us, t[i])
+    return oldest_us, newest_us
+
+
+@compiled
+def _count_block(buffer, ints, t, m, oldest_us, newest_us):
+    """Count the events of a block that lies in the open window."""
     start_us = ints[S.START_US]
-    if (oldest_us < start_us) | (newest_us >= ints[S.LIMIT_US]):
-        return False
     ints[S.RECEIVED] += m
     ints[S.N] += m
     ints[S.NEWEST_US] = max(ints[S.NEWEST_US], newest_us)
-    _mark_bins(ints, grid_of(buffer, ints), oldest_us - start_us, newest_us - start_us)
+    _note_changed_bins(ints, grid_of(buffer, ints), oldest_us - start_us, newest_us - start_us)
     if (oldest_us == start_us) & (ints[S.MODE] != S.MODE_RAW):
         for i in range(m):
             ints[S.TAU_ZERO] += t[i] == start_us
-    return True
 
 
 @compiled
 def _place(buffer, ints, t, p, m):
-    """Each event's place and weight (see `splat`) into CORNER, Y_FRAC, X_FRAC, EARLY, LATER."""
-    num_x = buffer[S.NUM_X : S.NUM_X + S.BLOCK]
-    num_y = buffer[S.NUM_Y : S.NUM_Y + S.BLOCK]
-    den = buffer[S.DEN : S.DEN + S.BLOCK]
-    y_fracs = buffer[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
-    x_fracs = buffer[S.X_FRAC : S.X_FRAC + S.BLOCK]
-    earlies = buffer[S.LOWER : S.LOWER + S.BLOCK]
-    laters = buffer[S.UPPER : S.UPPER + S.BLOCK]
-    corners = ints[S.CORNER : S.CORNER + S.BLOCK]
+    """Each event's place and weights (see `splat`) into CORNER, Y_FRAC, X_FRAC, LOWER, UPPER."""
+    num_x, num_y, den = block_of(buffer, S.NUM_X), block_of(buffer, S.NUM_Y), block_of(buffer, S.DEN)
+    y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
+    lowers, uppers = block_of(buffer, S.LOWER), block_of(buffer, S.UPPER)
+    corners = block_of(ints, S.CORNER)
     start_us = ints[S.START_US]
     grid = grid_of(buffer, ints)
     n_kept = 0
     for i in range(m):
         dt = np.float64(t[i] - start_us)
-        corners[i], y_fracs[i], x_fracs[i], earlies[i], laters[i], keep = place_event(
+        corners[i], y_fracs[i], x_fracs[i], lowers[i], uppers[i], keep = place_event(
             grid, dt, p[i] > 0, num_x[i], num_y[i], den[i]
         )
         n_kept += keep
@@ -201,18 +199,16 @@ def _place(buffer, ints, t, p, m):
 @compiled
 def _splat(buffer, ints, m):
     """Add the placed events to the cells, in the order of their arrival."""
-    corners = ints[S.CORNER : S.CORNER + S.BLOCK]
-    y_fracs = buffer[S.Y_FRAC : S.Y_FRAC + S.BLOCK]
-    x_fracs = buffer[S.X_FRAC : S.X_FRAC + S.BLOCK]
-    early = buffer[S.LOWER : S.LOWER + S.BLOCK]
-    later = buffer[S.UPPER : S.UPPER + S.BLOCK]
+    corners = block_of(ints, S.CORNER)
+    y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
+    lowers, uppers = block_of(buffer, S.LOWER), block_of(buffer, S.UPPER)
     row = np.uint64(ints[S.ROW])
     for i in range(m):
-        add_event(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], early[i], later[i])
+        add_event(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], lowers[i], uppers[i])
 
 
 @inlined
-def _mark_bins(ints, grid, oldest_dt, newest_dt):
+def _note_changed_bins(ints, grid, oldest_dt, newest_dt):
     """Note which intervals events between two times may change, for the next read."""
     ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(np.float64(oldest_dt) * grid.bin_scale))
     ints[S.BIN_HI] = max(ints[S.BIN_HI], np.int64(np.float64(newest_dt) * grid.bin_scale))

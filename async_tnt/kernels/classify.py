@@ -2,79 +2,78 @@
 
 import numpy as np
 
-from . import layout as P
+from . import layout as L
 from . import state as S
 from . import trigger as T
 from .absorb import absorb
-from .forward import renew
+from .forward import forward
 from .jit import compiled, compiled_without_gil
-from .sync_input import watch_array, watch_cells
+from .sync_input import set_input, sync_input
 
-WENT_ON, FULL, CLOSE, NOT_FINITE = 0, 1, 2, 3  # how a stretch ended
-DECISION_FIELDS = 4  # what a decision notes: events, newest time, trigger, class
+DONE, FULL, CLOSE, NOT_FINITE = 0, 1, 2, 3  # why absorb_and_decide returned
+DECISION_FIELDS = 4  # of a decision in `notes`: events, newest time, trigger, class
 
 
 @compiled
-def classify_array(volume, plan, weights, maps, dirty, logits):
+def classify_array(volume, layout, weights, maps, dirty, logits):
     """The whole network: volume (C, H, W) -> logits (n_classes,)."""
-    watch_array(volume, plan, maps, dirty)
-    renew(plan, weights, maps, dirty)
-    _copy_logits(plan, maps, logits)
+    set_input(volume, layout, maps, dirty)
+    forward(layout, weights, maps, dirty)
+    _copy_logits(layout, maps, logits)
 
 
 @compiled
-def classify_cells(buffer, plan, weights, maps, dirty, logits, probabilities):
+def classify_cells(buffer, layout, weights, maps, dirty, logits, probabilities):
     """The same for a volume's `state`, where only what has changed since the last call is computed.
 
     Returns
     -------
-    int : the class, as `softmax` says it.
+    int : the class, as `softmax` returns it.
     """
-    watch_cells(buffer, plan, maps, dirty)
-    renew(plan, weights, maps, dirty)
-    _copy_logits(plan, maps, logits)
+    sync_input(buffer, layout, maps, dirty)
+    forward(layout, weights, maps, dirty)
+    _copy_logits(layout, maps, logits)
     return softmax(logits, probabilities)
 
 
 @compiled_without_gil
 def absorb_and_decide(
-    buffer, t, x, y, p, first, last, trigger, plan, weights, maps, dirty, logits, probabilities, notes
+    buffer, t, x, y, p, first, last, trigger, layout, weights, maps, dirty, logits, probabilities, notes
 ):
-    """Take events, and decide at each that a trigger makes due.
+    """Absorb events, and decide at each one where a trigger makes a decision due.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
     t, x, y, p, first, last : as for `absorb`.
     trigger : float64, see `trigger`. Updated in place.
-    plan, weights, maps, dirty : the classifier's, see `plan`. Updated in place.
+    layout, weights, maps, dirty : the classifier's, see `layout`. Updated in place.
     logits, probabilities, notes : float32 and float64 (n, n_classes), int64 (n, DECISION_FIELDS). Overwritten, one
         row per decision.
 
     Returns
     -------
-    first : int. The first event not taken.
+    first : int. The first event not absorbed.
     n : int. Decisions.
-    end : WENT_ON to `last` or to the volume's limit; FULL: no room for more decisions; CLOSE: the last decision
-        passed the level of confidence; NOT_FINITE: the logits in row n are no numbers.
+    end : DONE, up to `last` or to the volume's limit; FULL: no room for more decisions; CLOSE: the last decision
+        reached the confidence level; NOT_FINITE: the logits in row n are not all finite.
     """
     n = 0
     ints = buffer.view(np.int64)
-    level = trigger[T.CONFIDENCE]
     while first < last:
         if n == len(notes):
             return first, n, FULL
         n_before = ints[S.N]
         stop, fires = T.advance_triggers(trigger, buffer, t, first, last)
-        taken = absorb(buffer, t, x, y, p, first, stop)
-        at_limit = taken < stop or taken == first
-        first = taken
+        absorbed = absorb(buffer, t, x, y, p, first, stop)
+        at_limit = absorbed < stop or absorbed == first
+        first = absorbed
         why = T.why_due(trigger, n_before, ints[S.N], fires)
         if why != T.NOT_DUE:
-            best = classify_cells(buffer, plan, weights, maps, dirty, logits[n], probabilities[n])
+            best = classify_cells(buffer, layout, weights, maps, dirty, logits[n], probabilities[n])
             if best < 0:
                 return first, n, NOT_FINITE
-            if probabilities[n, best] >= level:
+            if probabilities[n, best] >= trigger[T.CONFIDENCE]:
                 why = T.BY_CONFIDENCE
             if why != T.LOOK:
                 notes[n, 0] = ints[S.N]
@@ -86,12 +85,12 @@ def absorb_and_decide(
                     return first, n, CLOSE
         if at_limit:
             break
-    return first, n, WENT_ON
+    return first, n, DONE
 
 
 @compiled
-def _copy_logits(plan, maps, logits):
-    at = np.uint64(plan[P.LOGITS])
+def _copy_logits(layout, maps, logits):
+    at = np.uint64(layout[L.LOGITS])
     for k in range(logits.size):
         logits[k] = maps[at + np.uint64(k)]
 

@@ -1,18 +1,15 @@
 """Prophesee's EVT words to columns of events.
 
-Each kernel reads words from place `start` on, stops while there is room for all events that one more word can
-give, and returns (events written, words read, FINE | ODD: the word after those read gives an event off every
-sensor). What a word leaves for the next ones is in `state`; `INITIAL` is a file's start. Events before the first
-word that tells time (in EVT3 also their row) are at no known time or place: they are counted and left out, as
-happens at the start of a file cut out of a longer one.
+Each kernel reads words from place `start` on for as long as there is room for all events of one more word, and
+returns (events written, words read, FINE | ODD: the next word gives an event off every sensor). What later words
+depend on is in `state`; `INITIAL` is a file's start. Events before the first word with a time (in EVT3 also with
+their row), as at the start of a part cut from a longer file, have no known time or place: they are counted and
+skipped.
 
 References
 ----------
 Prophesee, Metavision documentation: data encoding formats EVT 2.0, EVT 2.1 and EVT 3.0.
 """
-
-# mypy: disallow-untyped-defs=False
-# (Numba functions: their types are in the docstrings)
 
 import numpy as np
 from numba import types
@@ -33,10 +30,10 @@ def kernel_types(word: types.Type) -> tuple[types.Type, ...]:
 
 @compiled
 def next_time(time, raw, period):
-    """The time that a clock of so many steps shows as `raw`, nearest to the time before.
+    """The unwrapped time of a clock with this period that shows `raw`: the one nearest to the time before.
 
-    A step of up to half a period back is disorder, or a bit that fell over: later times are not moved by it.
-    A larger one is a wrap. No time lies before 0: what would, was a long gap.
+    A step of up to half a period back is disorder or a flipped bit, and does not shift later times. A larger one is
+    a wrap. No time is negative: there was a long gap instead.
 
     Parameters
     ----------
@@ -62,7 +59,7 @@ def unwrap_times(t, time, period):
 
 @compiled
 def decode_evt2(words, start, state, t, x, y, p):
-    """32-bit words, an event each: type (4 bits), low time (6), x (11), y (11)."""
+    """32-bit words, one event each: type (4 bits), low time (6), x (11), y (11)."""
     n = 0
     i = start
     while i < words.size and n < t.size:
@@ -83,7 +80,7 @@ def decode_evt2(words, start, state, t, x, y, p):
 
 @compiled
 def decode_evt21(words, start, state, t, x, y, p):
-    """Pairs of 32-bit words, upper half first: as EVT2's word, x in steps of 32; then which of 32 pixels fired."""
+    """Pairs of 32-bit words, upper half first: as EVT2's word, x in steps of 32; then a mask of 32 pixels."""
     n = 0
     i = start
     while i + 1 < words.size and n + 32 <= t.size:
@@ -109,7 +106,7 @@ def decode_evt21(words, start, state, t, x, y, p):
 
 @compiled
 def decode_evt3(words, start, state, t, x, y, p):
-    """16-bit words: type (4 bits) and what changed (12): the row, the time's halves, one pixel, or a vector."""
+    """16-bit words: type (4 bits) and what changed (12): the row, half of the time, one pixel, or a vector."""
     n = 0
     i = start
     while i < words.size and n + 12 <= t.size:

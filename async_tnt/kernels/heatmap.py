@@ -3,14 +3,14 @@
     e = sum_f w[f] ReLU(conv3(...))[f]          the heatmap's exponent, (H, W), float32 as in torch
     l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])          in grid pixels, float64
 
-Its convolutions are the those of `convolve`: maps in one long row with a frame of zeros.
+Its convolutions are those of `conv`: maps in one long row with a frame of zeros.
 """
 
 import numpy as np
 
-from .convolve import convolve, frame
-from .fma import fma
+from .conv import convolve, frame
 from .jit import compiled
+from .simd import fma
 
 
 @compiled
@@ -56,8 +56,8 @@ def draw_heatmap(maps, weights, exponent):
 def centroid(exponent, width, height):
     """The expectation (x, y) under a softmax over the heatmap's places; nan if an exponent is inf or nan.
 
-    The centroid does not feel a common factor: the largest cell counts as 1, so that exp cannot overflow.
-    Distances are taken from the middle: an even heatmap gives it exactly.
+    A common factor does not move the centroid: the largest cell counts as 1, so that exp cannot overflow.
+    Distances are taken from the middle: a uniform heatmap gives it exactly.
     """
     largest = exponent[0]
     for y in range(height):
@@ -85,9 +85,9 @@ def find_landmark(volume, layers, maps):
 
     Parameters
     ----------
-    layers : (weights, bias) of conv1, conv2, conv3 as `convolve` wants them, flattened; the 1x1 weights.
+    layers : (weights, bias) of conv1, conv2, conv3 as `convolve` takes them, flattened; the 1x1 weights.
     maps : (framed1, framed2, framed3, out, exponent), scratch; frames are zero, `out` has room for the
-        convolution of the most filters.
+        convolution with the most filters.
     """
     conv1_w, conv1_b, conv2_w, conv2_b, conv3_w, conv3_b, heatmap_w = layers
     framed1, framed2, framed3, out, exponent = maps

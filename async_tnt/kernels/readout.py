@@ -1,4 +1,4 @@
-"""Between windows and readers: empty a volume, and round its cells into the array that people see."""
+"""Between windows and readers: empty a volume, and round its cells to the float32 array that users see."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from .jit import compiled, inlined
 
 @compiled
 def empty_volume(buffer, array, start_us, limit_us, epoch):
-    """Open a window: no events, all cells and the array zero. Counters go on.
+    """Open a window: no events, all cells and the array zero. Counts go on.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def cells_to_float32(buffer, array, n_intervals):
 
     Parameters
     ----------
-    buffer : float64, the volume's `state`. The log's marks are updated.
+    buffer : float64, the volume's `state`. What has been read is noted in it.
     array : float32, shape (C, H, W). Updated in place. With C = 2 B, the OFF bins behind the ON bins.
     n_intervals : int. B.
     """
@@ -71,6 +71,32 @@ def cells_to_float32(buffer, array, n_intervals):
 
 
 @inlined
+def cell_at(ints, corner):
+    """Bin, row and column of the cell at this index, the `corner` of an event: the inverse of `splat.place_event`."""
+    place = corner - S.CELLS
+    b = place // ints[S.PLANE]
+    y = (place - b * ints[S.PLANE]) // ints[S.ROW]
+    x = (place - b * ints[S.PLANE] - y * ints[S.ROW]) // 2
+    return b, y, x
+
+
+@inlined
+def parts_of(ints, b, y, x):
+    """Where the two numbers lie whose sum is the volume at (b, y, x): the lower bin's weight of interval b and the
+    upper bin's of the interval before. For the first bin, which has none before it, the first one twice."""
+    lower = S.CELLS + b * ints[S.PLANE] + y * ints[S.ROW] + 2 * x
+    is_first = (b == 0) | (b * ints[S.PLANE] == ints[S.OFF_SHIFT])
+    return lower, lower if is_first else lower - ints[S.PLANE] + 1
+
+
+@inlined
+def cell_value(buffer, lower, upper, k):
+    """The volume k pixels right of the one whose `parts_of` these are."""
+    i = np.uint64(2 * k)
+    return buffer[np.uint64(lower) + i] + (0.0 if lower == upper else buffer[np.uint64(upper) + i])
+
+
+@inlined
 def _note_read(ints):
     ints[S.N_READ] = ints[S.N_LOG]
     ints[S.BIN_LO] = S.NO_BIN
@@ -81,42 +107,30 @@ def _note_read(ints):
 def _copy_bins(buffer, ints, array, n_intervals):
     """`cells_to_float32` for all cells of the bins that changed.
 
-    Row by row of the image through all bins: a row of cells, of which one bin takes the early shares and the next
-    bin the late ones, then comes from memory once.
+    Row by row of the image through all bins: a row of cells, which holds weights of two bins, then comes from memory
+    once.
     """
     n_bins, height, width = array.shape
-    row = ints[S.ROW]
-    plane = ints[S.PLANE]
     for y in range(height):
         for first in range(0, n_bins, n_intervals):  # twice with OFF bins
             for b in range(first + ints[S.BIN_LO], min(first + ints[S.BIN_HI] + 2, first + n_intervals)):
-                early = np.uint64(S.CELLS + b * plane + y * row)
-                late = early - np.uint64(plane) + np.uint64(1)
+                lower, upper = parts_of(ints, b, y, 0)
                 if b > first:
                     for x in range(width):
-                        i = np.uint64(x) + np.uint64(x)
-                        array[b, y, x] = buffer[early + i] + buffer[late + i]
+                        i = np.uint64(2 * x)
+                        array[b, y, x] = buffer[np.uint64(lower) + i] + buffer[np.uint64(upper) + i]
                 else:
                     for x in range(width):
-                        array[b, y, x] = buffer[early + np.uint64(x) + np.uint64(x)]
+                        array[b, y, x] = buffer[np.uint64(lower) + np.uint64(2 * x)]
 
 
 @inlined
 def _copy_around(buffer, ints, corner, array):
     """`cells_to_float32` for the eight cells of an event at this corner."""
     n_bins, height, width = array.shape
-    row = ints[S.ROW]
-    plane = ints[S.PLANE]
-    n_intervals = ints[S.OFF_SHIFT] // plane if ints[S.OFF_SHIFT] > 0 else n_bins
-    b0 = (corner - S.CELLS) // plane
-    y0 = (corner - S.CELLS - b0 * plane) // row
-    x0 = (corner - S.CELLS - b0 * plane - y0 * row) // 2
+    b0, y0, x0 = cell_at(ints, corner)
     for b in range(b0, min(b0 + 2, n_bins)):
-        is_first = b == 0 or b == n_intervals  # nothing comes from a bin before
         for y in range(y0, min(y0 + 2, height)):
-            early = np.uint64(S.CELLS + b * plane + y * row + 2 * x0)
-            late = early - np.uint64(plane) + np.uint64(1)
+            lower, upper = parts_of(ints, b, y, x0)
             for k in range(min(2, width - x0)):
-                x = np.uint64(k)
-                late_share = 0.0 if is_first else buffer[late + x + x]
-                array[np.uint64(b), np.uint64(y), np.uint64(x0) + x] = buffer[early + x + x] + late_share
+                array[np.uint64(b), np.uint64(y), np.uint64(x0 + k)] = cell_value(buffer, lower, upper, k)

@@ -1,7 +1,7 @@
-"""Events out of a packed record array into four checked columns, in one pass per column.
+"""Events from a packed record array into four checked columns, in one pass per column.
 
-Every camera library packs its records in another way, often unaligned, and Numba would compile these loops
-anew for each. So they read raw bytes: one compiled version serves every layout.
+Every camera library packs its records differently, often unaligned, and Numba would compile these loops again for
+each. So they read raw bytes: one compiled version serves every layout.
 """
 
 import numpy as np
@@ -25,16 +25,32 @@ def load(typingctx, raw, offset, number):
     value_type = number.instance_type
 
     def codegen(context, builder, signature, args):
-        array = context.make_array(signature.args[0])(context, builder, args[0])
-        pointer = builder.gep(array.data, [args[1]])
-        pointer = builder.bitcast(pointer, context.get_value_type(value_type).as_pointer())
-        value = builder.load(pointer)
+        value = builder.load(_pointer(context, builder, signature, args, value_type))
         value.align = 1
         return value
 
     if not isinstance(offset, types.Integer):
         return None
     return value_type(raw, offset, number), codegen
+
+
+@intrinsic
+def store(typingctx, raw, offset, value, number):
+    """Write `value` as the type `number`, little-endian, from byte `offset` of `raw` on, at any alignment."""
+    value_type = number.instance_type
+
+    def codegen(context, builder, signature, args):
+        stored = context.cast(builder, args[2], signature.args[2], value_type)
+        builder.store(stored, _pointer(context, builder, signature, args, value_type)).align = 1
+        return context.get_dummy_value()
+
+    return types.void(raw, offset, value, number), codegen
+
+
+def _pointer(context, builder, signature, args, value_type):
+    """To the number of this type at byte args[1] of the array args[0]."""
+    array = context.make_array(signature.args[0])(context, builder, args[0])
+    return builder.bitcast(builder.gep(array.data, [args[1]]), context.get_value_type(value_type).as_pointer())
 
 
 @inlined
@@ -66,15 +82,15 @@ def load_records(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
     Returns
     -------
-    int : FINE, or BAD if any number breaks its rule (who calls finds out which).
+    int : FINE, or BAD if any number breaks its rule (the caller finds out which).
     """
     size = layout[8]
-    if raw.size != n * size:  # more dimensions than one
+    if raw.size != n * size:  # more than one dimension
         return BAD
     kind_t, kind_x, kind_y, kind_p = layout[1], layout[3], layout[5], layout[7]
     if kind_t == I64 and kind_x in (U16, I16) and kind_y in (U16, I16) and kind_p in (U8, I8, U16, I16):
-        # What most libraries deliver, without tests inside the loops. Read as unsigned, a negative pixel is
-        # too large (the sensor ends at 2**15 at most), and polarity -1 is 255.
+        # What most libraries deliver, without branches inside the loops. Read as unsigned, a negative pixel is
+        # too large (sensors end at 2**15), and polarity -1 is 255.
         at_t, at_x, at_y, at_p = layout[0], layout[2], layout[4], layout[6]
         if kind_p in (U8, I8):
             for i in range(n):
@@ -99,8 +115,8 @@ def _load_time_and_place(raw, record, at_t, at_x, at_y):
 
 @compiled
 def _in_range(t, x, y, p, n, sensor_w, sensor_h):
-    """FINE if all columns keep their limits. Smallest and largest, since they stay in the column's own type and
-    so in full vector registers, where counting offenders would widen every number to 64 bits."""
+    """FINE if all columns are within their limits. Smallest and largest stay in the column's type and so in full
+    vector registers, where counting offenders would widen every number to 64 bits."""
     t_min = t_max = t[0]
     x_max = x[0]
     y_max = y[0]
@@ -119,11 +135,11 @@ def _in_range(t, x, y, p, n, sensor_w, sensor_h):
 
 @compiled
 def _unsign(p, n):
-    """Polarity -1 (here 255) and +1 become 0 and 1; False if there are zeros beside, or other numbers."""
+    """Polarity -1 (here 255) and +1 become 0 and 1; False if there are also zeros, or other numbers."""
     largest = p[0]
     for i in range(n):
         largest = max(largest, p[i])
-    if largest <= 1:  # nothing to do, told in the column's own type, without widening
+    if largest <= 1:  # nothing to do, found in the column's type, without widening
         return True
     zeros = 0
     minuses = 0
@@ -138,7 +154,7 @@ def _unsign(p, n):
 
 @compiled
 def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
-    """Records of any kinds of numbers; False where one does not fit its column, which narrowing would hide."""
+    """Records of any kinds of numbers; False if one does not fit its column, which narrowing would hide."""
     size = layout[8]
     fits = True
     for i in range(n):
@@ -155,8 +171,8 @@ def _load_any(raw, layout, n, sensor_w, sensor_h, t, x, y, p):
 
 @compiled
 def check_columns(t, x, y, p, sensor_w, sensor_h):
-    """FINE, or BAD if any number breaks its rule, lengths differ, or a column is not aligned (the one thing that
-    Numba's own check of its arguments lets pass). Columns as `load_records` makes them."""
+    """FINE, or BAD if any number breaks its rule, lengths differ, or a column is not aligned (the one thing
+    that Numba's check of its arguments lets pass). Columns as `load_records` makes them."""
     if x.size != t.size or y.size != t.size or p.size != t.size:
         return BAD
     if (t.ctypes.data % 8 != 0) | (x.ctypes.data % 2 != 0) | (y.ctypes.data % 2 != 0):

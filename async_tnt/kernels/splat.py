@@ -11,14 +11,16 @@ import numpy as np
 
 from . import state as S
 from .jit import inlined
-from .pair import add_pair
+from .simd import add_f64x2
 
 Grid = namedtuple(
     "Grid", "scale_x scale_y center_x center_y max_u max_v bin_scale sign_off sign_on row plane off_shift"
 )
-Grid.__doc__ = """A volume's parameters as values: read once a block, since no store can change them behind us."""
+Grid.__doc__ = (
+    """A volume's parameters as values, read once a block: the compiler then knows that no store changes them."""
+)
 
-BORDER_TOLERANCE = 1e-9  # pixels; rounding must not decide over an event that mathematics puts on the border
+BORDER_TOLERANCE = 1e-9  # pixels; rounding must not drop an event that lies exactly on the border
 
 
 @inlined
@@ -48,7 +50,7 @@ def grid_of(buffer, ints):
 
 @inlined
 def place_event(grid, dt, on, num_x, num_y, den):
-    """Where an event goes and what it weighs there.
+    """Which cells an event goes to, and with what weights.
 
     Parameters
     ----------
@@ -61,9 +63,9 @@ def place_event(grid, dt, on, num_x, num_y, den):
     -------
     corner : int. Index of the cell at (floor b, floor v, floor u) in the volume's buffer.
     y_frac, x_frac : float in [0, 1), but for the tolerance. Distance from the corner.
-    early, later : float. What goes to bin floor b and to the next; they sum to the event's sign.
-    keep : bool. Whether the event is on the grid. If not, it weighs nothing at a legal place, so that
-        adding it needs no branch.
+    lower, upper : float. Weights of bin floor b and of the next one; they sum to the event's sign.
+    keep : bool. Whether the event is on the grid. If not, its weights are 0 at a valid place, so
+        that adding it needs no branch.
     """
     # u = (x_g - l_g) / tau + c, see `landmark`; den = 0 gives inf or nan, which are not on the grid
     inverse = 1.0 / den
@@ -79,30 +81,30 @@ def place_event(grid, dt, on, num_x, num_y, den):
     sign = grid.sign_on if on else grid.sign_off
     sign = sign if keep else 0.0
     shift = 0.0 if on else grid.off_shift
-    later = sign * (b - b_floor)
+    upper = sign * (b - b_floor)
     # one conversion: all are whole numbers below 2**31, exact in float64
     corner = S.CELLS + np.int32(b_floor * grid.plane + v_floor * grid.row + u_floor * 2.0 + shift)
-    return corner, v - v_floor, u - u_floor, sign - later, later, keep
+    return corner, v - v_floor, u - u_floor, sign - upper, upper, keep
 
 
 @inlined
-def add_event(buffer, corner, row, y_frac, x_frac, early, later):
+def add_event(buffer, corner, row, y_frac, x_frac, lower, upper):
     """Add one placed event to the two times four numbers around its place.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
-    corner : uint64. Unsigned, for then Numba leaves out its test for a negative index; not checked here.
+    corner : uint64, so that Numba leaves out its test for a negative index; not checked here.
     row : uint64. Distance to the next row.
-    y_frac, x_frac, early, later : as `place_event` returns them.
+    y_frac, x_frac, lower, upper : as `place_event` returns them.
     """
     two = np.uint64(2)
     w11 = y_frac * x_frac
     w10 = y_frac - w11  # y_frac (1 - x_frac)
     w01 = x_frac - w11  # (1 - y_frac) x_frac
     w00 = 1.0 - x_frac - w10  # (1 - y_frac) (1 - x_frac)
-    add_pair(buffer, corner, early, later, w00)
-    add_pair(buffer, corner + two, early, later, w01)
+    add_f64x2(buffer, corner, lower, upper, w00)
+    add_f64x2(buffer, corner + two, lower, upper, w01)
     corner += row
-    add_pair(buffer, corner, early, later, w10)
-    add_pair(buffer, corner + two, early, later, w11)
+    add_f64x2(buffer, corner, lower, upper, w10)
+    add_f64x2(buffer, corner + two, lower, upper, w11)

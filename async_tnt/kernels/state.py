@@ -1,21 +1,21 @@
 """Where a volume's numbers lie in its one flat buffer.
 
-A call from Python into compiled code costs about 45 ns for every array it hands over, more than the
+A call from Python into compiled code costs about 45 ns for every array it passes, more than the
 arithmetic of one event. So everything an event reads or writes lives in one float64 buffer, which the kernels
 see twice: as `buffer`, and as `ints`, the same memory read as int64. Each slot below belongs to one of them.
 
     buffer = [ parameters, sums, counts | scratch of a block | cells | log ]
 
-Cells, shape (intervals, H + 1, W + 1, 2): between bins b and b + 1 an event gives a share to either, and
-the two shares lie side by side, cells[b, y, x] = (to bin b, to bin b + 1). Time passes one interval after the
+Cells, shape (intervals, H + 1, W + 1, 2): between bins b and b + 1 an event adds to both, and the two sums
+lie side by side, cells[b, y, x] = (lower: to bin b, upper: to bin b + 1). Time passes one interval after the
 other, so an interval's cells stay in the first-level cache while its events arrive. One row and one column
-more than the grid spare every event a test at the border: its share out there is zero. They are float64,
+more than the grid spare every event a test at the border: its weight there is zero. They are float64,
 because a volume is promised to 1e-6 of its largest cell even after thousands of opposite events cancelled in
-it, which float32 sums would lose; `readout.cells_to_float32` rounds to float32 once, when somebody looks.
+it, which float32 sums would lose; `readout.cells_to_float32` rounds to float32 once, when the volume is read.
 
 The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and
-emptying a large volume cost what changed in it and not what it measures. It is as long as it pays: working
-through more would cost more than everything. Whoever reads the cells keeps its own count of the corners it has
+emptying a large volume cost what changed in it and not its size. It is as long as that pays: following a
+longer log would cost more than reading all cells. A reader of the cells keeps the number of corners it has
 seen, and the EPOCH in which it counted: a number that no other window of this process ever gets.
 """
 
@@ -24,14 +24,14 @@ WINDOW_US = 0  # length of the window
 BIN_SCALE = 1  # (B - 1) / window_us
 SCALE_X = 2  # sensor pixels * microseconds -> grid pixels of the transform, see `landmark`
 SCALE_Y = 3
-CENTER_X = 4  # what the transform adds: the grid's centre (0 without the transform)
+CENTER_X = 4  # added by the transform: the grid's centre (0 without the transform)
 CENTER_Y = 5
 MAX_U = 6  # W - 1
 MAX_V = 7  # H - 1
 SIGN_OFF = 8  # what an OFF and an ON event add to the volume
 SIGN_ON = 9
 # buffer: the landmark
-FIXED_X = 10  # a landmark given from outside, in sensor pixels
+FIXED_X = 10  # a given landmark, in sensor pixels
 FIXED_Y = 11
 C_XF = 12  # centred sums of the running line
 C_YF = 13
@@ -61,18 +61,18 @@ TAU_ZERO = 34
 # ints: what changed
 EPOCH = 35  # of the open window
 N_LOG = 36  # corners logged since the window opened
-N_READ = 37  # of them known to the array that people see
+N_READ = 37  # of them already in the array that users see
 BIN_LO = 38  # intervals that changed since the array was read; BIN_HI < BIN_LO: none
 BIN_HI = 39
 # ints: of windows that were closed before their end
 HOP_US = 40  # from one window's start to the next one's
-DECIDED = 41  # late events whose newest window was such a one, since the volume was made
+DECIDED = 41  # late events whose newest window was one of these, since the volume was made
 CLOSED_EARLY = 48  # bit k: the window that starts k + 1 hops before the open one was closed early
 CLOSED_EARLY_WORDS = 16
 REMEMBERED = 64 * CLOSED_EARLY_WORDS  # windows: those of MAX_OPEN_WINDOWS overlapping ones four times over
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
-BLOCK = 336  # so that all rows together (27 kB) and an interval's cells share the first-level cache
+BLOCK = 336  # so that all rows together (27 kB) and an interval's cells fit in the first-level cache
 NUM_X = CLOSED_EARLY + CLOSED_EARLY_WORDS  # buffer: displacement from the landmark
 NUM_Y = NUM_X + BLOCK
 DEN = NUM_Y + BLOCK
@@ -86,14 +86,14 @@ CELLS = CORNER + BLOCK
 
 # how an event's coordinates are made (MODE)
 MODE_RAW = 0  # no transform
-MODE_FIXED = 1  # a landmark given from outside: the centre, the window's mean
+MODE_FIXED = 1  # a given landmark: the centre, the window's mean
 MODE_RUNNING = 2
 MODE_LINE = 3
 MODE_LINE_FLOW_REMOVED = 4
 
 NO_BIN = 1 << 30
 NEVER_US = 1 << 62
-UNREAD = -(1 << 40)  # N_READ of an array that has to be read whole
-# Working through one logged event, here and there in memory, costs as much as so many numbers in order:
+UNREAD = -(1 << 40)  # N_READ of an array that must be read whole
+# Processing one logged event, scattered in memory, costs as much as so many numbers in order:
 NUMBERS_PER_LOGGED = 32  # at a read
 NUMBERS_PER_EMPTIED = 100  # when a window is emptied

@@ -1,20 +1,17 @@
-"""Rows of numbers, from text to columns of events, in whole numbers throughout: no float rounds a time."""
-
-# mypy: disallow-untyped-defs=False
-# (Numba functions: their types are in the docstrings)
+"""Rows of numbers in text to columns of events, in integers throughout: no float rounds a time."""
 
 import numpy as np
 from numba import types
 
 from .jit import compiled
-from .records import COLUMN_TYPES, MAX_TIME_US
+from .records import COLUMN_TYPES, MAX_TIME_US, RAW_TYPE
 
 DONE, FULL, ODD = 0, 1, 2
 T, X, Y, P, SKIPPED = 0, 1, 2, 3, -1
 BLANKS = 0  # as `separator`: one or more spaces or tabs
-MAX_DIGITS = 18  # what surely fits in int64
+MAX_DIGITS = 18  # always fits in int64
 ROW_TYPES = (
-    types.Array(types.uint8, 1, "C", readonly=True),
+    RAW_TYPE,
     types.int64,
     types.int64,
     types.int64[::1],
@@ -27,13 +24,13 @@ ROW_TYPES = (
 
 @compiled
 def _whole_number(data, pos, decimals):
-    """Read a decimal number times 10**decimals, as a whole number; `1.5`, `-3`, `2e-3`.
+    """Read a decimal number times 10**decimals, as an integer; `1.5`, `-3`, `2e-3`.
 
-    With decimals, the nearest whole number (a half: upwards); without, only what is whole is a number.
+    With decimals, the nearest integer (a half: upwards); without, only an integer is a valid number.
 
     Returns
     -------
-    (value, position after the number, whether it is one)
+    (value, position after the number, whether it is valid)
     """
     negative = data[pos] == 45  # -
     if negative or data[pos] == 43:  # +
@@ -42,7 +39,7 @@ def _whole_number(data, pos, decimals):
     n_digits = 0
     shift = decimals  # the value is digits * 10**shift
     n_seen = 0
-    lost = False  # digits beyond the 18 that count
+    lost = False  # there are digits beyond the first 18
     after_point = False
     while True:
         c = data[pos]
@@ -79,7 +76,7 @@ def _whole_number(data, pos, decimals):
         if n_seen == 0:
             return np.int64(0), pos, False
         shift += -exponent if small else exponent
-    if lost and shift >= 0:  # beyond 30,000 years: not exact, so not read
+    if lost and shift >= 0:  # beyond 30,000 years: not exact, so not valid
         return np.int64(0), pos, False
     while shift > 0 and digits > 0:
         if digits > MAX_TIME_US // 10:
@@ -101,7 +98,7 @@ def _whole_number(data, pos, decimals):
 
 @compiled
 def _truth(data, pos):
-    """`True` and `False`, as a table's writer spells polarity: (1 or 0, position after it, whether it is one)."""
+    """Polarity as `True` or `False`: (1 or 0, position after it, whether it is valid)."""
     start = pos
     while 65 <= data[pos] <= 90 or 97 <= data[pos] <= 122:
         pos += 1
@@ -120,16 +117,16 @@ def parse_rows(data, start, end, roles, separator, decimals, seen, t, x, y, p):
     Parameters
     ----------
     data : uint8, the text. data[end - 1] must be a line end: it stops every loop.
-    start, end : the part of it to parse, whole rows.
-    roles : int64, what each column of a row is: T, X, Y, P or SKIPPED.
+    start, end : the part to parse, whole rows.
+    roles : int64, T, X, Y, P or SKIPPED for each column of a row.
     separator : the character between columns, or BLANKS.
-    decimals : digits after the point that a unit of t has: 6 for seconds into microseconds.
+    decimals : of t: 6 for seconds into microseconds.
     seen : int64 of length 2, whether a polarity 0, and one of -1, has been seen. Updated in place.
     t, x, y, p : columns. Written from place 0 on.
 
     Returns
     -------
-    (rows written, position of the first row not written, DONE | FULL: no more room | ODD: that row is no event)
+    (rows written, position of the first row not written, DONE | FULL: no more room | ODD: that row is not an event)
     """
     n = 0
     pos = start

@@ -16,8 +16,8 @@ CHARGE = 3  # what each event adds
 POTENTIAL = 4
 # ints
 EVERY_EVENTS = 5  # 0: not by number
-EACH_EVENT = 6  # 1: look at every event, since nothing else says when to look for confidence
-CHARGED_US = 7  # newest time that the potential has leaked to
+EACH_EVENT = 6  # 1: classify at every event, since no other trigger says when to test the confidence
+CHARGED_US = 7  # newest time up to which the potential has leaked
 SIZE = 8
 
 NOT_DUE, LOOK, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE = 0, 1, 2, 3, 4  # LOOK: only whether it is confident enough
@@ -25,23 +25,24 @@ NOT_DUE, LOOK, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE = 0, 1, 2, 3, 4  # LOOK: on
 
 @compiled
 def advance_triggers(trigger, buffer, t, first, last):
-    """How far events may be taken until one of them may be due for a decision.
+    """How far events may be absorbed until a decision may be due.
 
-    The potential of the leaky integrate-and-fire trigger is that after event i, at time t_i,
+    The potential of the leaky integrate-and-fire trigger after event i, at time t_i, is
 
-        v_i = v_{i-1} exp(-max(0, t_i - t') / leak_us) + charge        t': the newest time before; fires, and is
-                                                                       0 again, where v_i >= threshold
+        v_i = v_{i-1} exp(-max(0, t_i - t') / leak_us) + charge        t': the newest time before
+
+    It fires where v_i >= threshold, and then is 0.
 
     Parameters
     ----------
     trigger : float64, see above. The potential is updated for the events up to the stop.
-    buffer : float64, the `state` of the volume that will take them; late events and those past its limit do not
+    buffer : float64, the `state` of the volume that will absorb them; late events and those past its limit do not
         charge.
     t, first, last : the events `first <= i < last`.
 
     Returns
     -------
-    stop : int. Take the events before it, and then look whether a decision is due.
+    stop : int. Absorb the events before it, and then test whether a decision is due.
     fires : bool. Whether activity makes it due there.
     """
     ints = trigger.view(np.int64)

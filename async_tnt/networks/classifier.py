@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from async_tnt.config import TNTConfig
 from async_tnt.kernels.classify import classify_array, classify_cells
 from async_tnt.kernels.layout import EPOCH
-from async_tnt.networks.classifier_arrays import new_network
-from async_tnt.networks.feature_maps import VolumeInput
+from async_tnt.networks.layout import VolumeInput, classifier_arrays
 from async_tnt.networks.model import Model
-from async_tnt.volume import TNTVolume
+
+
+class Volume(Protocol):
+    """What a classifier reads of a `TNTVolume`."""
+
+    config: TNTConfig
+
+    def state(self) -> np.ndarray: ...
 
 
 class CompiledClassifier:
@@ -28,7 +35,7 @@ class CompiledClassifier:
 
     Examples
     --------
-    >>> from async_tnt import load_model
+    >>> from async_tnt import TNTVolume, load_model
     >>> model = load_model("digits")
     >>> network, volume = CompiledClassifier(model), TNTVolume(model.config)
     >>> for t in range(1, 100):
@@ -39,12 +46,12 @@ class CompiledClassifier:
     def __init__(self, model: Model) -> None:
         self.shape = model.config.shape
         self.n_classes = len(model.classes)
-        self.network = new_network(model)
+        self.network = classifier_arrays(model)
         self._input = VolumeInput(self.shape)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self.network.plan[EPOCH] = 0  # a window may have the same number here that another one had there
+        self.network.layout[EPOCH] = 0  # in another process, another window may have this number
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """Logits of one volume: float32, shape (n_classes,), a new array."""
@@ -52,16 +59,16 @@ class CompiledClassifier:
         classify_array(self._input(volume), *self.network, logits)
         return logits
 
-    def refresh(self, volume: TNTVolume) -> np.ndarray:
+    def refresh(self, volume: Volume) -> np.ndarray:
         """Logits of a volume's open window, a new array; quick where little has changed since the last call.
 
-        Any volume of the model's shape will do, also another one than at the last call.
+        Any volume of the model's shape will do, also another one than in the last call.
         """
         if volume.config.shape != self.shape:
             raise ValueError(f"`volume` must have shape {self.shape}, got {volume.config.shape}")
         return self.answer(volume)[1]
 
-    def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
+    def answer(self, volume: Volume) -> tuple[int, np.ndarray, np.ndarray]:
         """`refresh` for a volume whose shape is known to fit: class (-1 if a logit is not finite), logits, and
         probabilities (float64, shape (n_classes,))."""
         logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)

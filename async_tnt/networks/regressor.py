@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from async_tnt.kernels.heatmap import find_landmark
-from async_tnt.networks.feature_maps import VolumeInput, framed_maps, n_places, output_maps, pack_filters
-from async_tnt.networks.model import HEATMAP, REGRESSOR_LAYERS, Model
+from async_tnt.networks.layout import VolumeInput, regressor_arrays
+from async_tnt.networks.model import Model
 
 
 class CompiledRegressor:
@@ -23,23 +23,14 @@ class CompiledRegressor:
     """
 
     def __init__(self, model: Model) -> None:
-        config, w = model.config, model.weights
+        config = model.config
         if not config.needs_regressor:
             raise ValueError(
                 'the model has no regressor: that needs landmark="regressor" and transform="tnt", '
                 f"got landmark={config.landmark!r}, transform={config.transform!r}"
             )
-        self.shape = channels, height, width = config.shape
-        packed = [pack_filters(w, layer) for layer in REGRESSOR_LAYERS]
-        self._layers = (*packed[0], *packed[1], *packed[2], w[HEATMAP].reshape(-1))
-        widths = [len(w[f"{layer}.bias"]) for layer in REGRESSOR_LAYERS]
-        self._maps = (
-            framed_maps(channels, height, width),
-            framed_maps(widths[0], height, width),
-            framed_maps(widths[1], height, width),
-            output_maps(max(widths), height, width),
-            np.zeros(n_places(height, width), np.float32),
-        )
+        self.shape = config.shape
+        self._layers, self._maps = regressor_arrays(model)
         self._input = VolumeInput(self.shape)
 
     def __call__(self, volume: np.ndarray) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from async_tnt.checks import plain_array
-from async_tnt.kernels.jit import compiled
+from async_tnt.kernels.simulate import translate
 
 
 @dataclass(frozen=True)
@@ -92,43 +92,6 @@ def render(
     translate(frames, blurred, dx - margin, dy - margin)
     depth = 1.0 - 1.0 / scene.contrast
     return np.log(1.0 - depth * frames if scene.dark_on_bright else 1.0 / scene.contrast + depth * frames)
-
-
-@compiled
-def translate(frames: np.ndarray, image: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> None:
-    """Shift an image by a fraction of pixels, bilinearly.
-
-    frames[k, y, x] = sum_ij image[i, j] k(y - dy[k] - i) k(x - dx[k] - j),    k(a) = max(0, 1 - |a|)
-
-    Parameters
-    ----------
-    frames : float64, shape (K, H, W). Overwritten.
-    image : float64, shape (h, w); 0 beyond it.
-    dx, dy : float64, shape (K,), in pixels, finite.
-    """
-    n_rows, n_columns = image.shape
-    for k in range(frames.shape[0]):
-        left, top = np.floor(-dx[k]), np.floor(-dy[k])
-        right_share, lower_share = -dx[k] - left, -dy[k] - top
-        # Clamped before the integer cast, which is undefined for huge values; far off is far off.
-        first_column = int(min(max(left, -1e6), 1e6))
-        first_row = int(min(max(top, -1e6), 1e6))
-        for y in range(frames.shape[1]):
-            i = first_row + y
-            for x in range(frames.shape[2]):
-                j = first_column + x
-                value = 0.0
-                if 0 <= i < n_rows:
-                    if 0 <= j < n_columns:
-                        value += (1.0 - lower_share) * (1.0 - right_share) * image[i, j]
-                    if 0 <= j + 1 < n_columns:
-                        value += (1.0 - lower_share) * right_share * image[i, j + 1]
-                if 0 <= i + 1 < n_rows:
-                    if 0 <= j < n_columns:
-                        value += lower_share * (1.0 - right_share) * image[i + 1, j]
-                    if 0 <= j + 1 < n_columns:
-                        value += lower_share * right_share * image[i + 1, j + 1]
-                frames[k, y, x] = value
 
 
 def _checked_image(image: np.ndarray) -> np.ndarray:

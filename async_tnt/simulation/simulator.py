@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from async_tnt.checks import plain_array
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.kernels.jit import compiled
+from async_tnt.kernels.simulate import pixel_events
 
 MIN_THRESHOLD = 1e-3
 """Smallest threshold: one thousandth of log luminance is a 0.1 % change, far below any pixel's."""
@@ -144,83 +144,6 @@ def simulate_events(
     if not (math.isfinite(refractory_us) and refractory_us >= 0):
         raise ValueError(f"`refractory_us` must be finite and at least 0, got {refractory_us}")
     return _sorted(_as_events(pixel_events(frames, times, on, off, level, float(refractory_us))))
-
-
-@compiled
-def pixel_events(
-    log_frames: np.ndarray,
-    frame_times_us: np.ndarray,
-    threshold_on: np.ndarray,
-    threshold_off: np.ndarray,
-    reference: np.ndarray,
-    refractory_us: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Threshold crossings of every pixel, pixel after pixel, each pixel's in order of time.
-
-    Parameters
-    ----------
-    log_frames : float64, shape (K, H, W), finite.
-    frame_times_us : float64, shape (K,), strictly increasing.
-    threshold_on, threshold_off : float64, shape (H, W), at least `MIN_THRESHOLD`. Not checked here.
-    reference : float64, shape (H, W), level R at the first frame.
-    refractory_us : at least 0.
-
-    Returns
-    -------
-    t : int64, microseconds, rounded. x, y : uint16. p : uint8, 1 = ON.
-    """
-    n_frames, n_rows, n_columns = log_frames.shape
-    capacity = 4096
-    t_out = np.empty(capacity, np.int64)
-    x_out = np.empty(capacity, np.uint16)
-    y_out = np.empty(capacity, np.uint16)
-    p_out = np.empty(capacity, np.uint8)
-    n = 0
-    for y in range(n_rows):
-        for x in range(n_columns):
-            c_on, c_off = threshold_on[y, x], threshold_off[y, x]
-            level = reference[y, x]
-            in_reset = False
-            reset_end = 0.0
-            for k in range(n_frames - 1):
-                t0, t1 = frame_times_us[k], frame_times_us[k + 1]
-                l0, l1 = log_frames[k, y, x], log_frames[k + 1, y, x]
-                t_now, l_now = t0, l0
-                while True:
-                    if in_reset:
-                        if reset_end >= t1:
-                            break
-                        t_now = reset_end
-                        l_now = l0 + (l1 - l0) * ((t_now - t0) / (t1 - t0))
-                        level = l_now
-                        in_reset = False
-                    if l_now >= level + c_on:  # only at the start, from a far-off reference
-                        p, level = 1, level + c_on
-                    elif l_now <= level - c_off:
-                        p, level = 0, level - c_off
-                    elif l1 >= level + c_on:
-                        p, level = 1, level + c_on
-                        t_now, l_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0)), level
-                    elif l1 <= level - c_off:
-                        p, level = 0, level - c_off
-                        t_now, l_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0)), level
-                    else:
-                        break
-                    if n == capacity:
-                        capacity *= 2
-                        t_out = np.concatenate((t_out, np.empty(n, np.int64)))
-                        x_out = np.concatenate((x_out, np.empty(n, np.uint16)))
-                        y_out = np.concatenate((y_out, np.empty(n, np.uint16)))
-                        p_out = np.concatenate((p_out, np.empty(n, np.uint8)))
-                    t_out[n] = int(np.floor(t_now + 0.5))
-                    x_out[n] = x
-                    y_out[n] = y
-                    p_out[n] = p
-                    n += 1
-                    if refractory_us > 0.0:
-                        in_reset = True
-                        reset_end = t_now + refractory_us
-    return t_out[:n].copy(), x_out[:n].copy(), y_out[:n].copy(), p_out[:n].copy()
 
 
 def _noise(shape: tuple[int, ...], times: np.ndarray, rng: np.random.Generator, pixels: PixelModel) -> np.ndarray:

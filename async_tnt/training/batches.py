@@ -5,11 +5,13 @@ Without augmentation a window's volume is bit for bit what `TNTVolume.array` hol
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from async_tnt.config import TNTConfig
+from async_tnt.kernels.window_batches import GIVEN, MEAN, OWN, landmark_gradients, window_volumes
 from async_tnt.training.augment import Draws, unchanged
-from async_tnt.training.gather import GIVEN, MEAN, OWN, landmark_gradients, window_volumes
 from async_tnt.training.windows import Windows
 from async_tnt.volume_state import new_state
 
@@ -77,7 +79,7 @@ class BatchVolumes:
         landmark_gradients(*self._arguments(windows, draws), self._to_sensor(landmarks, n, draws), gradient, out)
         return out
 
-    def _arguments(self, windows: Windows, draws: Draws) -> tuple[np.ndarray, ...]:
+    def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
         """What both kernels take first."""
         recordings = windows.recordings
         first, last = recordings.offsets[windows.recording], recordings.offsets[windows.recording + 1]
@@ -88,18 +90,9 @@ class BatchVolumes:
         limit_us = start_us + np.minimum(draws.until_us, self.config.window_us)
         return (
             self._state(draws.sensor),
-            *self._scratch,
-            recordings.t,
-            recordings.x,
-            recordings.y,
-            recordings.p,
-            first,
-            last,
-            start_us,
-            limit_us,
-            draws.matrix,
-            draws.keep,
-            draws.seed,
+            self._scratch,
+            (recordings.t, recordings.x, recordings.y, recordings.p),
+            (first, last, start_us, limit_us, draws.matrix, draws.keep, draws.seed),
         )
 
     def _to_sensor(self, landmarks: np.ndarray | None, n: int, draws: Draws) -> np.ndarray:

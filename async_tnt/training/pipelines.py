@@ -3,7 +3,7 @@
     events -> volume -> classifier                                             every landmark but one
     events -> raw volume -> regressor -> landmark -> volume -> classifier      landmark `regressor`
 
-In the second way the loss reaches the regressor through the volume, by `gather.landmark_gradients`: a volume
+In the second way the loss reaches the regressor through the volume, by `window_batches.landmark_gradients`: a volume
 has two numbers to learn, its landmark's, so that the way back costs about as much as the splat.
 """
 

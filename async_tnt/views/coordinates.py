@@ -78,7 +78,7 @@ def transformed(
 
     n = columns.n
     numerator, denominator = np.empty((2, n)), np.empty(n)
-    for first in range(0, n, S.BLOCK):  # a block in the window is worked through as a whole: see `kernels.update`
+    for first in range(0, n, S.BLOCK):  # a block in the window is worked through as a whole: see `kernels.absorb`
         m = min(S.BLOCK, n - first)
         absorb(buffer, *columns[:4], first, first + m)
         for row, scratch in ((numerator[0], S.NUM_X), (numerator[1], S.NUM_Y), (denominator, S.DEN)):

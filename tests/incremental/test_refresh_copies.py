@@ -10,7 +10,7 @@ from incremental.cases import CASES, WINDOW_US, Case, dense_of, model_of
 from made import random_events
 
 from async_tnt import Processor, new_state
-from async_tnt.kernels import layout as P
+from async_tnt.kernels import layout as L
 
 DUPLICATES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda one: pickle.loads(pickle.dumps(one))}
 SMALL = Case((8, 8), 2, "signed", "running", (3, 5, 7), 3)
@@ -73,7 +73,7 @@ def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monke
     for event in random_events(10, seed=1, duration_us=900, sensor=(8, 8)).tolist():
         volume.update_one(*event)
     network.refresh(volume)
-    parcel, number = pickle.dumps(network), int(network.network.plan[P.EPOCH])
+    parcel, number = pickle.dumps(network), int(network.network.layout[L.EPOCH])
     assert number > 0
     monkeypatch.setattr(new_state, "_epochs", itertools.count(number - 1))  # one for `reset`, one for `open`
     here = SMALL.volume()
@@ -81,7 +81,7 @@ def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monke
         here.update_one(*event)
     unknown = pickle.loads(parcel)
     assert unknown.refresh(here).tobytes() == dense_of(SMALL)(here.array).tobytes()
-    network.network.plan[P.EPOCH] = number  # had it kept the number, it would have been wrong
+    network.network.layout[L.EPOCH] = number  # had it kept the number, it would have been wrong
     assert network.refresh(here).tobytes() != dense_of(SMALL)(here.array).tobytes()
 
 

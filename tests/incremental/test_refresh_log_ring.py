@@ -6,7 +6,7 @@ from incremental.cases import Case, dense_of
 from made import events_of, random_events
 
 from async_tnt import TNTVolume
-from async_tnt.kernels import layout as P
+from async_tnt.kernels import layout as L
 from async_tnt.kernels import state as S
 from async_tnt.kernels.sync_input import NUMBERS_PER_LOGGED
 
@@ -103,8 +103,8 @@ def test_the_log_was_followed_where_it_pays():
     network, volume = MIDDLE.classifier(), MIDDLE.volume()
     volume.open(0)
     network.refresh(volume)
-    plan, maps = network.network.plan, network.network.maps
-    far_away = plan[P.INPUT] + (34 * plan[P.CHANNELS] + 0) * 36 + 34  # pixel (33, 33) of channel 0
+    layout, maps = network.network.layout, network.network.maps
+    far_away = layout[L.INPUT] + (34 * layout[L.CHANNELS] + 0) * 36 + 34  # pixel (33, 33) of channel 0
     n = n_worth_following(MIDDLE)
     assert maps[far_away] == 0
     maps[far_away] = 5

@@ -12,10 +12,11 @@ from incremental.cases import CASES, Case, model_of
 from made import random_events
 
 from async_tnt import CompiledClassifier, TNTVolume
-from async_tnt.kernels import forward as renew
-from async_tnt.kernels import layout as P
+from async_tnt.kernels import layout as L
 from async_tnt.kernels import state as S
-from async_tnt.kernels.sync_input import watch_cells
+from async_tnt.kernels.dense import forward_partials
+from async_tnt.kernels.forward import forward_conv_1, forward_conv_2
+from async_tnt.kernels.sync_input import sync_input
 
 CASE = Case((34, 34), 9, "signed", "none", (16, 32, 64), 10)
 
@@ -31,23 +32,23 @@ class Marks:
 
     def marked(self, which: int, rows: int, columns: int) -> np.ndarray:
         """Which cells of a map are marked: bool (rows, columns)."""
-        plan, _, _, dirty = self.network
-        n_rows, n_columns = plan[rows], plan[columns]
-        flags = dirty[plan[which] : plan[which] + n_rows * (1 + n_columns)]
+        layout, _, _, dirty = self.network
+        n_rows, n_columns = layout[rows], layout[columns]
+        flags = dirty[layout[which] : layout[which] + n_rows * (1 + n_columns)]
         cells = flags[n_rows:].reshape(n_rows, n_columns) == 1
         assert not cells[flags[:n_rows] == 0].any()  # a row with a marked cell is marked itself
         return cells
 
     def steps(self) -> list[np.ndarray]:
         """Bring all up to date; what was marked of pooled 1, pooled 2 and the partials on the way."""
-        plan, weights, maps, dirty = self.network
-        watch_cells(self.volume.state(), plan, maps, dirty)
-        seen = [self.marked(P.DIRTY_1, P.ROWS_1, P.COLUMNS_1)]
-        renew._renew_pooled_1(plan, weights, maps, dirty)
-        seen.append(self.marked(P.DIRTY_2, P.ROWS_2, P.COLUMNS_2))
-        renew._renew_pooled_2(plan, weights, maps, dirty)
-        seen.append(self.marked(P.DIRTY_3, P.ROWS_2, P.COLUMNS_2))
-        renew._renew_partials(plan, weights, maps, dirty)
+        layout, weights, maps, dirty = self.network
+        sync_input(self.volume.state(), layout, maps, dirty)
+        seen = [self.marked(L.DIRTY_1, L.ROWS_1, L.COLUMNS_1)]
+        forward_conv_1(layout, weights, maps, dirty)
+        seen.append(self.marked(L.DIRTY_2, L.ROWS_2, L.COLUMNS_2))
+        forward_conv_2(layout, weights, maps, dirty)
+        seen.append(self.marked(L.DIRTY_3, L.ROWS_2, L.COLUMNS_2))
+        forward_partials(layout, weights, maps, dirty)
         assert not dirty.any()  # all done
         return seen
 
@@ -123,9 +124,9 @@ def test_where_a_relu_holds_back_the_change_ends():
     """A network that answers only to ON events: an OFF event reaches the first map, and nothing behind it."""
     case = Case((34, 34), 1, "signed", "none", (1, 1, 1), 1)
     marks = Marks(case)
-    weights, plan = marks.network.weights, marks.network.plan
-    assert (weights[plan[P.CONV_1] : plan[P.BIAS_1]] >= 0).all()
-    weights[plan[P.BIAS_1]] = 0
+    weights, layout = marks.network.weights, marks.network.layout
+    assert (weights[layout[L.CONV_1] : layout[L.BIAS_1]] >= 0).all()
+    weights[layout[L.BIAS_1]] = 0
     marks.network.dirty[:] = 1
     marks.steps()
     marks.volume.update_one(500, 17, 17, 0)
@@ -156,10 +157,10 @@ def test_the_log_tells_the_same_marks_as_a_look_at_all_cells():
     for event in random_events(200, seed=4, duration_us=3900).tolist():
         for marks in (followed, looked):
             marks.volume.update_one(*event)
-        looked.network.plan[P.EPOCH] = 0
+        looked.network.layout[L.EPOCH] = 0
         for one, other in zip(followed.steps(), looked.steps(), strict=True):
             assert not (other & ~one).any()  # the log may mark a pixel more: the cell's share there was zero
-    assert followed.network.maps[: followed.network.plan[P.TILE]].tobytes() == (
-        looked.network.maps[: looked.network.plan[P.TILE]].tobytes()
+    assert followed.network.maps[: followed.network.layout[L.TILE]].tobytes() == (
+        looked.network.maps[: looked.network.layout[L.TILE]].tobytes()
     )
     assert int(followed.volume.buffer.view(np.int64)[S.N_LOG]) == 200

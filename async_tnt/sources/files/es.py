@@ -12,66 +12,21 @@ References
 Marcireau, event_stream: the format's specification, version 2.0.0.
 """
 
-# mypy: disallow-untyped-defs=False
-# (Numba functions: their types are in the docstrings)
-
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numba import types
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.kernels.jit import compile_only, compiled
-from async_tnt.kernels.records import COLUMN_TYPES
+from async_tnt.kernels.es import ATIS, DVS, ES_TYPES, decode_es
+from async_tnt.kernels.jit import compile_only
 from async_tnt.sources.files.damage import Damage
 from async_tnt.sources.files.source import BLOCK_EVENTS, Source
 
 MAGIC = b"Event Stream"
 HEADER_BYTES = 20
-DVS, ATIS = 1, 2
-PLACE_BYTES = 4
-KERNEL_TYPES = (
-    types.Array(types.uint8, 1, "C", readonly=True),
-    types.int64,
-    types.int64,
-    types.int64,
-    types.int64,
-    *COLUMN_TYPES,
-)
-
-
-@compiled
-def decode_es(data, time, kind, width, height, t, x, y, p):
-    """Read whole events; returns (events written, bytes read, time after them, whether the next is off the sensor)."""
-    n = 0
-    i = 0
-    while i < data.size and n < t.size:
-        byte = np.int64(data[i])
-        if kind == DVS and byte >= 254:
-            if byte == 255:
-                time += 127
-            i += 1
-            continue
-        if kind == ATIS and byte >= 252:
-            time += 63 * (byte & 3)
-            i += 1
-            continue
-        if i + 1 + PLACE_BYTES > data.size:
-            break
-        column = np.int64(data[i + 1]) | np.int64(data[i + 2]) << 8
-        row = np.int64(data[i + 3]) | np.int64(data[i + 4]) << 8
-        if column >= width or row >= height:
-            return n, i, time, True
-        time += byte >> 1 if kind == DVS else byte >> 2
-        if kind == DVS or byte & 1 == 0:
-            t[n], x[n], y[n] = time, column, height - 1 - row
-            p[n] = byte & 1 if kind == DVS else byte >> 1 & 1
-            n += 1
-        i += 1 + PLACE_BYTES
-    return n, i, time, False
 
 
 class EsSource(Source):
@@ -99,7 +54,7 @@ class EsSource(Source):
             raise ValueError(f"{path}: a sensor must have at least one pixel a side, got {self.sensor}")
 
     def blocks(self) -> Iterator[np.ndarray]:
-        compile_only(decode_es, *KERNEL_TYPES)
+        compile_only(decode_es, *ES_TYPES)
         assert self.sensor is not None  # for mypy: the header has it
         width, height = self.sensor
         t, x, y, p = (np.empty(BLOCK_EVENTS, EVENT_DTYPE[name]) for name in ("t", "x", "y", "p"))

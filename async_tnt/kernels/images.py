@@ -1,15 +1,15 @@
-"""The loops over events behind the images: each event adds to its own pixel, and nothing else is touched.
+"""Images of events: each event changes its own pixel.
 
-Columns are those of `async_tnt.events.Columns`, checked; the first n places count.
+Columns are checked (int64, uint16, uint16, uint8); their first n events are read.
 """
 
 import numpy as np
 
-from async_tnt.kernels.jit import compiled
+from .jit import compiled
 
 
 @compiled
-def add_counts(x: np.ndarray, y: np.ndarray, p: np.ndarray, n: int, image: np.ndarray) -> None:
+def add_counts(x, y, p, n, image):
     """image[c, y_i, x_i] += 1, with c = 0 for ON and 1 for OFF.
 
     Parameters
@@ -21,13 +21,11 @@ def add_counts(x: np.ndarray, y: np.ndarray, p: np.ndarray, n: int, image: np.nd
 
 
 @compiled
-def add_counts_and_times(
-    t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray, n: int, start_us: int, window_us: int, image: np.ndarray
-) -> None:
-    """image[c, y_i, x_i] += 1 and image[2 + c, y_i, x_i] = max(itself, f_i) for the events in the window.
+def add_counts_and_times(t, x, y, p, n, start_us, window_us, image):
+    """image[c, y_i, x_i] += 1, and image[2 + c, y_i, x_i] becomes f_i where that is larger, for events in the window.
 
-    The largest f of a pixel, rounded to float32, is the largest of the rounded ones: rounding keeps the order.
-    So it makes no difference in which packets, or in which order, the events come.
+    Rounding to float32 keeps the order, so the largest rounded f is the largest f rounded: packets and the order of
+    events make no difference.
 
     Parameters
     ----------

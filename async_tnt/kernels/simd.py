@@ -1,0 +1,185 @@
+"""Vector instructions, for kernels that keep sums in registers: LLVM does not find these in plain loops.
+
+Such a kernel is written twice, with the same arguments and the same bits:
+
+    @inlined
+    def tile_plain(inputs, first, ...)          loops over numbers, whose indices Numba can check
+    @vectorized(tile_plain)
+    def tile(simd, inputs, first, ...)          the LLVM instructions, through a `Simd`; no index is checked
+
+`tile` is what other kernels call: the instructions, or under NUMBA_BOUNDSCHECK=1 the loops.
+
+A register holds LANES float32. How many that is depends on the machine, and with it the layout of weights; results do
+not: every sum is taken in one order, each product added with one rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+from llvmlite import ir
+from numba import config, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from .jit import BOUNDS_CHECKED, inlined
+
+
+def _lanes_of_this_machine():
+    if getattr(config, "CPU_NAME", None):  # NUMBA_CPU_NAME: code for another machine
+        return 16 if "+avx512f" in (config.CPU_FEATURES or "") else 8
+    return 16 if llvm.get_host_cpu_features().get("avx512f", False) else 8
+
+
+LANES = _lanes_of_this_machine()
+INDEX = ir.IntType(64)
+VECTOR = ir.VectorType(ir.FloatType(), LANES)
+ZERO = ir.Constant(VECTOR, [0.0] * LANES)
+
+SPELLINGS: dict[str, tuple[Any, Any]] = {}
+"""Name of a vectorized kernel -> its plain loops, its instructions."""
+
+
+def whole(value: int) -> ir.Constant:
+    """A constant index."""
+    return ir.Constant(INDEX, value)
+
+
+class Simd:
+    """Builds instructions on vectors of LANES float32, or of another `kind`. Indices count numbers."""
+
+    def __init__(self, builder: ir.IRBuilder) -> None:
+        self.builder = builder
+
+    def add(self, first: ir.Value, *others: ir.Value | int) -> ir.Value:
+        """The sum of indices."""
+        for other in others:
+            first = self.builder.add(first, whole(other) if isinstance(other, int) else other)
+        return first
+
+    def mul(self, index: ir.Value, factor: ir.Value | int) -> ir.Value:
+        return self.builder.mul(index, whole(factor) if isinstance(factor, int) else factor)
+
+    def at(self, array: ir.Value, index: ir.Value) -> ir.Value:
+        """The array from this index on."""
+        return self.builder.gep(array, [index])
+
+    def load(self, array: ir.Value, index: ir.Value, kind: ir.VectorType = VECTOR) -> ir.Value:
+        """As many numbers as `kind` holds, from `index` on."""
+        value = self.builder.load(self.builder.bitcast(self.at(array, index), kind.as_pointer()))
+        value.align = 8 if kind.element == ir.DoubleType() else 4
+        return value
+
+    def store(self, value: ir.Value, array: ir.Value, index: ir.Value) -> None:
+        pointer = self.builder.bitcast(self.at(array, index), value.type.as_pointer())
+        self.builder.store(value, pointer).align = 8 if value.type.element == ir.DoubleType() else 4
+
+    def spread(self, pointer: ir.Value) -> ir.Value:
+        """One number in every lane."""
+        undefined, mask = ir.Constant(VECTOR, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+        first = self.builder.insert_element(undefined, self.builder.load(pointer), ir.Constant(ir.IntType(32), 0))
+        return self.builder.shuffle_vector(first, undefined, mask)
+
+    def fma(self, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
+        """a * b + c with one rounding, in every lane."""
+        kind, name = ir.FunctionType(VECTOR, [VECTOR] * 3), f"llvm.fma.v{LANES}f32"
+        return self.builder.call(cgutils.get_or_insert_function(self.builder.module, kind, name), [a, b, c])
+
+    def relu(self, value: ir.Value) -> ir.Value:
+        """max(value, 0); nan stays nan."""
+        negative = self.builder.fcmp_ordered("<", value, ZERO)
+        return self.builder.select(negative, ZERO, value)
+
+    def loop(self, n: ir.Value, sums: list, body: Callable[[ir.Value, list], list]) -> list:
+        """for k in range(n): sums = body(k, sums)        sums: a list of registers; n is at least 1."""
+        builder = self.builder
+        before = builder.block
+        inside = builder.append_basic_block("sum")
+        after = builder.append_basic_block("summed")
+        builder.branch(inside)
+        builder.position_at_end(inside)
+        carried = [(builder.phi(INDEX), whole(0)), *((builder.phi(VECTOR), value) for value in sums)]
+        counter = carried[0][0]
+        new = [builder.add(counter, whole(1)), *body(counter, [phi for phi, _ in carried[1:]])]
+        for (phi, first), value in zip(carried, new, strict=True):
+            phi.add_incoming(first, before)
+            phi.add_incoming(value, inside)
+        builder.cbranch(builder.icmp_signed("<", new[0], n), inside, after)
+        builder.position_at_end(after)
+        return new[1:]
+
+
+def vectorized(plain: Callable[..., Any], returns: types.Type = types.void) -> Callable[..., Any]:
+    """Decorate the vector spelling of `plain`: `build(simd, ...)` with the kernel's arguments, arrays as pointers.
+
+    Arrays are contiguous, other arguments int64, uint64 or float64.
+    """
+
+    def decorate(build: Callable[..., Any]) -> Any:
+        @wraps(build)  # Numba reads its name and its arguments
+        def instructions(typingctx: Any, *arguments: types.Type) -> Any:
+            scalars = {kind for kind in arguments if not isinstance(kind, types.Array)}
+            if not scalars <= {types.int64, types.uint64, types.float64}:
+                return None
+
+            def codegen(context: Any, builder: ir.IRBuilder, signature: Any, values: list) -> Any:
+                pointers = [
+                    context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
+                    for kind, value in zip(signature.args, values, strict=True)
+                ]
+                result = build(Simd(builder), *pointers)
+                return context.get_dummy_value() if result is None else result
+
+            return returns(*arguments), codegen
+
+        SPELLINGS[build.__name__] = plain, intrinsic(instructions)
+        return SPELLINGS[build.__name__][0 if BOUNDS_CHECKED else 1]
+
+    return decorate
+
+
+@intrinsic
+def fma(typingctx: Any, a: types.Type, b: types.Type, c: types.Type) -> Any:
+    """a * b + c for float32 with one rounding, the same in scalar and in vector code and on every machine.
+
+    Explicit, because letting the compiler contract a * b + c at will would make a result depend on how a loop was
+    vectorized.
+    """
+
+    def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
+        return builder.fma(*args)
+
+    if a != types.float32 or b != types.float32 or c != types.float32:
+        return None
+    return types.float32(a, b, c), codegen
+
+
+@inlined
+def add_f64x2_plain(cells, index, lower, upper, weight):
+    """cells[index] += lower * weight; cells[index + 1] += upper * weight
+
+    Parameters
+    ----------
+    cells : float64. Updated in place.
+    index : uint64.
+    lower, upper, weight : float64.
+    """
+    cells[index] += lower * weight
+    cells[index + np.uint64(1)] += upper * weight
+
+
+@vectorized(add_f64x2_plain)
+def add_f64x2(simd, cells, index, lower, upper, weight):
+    builder, pair = simd.builder, ir.VectorType(ir.DoubleType(), 2)
+    place = [ir.Constant(ir.IntType(32), k) for k in range(2)]
+
+    def pack(first: ir.Value, second: ir.Value) -> ir.Value:
+        half = builder.insert_element(ir.Constant(pair, ir.Undefined), first, place[0])
+        return builder.insert_element(half, second, place[1])
+
+    added = builder.fmul(pack(lower, upper), pack(weight, weight))
+    simd.store(builder.fadd(simd.load(cells, index, pair), added), cells, index)

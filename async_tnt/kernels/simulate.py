@@ -1,0 +1,112 @@
+"""An event camera in front of a moving image: frames of the image, and the threshold crossings of its pixels."""
+
+import numpy as np
+
+from .jit import compiled
+
+
+@compiled
+def translate(frames, image, dx, dy):
+    """Shift an image by a fraction of pixels, bilinearly.
+
+    frames[k, y, x] = sum_ij image[i, j] k(y - dy[k] - i) k(x - dx[k] - j),    k(a) = max(0, 1 - |a|)
+
+    Parameters
+    ----------
+    frames : float64, shape (K, H, W). Overwritten.
+    image : float64, shape (h, w); 0 beyond it.
+    dx, dy : float64, shape (K,), in pixels, finite.
+    """
+    n_rows, n_columns = image.shape
+    for k in range(frames.shape[0]):
+        left, top = np.floor(-dx[k]), np.floor(-dy[k])
+        x_frac, y_frac = -dx[k] - left, -dy[k] - top
+        # clamped before the integer cast, which is undefined for huge values
+        first_column = int(min(max(left, -1e6), 1e6))
+        first_row = int(min(max(top, -1e6), 1e6))
+        for y in range(frames.shape[1]):
+            i = first_row + y
+            for x in range(frames.shape[2]):
+                j = first_column + x
+                value = 0.0
+                if 0 <= i < n_rows:
+                    if 0 <= j < n_columns:
+                        value += (1.0 - y_frac) * (1.0 - x_frac) * image[i, j]
+                    if 0 <= j + 1 < n_columns:
+                        value += (1.0 - y_frac) * x_frac * image[i, j + 1]
+                if 0 <= i + 1 < n_rows:
+                    if 0 <= j < n_columns:
+                        value += y_frac * (1.0 - x_frac) * image[i + 1, j]
+                    if 0 <= j + 1 < n_columns:
+                        value += y_frac * x_frac * image[i + 1, j + 1]
+                frames[k, y, x] = value
+
+
+@compiled
+def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, reference, refractory_us):
+    """Threshold crossings of every pixel, pixel after pixel, each pixel's in order of time.
+
+    Parameters
+    ----------
+    log_frames : float64, shape (K, H, W), finite.
+    frame_times_us : float64, shape (K,), strictly increasing.
+    threshold_on, threshold_off : float64, shape (H, W), above 0. Not checked here.
+    reference : float64, shape (H, W), level R at the first frame.
+    refractory_us : at least 0.
+
+    Returns
+    -------
+    t : int64, microseconds, rounded. x, y : uint16. p : uint8, 1 = ON.
+    """
+    n_frames, n_rows, n_columns = log_frames.shape
+    capacity = 4096
+    t_out = np.empty(capacity, np.int64)
+    x_out = np.empty(capacity, np.uint16)
+    y_out = np.empty(capacity, np.uint16)
+    p_out = np.empty(capacity, np.uint8)
+    n = 0
+    for y in range(n_rows):
+        for x in range(n_columns):
+            c_on, c_off = threshold_on[y, x], threshold_off[y, x]
+            level = reference[y, x]
+            in_reset = False
+            reset_end = 0.0
+            for k in range(n_frames - 1):
+                t0, t1 = frame_times_us[k], frame_times_us[k + 1]
+                l0, l1 = log_frames[k, y, x], log_frames[k + 1, y, x]
+                t_now, l_now = t0, l0
+                while True:
+                    if in_reset:
+                        if reset_end >= t1:
+                            break
+                        t_now = reset_end
+                        l_now = l0 + (l1 - l0) * ((t_now - t0) / (t1 - t0))
+                        level = l_now
+                        in_reset = False
+                    if l_now >= level + c_on:  # only at the start, from a far-off reference
+                        p, level = 1, level + c_on
+                    elif l_now <= level - c_off:
+                        p, level = 0, level - c_off
+                    elif l1 >= level + c_on:
+                        p, level = 1, level + c_on
+                        t_now, l_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0)), level
+                    elif l1 <= level - c_off:
+                        p, level = 0, level - c_off
+                        t_now, l_now = t0 + (t1 - t0) * ((level - l0) / (l1 - l0)), level
+                    else:
+                        break
+                    if n == capacity:
+                        capacity *= 2
+                        t_out = np.concatenate((t_out, np.empty(n, np.int64)))
+                        x_out = np.concatenate((x_out, np.empty(n, np.uint16)))
+                        y_out = np.concatenate((y_out, np.empty(n, np.uint16)))
+                        p_out = np.concatenate((p_out, np.empty(n, np.uint8)))
+                    t_out[n] = int(np.floor(t_now + 0.5))
+                    x_out[n] = x
+                    y_out[n] = y
+                    p_out[n] = p
+                    n += 1
+                    if refractory_us > 0.0:
+                        in_reset = True
+                        reset_end = t_now + refractory_us
+    return t_out[:n].copy(), x_out[:n].copy(), y_out[:n].copy(), p_out[:n].copy()
