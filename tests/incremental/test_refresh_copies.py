@@ -9,7 +9,7 @@ from deciding import key
 from incremental.cases import CASES, WINDOW_US, Case, dense_of, model_of
 from made import random_events
 
-from async_tnt import Processor, new_state
+from async_tnt import Processor, volume_state
 from async_tnt.kernels import layout as L
 
 DUPLICATES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda one: pickle.loads(pickle.dumps(one))}
@@ -75,7 +75,7 @@ def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monke
     network.refresh(volume)
     parcel, number = pickle.dumps(network), int(network.network.layout[L.EPOCH])
     assert number > 0
-    monkeypatch.setattr(new_state, "_epochs", itertools.count(number - 1))  # one for `reset`, one for `open`
+    monkeypatch.setattr(volume_state, "_epochs", itertools.count(number - 1))  # one for `reset`, one for `open`
     here = SMALL.volume()
     for event in random_events(10, seed=2, duration_us=900, sensor=(8, 8)).tolist():
         here.update_one(*event)
