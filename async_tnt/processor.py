@@ -1,7 +1,7 @@
 """Processor: from packets of events to decisions, window by window.
 
-A packet:   push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
-A decision: a moment passes (`_advance`) or an event makes one due (`_absorb_until_decision`) -> WindowClassifier.decide
+A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
+A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) -> WindowClassifier.decide
 """
 
 from __future__ import annotations
@@ -92,10 +92,17 @@ class Processor:
     ) -> None:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         self._classifier = WindowClassifier(self.config, classifier, classes)
-        self._start_us = None if start_us is None else checked_time("start_us", start_us)
+        start_us = None if start_us is None else checked_time("start_us", start_us)
         self._decoder = EventDecoder(self.config.sensor, late)
-        self._new_windows = partial(WindowScheduler, self.config, hop_us, self._start_us, replay_events, regressor)
+        self._new_windows = partial(WindowScheduler, self.config, hop_us, start_us, replay_events, regressor)
         self._windows = self._new_windows()
+        hop_us = self._windows.hop_us  # the same settings must be where the stream continues
+        self._fixed: dict[str, Any] = {
+            "config": self.config.to_dict(),
+            "hop_us": hop_us,
+            "start_us": start_us,
+            "late": late,
+        }
         self._triggers = Triggers()
         self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
         self.reset()
@@ -109,8 +116,8 @@ class Processor:
         self._windows.reset()
         self._triggers.forget()
         self._choose_paths()
-        if self._start_us is not None:
-            self._open_windows(self._start_us)
+        if self.start_us is not None:
+            self._open_windows(self.start_us)
 
     # -- settings that may change ------------------------------------------------------------------------
 
@@ -131,7 +138,7 @@ class Processor:
     @property
     def start_us(self) -> int | None:
         """Start of the first window, in microseconds; None: of the first event."""
-        return self._start_us
+        return self._fixed["start_us"]
 
     @property
     def late(self) -> str:
@@ -153,7 +160,7 @@ class Processor:
             self._windows.set_limit(self._triggers.next_due_us)
 
     def _choose_paths(self) -> None:
-        """Choose the shortest path that the settings allow: a single event may go straight to the one open volume."""
+        """Choose the shortest path: where the settings allow it, a single event goes straight to the open volume."""
         direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
         self._by_event = self._triggers.by_event
@@ -174,10 +181,10 @@ class Processor:
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event. The
             processor is as it was before.
 
-        What the classifier raises passes through. The events before that decision have then been processed, and the
-        rest of the packet has not (though `late="drop"` and `"raise"` have seen it: pushed again, what is older than
-        its newest event is late). The end of a window, and `every_us`, are tried again at the next push; a decision
-        that one event made due has been missed, and the earlier decisions of this packet are lost.
+        What the classifier raises passes through. Then the events before that decision have been processed and the rest
+        of the packet has not (but counts for `late`: pushed again, it is late), and the earlier decisions of the packet
+        are lost. The end of a window, and `every_us`, are tried again at the next push; a decision that an event made
+        due has been missed.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
@@ -217,8 +224,7 @@ class Processor:
         return decisions
 
     def _absorb_until_decision(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
-        """Add events until one of them makes a decision due, or more where compiled code decides; returns the first
-        one that was not added."""
+        """Add events until one makes a decision due, or more in compiled code; returns the first one not added."""
         windows, triggers = self._windows, self._triggers
         oldest, error = windows.oldest, None
         if self._classifier.decides_in_stretches:
@@ -333,22 +339,21 @@ class Processor:
     def save_state(self) -> bytes:
         """The state of the stream: open windows, counts, triggers, not the classifier.
 
-        After `restore_state`, another processor with the same configuration and settings, in this process or in
-        another, continues with the same volumes and decisions, bit for bit.
+        After `restore_state`, another processor with the same configuration and settings, in any process, continues
+        with the same volumes and decisions, bit for bit.
         """
         arrays = self._windows.save() | with_prefix("triggers", self._triggers.save())
         arrays["door"] = np.array((self._decoder.newest_us, self._decoder.n_dropped), np.int64)
-        return state_bytes(arrays, {"fixed": self._fixed_settings(), "triggers": self._triggers.settings()})
+        return state_bytes(arrays, {"fixed": self._fixed, "triggers": self._triggers.settings()})
 
     def restore_state(self, state: bytes) -> None:
         """Continue where `save_state` was called. The triggers are set as they were there.
 
         Raises
         ------
-        ValueError : damaged, or of a processor with other settings; the message names them. This one is then as it
-            was before.
+        ValueError : damaged, or of a processor with other settings (the message names them). Nothing has changed then.
         """
-        arrays, about = read_state(state, self._fixed_settings())
+        arrays, about = read_state(state, self._fixed)
         windows, triggers = self._new_windows(), Triggers()
         try:
             windows.restore(arrays)
@@ -361,11 +366,6 @@ class Processor:
         self._choose_paths()
         if len(windows):
             windows.set_limit(triggers.next_due_us)
-
-    def _fixed_settings(self) -> dict[str, Any]:
-        """What must be the same where the stream continues."""
-        config, hop_us = self.config.to_dict(), self._windows.hop_us
-        return {"config": config, "hop_us": hop_us, "start_us": self.start_us, "late": self.late}
 
 
 def _refuse(t: int, x: int, y: int, p: int) -> int:
