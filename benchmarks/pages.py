@@ -14,12 +14,23 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from accuracy_tables import (
+    accuracy,
+    digits_against_time,
+    digits_confusion,
+    digits_tried,
+    motions_1_all,
+    motions_1_sim,
+    motions_all_sim,
+    thesis,
+    unseen_motion,
+)
 from page_parts import ROOT, about_machine, percent, results, short, table
 from stream_tables import archive, udp_latency, udp_load, udp_machine, udp_overload
 
 from async_tnt.files import write_text
 
-PAGES = ("README.md", "docs/performance.md", "docs/network.md", "docs/archive.md", "benchmarks/README.md")
+PAGES = ("README.md", "docs/results.md")
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 NETWORKS = {
@@ -33,14 +44,37 @@ NETWORKS = {
 WAYS = {
     "ours": "ours: `push`, `fire`",
     "ours_onnxruntime": "our volume, onnxruntime's network",
-    "torch": "torch: the window's volume anew, its network",
-    "eventcv_onnxruntime": "eventcv's voxel grid anew, onnxruntime",
+    "torch": "torch: the whole window's volume, its network",
+    "eventcv_onnxruntime": "eventcv's voxel grid of all events, onnxruntime",
 }
 LAYERS = {
     "pooled_1": "places of the first pooled map",
     "pooled_2": "places of the second",
     "partial": "partial sums of the dense layer",
 }
+
+
+def speed() -> str:
+    """The short version, for README."""
+    found = results("decisions")
+    names = {"incremental": "async_tnt", "onnxruntime_binding": "onnxruntime", "openvino": "OpenVINO", "torch": "torch"}
+    same = {"incremental": "ours", "onnxruntime_binding": "ours_onnxruntime", "torch": "torch"}
+    rows = []
+    for n in ("1", "100", "1300"):
+        us = found["network"][n]["in_blocks"]["us"]
+        events = f"{int(n):,} new event{'s' * (n != '1')}"
+        rows.append([f"network, {events}: us", *(short(us[name]["median"]) for name in names)])
+    us = found["end_to_end"]["1"]["in_blocks"]["us"]
+    rows.append(
+        [
+            "packet of 1 event to decision: us",
+            *(short(us[same[name]]["median"]) if name in same else "" for name in names),
+        ]
+    )
+    packets = found["every_event"]["packets"]
+    every = [packets["ours" if name == "incremental" else name]["a_second"] for name in names]
+    rows.append(["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in every)])
+    return table(["", *names.values()], rows)
 
 
 def decisions_machine() -> str:
@@ -254,6 +288,16 @@ PEERS = {
 }
 
 
+def memory() -> str:
+    """A sentence."""
+    found = results("memory")
+    return (
+        f"After {found['events'] / 1e6:.0f} million events and {found['decisions']:,} decisions the process has grown "
+        f"by {found['grown_mb']:.1f} MB since the first million. `benchmarks/memory.py` exits with 1 above "
+        f"{found['limit_mb']:g} MB."
+    )
+
+
 def volumes() -> str:
     """Nanoseconds per event, and peers."""
     ways = {
@@ -324,6 +368,16 @@ def _by_packet() -> dict[str, dict[str, Any]]:
 TABLES: dict[str, Callable[[], str]] = {
     f.__name__: f
     for f in (
+        accuracy,
+        speed,
+        digits_against_time,
+        digits_confusion,
+        digits_tried,
+        thesis,
+        unseen_motion,
+        motions_1_all,
+        motions_all_sim,
+        motions_1_sim,
         decisions_machine,
         network_in_blocks,
         network_call_by_call,
@@ -344,6 +398,7 @@ TABLES: dict[str, Callable[[], str]] = {
         udp_load,
         udp_overload,
         archive,
+        memory,
     )
 }
 
