@@ -1,10 +1,10 @@
-"""The tables of accuracy: of the bundled model, from its record, and of the thesis' experiment, from table.json."""
+"""The tables of accuracy: of the bundled model, of its early decisions, and of the thesis' experiment."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from page_parts import percent, results, table
+from page_parts import percent, results, short, table
 
 from async_tnt import load_model
 from async_tnt.training.table_report import markdown_table, motions_table
@@ -98,3 +98,102 @@ def motions_1_sim() -> str:
 
 def _record() -> dict[str, Any]:
     return load_model("digits").record
+
+
+def early() -> str:
+    """A choice of settings."""
+    found = results("early")
+    moments = {r["settings"].get("every_us", found["window_us"]): r for r in found["results"]["moment"]}
+    chosen = [(f"at {us / 1000:g} ms", moments[us]) for us in (20_000, 30_000, 40_000, 50_000, found["window_us"])]
+    for group, words in (
+        ("confidence", ""),
+        ("confidence_every_10_events", ", checked every 10 events"),
+        ("confidence_every_ms", ", checked every 1 ms"),
+    ):
+        for r in found["results"][group]:
+            if r["settings"]["confidence"] in (0.5, 0.8, 0.9, 0.95, 0.98):
+                chosen.append((f"confidence {r['settings']['confidence']:g}{words}", r))
+    head = [
+        "decided",
+        "right",
+        "mean ms",
+        "median ms",
+        "fixed time of the same accuracy, ms",
+        "evaluations before it",
+        "decisions a window",
+        "only at the end",
+    ]
+    rows = []
+    for words, r in chosen:
+        moment = same_moment_ms(found, r["accuracy"]) if words.startswith("confidence") else ""
+        rows.append(
+            [
+                words,
+                percent(r["accuracy"]),
+                short(r["mean_ms"]),
+                short(r["median_ms"]),
+                moment,
+                short(r["evaluations_until"]),
+                short(r["emitted"]),
+                percent(r["at_end"]),
+            ]
+        )
+    return table(head, rows)
+
+
+def same_moment_ms(found: dict[str, Any], accuracy: float) -> str:
+    """The first fixed time with this accuracy, interpolated linearly between those measured; "" if there is none."""
+    last_ms, last = 0.0, 0.0
+    for r in found["results"]["moment"]:
+        ms = r["settings"].get("every_us", found["window_us"]) / 1000
+        if r["accuracy"] >= accuracy:
+            return short(last_ms + (ms - last_ms) * (accuracy - last) / (r["accuracy"] - last))
+        last_ms, last = ms, r["accuracy"]
+    return ""
+
+
+def of_nothing() -> str:
+    """A sentence."""
+    share = results("early")["of_nothing"]
+    return f"For an empty volume the likeliest class has a probability of {share:.2f}."
+
+
+def soon() -> str:
+    """Whether confidence alone decides too early in a window."""
+    found = results("early")
+    rows = [
+        [
+            f"{r['settings']['confidence']:g}",
+            str(r["fewest_events"]),
+            percent(r["soon"]),
+            "" if r["soon_accuracy"] is None else percent(r["soon_accuracy"]),
+            percent(noise["closed_early"]),
+        ]
+        for r, noise in zip(found["results"]["confidence"], found["noise"], strict=True)
+    ]
+    return table(
+        [
+            "confidence, checked at every event",
+            "fewest events of a decision",
+            f"decided from fewer than {found['soon_events']} events",
+            "of these right",
+            "noise windows decided",
+        ],
+        rows,
+    )
+
+
+TABLES = (
+    accuracy,
+    early,
+    of_nothing,
+    soon,
+    digits_against_time,
+    digits_confusion,
+    digits_tried,
+    thesis,
+    unseen_motion,
+    motions_1_all,
+    motions_all_sim,
+    motions_1_sim,
+)
