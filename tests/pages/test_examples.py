@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -101,10 +100,9 @@ def test_stream_equals_batch(tmp_path):
     assert float(largest) > 1 and int(in_use) > 1000
 
 
-@pytest.mark.parametrize("broken", ["stream = volume.array * 1.001", "stream = np.zeros_like(volume.array)"])
-def test_stream_equals_batch_notices_a_difference(tmp_path, broken):
+def test_stream_equals_batch_notices_a_difference(tmp_path):
     source = (EXAMPLES / "stream_equals_batch.py").read_text()
     assert source.count("stream = volume.array") == 1
-    (tmp_path / "broken.py").write_text(source.replace("stream = volume.array", broken))
+    (tmp_path / "broken.py").write_text(source.replace("stream = volume.array", "stream = volume.array * 1.001"))
     done = subprocess.run([sys.executable, str(tmp_path / "broken.py")], capture_output=True, text=True, timeout=600)
     assert done.returncode == 1 and "AssertionError" in done.stderr
