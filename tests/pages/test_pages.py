@@ -74,6 +74,8 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
         (tmp_path / "mnist").mkdir()
         mnist = write_small_mnist(tmp_path / "mnist", 8)
         build(mnist, tmp_path / "moving", digits=8, workers=1, frame_us=10_500.0)
+    if title == "Archives":
+        assert main(["run", "--out", "results.jsonl"]) == 0
     texts = dict(sections(page))
     session, report = {"__name__": "__main__"}, []
     for k, snippet in enumerate(blocks(texts[""] + texts[title], "python")):
@@ -89,6 +91,8 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
         lines = printed.splitlines()
         assert [line.split()[2] for line in lines if line.endswith(("window", "end"))] == ["3", "3", "3"]
         assert "3 3" in lines and lines[-1].startswith("(9, 34, 34) (") and len(lines) > 10
+    if title == "Archives":
+        assert sorted(session["labels"].values()) == list("0123456789") and len(session["decisions"]) == 30
     if title == "Simulation":
         name, label, vx, vy, n = re.fullmatch(r"(\S+) (\d) \[ ?(\S+) +(\S+)\] (\d+)\n", printed).groups()
         assert (name, int(label)) == ("036deg-5px", 9) and int(n) == len(session["t"]) > 10
