@@ -7,6 +7,7 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,11 @@ from made import random_model
 from own_classes.gestures import bar, write
 from small_sets import write_small_mnist
 
-from async_tnt import Model, TNTConfig, networks, representations
+from async_tnt import Counts, Model, TNTConfig, networks, representations
 from async_tnt.cli import main
 from async_tnt.cli.program import COMMANDS, build_parser
 from async_tnt.simulation.moving_mnist import build
+from async_tnt.sources import READERS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), ROOT / "benchmarks" / "README.md"]
@@ -143,6 +145,10 @@ def test_pages_and_files_that_are_named_exist():
 
 def test_the_pages_name_all_there_is():
     missing = [name for name in COMMANDS if f"| `{name}` |" not in REFERENCE]
+    missing += [
+        field.name for kind in (Counts, TNTConfig) for field in fields(kind) if f"`{field.name}`" not in REFERENCE
+    ]
+    missing += [suffix for suffix in READERS if f"`{suffix}`" not in REFERENCE]
     missing += [name for name in networks.__all__ if name not in GUIDE]
     missing += [name for name in representations.__all__ if name.islower() and name not in THEORY]
     assert missing == []
