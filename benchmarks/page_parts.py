@@ -1,4 +1,4 @@
-"""What the tables of pages.py are made of: recorded results, and Markdown."""
+"""Recorded results, and Markdown tables of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of streams from the network, and of archives."""
+"""The tables of network streams and of archives."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def udp_latency() -> str:
     rows = []
     for name, words in WAYS.items():
         adds = found.get(f"{name}_adds")
-        told = "" if adds is None else f"{adds['median']:.1f}"
-        rows.append([words, f"{found[name]['median']:.0f}", f"{found[name]['p99']:.0f}", told])
-    return table(["microseconds", "median", "99 %", "added by us, median"], rows)
+        added = "" if adds is None else f"{adds['median']:.1f}"
+        rows.append([words, f"{found[name]['median']:.0f}", f"{found[name]['p99']:.0f}", added])
+    return table(["microseconds", "median", "99 %", "added by async_tnt, median"], rows)
 
 
 def udp_load() -> str:
@@ -50,7 +50,7 @@ _HEAD = [
     "lost by the system",
     "skipped",
     "decisions",
-    "late by ms: median",
+    "delay, ms: median",
     "99 %",
     "at most",
 ]
@@ -77,7 +77,10 @@ def archive() -> str:
     rows = []
     for name, run in results("archive")["ways"].items():
         speedup, steady = run["speedup"], run["steady_speedup"]
-        told = f"{speedup['median']:.2f} ({speedup['p25']:.2f}-{speedup['p75']:.2f})"
+        quartiles = f"{speedup['median']:.2f} ({speedup['p25']:.2f}-{speedup['p75']:.2f})"
         rates = short(run["seconds"]["median"]), short(run["recordings_per_s"])
-        rows.append([name, *rates, told, f"{steady['median']:.2f}"])
+        rows.append([name, *rates, quartiles, f"{steady['median']:.2f}"])
     return table(["", "seconds", "recordings a second", "speed-up (quartiles)", "after the first record"], rows)
+
+
+TABLES = (udp_machine, udp_latency, udp_load, udp_overload, archive)

@@ -1,8 +1,8 @@
-"""A camera whose packets come faster than they are dealt with: once all of them wait, once the old ones are left out.
+"""A program that is slower than its camera: first it queues every packet, then it skips to the newest.
 
-`camera` stands for a driver: it yields a packet of 2 ms every 2 ms, in memory that it uses again for the next one.
-What the program does with each packet takes 5 ms here, so that it falls behind. In a queue that holds everything the
-delay grows as long as the camera runs; with `latest=True` it stays within the four packets that may wait.
+`camera` stands for a driver: it yields 2 ms of events every 2 ms, in memory that it reuses for the next packet.
+Handling a packet takes 5 ms here, so the program falls behind. In an unlimited queue the delay grows for as long as
+the camera runs; with `latest=True` it stays within the four packets that may wait.
 """
 
 import time
@@ -20,9 +20,9 @@ events = open_recording(sample_recordings()[8]).read()
 def camera() -> Iterator[np.ndarray]:
     memory = np.empty_like(events)
     ends = np.searchsorted(events["t"], np.arange(PACKET_US, events["t"][-1] + PACKET_US, PACKET_US))
-    switched_on = time.monotonic()
+    started = time.monotonic()
     for number, (start, end) in enumerate(zip([0, *ends], ends, strict=False), start=1):
-        time.sleep(max(0.0, switched_on + number * PACKET_US / 1e6 - time.monotonic()))
+        time.sleep(max(0.0, started + number * PACKET_US / 1e6 - time.monotonic()))
         memory[: end - start] = events[start:end]
         yield memory[: end - start]
 
@@ -31,17 +31,17 @@ def run(name: str, processor: async_tnt.Processor, **settings: object) -> None:
     with BackgroundReader(camera(), **settings) as reader:
         for packet in reader:
             processor.push(packet)
-            time.sleep(0.005)  # what else has to be done
+            time.sleep(0.005)  # the rest of the program
         decision = processor.fire()
         counters = reader.counters
     print(
-        f"{name:<11} {counters.received} events = {counters.handed_out} handed out + {counters.skipped} skipped; "
+        f"{name:<12} {counters.received} events = {counters.handed_out} handed out + {counters.skipped} skipped; "
         f"waited up to {counters.longest_wait_us / 1000:.0f} ms; last decision of {decision.events} events: "
         f"{decision.label}"
     )
 
 
 model = async_tnt.load_model("digits")
-async_tnt.warmup(model)  # compile now, not while packets come
-run("all of them", async_tnt.Processor(model), max_packets=1_000)
-run("the latest", async_tnt.Processor(model), max_packets=4, latest=True)
+async_tnt.warmup(model)  # compile now, not while packets arrive
+run("every packet", async_tnt.Processor(model), max_packets=1_000)
+run("the newest", async_tnt.Processor(model), max_packets=4, latest=True)

@@ -1,9 +1,9 @@
-"""One's own torch module on `TNTVolume.array`: here templates of ten digits, compared by cosine similarity.
+"""Your own torch module on `TNTVolume.array`: here templates of ten digits, compared by cosine similarity.
 
-The templates are the ten bundled samples' first saccades; the module then has to know the same digits in
-their second and third saccades, where they move in other directions. With the flow taken out of the volume
-it mostly does; with the plain event volume (`transform="none"`) it does not. (Ten recordings show how it is
-done, and prove nothing about accuracy.)
+The templates are the first saccades of the ten bundled samples. The module then has to recognise the same digits in
+their second and third saccades, which move in other directions. It mostly does if the flow is removed from the
+volume, and does not on the plain event volume (`transform="none"`). Ten recordings show how it is done; they say
+nothing about accuracy.
 """
 
 import torch

@@ -1,7 +1,7 @@
-"""An event loop fed packet by packet, as a camera's driver feeds it.
+"""A loop over packets, as a camera's driver delivers them.
 
-`push` takes each packet and returns the decisions that fell: one for each window that the packet closed.
-`fire` asks in between, whenever the program wants to know, and changes nothing.
+`push` returns the decisions that a packet causes: one for each window that it closes. `fire` decides in between,
+whenever the program asks, and changes nothing.
 """
 
 import async_tnt
@@ -24,13 +24,13 @@ packets = open_recording(sample_recordings()[3], packet_events=250)  # stands fo
 for number, packet in enumerate(packets, start=1):
     for decision in processor.push(packet):
         show(decision)
-    if number % 4 == 0:  # somebody asks
+    if number % 4 == 0:  # the program wants to know now
         show(processor.fire())
-for decision in processor.finish():  # the camera is off: what the last window holds
+for decision in processor.finish():  # the stream has ended: decide the open window
     show(decision)
 
 counts = processor.counts
 print(
-    f"{counts.received} events: {counts.kept} kept, {counts.dropped_outside} transformed out of the grid, "
-    f"{counts.dropped_tau_zero} at a window's very start"
+    f"{counts.received} events: {counts.kept} kept, {counts.dropped_outside} moved off the grid, "
+    f"{counts.dropped_tau_zero} at the start of a window"
 )

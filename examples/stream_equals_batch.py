@@ -1,8 +1,8 @@
-"""The stream against the batch reference, on one recording: the same volume, to the last float32 digit or so.
+"""Compare the stream with the batch reference on one recording: the volumes agree to about the last float32 digit.
 
-The stream takes event by event and never looks back. The reference (package `tnt_reference`, torch) takes
-all events of a window at once and computes the equations as they are written. `async-tnt check` does this
-for every landmark, at prefixes of each window, and for the network.
+The stream processes one event after another. The reference (package `tnt_reference`, torch) computes the equations as
+they are written, from all events of a window at once. `async-tnt check` does this for every landmark, at prefixes of
+each window, and for the network.
 """
 
 import numpy as np

@@ -41,7 +41,7 @@ windows. Recordings that cannot be read, and empty ones, are skipped and named a
   async-tnt evaluate digits recorded --roi 600,300,34,34 --crop --mask mask.npy    of a larger camera with hot pixels
 
 With --out, an evaluation that was interrupted, killed or cut off goes on when the same command is given again, and
-ends with the same file and the same numbers (docs/archive.md).
+ends with the same file and the same numbers (docs/guide.md).
 
 Exit code 0, also where recordings were skipped (2 with --strict); 2 for bad usage, or where none could be read.
 """

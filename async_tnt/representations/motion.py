@@ -2,7 +2,7 @@
 
 L_v shears space-time: an event at window fraction f goes v f pixels. The L_v are a group: L_v L_w = L_(v + w),
 L_0 leaves everything where it is, and L_-v is the inverse of L_v. Convolutions are not equivariant to it; after
-the Temporal Normalization Transform it is a translation (docs/mathematics.md).
+the Temporal Normalization Transform it is a translation (docs/theory.md).
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ def find_pauses(events: Any, gap_us: int) -> list[int]:
 
     One event of noise ends a pause, so this is for filtered recordings, or for a `gap_us` far below the sensor's
     mean time between noise events. The saccades of N-MNIST cannot be found so: there events never stop between two of
-    them (docs/representations.md).
+    them (docs/theory.md).
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ def is_live(name: str) -> bool:
 
 
 def open_live(name: str, sensor: tuple[int, int] | None = None) -> LiveSource:
-    """Open `udp://HOST:PORT[?format=...]`, or `camera[:KIND[:SERIAL]]`, see docs/network.md and docs/cameras.md.
+    """Open `udp://HOST:PORT[?format=...]`, or `camera[:KIND[:SERIAL]]`, see docs/guide.md.
 
     Parameters
     ----------

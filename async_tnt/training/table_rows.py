@@ -5,7 +5,7 @@ network, the optimizer and the augmentation, which thins events at random and mo
 trained on one motion must see no other. Random translations are given to TNT+regress alone, as in the thesis.
 
 `t_max` is the same in all rows: of 2, 3, 4 and 8 the one with the lowest loss on held-out digits of the training motion
-(docs/table.md has the numbers); the thesis has B - 1 = 8.
+(docs/results.md has the numbers); the thesis has B - 1 = 8.
 
 References
 ----------

@@ -1,12 +1,13 @@
-"""Print the tables of docs/mathematics.md, in Markdown: what the landmarks, t_max and rounding do, in numbers.
+"""Print the measured tables of docs/theory.md in Markdown, and draw the law of v/2.
 
-    python docs/figures/laws.py
+    python docs/figures/laws.py [--picture docs/images/laws.png]
 
-Needs the batch reference (torch) and the bundled samples, nothing else.
+Needs the batch reference (torch) and the bundled samples; the picture needs matplotlib.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -19,6 +20,7 @@ import async_tnt
 from async_tnt.sources import open_recording, sample_recordings
 
 LANDMARKS = ("center", "running", "line", "window")
+CASES = (*((name, False) for name in LANDMARKS), ("line", True))  # landmark, remove_flow
 WINDOW_US, N = 104_000, 1_300
 AT = dict(start_us=0, window_us=WINDOW_US, sensor=(201, 201), grid=(201, 201))
 FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 3 / 4, 1)
@@ -66,15 +68,36 @@ def name_of(landmark: str, remove_flow: bool) -> str:
 
 def landmark_table(path: Callable[[np.ndarray], np.ndarray]) -> None:
     rows = []
-    for landmark, remove_flow in [(name, False) for name in LANDMARKS] + [("line", True)]:
+    for landmark, remove_flow in CASES:
         values = shift(path, landmark, remove_flow)
         cells = [f"{values[round(f * N) - 1]:+.3f}" for f in FRACTIONS]
         rows.append([name_of(landmark, remove_flow), *cells])
     print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)
 
 
+def draw_motion_terms(path: str) -> None:
+    """The motion that each landmark leaves in the volume, in the course of the window: a translation is a flat line."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(10.4, 3.9), sharey=True, layout="constrained")
+    colours = ("#000000", "#0072b2", "#d55e00", "#999999", "#009e73")
+    f = (np.arange(N) + 1) / N
+    for axis, (title, motion) in zip(
+        axes, (("constant flow", constant), ("a saccade: bell-shaped speed", bell)), strict=True
+    ):
+        for (landmark, remove_flow), colour in zip(CASES, colours, strict=True):
+            label = f"{landmark}, flow removed" if remove_flow else landmark
+            axis.plot(f, shift(motion, landmark, remove_flow), color=colour, label=label, linewidth=2)
+        axis.axhline(0.5, color="#bbbbbb", linewidth=0.8, linestyle=":", zorder=0)
+        axis.set(title=title, xlabel="fraction f of the window", xlim=(0, 1), ylim=(-1.1, 1.6))
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("motion left in the volume,\nin units of v / t_max")
+    axes[1].legend(frameon=False, loc="lower right")
+    figure.savefig(path, dpi=110)
+
+
 def ridge_table() -> None:
-    """Constant flow v, events spread evenly over the window: what `line` makes of it by the window's end."""
+    """What `line` makes of constant flow v by the window's end, with events spread evenly over the window."""
     rows = []
     for n in (10, 30, 100, 300, 1_300, 10_000):
         t = np.round((np.arange(n) + 1) * WINDOW_US / n).astype(np.int64)
@@ -89,7 +112,7 @@ def ridge_table() -> None:
 
 
 def wander_table() -> None:
-    """Objects at rest, 40 of them: how far the landmark is from where it should be, the object's middle."""
+    """How far the landmark of an object at rest is from the object's middle, over 40 random objects."""
     t = (np.arange(N) + 1) * (WINDOW_US // N)
     y = np.full(N, 100.0)
     rows = []
@@ -103,7 +126,7 @@ def wander_table() -> None:
 
 
 def sample_windows() -> list[np.ndarray]:
-    """The three windows of each bundled sample, laid from its first event."""
+    """The three windows of each bundled sample, starting at its first event."""
     windows = []
     for path in sample_recordings().values():
         events = open_recording(path).read()
@@ -146,7 +169,7 @@ def translation_table() -> None:
         x, y = window["x"].astype(int), window["y"].astype(int)
         windows.append((window[(x >= 2) & (x < 32) & (y >= 2) & (y < 32)], k % 3 * 105_000))
     rows = []
-    for landmark, remove_flow in [(name, False) for name in LANDMARKS] + [("line", True)]:
+    for landmark, remove_flow in CASES:
         options = dict(landmark=landmark, remove_flow=remove_flow, t_max=2.0)
         cells = []
         for volume_of, shift in ((streamed, 2), (batch, 1 / 3)):
@@ -251,6 +274,11 @@ def fallen_off(sensor_side: int, side: int) -> int:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--picture", metavar="FILE", help="also draw the law of v/2 into this file")
+    args = parser.parse_args()
+    if args.picture:
+        draw_motion_terms(args.picture)
     print("## Translated streams: how far their volumes differ, as a share of the largest cell\n")
     translation_table()
     print("## Constant flow: translation of the volume, in units of v / t_max\n")

@@ -1,4 +1,4 @@
-"""The pages' tables are those of the recorded results, and a page that says something else is noticed."""
+"""The pages' tables are those of the recorded results, and a page that differs is noticed."""
 
 from __future__ import annotations
 
@@ -13,28 +13,19 @@ def pages(load_benchmark):
     return load_benchmark("pages")
 
 
-def test_the_pages_say_what_the_results_say(pages, capsys):
+def test_the_pages_show_the_results(pages, capsys):
     assert pages.main(["--check"]) == 0, capsys.readouterr().out
 
 
-def test_every_table_of_decisions_is_on_the_page(pages):
-    found = re.findall(r"<!-- (\w+) -->", (pages.ROOT / "docs" / "performance.md").read_text(encoding="utf-8"))
+def test_every_table_is_on_one_page(pages):
+    text = "".join((pages.ROOT / page).read_text(encoding="utf-8") for page in pages.PAGES)
+    found = re.findall(r"<!-- (\w+) -->", text)
     names = [name for name in found if name != "end"]
-    others = {name for name in pages.TABLES if name.startswith(("udp_", "archive"))}
-    assert sorted(names) == sorted(set(pages.TABLES) - {"volumes", "splat", "large_packets"} - others)
+    assert sorted(names) == sorted(pages.TABLES)
     assert found.count("end") == len(names)
 
 
-def test_tables_of_streams_are_on_their_pages(pages):
-    for page, names in {
-        "network.md": ["udp_latency", "udp_load", "udp_overload", "udp_machine"],
-        "archive.md": ["archive"],
-    }.items():
-        text = (pages.ROOT / "docs" / page).read_text(encoding="utf-8")
-        assert all(f"<!-- {name} -->" in text for name in names), page
-
-
-def test_a_stale_page_is_noticed_and_mended(pages, monkeypatch, tmp_path, capsys):
+def test_a_stale_page_is_noticed_and_rewritten(pages, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(pages, "PAGES", ("page.md",))
     monkeypatch.setattr(pages, "ROOT", tmp_path)
     monkeypatch.setattr(pages, "TABLES", {"numbers": lambda: "| a |\n|---|\n| 2 |"})
@@ -43,45 +34,46 @@ def test_a_stale_page_is_noticed_and_mended(pages, monkeypatch, tmp_path, capsys
     page.write_text(stale, encoding="utf-8")
     assert pages.main(["--check"]) == 1
     assert page.read_text(encoding="utf-8") == stale
-    assert "page.md: is not what the results say" in capsys.readouterr().out
+    assert "page.md: differs from the results" in capsys.readouterr().out
     assert pages.main([]) == 0
     assert page.read_text(encoding="utf-8") == stale.replace("| 1 |", "| 2 |")
     assert pages.main(["--check"]) == 0
 
 
 def test_an_unknown_table_is_named(pages):
-    with pytest.raises(ValueError, match="no table 'speeds'; there are decisions_machine, network_in_blocks"):
+    with pytest.raises(ValueError, match="no table 'speeds'; there are accuracy, early, "):
         pages.written("<!-- speeds -->\n<!-- end -->\n")
 
 
 def test_cells_by_hand(pages, monkeypatch):
+    tables = pages.decision_tables
     row = {
         "us": {"ours": {"median": 9.96, "p99": 21.4}, "torch": {"median": 432.1, "p99": 1234.5}},
         "ratio": {"torch": {"median": 34.94}},
     }
-    monkeypatch.setattr(pages, "results", lambda name: {"end_to_end": {"1": {"in_blocks": row}}})
-    assert pages.end_to_end_in_blocks().splitlines() == [
+    monkeypatch.setattr(tables, "results", lambda name: {"end_to_end": {"1": {"in_blocks": row}}})
+    assert tables.end_to_end_in_blocks().splitlines() == [
         "|  | 1 new event |",
         "|---|---|",
-        "| ours: `push`, `fire` | 10.0 (21) |",
-        "| torch: the window's volume anew, its network | 432 (1,234) 34.9x |",
+        "| async_tnt: `push`, `fire` | 10.0 (21) |",
+        "| torch: the whole window's volume, its network | 432 (1,234) 34.9x |",
     ]
 
 
-def test_the_moment_that_is_right_as_often_lies_on_a_straight_line(pages):
+def test_the_time_of_the_same_accuracy_is_interpolated(pages):
     moments = [(10_000, 0.2), (20_000, 0.6), (40_000, 1.0)]
     found = {
         "window_us": 50_000,
         "results": {"moment": [{"settings": {"every_us": us}, "accuracy": accuracy} for us, accuracy in moments]},
     }
-    assert pages.same_moment_ms(found, 0.4) == "15.0"
-    assert pages.same_moment_ms(found, 0.9) == "35"
-    assert pages.same_moment_ms(found, 1.1) == ""
+    assert pages.accuracy_tables.same_moment_ms(found, 0.4) == "15.0"
+    assert pages.accuracy_tables.same_moment_ms(found, 0.9) == "35"
+    assert pages.accuracy_tables.same_moment_ms(found, 1.1) == ""
 
 
-def test_what_the_page_says_in_words_holds(pages):
-    """Sentences of docs/performance.md that no table makes."""
-    decisions, early = pages.results("decisions"), pages.results("early")
+def test_statements_beside_the_tables_hold(pages):
+    """Sentences of docs/results.md that no table makes."""
+    decisions, early = (pages.accuracy_tables.results(name) for name in ("decisions", "early"))
     touched = decisions["touched"]
     assert touched["1"]["multiplications"] < 0.1 * touched["whole"]["multiplications"]
     assert 0.35 < touched["100"]["multiplications"] / touched["whole"]["multiplications"] < 0.6
@@ -95,7 +87,11 @@ def test_what_the_page_says_in_words_holds(pages):
     }
     alone, every_ms = rows["confidence"], rows["confidence_every_ms"]
     for level in (0.8, 0.9):
-        assert 1.2 < float(pages.same_moment_ms(early, alone[level]["accuracy"])) / alone[level]["mean_ms"] < 1.55
+        assert (
+            1.2
+            < float(pages.accuracy_tables.same_moment_ms(early, alone[level]["accuracy"])) / alone[level]["mean_ms"]
+            < 1.55
+        )
     assert every_ms[0.95]["accuracy"] >= alone[0.95]["accuracy"] - 0.001
     assert 9 < alone[0.95]["evaluations_until"] / every_ms[0.95]["evaluations_until"] < 12
     assert 0.9 < every_ms[0.95]["mean_ms"] - alone[0.95]["mean_ms"] < 2.1
@@ -106,7 +102,7 @@ def test_what_the_page_says_in_words_holds(pages):
 
 
 def test_early_results_are_of_all_test_recordings(pages):
-    early = pages.results("early")
+    early = pages.accuracy_tables.results("early")
     assert early["recordings"] == 1000 and early["windows_a_recording"] == 3
     assert all(r["windows"] == 3000 for group in early["results"].values() for r in group)
     assert json.dumps(early)  # plain JSON: no infinity

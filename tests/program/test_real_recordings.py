@@ -16,7 +16,7 @@ def test_stream_equals_batch_on_a_real_recording(data, digit):
 
 
 def test_digits_on_some_real_recordings(data):
-    """Every tenth test recording; all of them: docs/digits.md."""
+    """Every tenth test recording; all of them: docs/results.md."""
     from async_tnt import Processor
 
     processor = Processor(load_model("digits"), start_us=0)

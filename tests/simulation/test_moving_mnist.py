@@ -2,9 +2,7 @@
 
 import json
 import os
-import re
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -258,16 +256,3 @@ def test_workers_give_all_results_and_pass_errors_on():
 def test_a_worker_that_dies_is_told():
     with pytest.raises(ChildProcessError, match="a worker process ended without an answer"):
         list(run_all(os._exit, [3, 3, 3], workers=2))
-
-
-def test_the_snippet_of_the_docs_runs(mnist, tmp_path, monkeypatch, capsys):
-    page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
-    (snippet,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    build(mnist, tmp_path / "moving", digits=8, workers=1, frame_us=10_500.0)
-    monkeypatch.chdir(tmp_path)
-    found = {}
-    exec(snippet, found)
-    name, label, vx, vy, n = re.fullmatch(r"(\S+) (\d) \[ ?(\S+) +(\S+)\] (\d+)\n", capsys.readouterr().out).groups()
-    assert (name, int(label)) == ("036deg-5px", 7 * 7 % 10) and int(n) == len(found["t"]) > 10
-    np.testing.assert_allclose([float(vx), float(vy)], 5 / 0.105 * np.array([0.80902, 0.58779]), rtol=1e-4)
-    assert found["total"] > int(n)

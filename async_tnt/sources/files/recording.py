@@ -191,7 +191,7 @@ def open_recording(
 ) -> Recording:
     """Open a recording; its suffix says the format (`READERS`), its first bytes say which of several.
 
-    See docs/formats.md for what each format knows of its sensor and time.
+    See docs/reference.md for what each format knows of its sensor and time.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def open_recording(
     if path.is_dir():
         raise IsADirectoryError(
             f"{path} is a folder, expected a recording; async-tnt run {path} --out results.jsonl streams all "
-            "recordings in it (docs/archive.md)"
+            "recordings in it (docs/guide.md)"
         )
     reader = READERS.get(path.suffix.lower())
     if reader is None:

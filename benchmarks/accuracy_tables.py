@@ -1,0 +1,199 @@
+"""The tables of accuracy: of the bundled model, of its early decisions, and of the thesis' experiment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from page_parts import percent, results, short, table
+
+from async_tnt import load_model
+from async_tnt.training.table_report import markdown_table, motions_table
+
+WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
+
+
+def accuracy() -> str:
+    """`digits` in short: how often it is right, and how soon."""
+    found = results("early")["results"]
+    rows = []
+    for group, key, values, words in (
+        ("moment", "every_us", (30_000, 50_000), "at {:.0f} ms"),
+        ("confidence", "confidence", (0.8, 0.9, 0.95), "once its probability reaches {:g}"),
+    ):
+        for r in found[group]:
+            value = r["settings"].get(key)
+            if value in values:
+                shown = words.format(value / 1000 if key == "every_us" else value)
+                rows.append([f"a window, {shown}", f"{r['mean_ms']:.0f} ms", percent(r["accuracy"])])
+    end = found["moment"][-1]
+    rows.append(["a window, at its end", f"{end['mean_ms']:.0f} ms", percent(end["accuracy"])])
+    rows.append(["a recording, by the mean of its three windows", "", percent(_record()["test"]["per_recording"])])
+    return table(["decided", "mean time", "right"], rows)
+
+
+def digits_against_time() -> str:
+    """Share of test windows that `digits` decides correctly from their first milliseconds."""
+    times = list(_record()["test"]["against_time_ms"])
+    rows = []
+    for part, words in WINDOWS.items():
+        found = _record()[part]
+        shares = [found["against_time_ms"][ms] for ms in times]
+        rows.append([words, *map(percent, (*shares, found["per_window"], found["per_recording"]))])
+    return table(["windows", *(f"{ms} ms" for ms in times), "complete", "recordings"], rows)
+
+
+def digits_confusion() -> str:
+    classes = load_model("digits").classes
+    counts = _record()["test"]["confusion"]
+    rows = [[name, *(str(n or "") for n in row)] for name, row in zip(classes, counts, strict=True)]
+    return table(["true \\ decided", *classes], rows)
+
+
+def digits_tried() -> str:
+    """The settings that were compared before `digits` was trained."""
+    rows = []
+    for run in _record()["tried"]:
+        found = run["validation"]
+        landmark = run["landmark"] or "none (untransformed volume)"
+        rows.append(
+            [
+                landmark + (", flow removed" if run["remove_flow"] else ""),
+                "" if run["t_max"] is None else f"{run['t_max']:g}",
+                run["polarity"],
+                f"{run['simulated_recordings']:,}",
+                "yes" if run["augmentation"] else "no",
+                str(run["seed"]),
+                *(f"{100 * found[name]:.1f}" for name in ("per_window", "per_recording")),
+                *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "50")),
+            ]
+        )
+    head = ["landmark", "t_max", "polarity", "simulated", "augmentation", "seed", "window", "recording"]
+    return table([*head, "20 ms", "30 ms", "50 ms"], rows)
+
+
+def thesis() -> str:
+    return markdown_table(results("table")["table"])
+
+
+def unseen_motion() -> str:
+    """A sentence."""
+    found = {name: f"{columns['1/all']['mean']:.2f}".lstrip("0") for name, columns in results("table")["table"].items()}
+    return (
+        f"Trained on one saccade and tested on all three, the accuracy is {found['baseline']} untransformed, "
+        f"{found['running']} with `running`, and {found['line']} with `line` and its flow removed."
+    )
+
+
+def motions_1_all() -> str:
+    return motions_table(results("table")["table"], "1/all")
+
+
+def motions_all_sim() -> str:
+    return motions_table(results("table")["table"], "all/sim")
+
+
+def motions_1_sim() -> str:
+    return motions_table(results("table")["table"], "1/sim")
+
+
+def _record() -> dict[str, Any]:
+    return load_model("digits").record
+
+
+def early() -> str:
+    """A choice of settings."""
+    found = results("early")
+    moments = {r["settings"].get("every_us", found["window_us"]): r for r in found["results"]["moment"]}
+    chosen = [(f"at {us / 1000:g} ms", moments[us]) for us in (20_000, 30_000, 40_000, 50_000, found["window_us"])]
+    for group, words in (
+        ("confidence", ""),
+        ("confidence_every_10_events", ", checked every 10 events"),
+        ("confidence_every_ms", ", checked every 1 ms"),
+    ):
+        for r in found["results"][group]:
+            if r["settings"]["confidence"] in (0.5, 0.8, 0.9, 0.95, 0.98):
+                chosen.append((f"confidence {r['settings']['confidence']:g}{words}", r))
+    head = [
+        "decided",
+        "right",
+        "mean ms",
+        "median ms",
+        "fixed time of the same accuracy, ms",
+        "evaluations before it",
+        "decisions a window",
+        "only at the end",
+    ]
+    rows = []
+    for words, r in chosen:
+        moment = same_moment_ms(found, r["accuracy"]) if words.startswith("confidence") else ""
+        rows.append(
+            [
+                words,
+                percent(r["accuracy"]),
+                short(r["mean_ms"]),
+                short(r["median_ms"]),
+                moment,
+                short(r["evaluations_until"]),
+                short(r["emitted"]),
+                percent(r["at_end"]),
+            ]
+        )
+    return table(head, rows)
+
+
+def same_moment_ms(found: dict[str, Any], accuracy: float) -> str:
+    """The first fixed time with this accuracy, interpolated linearly between those measured; "" if there is none."""
+    last_ms, last = 0.0, 0.0
+    for r in found["results"]["moment"]:
+        ms = r["settings"].get("every_us", found["window_us"]) / 1000
+        if r["accuracy"] >= accuracy:
+            return short(last_ms + (ms - last_ms) * (accuracy - last) / (r["accuracy"] - last))
+        last_ms, last = ms, r["accuracy"]
+    return ""
+
+
+def of_nothing() -> str:
+    """A sentence."""
+    share = results("early")["of_nothing"]
+    return f"For an empty volume the likeliest class has a probability of {share:.2f}."
+
+
+def soon() -> str:
+    """Whether confidence alone decides too early in a window."""
+    found = results("early")
+    rows = [
+        [
+            f"{r['settings']['confidence']:g}",
+            str(r["fewest_events"]),
+            percent(r["soon"]),
+            "" if r["soon_accuracy"] is None else percent(r["soon_accuracy"]),
+            percent(noise["closed_early"]),
+        ]
+        for r, noise in zip(found["results"]["confidence"], found["noise"], strict=True)
+    ]
+    return table(
+        [
+            "confidence, checked at every event",
+            "fewest events of a decision",
+            f"decided from fewer than {found['soon_events']} events",
+            "of these right",
+            "noise windows decided",
+        ],
+        rows,
+    )
+
+
+TABLES = (
+    accuracy,
+    early,
+    of_nothing,
+    soon,
+    digits_against_time,
+    digits_confusion,
+    digits_tried,
+    thesis,
+    unseen_motion,
+    motions_1_all,
+    motions_all_sim,
+    motions_1_sim,
+)

@@ -1,0 +1,94 @@
+"""The tables of event volumes, from bench.json and peers.json, and of memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from page_parts import results, short, table
+
+PEERS = {
+    "eventcv": "eventcv",
+    "tonic": "tonic",
+    "dsec_torch": "DSEC's method in torch",
+    "torch_scatter": "torch with the transform, one `scatter_add_`",
+}
+
+
+def volumes() -> str:
+    """Nanoseconds per event, and peers."""
+    ways = {
+        "single": "`update_one`",
+        "packet_10_columns": "packets of 10, columns",
+        "packet_1300_columns": "packets of 1300, columns",
+        "packet_1300_structured": "packets of 1300, structured",
+    }
+    grids = results("bench")["volume"]
+    rows = [
+        [f"ns per event, {words}", *(short(v["ns_per_event"][way]["median"]) for v in grids)]
+        for way, words in ways.items()
+    ]
+    return table(_grids(), rows + _peers("packets of 1300, volume read after each: {} / async_tnt"))
+
+
+def _grids() -> list[str]:
+    return ["", *("{} x {}".format(*v["grid"]) for v in results("bench")["volume"])]
+
+
+def _peers(words: str) -> list[list[str]]:
+    small = [r for r in results("peers")["results"] if r["events_a_packet"] == 1300]
+    return [
+        [words.format(peer), *(short(r["rows"][name]["times_ours_update_read"]) for r in small)]
+        for name, peer in PEERS.items()
+        if name in small[0]["rows"]
+    ]
+
+
+def large_packets() -> str:
+    """A volume of one large packet: peers relative to async_tnt."""
+    large = [r for r in results("peers")["results"] if r["events_a_packet"] != 1300]
+    head = ["one packet", *("{} x {}, ".format(*r["grid"]) + f"{r['events_a_packet']:,} events" for r in large)]
+    rows = [
+        [f"{peer} / async_tnt, window {words}", *(short(r["rows"][name][ratio]) for r in large)]
+        for ratio, words in (("times_ours_update_read", "open"), ("times_ours_fresh", "new"))
+        for name, peer in PEERS.items()
+        if name in large[0]["rows"]
+    ]
+    return table(head, rows)
+
+
+def splat() -> str:
+    """Events into a volume, beside the peers: packets of 1300 and whole windows."""
+    found = _by_packet()
+    head = ["", *found]
+    ours = {"ours_update": "async_tnt", "ours_update_read": "async_tnt, volume read after each packet"}
+    rows = [
+        [f"{words}, ns an event", *(short(rows[name]["ns_per_event"]["median"]) for rows in found.values())]
+        for name, words in ours.items()
+    ]
+    for name, words in PEERS.items():
+        cells = []
+        for peers in found.values():
+            theirs = peers[name]["ns_per_event"]["median"]
+            cells.append(" / ".join(short(theirs / peers[row]["ns_per_event"]["median"]) for row in ours))
+        rows.append([f"{words}: ratio / ratio to the volume read", *cells])
+    return table(head, rows)
+
+
+def _by_packet() -> dict[str, dict[str, Any]]:
+    return {
+        "{} x {}".format(*r["grid"]) + f", packets of {r['events_a_packet']:,}": r["rows"]
+        for r in results("peers")["results"]
+    }
+
+
+def memory() -> str:
+    """A sentence."""
+    found = results("memory")
+    return (
+        f"After {found['events'] / 1e6:.0f} million events and {found['decisions']:,} decisions the process has grown "
+        f"by {found['grown_mb']:.1f} MB since the first million. `benchmarks/memory.py` exits with 1 above "
+        f"{found['limit_mb']:g} MB."
+    )
+
+
+TABLES = (volumes, splat, large_packets, memory)

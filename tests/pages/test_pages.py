@@ -1,0 +1,249 @@
+"""The pages: snippets run, commands exist, links lead somewhere, numbers and names are those of the code."""
+
+import doctest
+import functools
+import json
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import random_model
+from own_classes.gestures import bar, write
+from small_sets import write_small_mnist
+
+from async_tnt import Counts, Model, TNTConfig, networks, representations
+from async_tnt.cli import main
+from async_tnt.cli.program import COMMANDS, build_parser
+from async_tnt.simulation.moving_mnist import build
+from async_tnt.sources import READERS
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), ROOT / "benchmarks" / "README.md"]
+GUIDE, REFERENCE, THEORY, RESULTS = (
+    (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in ("guide", "reference", "theory", "results")
+)
+NEEDS = {  # packages of a section's snippets
+    "Viewing": ("rerun",),
+    "Other networks and engines": ("torch", "onnx", "onnxruntime"),
+    "Other representations": ("torch",),
+}
+
+
+def blocks(text, language):
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def sections(page):
+    """(title, text) of what stands before the first heading of the second level, and of what follows each."""
+    before, *rest = re.split(r"^## ", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return [("", before), *(part.split("\n", 1) for part in rest)]
+
+
+def commands(text):
+    """The lines of `async-tnt` in shell blocks, as lists of words."""
+    lines = "".join(blocks(text, "sh")).splitlines()
+    shown = [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("async-tnt ")]
+    return [words[: words.index(">")] if ">" in words else words for words in shown]
+
+
+@functools.cache
+def options():
+    """All options of all commands."""
+    parsers = [build_parser([name])._subparsers._group_actions[0].choices[name] for name in COMMANDS]
+    return {option for parser in parsers for action in parser._actions for option in action.option_strings}
+
+
+SNIPPETS = [
+    pytest.param(page, title, id=f"{page.stem}-{title}")
+    for page in PAGES
+    for title, text in sections(page)
+    if blocks(text, "python") and title
+]
+
+
+@pytest.mark.parametrize("page, title", SNIPPETS)
+def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monkeypatch, capsys):
+    """A section's snippets run after those that stand before the page's first section."""
+    monkeypatch.chdir(tmp_path)
+    for package in NEEDS.get(title, ()):
+        pytest.importorskip(package)
+    if title == "Simulation":
+        (tmp_path / "mnist").mkdir()
+        mnist = write_small_mnist(tmp_path / "mnist", 8)
+        build(mnist, tmp_path / "moving", digits=8, workers=1, frame_us=10_500.0)
+    if title == "Archives":
+        assert main(["run", "--out", "results.jsonl"]) == 0
+    texts = dict(sections(page))
+    session, report = {"__name__": "__main__"}, []
+    for k, snippet in enumerate(blocks(texts[""] + texts[title], "python")):
+        if ">>>" not in snippet:
+            exec(compile(snippet, f"{page.name}, {title}, snippet {k}", "exec"), session)
+            continue
+        test = doctest.DocTestParser().get_doctest(snippet, session, f"{title}, snippet {k}", str(page), 0)
+        doctest.DocTestRunner().run(test, out=report.append, clear_globs=False)
+        session = test.globs
+    assert not report, "".join(report)
+    printed = capsys.readouterr().out
+    if title == "Use":
+        lines = printed.splitlines()
+        assert [line.split()[2] for line in lines if line.endswith(("window", "end"))] == ["3", "3", "3"]
+        assert "3 3" in lines and lines[-1].startswith("(9, 34, 34) (") and len(lines) > 10
+    if title == "Archives":
+        assert sorted(session["labels"].values()) == list("0123456789") and len(session["decisions"]) == 30
+    if title == "Simulation":
+        name, label, vx, vy, n = re.fullmatch(r"(\S+) (\d) \[ ?(\S+) +(\S+)\] (\d+)\n", printed).groups()
+        assert (name, int(label)) == ("036deg-5px", 9) and int(n) == len(session["t"]) > 10
+        np.testing.assert_allclose([float(vx), float(vy)], 5 / 0.105 * np.array([0.80902, 0.58779]), rtol=1e-4)
+        assert session["total"] > int(n)
+
+
+def test_the_pages_have_snippets():
+    assert sum(snippet.count(">>>") for page in PAGES for snippet in blocks(page.read_text(), "python")) > 90
+    assert len(SNIPPETS) >= 12
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_and_options_exist(page):
+    text = page.read_text(encoding="utf-8")
+    for words in commands(text):
+        build_parser(words).parse_args(words)  # exits where it does not understand
+    for script in re.findall(r"^python (\S+\.py)", "".join(blocks(text, "sh")), re.MULTILINE):
+        assert (ROOT / script).is_file(), script
+    if page.parent.name == "docs":
+        named = re.findall(r"`(--[a-z][a-z-]*)", text)
+        assert [option for option in named if option not in options()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_to_files_and_headings(page):
+    for link in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
+        if link.startswith("http"):
+            continue
+        name, _, heading = link.partition("#")
+        target = page.parent / name if name else page
+        assert target.exists(), link
+        if heading:
+            titles = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), re.MULTILINE)
+            assert heading in {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}, link
+
+
+def test_pages_and_files_that_are_named_exist():
+    for path in [*ROOT.glob("async_tnt/**/*.py"), *ROOT.glob("tests/**/*.py"), *ROOT.glob("benchmarks/*.py")]:
+        for name in re.findall(r"docs/\w+\.md", path.read_text(encoding="utf-8")):
+            assert (ROOT / name).is_file(), f"{path}: {name}"
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    for name in re.findall(r"`([\w/]+(?:\.py|/))`", text):
+        assert any((folder / name).exists() for folder in (ROOT, ROOT / "async_tnt")), name
+    pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert [path.name for path in ROOT.glob("docs/images/*") if path.name not in pages] == []
+
+
+def test_the_pages_name_all_there_is():
+    missing = [name for name in COMMANDS if f"| `{name}` |" not in REFERENCE]
+    missing += [
+        field.name for kind in (Counts, TNTConfig) for field in fields(kind) if f"`{field.name}`" not in REFERENCE
+    ]
+    missing += [suffix for suffix in READERS if f"`{suffix}`" not in REFERENCE]
+    missing += [name for name in networks.__all__ if name not in GUIDE]
+    missing += [name for name in representations.__all__ if name.islower() and name not in THEORY]
+    assert missing == []
+
+
+def test_the_reference_names_every_number_of_an_evaluation(tmp_path, capsys):
+    made = random_model(TNTConfig(sensor=(128, 128)), classes=2)
+    Model(made.config, made.weights, ("wave", "clap")).save(tmp_path / "m.safetensors")
+    write(tmp_path / "set" / "wave" / "a.npz", bar("flat", 0))
+    assert main(["evaluate", str(tmp_path / "m.safetensors"), str(tmp_path / "set"), "--json"]) == 0
+    assert [name for name in json.loads(capsys.readouterr().out) if f"`{name}`" not in REFERENCE] == []
+
+
+def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, monkeypatch, capsys):
+    for package in ("torch", "matplotlib"):
+        pytest.importorskip(package)
+    monkeypatch.chdir(tmp_path)
+    for folder, n, day in (("gestures", 5, "monday"), ("held_out", 2, "friday")):
+        for name, kind in (("wave", "upright"), ("clap", "flat")):
+            for k in range(n):
+                write(Path(folder, name, f"{day}_{k:02d}.npz"), bar(kind, k + len(folder)))
+    text = dict(sections(ROOT / "docs" / "guide.md"))["Your own classes"]
+    shown = commands(text)
+    assert [words[0] for words in shown] == [
+        "train",
+        "mask",
+        "train",
+        *["evaluate", "run", "evaluate", "evaluate", "run"],
+    ]
+    for words in shown:
+        quick = ["--epochs", "8", "--batch", "2"] if words[0] == "train" else []
+        assert main([*words, *quick]) == 0, capsys.readouterr().err
+    for name in ("gestures.json", "gestures.confusion.png", "gestures.curves.png", "confusion.png"):
+        assert name in text and Path(name).is_file(), name
+    (program,) = blocks(text, "py")
+    capsys.readouterr()
+    exec(compile(program, "guide.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("wave ")
+
+
+def test_commands_about_engines_run_and_differ_as_little_as_the_page_says(tmp_path, monkeypatch, capsys):
+    for package in ("onnx", "onnxruntime"):
+        pytest.importorskip(package)
+    monkeypatch.chdir(tmp_path)
+    text = dict(sections(ROOT / "docs" / "guide.md"))["Other networks and engines"]
+    printed = ""
+    for words in commands(text):
+        assert main(words) == 0, capsys.readouterr().err
+        printed += capsys.readouterr().out
+    (stated,) = re.findall(r"within ([\d.e-]+) of the compiled", " ".join(text.split()))
+    (measured,) = re.findall(r"logits within ([\d.e-]+),", printed)
+    assert float(measured) < 5 * float(stated)  # other vector registers sum in another order
+
+
+def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path):
+    pytest.importorskip("matplotlib")
+    script = str(ROOT / "docs" / "figures" / "laws.py")
+    command = [sys.executable, "-W", "error", script, "--picture", str(tmp_path / "laws.png")]
+    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.splitlines()
+    rows = [line for line in printed if line.startswith("|")]
+    assert [line for line in THEORY.splitlines() if line in set(rows)] == rows
+    assert len(rows) > 30
+    assert (tmp_path / "laws.png").stat().st_size > 10_000
+    border, cancellation, *fallen = [line for line in printed if line[:1].isdigit()]
+    assert f"> {border}\n" in THEORY
+    words = " ".join(THEORY.split())
+    assert all(error in words for error in re.findall(r"\d+e-\d+", cancellation))
+    for line in fallen:
+        columns, lost_rows = re.search(r"(\d+) columns and (\d+) rows", line).groups()
+        assert f"{columns} columns and {lost_rows} rows" in words
+
+
+def test_the_committed_table_is_that_of_the_code():
+    pytest.importorskip("torch")
+    from async_tnt.training.table_results import aggregate
+    from async_tnt.training.table_rows import COLUMNS, ROWS
+
+    record = json.loads((ROOT / "benchmarks" / "results" / "table.json").read_text(encoding="utf-8"))
+    assert {name: row.config.to_dict() for name, row in ROWS.items()} == {
+        name: row["config"] for name, row in record["rows"].items()
+    }
+    assert len(record["seeds"]) == 3
+    assert record["command"].replace("MOVING-MNIST", "moving-mnist") in RESULTS
+    for name, columns in record["table"].items():
+        assert list(columns) == list(COLUMNS)
+        for column, part in columns.items():
+            trained_on = column.split("/")[0]
+            runs = [
+                {
+                    "row": name,
+                    "trained_on": trained_on,
+                    "seed": int(seed),
+                    "columns": {column: {"accuracy": accuracy, "windows": part["windows"], "per_motion": {}}},
+                }
+                for seed, accuracy in part["seeds"].items()
+            ]
+            again = aggregate(runs)[name][column]
+            assert (again["mean"], again["deviation"]) == pytest.approx((part["mean"], part["deviation"]))
