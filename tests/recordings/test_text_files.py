@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from async_tnt.sources.files.damage import DamagedRecording
 from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.source import DamagedRecording
 
 
 @pytest.fixture
@@ -113,7 +113,7 @@ def test_line_numbers_count_through_chunks(text):
 def test_text_that_is_none_is_refused(text):
     with pytest.raises(ValueError, match="expected `t x y p`, t in seconds, or first `width height`, got 'hello'"):
         text("a.txt", "hello")
-    with pytest.raises(ValueError, match="expected text, got bytes that are none"):
+    with pytest.raises(ValueError, match="expected text, got bytes that are not"):
         text("a.txt", b"\x00\x01")
     with pytest.raises(ValueError, match=r"must be seconds with decimals, got whole numbers \(12, 13, ...\)"):
         text("a.txt", "12 1 2 1\n13 1 2 1\n")

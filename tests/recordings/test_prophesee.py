@@ -1,10 +1,12 @@
-"""Words of Prophesee's formats that are no event and no time, anywhere between the others: passed over."""
+"""Prophesee's formats: words by hand, words of other kinds, and clocks that wrap."""
+
+import struct
 
 import numpy as np
 import pytest
-from recordings.written import evt2, evt3, evt21, evt_header, made_events
+from recordings.written import dat, evt2, evt3, evt21, evt_header, made_events
 
-from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21
+from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21, unwrap_times
 from async_tnt.sources.files.recording import open_recording
 
 MAKE = {"2.0": (evt2, "<u4", 28), "2.1": (evt21, "<u8", 60), "3.0": (evt3, "<u2", 12)}
@@ -101,3 +103,110 @@ def test_evt3_rows_are_of_whichever_camera(tmp_path):
 def test_evt3_a_time_high_said_again_changes_nothing(tmp_path):
     """Cameras repeat it; the lower half stays as it was."""
     assert written(tmp_path / "a.raw", "3.0", [0x8001, 0x6005, 0x0009, 0x8001, 0x2005]) == [(4101, 5, 9, 0)]
+
+
+def test_evt21_and_evt3_vectors_by_hand(tmp_path):
+    """One word tells several pixels: bits 0, 2 and 31 from x = 64; bits 0 and 11, then 8 pixels on, from x = 100."""
+    words = np.array([0x8 << 60 | 1 << 32, (1 << 28 | 5 << 22 | 64 << 11 | 9) << 32 | 1 << 31 | 0b101], "<u8")
+    (tmp_path / "evt21.raw").write_bytes(evt_header("2.1", more=";endianness=little") + words.tobytes())
+    got = open_recording(tmp_path / "evt21.raw").read()
+    assert got.tolist() == [(69, 64, 9, 1), (69, 66, 9, 1), (69, 95, 9, 1)]
+
+    words = np.array([0x8001, 0x6005, 0x0009, 0x3000 | 100, 0x4801, 0x5081, 0x7000, 0xE000, 0xA001], "<u2")
+    (tmp_path / "evt3.raw").write_bytes(evt_header("3.0") + words.tobytes())
+    got = open_recording(tmp_path / "evt3.raw").read()
+    assert got.tolist() == [(4101, x, 9, 0) for x in (100, 111, 112, 119)]
+
+
+def test_evt3_time_low_starts_at_zero_after_a_new_time_high(tmp_path):
+    words = np.array([0x8001, 0x6FFF, 0x0009, 0x2001, 0x8002, 0x2002, 0x6003, 0x2003], "<u2")
+    (tmp_path / "a.raw").write_bytes(evt_header("3.0") + words.tobytes())
+    assert open_recording(tmp_path / "a.raw").read()["t"].tolist() == [8191, 8192, 8195]
+
+
+def test_events_before_the_first_time_are_left_out(tmp_path):
+    data = evt3(EVENTS)
+    start = len(evt_header("3.0"))
+    words = np.frombuffer(data[start:], "<u2")
+    events = np.array([0x2001, 0x0003, 0x2002], "<u2")
+    (tmp_path / "a.raw").write_bytes(data[:start] + events.tobytes() + words.tobytes())
+    np.testing.assert_array_equal(open_recording(tmp_path / "a.raw").read(), EVENTS)
+
+
+def test_dat_version_1(tmp_path):
+    word = np.array([70, 1 << 17 | 200 << 9 | 300], "<u4").tobytes()
+    (tmp_path / "a.dat").write_bytes(b"% Version 1\n% Width 304\n% Height 240\n\x00\x08" + word)
+    recording = open_recording(tmp_path / "a.dat")
+    assert recording.read().tolist() == [(70, 300, 200, 1)] and recording.sensor == (304, 240)
+
+
+CLOCKS = [("a.dat", dat, 1 << 32), ("a.raw", evt2, 1 << 34), ("a.raw", evt21, 1 << 34), ("a.raw", evt3, 1 << 24)]
+
+
+@pytest.mark.parametrize(("name", "make", "period_us"), CLOCKS)
+def test_times_go_on_through_wraps(tmp_path, name, make, period_us):
+    events = made_events(1_000, step_us=period_us // 200, start_us=period_us // 2)
+    assert events["t"][-1] > 2 * period_us
+    (tmp_path / name).write_bytes(make(events))
+    recording = open_recording(tmp_path / name)
+    np.testing.assert_array_equal(recording.read(), events)
+    assert recording.n_unsorted == 0
+
+
+@pytest.mark.parametrize("start", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize(("name", "make", "period_us"), CLOCKS)
+def test_a_pause_of_less_than_half_a_period_is_one(tmp_path, name, make, period_us, start):
+    events = made_events(100, step_us=50)
+    events["t"] += int(start * period_us)
+    events["t"][50:] += int(0.45 * period_us)
+    (tmp_path / name).write_bytes(make(events))
+    np.testing.assert_array_equal(open_recording(tmp_path / name).read(), events)
+
+
+@pytest.mark.parametrize(("name", "make", "period_us"), CLOCKS)
+def test_disorder_around_a_wrap_is_no_wrap(tmp_path, name, make, period_us):
+    events = made_events(400, step_us=10_000, start_us=period_us - 1_000_000)
+    events["t"][::7] -= 40_000
+    events = events[1:]
+    assert events["t"][0] < period_us < events["t"][-1]
+    n_late = np.count_nonzero(events["t"][1:] < np.maximum.accumulate(events["t"])[:-1])
+    (tmp_path / name).write_bytes(make(events))
+    recording = open_recording(tmp_path / name)
+    got = recording.read()
+    np.testing.assert_array_equal(got, events)
+    assert recording.n_unsorted == n_late > 40
+
+
+def test_unwrapped_by_hand():
+    def times(*raw, before=-1):
+        t = np.array(raw, np.int64)
+        last = unwrap_times(t, np.int64(before), np.int64(100))
+        assert last == (t[-1] if len(t) else before)
+        return t.tolist()
+
+    assert times(10, 60, 95, 5, 50, 90, 20) == [10, 60, 95, 105, 150, 190, 220]
+    assert times(95, 5, 97, 6) == [95, 105, 97, 106]
+    assert times(50, 40, 41) == [50, 40, 41]
+    assert times(5, 99) == [5, 99]  # a long gap: no time lies before 0
+    assert times(5, before=395) == [405]
+    assert times(0, before=150) == [100]  # half a period either way: back
+    assert times(0, before=50) == [0]
+    assert times() == []
+
+
+@pytest.mark.parametrize("bit", range(32))
+def test_one_fallen_bit_moves_no_other_event(tmp_path, bit):
+    events = made_events(50)
+    wrong = events.copy()
+    wrong["t"][20] ^= 1 << bit
+    (tmp_path / "a.dat").write_bytes(dat(wrong))
+    got = np.delete(open_recording(tmp_path / "a.dat").read(), 20)
+    np.testing.assert_array_equal(got, np.delete(events, 20))
+
+
+def test_evt3_steps_back_of_the_upper_half(tmp_path):
+    words = [0x8005, 0x6001, 0x0000, 0x2001, 0x8004, 0x6002, 0x2002]
+    (tmp_path / "a.raw").write_bytes(evt_header("3.0") + struct.pack("<7H", *words))
+    recording = open_recording(tmp_path / "a.raw")
+    assert recording.read()["t"].tolist() == [5 << 12 | 1, 4 << 12 | 2]
+    assert recording.n_unsorted == 1
