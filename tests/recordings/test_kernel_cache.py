@@ -1,4 +1,4 @@
-"""What Numba keeps on disk is thrown away when any file that is compiled into it was edited."""
+"""What Numba keeps on disk is discarded when any file that is compiled into it was edited."""
 
 import os
 import subprocess
@@ -26,7 +26,7 @@ PROGRAM = "from steps.kernel import twice; value = twice(0); print(value, sum(tw
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled, so nothing is kept")
-def test_a_kernel_outside_the_kernels_is_compiled_anew_when_a_file_beside_it_changes(tmp_path):
+def test_a_kernel_outside_the_kernels_is_compiled_again_when_a_file_beside_it_changes(tmp_path):
     folder = tmp_path / "steps"
     folder.mkdir()
     (folder / "__init__.py").touch()

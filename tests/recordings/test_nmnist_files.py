@@ -90,7 +90,7 @@ def test_the_sensor_given_is_that_of_files_that_state_none(tmp_path):
 
 
 @pytest.mark.parametrize("sensor", [(0, 5), (3,), 34, "34x34", (34.0, 34)])
-def test_what_is_no_sensor_is_refused(tmp_path, sensor):
+def test_an_invalid_sensor_is_refused(tmp_path, sensor):
     write_nmnist(tmp_path / "a.bin", events_of((0, 1, 1, 1)))
     with pytest.raises(ValueError, match=r"`sensor` must be \(width, height\)"):
         write_nmnist(tmp_path / "b.bin", events_of((0, 0, 0, 0)), sensor=sensor)
@@ -116,7 +116,7 @@ def test_overflow_rows_add_8192_us_to_all_that_follows_and_vanish(tmp_path):
     assert events["y"].tolist() == [2, 2, 2, 2]
 
 
-def test_overflow_rows_alone_are_no_events(tmp_path):
+def test_overflow_rows_alone_are_not_events(tmp_path):
     (tmp_path / "a.bin").write_bytes(bytes([49, 240, 0, 0, 0]) * 3)
     assert len(read_nmnist(tmp_path / "a.bin")) == 0
 

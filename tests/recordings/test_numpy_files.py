@@ -83,7 +83,7 @@ def test_empty_arrays_are_empty_recordings(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "complaint"),
+    ("change", "message"),
     [
         ({"t": np.array([1.0, 2.0, 3.0])}, "`t` must be integer microseconds, got float64"),
         ({"x": np.array([1, -1, 3])}, "event 1: t = 20, x = -1, y = 4, p = 0 is not a valid event"),
@@ -108,13 +108,13 @@ def test_empty_arrays_are_empty_recordings(tmp_path):
         ({"sensor": np.array([0, 260])}, "`sensor` must be two positive integers"),
     ],
 )
-def test_columns_out_of_their_range_are_refused(tmp_path, change, complaint):
-    with pytest.raises(ValueError, match=complaint):
+def test_columns_out_of_their_range_are_refused(tmp_path, change, message):
+    with pytest.raises(ValueError, match=message):
         open_recording(saved(tmp_path / "a.npz", **(COLUMNS | change)))
 
 
 @pytest.mark.parametrize(
-    ("array", "complaint"),
+    ("array", "message"),
     [
         (np.zeros((3, 5), int), r"an \(N, 4\) array of those columns, got shape \(3, 5\) of int64"),
         (
@@ -124,8 +124,8 @@ def test_columns_out_of_their_range_are_refused(tmp_path, change, complaint):
         (EVENTS.reshape(3, 1), r"must have one dimension, got shape \(3, 1\)"),
     ],
 )
-def test_other_layouts_are_refused(tmp_path, array, complaint):
-    with pytest.raises(ValueError, match=complaint):
+def test_other_layouts_are_refused(tmp_path, array, message):
+    with pytest.raises(ValueError, match=message):
         open_recording(saved(tmp_path / "a.npy", array))
 
 
@@ -226,11 +226,11 @@ def test_an_impossible_header_is_refused_in_one_line_of_ours(tmp_path, what, nam
             archive.writestr("events.npy", IMPOSSIBLE[what])
     else:
         path.write_bytes(IMPOSSIBLE[what])
-    with warnings.catch_warnings(record=True) as warned, pytest.raises(ValueError) as told:
+    with warnings.catch_warnings(record=True) as warned, pytest.raises(ValueError) as raised:
         warnings.simplefilter("always")
         opened(path)
     assert not warned
-    text = str(told.value)
+    text = str(raised.value)
     assert text.startswith(f"{path}: not a readable NumPy file: ") and len(text) < len(str(path)) + 300
     assert "\n" not in text and "allow_pickle" not in text
 
@@ -276,7 +276,7 @@ def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path):
 
 
 @pytest.mark.parametrize("n_lost", [-5, 1, 12, 13, 40])
-def test_a_npy_of_another_size_than_it_says_is_refused(tmp_path, n_lost):
+def test_a_npy_of_another_size_than_it_claims_is_refused(tmp_path, n_lost):
     path = tmp_path / "a.npy"
     np.save(path, MANY)
     data = path.read_bytes()

@@ -79,7 +79,7 @@ def test_evt21_without_endianness_is_legacy_only_without_a_format_line(tmp_path)
 
 @pytest.mark.parametrize(("decode", "most"), [(decode_evt2, 1), (decode_evt21, 32), (decode_evt3, 12)])
 def test_a_kernel_stops_while_there_is_room_for_a_whole_word(decode, most):
-    """Numba does not check bounds: what were written beyond the columns would be somebody else's."""
+    """Numba does not check bounds: a write beyond the columns would change other memory."""
     if decode is decode_evt2:
         words = np.full(200, 1 << 28 | 7, np.uint32)
     elif decode is decode_evt21:
@@ -100,7 +100,7 @@ def test_evt3_rows_are_of_whichever_camera(tmp_path):
     assert written(tmp_path / "a.raw", "3.0", [0x8001, 0x0809, 0x2005]) == [(4096, 5, 9, 0)]
 
 
-def test_evt3_a_time_high_said_again_changes_nothing(tmp_path):
+def test_evt3_a_repeated_time_high_changes_nothing(tmp_path):
     """Cameras repeat it; the lower half stays as it was."""
     assert written(tmp_path / "a.raw", "3.0", [0x8001, 0x6005, 0x0009, 0x8001, 0x2005]) == [(4101, 5, 9, 0)]
 
