@@ -33,10 +33,13 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
     ValueError : no such header, one of Python objects, or one of an array that does not fill the rest of the file. One
         line, without the file's name.
     """
+    start = file.read(8)
+    if len(start) < 8 or not start.startswith(MAGIC):
+        raise ValueError(f"it must begin with {MAGIC!r}, got {start!r}")
     try:
         with warnings.catch_warnings():  # Python's compiler has some for damaged literals
             warnings.simplefilter("ignore")
-            is_v1 = np.lib.format.read_magic(file)[0] == 1
+            is_v1 = start[6] == 1
             read = np.lib.format.read_array_header_1_0 if is_v1 else np.lib.format.read_array_header_2_0
             shape, is_fortran, dtype = read(file)
         claimed = np.broadcast_to(np.empty((), dtype), shape)
