@@ -15,7 +15,7 @@ from async_tnt.archive.find import recordings_under
 from async_tnt.archive.job import Task, job_of, task_of
 from async_tnt.archive.records import Record, run_recording
 from async_tnt.archive.results import check_out
-from async_tnt.cli.arguments import complain, paths_of, positive_int
+from async_tnt.cli.arguments import complain, one_line, paths_of, positive_int
 from async_tnt.cli.pixel_options import selector_of
 from async_tnt.cli.trigger_options import triggers_of
 from async_tnt.networks.engines import choose_engine
@@ -155,7 +155,7 @@ def run_archive(args: argparse.Namespace) -> int:
     took = time.monotonic() - started
     unread = f" ({len(errors):,} of them with an error)" if errors else ""
     recordings = counted(collected.total, "recording") + unread
-    print(f"{args.out}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
+    print(f"{one_line(str(args.out))}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
     if collected.done:
         print(f"{counted(collected.done, 'recording')} streamed now, {collected.done / took:,.1f} a second")
     if any(labels.values()):

@@ -89,7 +89,18 @@ def complain(error: BaseException | str) -> None:
     """One line on stderr."""
     if isinstance(error, OSError) and error.filename is not None:
         error = f"{error.filename}: {error.strerror}"
-    print(f"async-tnt: {error}", file=sys.stderr, flush=True)
+    print(f"async-tnt: {one_line(str(error))}", file=sys.stderr, flush=True)
+
+
+def one_line(text: str) -> str:
+    """The text, with what cannot be printed as Python writes it: a file's name may hold a line break.
+
+    Examples
+    --------
+    >>> print(one_line("a\\nb: no events"))
+    a\\nb: no events
+    """
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def writable_file(text: str) -> Path:

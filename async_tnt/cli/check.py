@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
-from async_tnt.cli.arguments import add_files, add_start, complain, model_of, open_all, paths_of
+from async_tnt.cli.arguments import add_files, add_start, complain, model_of, one_line, open_all, paths_of
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.progress import progress
 
@@ -91,7 +91,8 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
     for path, comparisons in results.items():
         for c in comparisons:
             if not c.holds:
-                print(f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons", file=sys.stderr)
+                told = f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons"
+                print(one_line(told), file=sys.stderr)
     print(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
 
 

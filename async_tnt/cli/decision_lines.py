@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Protocol
 
+from async_tnt.cli.arguments import one_line
 from async_tnt.decision import Decision
 
 
@@ -35,13 +36,9 @@ def text_line(name: str, decision: Decision, latency_us: float, queue: Queue | N
     start_ms = decision.window_start_us / 1e3
     window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
     return (
-        f"{_one_line(Path(name).name):<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
+        f"{one_line(Path(name).name):<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
         f"{decision.probability:>5.3f} {decision.events:>7} {latency_us:>7.1f}  {decision.trigger}"
     )
-
-
-def _one_line(name: str) -> str:
-    return name if name.isprintable() else ascii(name)[1:-1]
 
 
 def json_line(name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str:

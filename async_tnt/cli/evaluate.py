@@ -17,7 +17,7 @@ from async_tnt.archive.records import evaluate_recording, outcome_of
 from async_tnt.archive.scores import Scores, score_recordings
 from async_tnt.archive.streamed import Outcome, evaluation_settings, moments
 from async_tnt.cli.archive_options import Interrupted, add_archive, place_of, stream_archive
-from async_tnt.cli.arguments import complain, model_of
+from async_tnt.cli.arguments import complain, model_of, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.networks.engines import Engine
 from async_tnt.networks.model import Model, bundled_models
@@ -105,7 +105,7 @@ def main(args: argparse.Namespace) -> int:
     else:
         print(text_of(report))
         if args.picture is not None:
-            print(f"wrote {args.picture}")
+            print(f"wrote {one_line(str(args.picture))}")
     if report["late"]:
         where = f" (see `late` in {args.out})" if args.out else ""
         complain(f"{report['late']:,} events dropped: they came late, before every open window{where}")

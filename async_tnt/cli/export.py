@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.arguments import model_of
+from async_tnt.cli.arguments import model_of, one_line
 from async_tnt.files import Replacement, check_writable
 from async_tnt.networks.model import Model, bundled_models
 
@@ -86,7 +86,7 @@ def main(args: argparse.Namespace) -> int:
 def _print(report: dict[str, Any], model: Model) -> None:
     gives = (f"logits (1, {len(model.classes)})", "landmark (1, 2)")
     for (path, n_bytes), what in zip(report["files"].items(), gives, strict=False):
-        print(f"{path} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> {what}")
+        print(f"{one_line(str(path))} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> {what}")
     landmark = report["largest_landmark_difference_px"]
     print(
         f"onnxruntime {report['onnxruntime']} against the compiled network, {report['windows']} windows of "

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.cli.arguments import one_line
 from async_tnt.cli.sizes import size_of
 from async_tnt.progress import progress
 from async_tnt.sources import hot_pixels
@@ -122,16 +123,16 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
         said = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
         print(json.dumps(said | {"out": str(args.out)}))
         return
-    size = by((width, height))
+    size, out = by((width, height)), one_line(str(args.out))
     if not hot.any():
-        print(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {args.out}, which masks nothing")
+        print(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {out}, which masks nothing")
         return
     for k in busiest[:10]:
         print(f"x {x[k]:>5}  y {y[k]:>5}  {events[k]:>9} events  {events[k] / n_events:6.2%}")
     if len(busiest) > 10:
         print(f"... and {len(busiest) - 10} more")
     pixels_word = "1 hot pixel" if len(busiest) == 1 else f"{len(busiest)} hot pixels"
-    print(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")
+    print(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {out}")
 
 
 def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from async_tnt.cli.arguments import complain, positive_int
+from async_tnt.cli.arguments import complain, one_line, positive_int
 from async_tnt.cli.sizes import size_of
 from async_tnt.config import LANDMARKS, POLARITIES, TNTConfig
 from async_tnt.events import EVENT_DTYPE, as_events
@@ -139,7 +139,7 @@ def main(args: argparse.Namespace) -> int:
     if args.figure == "overview" and subjects[0].model is None:
         width_px, height_px = subjects[0].config.sensor
         complain(f"{paths[0]}: no decisions, model {DEFAULT_MODEL} is not for {width_px}x{height_px} pixels (--model)")
-    print(f"{out} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
+    print(f"{one_line(str(out))} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
     return 0
 
 

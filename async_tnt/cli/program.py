@@ -14,7 +14,7 @@ from types import FrameType
 from typing import NoReturn
 
 from async_tnt import __version__
-from async_tnt.cli.arguments import complain
+from async_tnt.cli.arguments import complain, one_line
 from async_tnt.signals import handled_by
 
 COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)
@@ -108,7 +108,7 @@ class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, as everything else here does; `--help` has the rest."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message} ({self.prog} --help)\n")
+        self.exit(2, f"{self.prog}: {one_line(message)} ({self.prog} --help)\n")
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.arguments import complain
+from async_tnt.cli.arguments import complain, one_line
 from async_tnt.cli.decision_lines import Line
 from async_tnt.cli.live_view import LiveView, decide_often
 from async_tnt.decision import Decision
@@ -83,7 +83,9 @@ def print_decisions(
         mean = np.mean(closed, axis=0)
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
-        print(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
+        print(
+            f"{one_line(recording.path.name)}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})"
+        )
     late = processor.counts.dropped_late
     if late:
         complain(f"{recording.path}: {late} of {seen.n_events} events dropped: they came late (see --late, --start-us)")

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from async_tnt.archive.scores import Scores
-from async_tnt.cli.arguments import complain
+from async_tnt.cli.arguments import complain, one_line
 from async_tnt.cli.record import command_words, data_folder
 from async_tnt.cli.train_options import add_arguments
 from async_tnt.config import TNTConfig
@@ -277,7 +277,7 @@ def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: l
                 f"{title}: {found['per_window']:.4f} of {found['windows']} windows, "
                 f"{found['per_recording']:.4f} of {found['recordings']} recordings right"
             )
-    print(f"wrote {', '.join(map(str, written))}")
+    print(one_line(f"wrote {', '.join(map(str, written))}"))
 
 
 def show_progress(items: Iterable[Any], title: str, total: int) -> Iterator[Any]:

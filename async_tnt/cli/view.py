@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.arguments import add_files, add_start, complain, paths_of, positive_number
+from async_tnt.cli.arguments import add_files, add_start, complain, one_line, paths_of, positive_number
 from async_tnt.cli.live_packets import add_latest, live_packets
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected
@@ -115,7 +115,8 @@ def main(args: argparse.Namespace) -> int:
         left_out = pixels.nothing_left()
         raise ValueError(f"{names}: {left_out}" if left_out else f"no event in {names}: nothing to show")
     if args.out is not None:
-        print(f"{args.out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {args.out}")
+        out = one_line(str(args.out))
+        print(f"{out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {out}")
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
     return 130 if stopped else 0

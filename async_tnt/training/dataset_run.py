@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.archive.scores import Scores
+from async_tnt.cli.arguments import one_line
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.config import TNTConfig
 from async_tnt.files import write_text
@@ -117,10 +118,11 @@ def load(
         note_recordings(run_folder, sizes, share, own.recordings.names, pixels.record)
     labels = own.recordings.labels
     counts = {name: int((labels == k).sum()) for k, name in enumerate(own.classes)}
-    print("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()), file=sys.stderr)
+    found = ", ".join(f"{name} {n}" for name, n in counts.items())
+    print(f"recordings: {one_line(found)}", file=sys.stderr)
     unseen = [name for k, name in enumerate(own.classes) if counts[name] and k not in labels[held_out]]
     if unseen and share:
-        print(f"not held out, for want of a second recording: {', '.join(unseen)}", file=sys.stderr)
+        print(f"not held out, for want of a second recording: {one_line(', '.join(unseen))}", file=sys.stderr)
     words = {
         "source": "recordings of own classes, held out by recording",
         "classes": counts,
@@ -285,4 +287,4 @@ def _say_left_out(own: OwnClasses, where: str = "") -> None:
 
 def _say_lines(lines: Sequence[str]) -> None:
     for line in lines:
-        print(f"left out: {line}", file=sys.stderr)
+        print(f"left out: {one_line(line)}", file=sys.stderr)

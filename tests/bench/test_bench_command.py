@@ -144,9 +144,9 @@ def test_the_bench_package_does_not_import_torch():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_a_model_that_cannot_be_read_is_bad_usage(capsys):
-    assert main(parse("--model", "no_such_model")) == 2
-    assert "no model file no_such_model" in capsys.readouterr().err
+def test_a_model_that_cannot_be_read_is_bad_usage():
+    with pytest.raises(FileNotFoundError, match="no model file no_such_model"):
+        main(parse("--model", "no_such_model"))
 
 
 def test_random_weights_stand_in_where_no_model_is_bundled(monkeypatch):

@@ -57,6 +57,36 @@ def test_a_name_with_a_line_break_stays_on_its_line(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out.splitlines()[0])["recording"] == str(path)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run"],
+        ["check"],
+        ["export", "--out", "m.onnx"],
+        ["send", "udp://127.0.0.1:9"],
+        ["train", "--out", "m.safetensors"],
+        ["evaluate", "digits"],
+        ["simulate", "--out", "set", "--mnist"],
+        ["mask"],
+        ["plot", "--out", "p.png"],
+        ["view", "--out", "v.rrd"],
+        ["bench", "--model"],
+        ["run", "--late"],
+        ["table", "--nmnist"],
+        ["run", str(sample_recordings()[3]), "--out"],
+        ["evaluate", "digits", ".", "--picture"],
+    ],
+)
+def test_a_complaint_is_one_line_whatever_the_name(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    try:
+        code = main([*words, "no\n\x1b[31mwhere"])
+    except SystemExit as stopped:
+        code = stopped.code
+    err = capsys.readouterr().err
+    assert code == 2 and err.count("\n") == 1 and "no\\n\\x1b[31mwhere" in err
+
+
 @pytest.mark.parametrize("command", ["run", "view"])
 def test_latest_is_of_streams(command, capsys):
     assert main([command, str(sample_recordings()[3]), "--latest", "5"]) == 2
