@@ -30,7 +30,7 @@ def stream(
 
     Examples
     --------
-    >>> from async_tnt.sources.files import open_recording, sample_recordings
+    >>> from async_tnt.sources import open_recording, sample_recordings
     >>> [decision.label for decision in stream(open_recording(sample_recordings()[3]), "digits")]
     ['3', '3', '3']
     """

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.arguments import one_line
+from async_tnt.cli.sizes import size_of
 from async_tnt.progress import progress
 from async_tnt.sources import hot_pixels
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.hot_pixels import FACTOR, count_pixels
 from async_tnt.sources.pixel_masks import checked_out, save_mask
-from async_tnt.sources.sizes import by, size_of
+from async_tnt.sources.sizes import by
 from async_tnt.views.style import check_picture
 
 DESCRIPTION = """Find the hot pixels of a camera: those that send far more events than their neighbours and the whole

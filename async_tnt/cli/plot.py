@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from async_tnt.cli.arguments import complain, one_line, positive_int
+from async_tnt.cli.sizes import size_of
 from async_tnt.config import LANDMARKS, POLARITIES, TNTConfig
 from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import check_writable
 from async_tnt.networks.model import Model, bundled_models, load_model
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
-from async_tnt.sources.sizes import size_of
 from async_tnt.views.style import FORMATS
 from async_tnt.views.subject import Subject
 

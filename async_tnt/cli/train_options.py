@@ -7,8 +7,8 @@ from pathlib import Path
 
 from async_tnt.cli.arguments import positive_int
 from async_tnt.cli.pixel_options import add_selection
+from async_tnt.cli.sizes import size_text
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
-from async_tnt.sources.sizes import size_text
 from async_tnt.training.settings import PRECISIONS
 
 DESCRIPTION = """\

@@ -12,12 +12,11 @@ from async_tnt.sources.background_reader import BackgroundReader
 from async_tnt.sources.camera import Camera, CameraCounts
 from async_tnt.sources.camera_opening import DRIVERS, open_camera
 from async_tnt.sources.datagrams import EVENT_BYTES, Decoded, Decoder, decode, encode
-from async_tnt.sources.files.damage import Damage, DamagedRecording
 from async_tnt.sources.files.fitting import check_sensor, open_for
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
-from async_tnt.sources.files.source import Source
+from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
 from async_tnt.sources.hot_pixels import count_pixels, hot_pixels, learn_mask
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
 from async_tnt.sources.pixel_masks import load_mask, save_mask
@@ -37,7 +36,7 @@ __all__ = [
     "BackgroundReader",
     "Camera",
     "CameraCounts",
-    "Damage",
+    "CorruptData",
     "DamagedRecording",
     "Decoded",
     "Decoder",

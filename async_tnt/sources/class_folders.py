@@ -13,13 +13,13 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
 
     Parameters
     ----------
-    folder : holds a folder for each class, named as the class is. Hidden files and folders (".cache") do not count,
-        nor do files that are no recordings, or that lie deeper.
-    part : such as "Train": the class folders are in `folder/part`, if there is such a folder and folders in it.
+    folder : holds a folder for each class, with the name of the class. Hidden files and folders (".cache"), files that
+        are not recordings, and deeper ones are ignored.
+    part : such as "Train": the class folders are in `folder/part` if that exists and has folders.
 
     Returns
     -------
-    Class name -> paths, both in order of name. A class folder without recordings has an empty list.
+    Class name -> paths, both sorted by name. A class folder without recordings has an empty list.
 
     Raises
     ------
@@ -50,21 +50,16 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
             f"{folder}: no class folders; expected {folder.name}/<class name>/<recording>, recordings in "
             f"{', '.join(sorted(READERS))}"
         )
-    return {
-        name.name: sorted(path for path in name.iterdir() if is_recording(path) and not path.is_dir())
-        for name in classes
-    }
+    return {c.name: sorted(path for path in c.iterdir() if is_recording(path) and not path.is_dir()) for c in classes}
 
 
 def is_recording(path: Path) -> bool:
-    """Whether `open_recording` knows a file of that name, by its last suffix or its last two (`.csv.gz`)."""
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    known = {"".join(suffixes[-n:]) for n in (1, 2)} & set(READERS)
-    return bool(known) and not path.name.startswith(".")
+    """Whether `open_recording` knows the suffix, and the file is not hidden."""
+    return path.suffix.lower() in READERS and not path.name.startswith(".")
 
 
 def name_of(path: Path) -> str:
-    """How a recording is called in messages and reports: class folder and file."""
+    """The name of a recording in messages and reports: class folder and file."""
     return f"{path.parent.name}/{path.name}"
 
 

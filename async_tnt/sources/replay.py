@@ -17,19 +17,18 @@ def replay(
     *,
     packet_us: int = 1000,
 ) -> Iterator[np.ndarray]:
-    """Yield the packets of a recording when they happened, counted from the first event.
+    """Yield the events of a recording in real time, counted from the first event.
 
-    A packet comes when its last event is due, never before; it spans less than `packet_us`, so that its first event
-    is no later than that. Deadlines are absolute: sleeping a little too long is not added up, and a reader that was
-    slow gets what is overdue at once.
+    A packet is yielded when its last event is due, never before. It spans less than `packet_us`, which bounds how late
+    its first event is. Deadlines are absolute: oversleeping does not add up, and a slow reader gets overdue packets at
+    once.
 
     Parameters
     ----------
     source : a recording, its path, one structured array of events, or an iterable of such (fields t, x, y, p; t in
         microseconds).
-    speed : recorded time per time on the clock: 2 is twice as fast. `math.inf` sleeps never; 0 is an error, since
-        nothing would ever come.
-    packet_us : the most recorded time of one packet, in microseconds.
+    speed : recorded time per time on the clock: 2 is twice as fast, `math.inf` never sleeps.
+    packet_us : the longest recorded time of one packet, in microseconds.
 
     Raises
     ------
@@ -38,7 +37,7 @@ def replay(
     Examples
     --------
     >>> import math
-    >>> from async_tnt.sources.files import sample_recordings
+    >>> from async_tnt.sources import sample_recordings
     >>> packets = replay(sample_recordings()[7], speed=math.inf, packet_us=5000)
     >>> packet = next(packets)
     >>> bool(packet["t"][-1] - packet["t"][0] < 5000)
@@ -58,7 +57,7 @@ def _replay(source: Iterable[np.ndarray], speed: float, packet_us: int) -> Itera
     for packet in source:
         if len(packet) == 0:
             continue
-        # an event that is out of order is due with the newest before it
+        # an event out of order is due together with the newest before it
         due_us = np.maximum.accumulate(packet["t"].astype(np.int64))
         if newest_us is not None:
             np.maximum(due_us, newest_us, out=due_us)
@@ -75,7 +74,7 @@ def _replay(source: Iterable[np.ndarray], speed: float, packet_us: int) -> Itera
 
 
 def wait_until(deadline_ns: int) -> None:
-    """Sleep until `time.monotonic_ns()` says so; the system wakes us some 0.1 ms late, and no core is kept busy."""
+    """Sleep until `time.monotonic_ns()` reaches this; no core is kept busy, at the price of waking 0.1 ms late."""
     left_ns = deadline_ns - time.monotonic_ns()
     if left_ns > 0:
         time.sleep(left_ns / 1e9)

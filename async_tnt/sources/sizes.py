@@ -1,8 +1,6 @@
-"""Sizes in pixels, on the command line and in messages: `346x260`."""
+"""Sizes in pixels as text, in options and messages: `346x260`."""
 
 from __future__ import annotations
-
-import argparse
 
 from async_tnt.config import MAX_SIDE
 
@@ -26,16 +24,3 @@ def parse_size(text: str) -> tuple[int, int]:
 def by(size: tuple[int, int]) -> str:
     """(346, 260) as `346x260`."""
     return f"{size[0]}x{size[1]}"
-
-
-def size_of(text: str) -> tuple[int, int]:
-    """An argparse type: the size as two numbers."""
-    try:
-        return parse_size(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
-def size_text(text: str) -> str:
-    """An argparse type: the size as text, checked; so a command keeps it as it was given."""
-    return by(size_of(text))

@@ -1,4 +1,4 @@
-"""Recordings that are to fit a model; above all `.bin`, which does not say its sensor."""
+"""Recordings for a model of some sensor; above all `.bin`, which does not state its own."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def write(path, sensor):
     return events
 
 
-def test_a_bin_is_of_the_model_s_sensor_if_its_events_need_one_so_large(tmp_path):
+def test_a_bin_is_of_the_models_sensor_if_its_events_need_it(tmp_path):
     large, small = tmp_path / "large.bin", tmp_path / "small.bin"
     events = write(large, (120, 90))
     write(small, (34, 34))
@@ -34,7 +34,7 @@ def test_one_larger_than_the_model_s_sensor_is_refused(tmp_path):
         open_for(tmp_path / "a.bin", (50, 50))
 
 
-def test_other_formats_keep_what_they_say(tmp_path):
+def test_other_formats_keep_what_they_state(tmp_path):
     np.save(tmp_path / "a.npy", random_events(10, sensor=(20, 20)))
     assert open_for(tmp_path / "a.npy", (120, 90)).sensor is None
 

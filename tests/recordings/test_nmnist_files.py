@@ -90,21 +90,13 @@ def test_the_sensor_given_is_that_of_files_that_state_none(tmp_path):
 
 
 @pytest.mark.parametrize("sensor", [(0, 5), (3,), 34, "34x34", (34.0, 34)])
-def test_what_is_no_sensor_is_refused(tmp_path, sensor):
+def test_an_invalid_sensor_is_refused(tmp_path, sensor):
     write_nmnist(tmp_path / "a.bin", events_of((0, 1, 1, 1)))
     with pytest.raises(ValueError, match=r"`sensor` must be \(width, height\)"):
         write_nmnist(tmp_path / "b.bin", events_of((0, 0, 0, 0)), sensor=sensor)
     for read in (read_nmnist, open_recording):
         with pytest.raises(ValueError, match=r"`sensor` must be \(width, height\)"):
             read(tmp_path / "a.bin", sensor=sensor)
-
-
-def test_a_folder_is_told_from_a_recording(tmp_path):
-    (tmp_path / "nm").mkdir()
-    with pytest.raises(
-        IsADirectoryError, match=r"nm is a folder, .* async-tnt run .*nm --out results\.jsonl streams all"
-    ):
-        open_recording(tmp_path / "nm")
 
 
 def test_fields_in_any_order_and_of_any_integer_type(tmp_path):
@@ -124,7 +116,7 @@ def test_overflow_rows_add_8192_us_to_all_that_follows_and_vanish(tmp_path):
     assert events["y"].tolist() == [2, 2, 2, 2]
 
 
-def test_overflow_rows_alone_are_no_events(tmp_path):
+def test_overflow_rows_alone_are_not_events(tmp_path):
     (tmp_path / "a.bin").write_bytes(bytes([49, 240, 0, 0, 0]) * 3)
     assert len(read_nmnist(tmp_path / "a.bin")) == 0
 
@@ -133,12 +125,6 @@ def test_times_past_32_bits_from_many_overflows(tmp_path):
     n = 600_000  # 600,000 x 8,192 us = 4.9e9 us, past 2^32
     (tmp_path / "a.bin").write_bytes(bytes([0, 240, 0, 0, 0]) * n + bytes([1, 1, 0, 0, 7]))
     assert read_nmnist(tmp_path / "a.bin")["t"].tolist() == [n * 8192 + 7]
-
-
-def test_empty_file_is_an_empty_recording(tmp_path):
-    (tmp_path / "a.bin").write_bytes(b"")
-    events = read_nmnist(tmp_path / "a.bin")
-    assert len(events) == 0 and events.dtype == EVENT_DTYPE
 
 
 def test_missing_file_and_folder_are_os_errors(tmp_path):
@@ -158,10 +144,10 @@ def test_truncation_at_every_byte(tmp_path, size):
         np.testing.assert_array_equal(read_nmnist(cut), events[: size // 5])
         return
     place = rf"got {size}: .* {size % 5} bytes into row {size // 5}"
-    complaint = rf"cut\.bin: damaged .* {size} bytes: .*multiple of 5 bytes .* {place}"
-    with pytest.raises(ValueError, match=complaint):
+    message = rf"cut\.bin: damaged .* {size} bytes: .*multiple of 5 bytes .* {place}"
+    with pytest.raises(ValueError, match=message):
         read_nmnist(cut)
-    with pytest.warns(UserWarning, match=complaint):
+    with pytest.warns(UserWarning, match=message):
         kept = read_nmnist(cut, strict=False)
     np.testing.assert_array_equal(kept, events[: size // 5])
 
@@ -169,10 +155,10 @@ def test_truncation_at_every_byte(tmp_path, size):
 def test_time_running_backwards_is_damage(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(bytes([1, 1, 0, 0, 9, 1, 1, 0, 0, 9, 1, 1, 0, 0, 8, 1, 1, 0, 0, 20]))
-    complaint = r"`t` must never decrease, got 8 us after 9 us at event 2 \(byte 10\)"
-    with pytest.raises(ValueError, match=complaint):
+    message = r"`t` must never decrease, got 8 us after 9 us at event 2 \(byte 10\)"
+    with pytest.raises(ValueError, match=message):
         read_nmnist(path)
-    with pytest.warns(UserWarning, match=complaint):
+    with pytest.warns(UserWarning, match=message):
         assert read_nmnist(path, strict=False)["t"].tolist() == [9, 9]
 
 
@@ -183,14 +169,7 @@ def test_place_of_damage_counts_overflow_rows_in_bytes_not_in_events(tmp_path):
         read_nmnist(path)
 
 
-def test_sound_files_warn_of_nothing(tmp_path):
-    write_nmnist(tmp_path / "a.bin", random_events(50))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert len(read_nmnist(tmp_path / "a.bin", strict=False)) == 50
-
-
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(raw=st.binary(max_size=200), sensor=st.sampled_from([(34, 34), None]))
 def test_random_bytes_give_events_in_range_or_one_clear_error(tmp_path_factory, raw, sensor):
     path = tmp_path_factory.getbasetemp() / "fuzz.bin"
@@ -209,7 +188,7 @@ def test_random_bytes_give_events_in_range_or_one_clear_error(tmp_path_factory, 
         assert (events["x"] < 34).all() and (events["y"] < 34).all()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(place=st.integers(0, 499), value=st.integers(0, 255))
 def test_one_damaged_byte_is_an_error_or_changes_one_event(tmp_path_factory, place, value):
     path = tmp_path_factory.getbasetemp() / "damaged.bin"
@@ -230,31 +209,31 @@ def test_one_damaged_byte_is_an_error_or_changes_one_event(tmp_path_factory, pla
 
 
 @pytest.mark.parametrize(
-    ("row", "complaint"),
+    ("row", "message"),
     [
         ((0, 34, 0, 0), r"`x` must be in \[0, 34\), got 34 at event 1"),
         ((0, 0, 99, 0), r"`y` must be in \[0, 34\), got 99 at event 1"),
-        ((0, 0, 0, 2), r"`p` must be in \[0, 2\), got 2 at event 1"),
+        ((0, 0, 0, 2), "`p` must be 0 or 1, or -1 or \\+1, got 2 at event 1"),
         ((1 << 23, 0, 0, 0), r"`t` must be in \[0, 8388608\), got 8388608 at event 1"),
-        ((-1, 0, 0, 0), r"`t` must be in \[0, 8388608\), got -1 at event 1"),
+        ((-1, 0, 0, 0), r"`t` must be in \[0, 2\*\*62\) microseconds, got -1 at event 1"),
     ],
 )
-def test_values_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, row, complaint):
-    with pytest.raises(ValueError, match=complaint):
+def test_values_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, row, message):
+    with pytest.raises(ValueError, match=message):
         write_nmnist(tmp_path / "a.bin", events_of((0, 0, 0, 0), row))
     assert not (tmp_path / "a.bin").exists()
 
 
 @pytest.mark.parametrize(
-    ("row", "complaint"),
+    ("row", "message"),
     [
         ((0, 256, 0, 0), r"`x` must be in \[0, 256\), got 256 at event 0"),
         ((0, 0, 300, 0), r"`y` must be in \[0, 256\), got 300 at event 0"),
         ((0, 0, 240, 0), r"`y` must not be 240, the mark of a timer overflow, got 240 at event 0"),
     ],
 )
-def test_what_one_byte_cannot_hold_is_refused_on_any_sensor(tmp_path, row, complaint):
-    with pytest.raises(ValueError, match=complaint):
+def test_what_one_byte_cannot_hold_is_refused_on_any_sensor(tmp_path, row, message):
+    with pytest.raises(ValueError, match=message):
         write_nmnist(tmp_path / "a.bin", events_of(row), sensor=None)
 
 
@@ -263,18 +242,8 @@ def test_unsorted_events_are_refused(tmp_path):
         write_nmnist(tmp_path / "a.bin", events_of((1, 0, 0, 0), (5, 0, 0, 0), (4, 0, 0, 0)))
 
 
-@pytest.mark.parametrize(
-    ("events", "complaint"),
-    [
-        (None, r"1-D structured array with fields t, x, y, p; got NoneType"),
-        (np.zeros((3, 4), int), r"got shape \(3, 4\) of int64"),
-        (np.zeros(3, [("t", "i8"), ("x", "u2")]), r"fields t, x, y, p; got shape \(3,\)"),
-        (
-            np.zeros(3, [("t", "f8"), ("x", "u2"), ("y", "u2"), ("p", "u1")]),
-            r"`t` must have an integer type, got float64",
-        ),
-    ],
-)
-def test_what_is_no_array_of_events_is_refused(tmp_path, events, complaint):
-    with pytest.raises(TypeError, match=complaint):
+@pytest.mark.parametrize("events", [np.zeros((3, 4), int), np.zeros(3, [("t", "i8"), ("x", "u2")]), {}, "abc"])
+def test_what_is_not_events_is_refused(tmp_path, events):
+    with pytest.raises((TypeError, ValueError), match="events"):
         write_nmnist(tmp_path / "a.bin", events)
+    assert not (tmp_path / "a.bin").exists()

@@ -1,4 +1,4 @@
-"""Text: times exact to the microsecond, the columns by name, and rows that are no events."""
+"""Text: times exact to the microsecond, the columns by name, and rows that are not events."""
 
 from fractions import Fraction
 
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from async_tnt.sources.files.damage import DamagedRecording
 from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.source import DamagedRecording
 
 
 @pytest.fixture
@@ -94,11 +94,11 @@ def test_text_without_events(text, content):
         "0..3 1 2 1",
     ],
 )
-def test_a_row_that_is_no_event_is_damage(text, row):
+def test_a_row_that_is_not_an_event_is_damage(text, row):
     recording = text("a.txt", f"9 9\n0.1 1 2 0\n0.2 1 2 1\n{row}\n0.4 1 2 1\n")
-    with pytest.warns(DamagedRecording, match="line 4: expected `t x y p`, t in seconds, got '") as told:
+    with pytest.warns(DamagedRecording, match="line 4: expected `t x y p`, t in seconds, got '") as caught:
         assert recording.read()["t"].tolist() == [100_000, 200_000]
-    assert "Keeping the 2 events before, up to 200000 us." in str(told[0].message)
+    assert "Keeping the 2 events before, up to 200000 us." in str(caught[0].message)
     with pytest.raises(ValueError, match="line 4"):
         open_recording(recording.path, strict=True).read()
 
@@ -110,10 +110,10 @@ def test_line_numbers_count_through_chunks(text):
         assert text("a.txt", "\n".join(rows)).n_events == 150_000
 
 
-def test_text_that_is_none_is_refused(text):
+def test_what_is_not_such_text_is_refused(text):
     with pytest.raises(ValueError, match="expected `t x y p`, t in seconds, or first `width height`, got 'hello'"):
         text("a.txt", "hello")
-    with pytest.raises(ValueError, match="expected text, got bytes that are none"):
+    with pytest.raises(ValueError, match="expected text, got bytes that are not"):
         text("a.txt", b"\x00\x01")
     with pytest.raises(ValueError, match=r"must be seconds with decimals, got whole numbers \(12, 13, ...\)"):
         text("a.txt", "12 1 2 1\n13 1 2 1\n")
@@ -181,7 +181,7 @@ def test_csv_that_cannot_be_understood_is_refused(text, content, message):
 
 
 @pytest.mark.parametrize("row", ["0.25,1,2,1", "7,1,2,None", "7,1,2", "7,1,2,1,1", "7,,2,1", "7 7,1,2,1"])
-def test_csv_rows_that_are_no_events(text, row):
+def test_csv_rows_that_are_not_events(text, row):
     recording = text("a.csv", f"t,x,y,p\n6,1,2,1\n{row}\n")
     with pytest.warns(DamagedRecording, match="line 3: expected t,x,y,p, t in whole microseconds, got "):
         assert recording.n_events == 1

@@ -1,9 +1,11 @@
-"""Files of events in each format, written from the formats' public descriptions, or by faery and h5py.
+"""Files of events in each format, written from the formats' public descriptions, or by NumPy, faery and h5py.
 
-Nothing here is taken from the readers: what both sides get wrong alike, no test would see.
+Nothing here is taken from the readers: no test would see a mistake that both sides share.
 """
 
 import struct
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -88,6 +90,12 @@ def dat(events, sensor=SENSOR):
     return header + b"\x0c\x08" + b"".join(body)
 
 
+def dat1(events, sensor=SENSOR):
+    header = f"% Version 1\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
+    body = (struct.pack("<II", t, p << 17 | y << 9 | x) for t, x, y, p in events.tolist())
+    return header + b"\x00\x08" + b"".join(body)
+
+
 def es(events, sensor=SENSOR):
     out = [b"Event Stream\x02\x00\x00\x01", struct.pack("<HH", *sensor)]
     before = 0
@@ -97,6 +105,24 @@ def es(events, sensor=SENSOR):
         out.append(struct.pack("<BHH", passed % 127 << 1 | p, x, sensor[1] - 1 - y))
         before = t
     return b"".join(out)
+
+
+def atis(events, sensor=SENSOR):
+    """Six bits of time, bytes that add up to 3 x 63 us to it; after every third event an exposure."""
+    out = [b"Event Stream\x02\x00\x00\x02", struct.pack("<HH", *sensor)]
+    before = 0
+    for i, (t, x, y, p) in enumerate(events.tolist()):
+        passed = t - before
+        out += [b"\xff" * (passed // 189), *([bytes([0xFC + passed % 189 // 63])] if passed % 189 >= 63 else [])]
+        out.append(struct.pack("<BHH", passed % 63 << 2 | 2 * p, x, sensor[1] - 1 - y))
+        if i % 3 == 0:
+            out.append(struct.pack("<BHH", 1, x, sensor[1] - 1 - y))
+        before = t
+    return b"".join(out)
+
+
+def nmnist(events, sensor=(34, 34)):
+    return b"".join(struct.pack(">BBBH", x, y, p << 7 | t >> 16, t & 0xFFFF) for t, x, y, p in events.tolist())
 
 
 def aedat4(path, events, sensor=SENSOR):
@@ -129,24 +155,58 @@ def metavision(path, events, sensor=SENSOR, **how):
         file.create_dataset("CD/events", data=records, **how)
 
 
-def _from_bytes(make):
-    return lambda path, events, sensor=SENSOR: path.write_bytes(make(events, sensor))
+def columns_of(events):
+    return {name: events[name] for name in "txyp"}
 
 
-BYTES = {
-    "uzh.txt": uzh_text,
-    "plain.csv": csv,
-    "evt2.raw": evt2,
-    "evt21.raw": evt21,
-    "evt3.raw": evt3,
-    "v2.dat": dat,
-    "dvs.es": es,
+def table_of(events):
+    return np.array(events.tolist(), np.int64).reshape(-1, 4)
+
+
+class Format(NamedTuple):
+    """How to write one format, and what it can hold."""
+
+    write: Callable
+    """Of (path, events, sensor)."""
+    largest: tuple[int, int] = (1 << 16, 1 << 16)
+    """The largest sensor."""
+    states_sensor: bool = True
+    of_bytes: Callable | None = None
+    """Where the first bytes alone decide the first events: the bytes, of (events, sensor)."""
+
+
+def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True, linear=True):
+    def write(path, events, sensor=SENSOR):
+        path.write_bytes(make(events, sensor))
+
+    return Format(write, largest, states_sensor, make if linear else None)
+
+
+FORMATS = {
+    "uzh.txt": _bytes(uzh_text),
+    "plain.csv": _bytes(csv, states_sensor=False),
+    "evt2.raw": _bytes(evt2, (2048, 2048)),
+    "evt21.raw": _bytes(evt21, (2048, 2048)),
+    "legacy.raw": _bytes(lambda events, sensor: evt21(events, sensor, "legacy"), (2048, 2048)),
+    "evt3.raw": _bytes(evt3, (2048, 2048)),
+    "v2.dat": _bytes(dat, (1 << 14, 1 << 14)),
+    "v1.dat": _bytes(dat1, (512, 256)),
+    "dvs.es": _bytes(es, (65535, 65535)),
+    "atis.es": _bytes(atis, (65535, 65535)),
+    "plain.bin": _bytes(nmnist, (34, 34), linear=False),  # damage anywhere refuses the whole file
+    "records.npy": Format(lambda path, events, sensor: np.save(path, events), states_sensor=False),
+    "table.npy": Format(lambda path, events, sensor: np.save(path, table_of(events)), states_sensor=False),
+    "packed.npz": Format(lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=sensor)),
+    "plain.npz": Format(lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False),
+    "dv.aedat4": Format(aedat4, (32767, 32767)),  # its pixels have 16 bits, signed
+    "dsec.h5": Format(dsec, states_sensor=False),
+    "metavision.hdf5": Format(metavision),
 }
-WRITERS = {name: _from_bytes(make) for name, make in BYTES.items()} | {
-    "dv.aedat4": aedat4,
-    "dsec.h5": dsec,
-    "metavision.hdf5": metavision,
-}
-"""File name -> function that writes such a file: (path, events, sensor)."""
+"""File name -> `Format`."""
+IN_CHILD = (".aedat4", ".h5", ".hdf5")  # suffixes that are read in a child process, which takes a while
 
-SAYS_SENSOR = {name: name not in ("plain.csv", "dsec.h5") for name in WRITERS}
+
+def written(path, events, sensor=SENSOR):
+    """Write events in the format of the path's name; returns the path."""
+    FORMATS[path.name].write(path, events, sensor)
+    return path

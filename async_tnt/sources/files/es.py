@@ -19,11 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.kernels.es import ATIS, DVS, ES_TYPES, decode_es
 from async_tnt.kernels.jit import compile_only
-from async_tnt.sources.files.damage import Damage
-from async_tnt.sources.files.source import BLOCK_EVENTS, Source
+from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, block_columns, packed
 
 MAGIC = b"Event Stream"
 HEADER_BYTES = 20
@@ -57,27 +55,20 @@ class EsSource(Source):
         compile_only(decode_es, *ES_TYPES)
         assert self.sensor is not None  # for mypy: the header has it
         width, height = self.sensor
-        t, x, y, p = (np.empty(BLOCK_EVENTS, EVENT_DTYPE[name]) for name in ("t", "x", "y", "p"))
+        columns = block_columns()
         time, place, rest = 0, HEADER_BYTES, b""
         with self.path.open("rb") as file:
             file.seek(HEADER_BYTES)
             while chunk := file.read(BLOCK_EVENTS):
                 data = rest + chunk
                 n, done, time, is_off = decode_es(
-                    np.frombuffer(data, np.uint8), time, self._kind, width, height, t, x, y, p
+                    np.frombuffer(data, np.uint8), time, self._kind, width, height, *columns
                 )
                 if n:
-                    events = np.empty(n, EVENT_DTYPE)
-                    events["t"], events["x"], events["y"], events["p"] = t[:n], x[:n], y[:n], p[:n]
-                    yield events
+                    yield packed(columns, n)
                 place += done
                 if is_off:
-                    raise Damage(f"the event at byte {place} is off the {width} x {height} sensor")
+                    raise CorruptData(f"the event at byte {place} is off the {width} x {height} sensor")
                 rest = data[done:]
         if rest:
-            raise Damage(f"the file ends {len(rest)} bytes into the event at byte {place}, which has 5")
-
-
-def open_es(path: Path) -> Source:
-    """Open an Event Stream file."""
-    return EsSource(path)
+            raise CorruptData(f"the file ends {len(rest)} bytes into the event at byte {place}, which has 5")

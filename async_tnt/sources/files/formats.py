@@ -1,7 +1,7 @@
-"""Which reader a file gets: by its suffix, and by its first bytes where a suffix can mean several formats.
+"""Which reader opens a file: by its suffix, and by its first bytes where a suffix can mean several formats.
 
-A further format is one more entry in `READERS`: its suffix, and a function from a path to a `Source`, or to the
-events and the sensor's `(width, height)` (None where the file does not say it).
+A further format is one more entry in `READERS`: its suffix, and a function from a path to a `Source`, or to the events
+and the sensor's `(width, height)` (None where the file does not state it).
 """
 
 from __future__ import annotations
@@ -11,17 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.sources.files.aedat4 import open_aedat4
-from async_tnt.sources.files.csv_files import open_csv
-from async_tnt.sources.files.dat import open_dat
-from async_tnt.sources.files.es import open_es
-from async_tnt.sources.files.evt import open_evt
-from async_tnt.sources.files.hdf5 import open_hdf5
+from async_tnt.sources.files.child_source import open_aedat4, open_hdf5
+from async_tnt.sources.files.es import EsSource
 from async_tnt.sources.files.nmnist import SENSOR, read_nmnist
 from async_tnt.sources.files.numpy_files import open_npy, open_npz
+from async_tnt.sources.files.prophesee import DatSource, EvtSource
 from async_tnt.sources.files.source import Sensor, Source
-from async_tnt.sources.files.text_rows import first_row
-from async_tnt.sources.files.uzh_text import open_uzh_text
+from async_tnt.sources.files.text_files import open_csv, open_txt
 
 Reader = Callable[[Path], Source | tuple[np.ndarray, Sensor | None]]
 
@@ -30,13 +26,8 @@ def _read_bin(path: Path) -> tuple[np.ndarray, Sensor]:
     return read_nmnist(path), SENSOR
 
 
-def _open_text(path: Path) -> Source:
-    """`.txt`: blanks between the columns are UZH's, in seconds; commas, semicolons are CSV's, in microseconds."""
-    return open_csv(path) if any(separator in first_row(path) for separator in ",;") else open_uzh_text(path)
-
-
 def _open_by_content(path: Path) -> Source:
-    """`.raw`, `.dat` and `.h5` are written by many a program: the first bytes tell which it was."""
+    """Many programs write `.raw`, `.dat` and `.h5`: the first bytes say which format it is."""
     with path.open("rb") as file:
         start = file.read(4096)
     if start.startswith(b"\x89HDF\r\n\x1a\n"):
@@ -44,17 +35,17 @@ def _open_by_content(path: Path) -> Source:
     if start.startswith(b"#!AER-DAT4"):
         return open_aedat4(path)
     if start.startswith(b"Event Stream"):
-        return open_es(path)
+        return EsSource(path)
     if not start:
         raise ValueError(f"{path}: the file is empty")
     header = start.lower()
     if header.startswith(b"%") and (b"% evt " in header or b"% format evt" in header):
-        return open_evt(path)
+        return EvtSource(path)
     if header.startswith(b"%") and path.suffix.lower() == ".dat":
-        return open_dat(path)
+        return DatSource(path)
     raise ValueError(
-        f"{path}: its first bytes are of no known format: expected a header of EVT (with a line `% evt 3.0` or "
-        f"`% format EVT3`), of DAT (lines that begin with %), AEDAT4, ES or HDF5; got {start[:16]!r}"
+        f"{path}: its first bytes are not those of a known format: expected a header of EVT (with a line `% evt 3.0` "
+        f"or `% format EVT3`), of DAT (lines that begin with %), AEDAT4, ES or HDF5; got {start[:16]!r}"
     )
 
 
@@ -62,7 +53,7 @@ READERS: dict[str, Reader] = {
     ".bin": _read_bin,
     ".npy": open_npy,
     ".npz": open_npz,
-    ".txt": _open_text,
+    ".txt": open_txt,
     ".csv": open_csv,
     ".tsv": open_csv,
     ".raw": _open_by_content,

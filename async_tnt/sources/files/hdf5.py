@@ -1,12 +1,10 @@
-"""HDF5 files of events (`.h5`, `.hdf5`), by h5py (extra `hdf5`), in one of two layouts.
+"""Reads an HDF5 file of events (`.h5`, `.hdf5`) with h5py, in the process of `child_process.py`, in one of two layouts.
 
 DSEC         events/t, x, y, p: a data set each; t_offset: microseconds to add to t. `ms_to_idx` is not needed here.
 Metavision   CD/events: records of x, y, p, t; the sensor as an attribute, `geometry` = "1280x720".
 
-Both are compressed by filters that HDF5 does not bring along: DSEC by Blosc (`pip install hdf5plugin`),
-Metavision by ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to name).
-
-h5py runs in a process of its own: of a damaged file, Blosc's decoder can crash it, and HDF5 itself read for ever.
+Both are compressed by filters that HDF5 does not include: DSEC by Blosc (`pip install hdf5plugin`), Metavision by ECF
+(the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to name).
 
 References
 ----------
@@ -16,47 +14,147 @@ Prophesee, Metavision documentation: HDF5 event file format.
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-from pathlib import Path
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 
-from async_tnt.sources.files.child import ChildSource
-from async_tnt.sources.files.source import Source, packed
+BLOCK_EVENTS = 1 << 16
+COLUMNS = ("t", "x", "y", "p")
+MAX_LINKS = 16  # within the file, one to another
+ECF = 0x8ECF
+ECF_HINT = "Prophesee's ECF: install its plugin, hdf5_ecf, and let HDF5_PLUGIN_PATH name its folder"
+PLUGIN_HINT = "pip install hdf5plugin, or let HDF5_PLUGIN_PATH name the plugin's folder"
 
 
-class Hdf5Source(ChildSource):
-    """The events of an HDF5 file in DSEC's or Metavision's layout.
+def read(path: str) -> Iterator[Any]:
+    """The sensor, then blocks of events, int64 of shape (4, n)."""
+    import h5py
 
-    Raises
-    ------
-    ImportError : h5py is not installed.
-    ValueError : no HDF5 file, another layout, or a filter that is not installed.
-    """
-
-    event_bytes = 0  # known when the file is open
-
-    def __init__(self, path: Path) -> None:
-        if find_spec("h5py") is None:
-            raise ImportError(f"{path}: HDF5 files are read by h5py, which is missing: pip install '.[hdf5]'")
-        super().__init__(path, "hdf5_child.py")
-        self._types = [np.dtype(name) for name in self.said["types"]]
-        self._offset_us = int(self.said["offset"])
-        self.event_bytes = sum(dtype.itemsize for dtype in self._types)
-
-    def decoded(self, data: bytes) -> tuple[np.ndarray, str | None]:
-        """Four columns, one after the other."""
-        n = len(data) // self.event_bytes
-        columns, at = [], 0
-        for dtype in self._types:
-            columns.append(np.frombuffer(data, dtype, n, at))
-            at += n * dtype.itemsize
-        t = columns[0].astype(np.int64)
-        if columns[0].dtype.kind == "u" and (t < 0).any():  # beyond int64
-            t = np.where(t < 0, -1 - abs(self._offset_us), t)
-        return packed(t + self._offset_us, *columns[1:])
+    with h5py.File(path, "r") as file:
+        sets, offset_us = _layout(h5py, file)
+        yield _geometry(file) if len(sets) == 1 else None
+        n_events = sets[0].shape[0]
+        rows = [_Rows(data) for data in sets]
+        for start in range(0, n_events, BLOCK_EVENTS):
+            columns = [each.read(start, min(start + BLOCK_EVENTS, n_events)) for each in rows]
+            if len(columns) == 1:
+                columns = [columns[0][name] for name in COLUMNS]
+            block = np.array([column.astype(np.int64) for column in columns])
+            if columns[0].dtype.kind == "u":  # beyond int64; it must stay negative with the offset, and so no time
+                block[0, block[0] < 0] = -1 - abs(offset_us)
+            block[0] += offset_us
+            yield block
 
 
-def open_hdf5(path: Path) -> Source:
-    """Open an HDF5 file of events."""
-    return Hdf5Source(path)
+class _Rows:
+    """Rows of a data set, of which each chunk is decompressed once: HDF5's own cache does not hold large ones."""
+
+    def __init__(self, data: Any) -> None:
+        chunk = data.chunks[0] if data.chunks else BLOCK_EVENTS
+        self._data = data
+        self._span = chunk * max(1, BLOCK_EVENTS // chunk)  # read at once
+        self._first = -1
+        self._held: Any = None
+
+    def read(self, start: int, stop: int) -> Any:
+        """Rows [start, stop); start is not before that of the previous call."""
+        parts = []
+        while start < stop:
+            first = start - start % self._span
+            if first != self._first:
+                self._held = None  # frees the memory for the next
+                self._first, self._held = first, self._data[first : first + self._span]
+            parts.append(self._held[start - first : stop - first])
+            start = min(stop, first + self._span)
+        return np.concatenate(parts)
+
+
+def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
+    """The data sets, of columns t, x, y, p or of records, and what to add to t."""
+    what, offset = "events/t, x, y, p", None
+    sets = [_find(h5py, file, f"events/{name}") for name in COLUMNS]
+    if None not in sets:
+        offset = _find(h5py, file, "t_offset")
+    else:
+        what, sets = "CD/events", [_find(h5py, file, "CD/events")]
+    if None in sets:
+        raise ValueError(f"expected events/t, x, y, p (DSEC) or CD/events (Metavision), got {sorted(file)[:8]}")
+    for data in [*sets, *([] if offset is None else [offset])]:
+        if not isinstance(data, h5py.Dataset):
+            raise ValueError(f"{what} and `t_offset` must be data sets, but {data.name} is a {type(data).__name__}")
+        if data.is_virtual or data.id.get_create_plist().get_external_count():
+            raise ValueError(f"{data.name} must be stored in the file itself, but its values are kept in other files")
+    if offset is not None and offset.size != 1:
+        raise ValueError(f"`t_offset` must be one number, got shape {offset.shape}")
+    offset_us = 0 if offset is None else int(offset[()].item())
+    if not abs(offset_us) < 1 << 62:
+        raise ValueError(f"`t_offset` must be below 2**62 microseconds, got {offset_us}")
+    shapes = {data.shape for data in sets}
+    if len(shapes) != 1 or len(min(shapes)) != 1:
+        raise ValueError(f"{what} must have one dimension and equal lengths, got {sorted(shapes)}")
+    types = [data.dtype for data in sets]
+    if len(sets) == 1:
+        if not set(COLUMNS) <= set(types[0].names or ()):
+            raise ValueError(f"CD/events must be records of t, x, y, p, got {types[0]}")
+        types = [types[0][name] for name in COLUMNS]
+    if not all(dtype.kind in ("iub" if name == "p" else "iu") for name, dtype in zip(COLUMNS, types, strict=True)):
+        raise ValueError(f"{what} must be whole numbers, got {', '.join(map(str, types))}")
+    for data in sets:
+        _check_filters(h5py, data)
+        _check_complete(data)
+    return sets, offset_us
+
+
+def _find(h5py: Any, group: Any, path: str, n_links: int = 0) -> Any:
+    """What is at a path, None if nothing is. HDF5 itself would follow links to other files."""
+    if path.startswith("/"):
+        group = group.file
+    for name in filter(None, path.split("/")):
+        link = group.get(name, getlink=True) if isinstance(group, h5py.Group) else None
+        if isinstance(link, h5py.ExternalLink):
+            raise ValueError(f"{name} must be stored in the file itself, but it is a link to {link.filename!r}")
+        if isinstance(link, h5py.SoftLink):
+            if n_links == MAX_LINKS:
+                raise ValueError(f"{name} is a link to a link to a link, {MAX_LINKS} times")
+            group = _find(h5py, group, link.path, n_links + 1)
+        else:
+            group = None if link is None else group[name]
+        if group is None:
+            return None
+    return group
+
+
+def _check_filters(h5py: Any, data: Any) -> None:
+    plist = data.id.get_create_plist()
+    for i in range(plist.get_nfilters()):
+        code, _, _, name = plist.get_filter(i)
+        if h5py.h5z.filter_avail(code):
+            continue
+        with suppress(ImportError):
+            import_module("hdf5plugin")  # registers its filters
+        if not h5py.h5z.filter_avail(code):
+            name = name.decode("ascii", "backslashreplace").split(";")[0] or "a filter"
+            hint = ECF_HINT if code == ECF else f"{name} (filter {code}), which is missing: {PLUGIN_HINT}"
+            raise ValueError(f"its events are compressed by {hint}")
+
+
+def _check_complete(data: Any) -> None:
+    """Refuse a data set that was not all written: HDF5 would read zeros there, as many as the header claims."""
+    if data.chunks is None:
+        needed, have, what = data.size * data.dtype.itemsize, data.id.get_storage_size(), "bytes"
+    else:
+        needed, have, what = -(-data.size // data.chunks[0]), data.id.get_num_chunks(), "chunks"
+    if have < needed:
+        raise ValueError(f"{data.name} claims {data.size} events, but the file holds {have} of their {needed} {what}")
+
+
+def _geometry(file: Any) -> tuple[int, int] | None:
+    geometry = file.attrs.get("geometry")
+    if isinstance(geometry, bytes):
+        geometry = geometry.decode("ascii", "replace")
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", geometry) if isinstance(geometry, str) else None
+    return (int(match[1]), int(match[2])) if match else None

@@ -23,10 +23,11 @@ import operator
 import os
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
+from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import replacing
 
 SENSOR = (34, 34)
@@ -46,8 +47,8 @@ def read_nmnist(
 ) -> np.ndarray:
     """Read one recording in N-MNIST's format.
 
-    The format has no checksum. What can be recognised as damage is: a file that ends inside an event, an
-    event off the sensor, and a time earlier than the one before it.
+    The format has no checksum. Damage that can be recognised: a file that ends inside an event, an event off the
+    sensor, and a time earlier than the one before it.
 
     Parameters
     ----------
@@ -63,8 +64,8 @@ def read_nmnist(
 
     Raises
     ------
-    ValueError : damage, when `strict`. The message names the file, the place and the rule; a note to it, which
-        Python shows and the program leaves out, what to pass.
+    ValueError : damage, when `strict`. The message names the file, the place and the rule; what to pass instead is
+        in a note, which the command line does not show.
     OSError : no such file, a folder, or not readable.
     """
     path = Path(path)
@@ -84,20 +85,19 @@ def read_nmnist(
     events["y"] = rows[event_rows, 1]
     events["p"] = rows[event_rows, 2] >> 7
 
-    n_good, damage = _first_damage(events, event_rows, sensor)
-    advice = f"Pass strict=False for the {n_good} events before."
-    remedy = "Fetch the file again"
-    if damage is not None and n_good < len(events) and _is_off(events[n_good], sensor):
+    n_good, problem = _first_problem(events, event_rows, sensor)
+    remedy, advice = "Fetch the file again", f"Pass strict=False for the {n_good} events before."
+    if problem is not None and "sensor" in problem:
         remedy += ", or say its sensor if it is of another camera"
         advice += " Pass sensor=(width, height), or None for any, if the recording is of another sensor."
-    if damage is None and n_left:
-        damage = (
+    if problem is None and n_left:
+        problem = (
             f"the size must be a multiple of {BYTES_PER_EVENT} bytes (one event each), got {len(raw)}: "
             f"the file ends {n_left} bytes into row {n_rows}"
         )
-    if damage is None:
+    if problem is None:
         return events
-    text = f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {damage}"
+    text = f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}"
     if strict:
         error = ValueError(f"{text}. {remedy}.")
         error.add_note(advice)
@@ -106,37 +106,27 @@ def read_nmnist(
     return events[:n_good].copy()
 
 
-def write_nmnist(path: str | os.PathLike[str], events: np.ndarray, *, sensor: tuple[int, int] | None = SENSOR) -> None:
+def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int, int] | None = SENSOR) -> None:
     """Write events in N-MNIST's format; `read_nmnist` gives the same events back.
 
     Parameters
     ----------
     path : file to write, replaced if it exists.
-    events : structured array with integer fields `t` (us), `x`, `y`, `p` (0 or 1), in order of time.
+    events : in any form that `Processor.push` accepts, in order of time.
     sensor : (width, height) that every event must lie on; None for any pixel the format can hold. On every sensor
         that is up to 255, without row 240, which marks a timer overflow.
 
     Raises
     ------
-    TypeError : `events` is not such an array.
-    ValueError : a value does not fit the format; names field, rule, value and index. Nothing is written then.
+    TypeError, ValueError : not events, or a value does not fit the format; names field, rule, value and index. Nothing
+        is written then.
     OSError : the file cannot be written.
     """
-    names = getattr(getattr(events, "dtype", None), "names", None) or ()
-    missing = [name for name in ("t", "x", "y", "p") if name not in names]
-    if missing or events.ndim != 1:
-        raise TypeError(f"`events` must be a 1-D structured array with fields t, x, y, p; got {_describe(events)}")
-    for name in ("t", "x", "y", "p"):
-        if events.dtype[name].kind not in "iub":
-            raise TypeError(f"`{name}` must have an integer type, got {events.dtype[name]}")
-
-    width, height = (min(side, 256) for side in (checked_sensor(sensor) if sensor is not None else (256, 256)))
-    _check_range("t", events["t"], TIME_LIMIT_US)
-    _check_range("x", events["x"], width)
-    _check_range("y", events["y"], height)
-    _check_range("p", events["p"], 2)
+    width, height = (256, 256) if sensor is None else checked_sensor(sensor)
+    events = as_events(events, (min(width, 256), min(height, 256)))
+    t_us = events["t"]
+    _refuse(t_us >= TIME_LIMIT_US, "t", t_us, f"must be in [0, {TIME_LIMIT_US})")
     _refuse(events["y"] == OVERFLOW_Y, "y", events["y"], f"must not be {OVERFLOW_Y}, the mark of a timer overflow")
-    t_us = events["t"].astype(np.int64)
     _refuse(np.diff(t_us, prepend=t_us[:1]) < 0, "t", t_us, "must never decrease")
 
     rows = np.empty((len(events), BYTES_PER_EVENT), np.uint8)
@@ -149,36 +139,31 @@ def write_nmnist(path: str | os.PathLike[str], events: np.ndarray, *, sensor: tu
         part.write_bytes(rows.tobytes())
 
 
-def _first_damage(events: np.ndarray, event_rows: np.ndarray, sensor: tuple[int, int] | None) -> tuple[int, str | None]:
-    """The number of good events before the first bad one, and what is wrong with it (None: nothing)."""
-    off_sensor = np.zeros(len(events), bool)
-    if sensor is not None:
-        width, height = checked_sensor(sensor)
-        off_sensor = (events["x"] >= width) | (events["y"] >= height)
-    backwards = np.zeros(len(events), bool)
-    backwards[1:] = np.diff(events["t"]) < 0
-    bad = np.flatnonzero(off_sensor | backwards)
-    if len(bad) == 0:
+def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int] | None) -> tuple[int, str | None]:
+    """The number of events before the first bad one, and what is wrong with it (None: all are good).
+
+    `rows` : which row of the file each event is.
+    """
+    width, height = (256, 256) if sensor is None else checked_sensor(sensor)
+    off_sensor = (events["x"] >= width) | (events["y"] >= height)
+    backwards = np.diff(events["t"], prepend=events["t"][:1]) < 0
+    bad = off_sensor | backwards
+    if not bad.any():
         return len(events), None
-    i = int(bad[0])
-    row = int(event_rows[i])
-    place = f"event {i} (byte {row * BYTES_PER_EVENT})"
+    i = int(np.argmax(bad))
+    t, x, y, _ = events[i].tolist()
+    place = f"event {i} (byte {rows[i] * BYTES_PER_EVENT})"
     if off_sensor[i]:
-        x, y = int(events["x"][i]), int(events["y"][i])
         return i, f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}"
-    return i, f"`t` must never decrease, got {events['t'][i]} us after {events['t'][i - 1]} us at {place}"
-
-
-def _is_off(event: np.void, sensor: tuple[int, int] | None) -> bool:
-    return sensor is not None and bool(event["x"] >= sensor[0] or event["y"] >= sensor[1])
+    return i, f"`t` must never decrease, got {t} us after {events['t'][i - 1]} us at {place}"
 
 
 def checked_sensor(sensor: tuple[int, int]) -> tuple[int, int]:
-    """(width, height) as two Python integers; larger than a byte addresses, too: N-Caltech101's camera had 304 x 240.
+    """(width, height) as two Python integers; may exceed a byte's range: N-Caltech101's camera had 304 x 240.
 
     Raises
     ------
-    ValueError : not two whole numbers of at least 1.
+    ValueError : not two integers of at least 1.
     """
     try:
         width, height = (operator.index(side) for side in sensor)
@@ -189,17 +174,7 @@ def checked_sensor(sensor: tuple[int, int]) -> tuple[int, int]:
     return width, height
 
 
-def _check_range(name: str, values: np.ndarray, limit: int) -> None:
-    _refuse((values < 0) | (values >= limit), name, values, f"must be in [0, {limit})")
-
-
 def _refuse(bad: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:
     if bad.any():
         i = int(np.argmax(bad))
         raise ValueError(f"`{name}` {rule}, got {int(values[i])} at event {i}")
-
-
-def _describe(events: object) -> str:
-    if isinstance(events, np.ndarray):
-        return f"shape {events.shape} of {events.dtype}"
-    return type(events).__name__

@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.events import EVENT_DTYPE, LATE_POLICIES
-from async_tnt.sources.files.damage import Damage, DamagedRecording
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.nmnist import checked_sensor, read_nmnist
-from async_tnt.sources.files.source import ArraySource, Sensor, Source, on_sensor
+from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Sensor, Source, events_on_sensor
 
-PACKED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
+COMPRESSED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
 
 
 @dataclass
@@ -37,16 +36,15 @@ class _Totals:
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
-    Iterating yields packets lazily, and afresh each time: copies, so that what is done to a packet stays
-    there. All formats but `.bin` are read block by block, so that memory does not grow with the file
-    (a `.npz` of up to 4 million events is kept in memory). `n_events`, `n_unsorted`, `duration_us` and
-    `len` take a pass over such a file, unless one was made before.
+    Each iteration reads the file again and yields packets that are the caller's to change. All formats but `.bin` are
+    read block by block, so that memory does not grow with the file (a `.npz` of up to 4 million events is kept in
+    memory). `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over the file, unless one was made before.
     """
 
     def __init__(
         self,
         path: Path,
-        source: Source | np.ndarray,
+        source: Source,
         sensor: Sensor | None,
         packet_events: int,
         *,
@@ -58,9 +56,9 @@ class Recording:
         self.packet_events = packet_events
         self.strict = strict
         self.unsorted = unsorted
-        self._source = ArraySource(source, sensor) if isinstance(source, np.ndarray) else source
-        self.stated_sensor = self._source.sensor
-        """As the file itself says, or its format; `sensor` may be the caller's word."""
+        self.stated_sensor = source.sensor
+        """As the file or its format states it; `sensor` may come from the caller."""
+        self._source = source
         self._totals: _Totals | None = None
         self._has_warned = False
 
@@ -81,26 +79,21 @@ class Recording:
 
     def read(self) -> np.ndarray:
         """All events at once: a structured array of `EVENT_DTYPE`, the caller's to change."""
-        blocks = list(self._blocks())
-        return np.concatenate(blocks) if blocks else np.empty(0, EVENT_DTYPE)
+        return np.concatenate([np.empty(0, EVENT_DTYPE), *self._blocks()])
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        waiting: list[np.ndarray] = []  # less than a packet, from the blocks before
+        waiting: list[np.ndarray] = []
         n_waiting = 0
         for block in self._blocks():
-            start = 0
-            if n_waiting:
-                start = min(self.packet_events - n_waiting, len(block))
-                waiting.append(block[:start])
-                n_waiting += start
-                if n_waiting < self.packet_events:
-                    continue
-                yield np.concatenate(waiting)
-            n_whole = (len(block) - start) // self.packet_events
-            for _ in range(n_whole):
-                yield block[start : start + self.packet_events].copy()
-                start += self.packet_events
-            waiting, n_waiting = [block[start:]], len(block) - start
+            waiting.append(block)
+            n_waiting += len(block)
+            if n_waiting < self.packet_events:
+                continue
+            events = np.concatenate(waiting)  # a copy, which packets are parts of
+            stop = n_waiting - n_waiting % self.packet_events
+            for start in range(0, stop, self.packet_events):
+                yield events[start : start + self.packet_events]
+            waiting, n_waiting = [events[stop:]], n_waiting - stop
         if n_waiting:
             yield np.concatenate(waiting)
 
@@ -125,42 +118,35 @@ class Recording:
     def _blocks(self) -> Iterator[np.ndarray]:
         """One pass: the source's blocks, checked and counted, with the policy for unsorted events applied."""
         totals = _Totals()
-        blocks = self._source.blocks()
         n_read = 0
-        while True:
-            damage = None
-            try:
-                block = next(blocks, None)
-            except Damage as found:
-                block, damage = None, found.reason
-            if block is not None:
-                good, damage = on_sensor(block, self.stated_sensor, n_read)
-                n_read += len(good)
-                block = self._sorted(good, totals)
-                if len(block):
-                    yield block
-            if damage is not None:
-                self._tell(damage, n_read, totals.newest_us)
-            if block is None or damage is not None:
-                break
+        try:
+            for block in self._source.blocks():
+                events, problem = events_on_sensor(block, self.stated_sensor, n_read)
+                n_read += len(events)
+                events = self._apply_policy(events, totals)
+                if len(events):
+                    yield events
+                if problem:
+                    raise CorruptData(problem)
+        except CorruptData as error:
+            self._report(str(error), n_read, totals.newest_us)
         self._totals = totals
 
-    def _sorted(self, block: np.ndarray, totals: _Totals) -> np.ndarray:
+    def _apply_policy(self, block: np.ndarray, totals: _Totals) -> np.ndarray:
         if len(block) == 0:
             return block
         t_us = block["t"]
         newest = np.maximum.accumulate(np.concatenate(([totals.newest_us], t_us)))
         late = t_us < newest[:-1]
         n_late = int(np.count_nonzero(late))
-        if n_late:
-            if self.unsorted == "raise":
-                i = int(np.argmax(late))
-                raise ValueError(
-                    f'{self.path}: times must not run backwards (unsorted="raise"), got {t_us[i]} after {newest[i]} us '
-                    f'at event {totals.n_events + i}; unsorted="accept" takes such events, "drop" leaves them out'
-                )
-            if self.unsorted == "drop":
-                block = block[~late]
+        if n_late and self.unsorted == "raise":
+            i = int(np.argmax(late))
+            raise ValueError(
+                f'{self.path}: times must not run backwards (unsorted="raise"), got {t_us[i]} after {newest[i]} us '
+                f'at event {totals.n_events + i}; unsorted="accept" keeps such events, "drop" leaves them out'
+            )
+        if n_late and self.unsorted == "drop":
+            block = block[~late]
         totals.n_unsorted += n_late
         totals.n_events += len(block)
         totals.newest_us = int(newest[-1])
@@ -169,12 +155,12 @@ class Recording:
             totals.earliest_us = earliest if totals.earliest_us is None else min(totals.earliest_us, earliest)
         return block
 
-    def _tell(self, damage: str, n_read: int, newest_us: int) -> None:
-        text = f"{self.path}: damaged recording: {damage}"
+    def _report(self, problem: str, n_read: int, newest_us: int) -> None:
+        text = f"{self.path}: damaged recording: {problem}"
         if self.strict:
             error = ValueError(f"{text}. Fetch the file again.")
-            error.add_note(f"Or pass strict=False for the {n_read} events before.")  # nothing for the program to say
-            raise error
+            error.add_note(f"Or pass strict=False for the {n_read} events before.")  # for Python, not for the program
+            raise error from None
         if not self._has_warned:
             self._has_warned = True
             until = f", up to {newest_us} us" if n_read else ""
@@ -191,21 +177,18 @@ def open_recording(
 ) -> Recording:
     """Open a recording; its suffix says the format (`READERS`), its first bytes say which of several.
 
-    See docs/reference.md for what each format knows of its sensor and time.
-
     Parameters
     ----------
     path : file to read.
     packet_events : events per packet when iterating; the last packet has what is left.
-    strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning; True raises
-        a ValueError when the reading gets there. Either way a file of which nothing can be understood, a
-        damaged `.bin` or `.npz`, and a `.npy` of the wrong size, is refused here, with a ValueError.
-    unsorted : what to do with events older than one before them: "accept", "drop" them, or "raise" a
-        ValueError when the reading gets there. `Recording.n_unsorted` counts them.
-    sensor : (width, height) of the camera, for files that do not state it. A `.bin` is then of this sensor, and not
-        of N-MNIST's 34 x 34, and an event off it is damage. CSV, NumPy and text get it as `Recording.sensor`; as it is
-        not the file's word, their events are not compared with it here, but where they are streamed. A file that
-        states its sensor keeps that one.
+    strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning; True raises a
+        ValueError when reading gets there. Either way a file of which nothing can be understood, a damaged `.bin` or
+        `.npz`, and a `.npy` of the wrong size, is refused here, with a ValueError.
+    unsorted : what to do with events older than one before them: "accept", "drop" them, or "raise" a ValueError when
+        reading gets there. `Recording.n_unsorted` counts them.
+    sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` is
+        then of this sensor instead of N-MNIST's 34 x 34, and an event off it is damage. For CSV, NumPy and text it
+        becomes `Recording.sensor`, with which events are compared where they are streamed, not here.
 
     Returns
     -------
@@ -213,8 +196,8 @@ def open_recording(
 
     Raises
     ------
-    ValueError : unknown suffix, damaged file, a pipe or device, unknown policy, `packet_events` below 1, or a
-        `sensor` that is none.
+    ValueError : unknown suffix, damaged file, a pipe or device, unknown policy, `packet_events` below 1, or an invalid
+        `sensor`.
     OSError : missing, a folder, or not readable.
     ImportError : the format needs an extra that is not installed; names it.
 
@@ -227,6 +210,7 @@ def open_recording(
     True
     """
     path = Path(path)
+    suffix = path.suffix.lower()
     if packet_events < 1:
         raise ValueError(f"`packet_events` must be at least 1, got {packet_events}")
     if unsorted not in LATE_POLICIES:
@@ -235,19 +219,18 @@ def open_recording(
         sensor = checked_sensor(sensor)
     if path.is_dir():
         raise IsADirectoryError(
-            f"{path} is a folder, expected a recording; async-tnt run {path} --out results.jsonl streams all "
-            "recordings in it (docs/guide.md)"
+            f"{path} is a folder, expected a recording; "
+            f"async-tnt run {path} --out results.jsonl streams all recordings in it"
         )
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        hint = "; unpack it first" if path.suffix.lower() in PACKED else ""
+    if suffix not in READERS:
+        hint = "; decompress it first" if suffix in COMPRESSED else ""
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}{hint}")
-    if path.exists() and not path.is_file():  # opening a pipe without a writer waits for ever
+    if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
-    if sensor is not None and path.suffix.lower() == ".bin":
+    if sensor is not None and suffix == ".bin":
         source: Source = ArraySource(read_nmnist(path, sensor=sensor), None)
     else:
-        found = reader(path)
+        found = READERS[suffix](path)
         source = found if isinstance(found, Source) else ArraySource(*found)
     return Recording(path, source, source.sensor or sensor, int(packet_events), strict=strict, unsorted=unsorted)
 

@@ -1,9 +1,9 @@
-"""What a format's reader gives: a source of blocks of events, read afresh at every pass."""
+"""What the reader of a format provides: a source of blocks of events, which starts again at every pass."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,23 +15,34 @@ BLOCK_EVENTS = 1 << 16
 Sensor = tuple[int, int]
 
 
+class DamagedRecording(UserWarning):
+    """A recording is damaged: it was read up to the damage, and no further."""
+
+
+class CorruptData(Exception):
+    """Raised by a source that cannot read on, with what is wrong and where: "row 17: expected `t x y p`, got 'abc'".
+
+    `Recording` turns it into a warning or a ValueError.
+    """
+
+
 class Source(ABC):
-    """The events of one file, a block at a time. Holds no more than a block of them in memory.
+    """The events of one file, block by block. Holds no more than one block in memory.
 
     Attributes
     ----------
-    sensor : (width, height) in pixels, or None where the format does not say it.
+    sensor : (width, height) in pixels, or None where the file does not state it.
     """
 
     sensor: Sensor | None = None
 
     @abstractmethod
     def blocks(self) -> Iterator[np.ndarray]:
-        """Structured arrays of `EVENT_DTYPE`, not used again by the source, in the order of the file.
+        """Structured arrays of `EVENT_DTYPE` in the order of the file; the source does not use them again.
 
         Raises
         ------
-        Damage : the file cannot be read on. All events before the damage have been yielded.
+        CorruptData : the file cannot be read on. All events before that place have been yielded.
         OSError : the file is missing or not readable.
         """
 
@@ -48,33 +59,40 @@ class ArraySource(Source):
             yield self.events[start : start + BLOCK_EVENTS]
 
 
-def packed(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, str | None]:
-    """Columns of any whole-number type as `EVENT_DTYPE`, up to the first event that does not fit it.
+def block_columns() -> tuple[np.ndarray, ...]:
+    """Columns t, x, y, p for a kernel to write one block of events to."""
+    return tuple(np.empty(BLOCK_EVENTS, EVENT_DTYPE[name]) for name in "txyp")
+
+
+def packed(columns: Sequence[np.ndarray], n: int) -> np.ndarray:
+    """The first n events of columns t, x, y, p, as a new array of `EVENT_DTYPE`."""
+    events = np.empty(n, EVENT_DTYPE)
+    for name, column in zip("txyp", columns, strict=True):
+        events[name] = column[:n]
+    return events
+
+
+def valid_events(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, str]:
+    """Columns of any integer type as `EVENT_DTYPE`, up to the first event that does not fit it.
 
     Returns
     -------
-    The events before that one, and what is wrong with it (None: nothing; all are there).
+    The events before that one, and what is wrong with it ("": all are valid).
     """
     off = (p == 0) | (p == -1) if p.dtype.kind == "i" else p == 0
-    bad_t = (t < 0) | (t >= MAX_TIME_US)
-    bad_x, bad_y = ((column < 0) | (column >= 1 << 16) for column in (x, y))
-    bad = bad_t | bad_x | bad_y | ~(off | (p == 1))
+    bad = (t < 0) | (t >= MAX_TIME_US) | ~(off | (p == 1))
+    for pixel in (x, y):
+        bad |= (pixel < 0) | (pixel >= 1 << 16)
     n = int(np.argmax(bad)) if bad.any() else len(t)
-    events = np.empty(n, EVENT_DTYPE)
-    events["t"], events["x"], events["y"] = t[:n], x[:n], y[:n]
-    events["p"] = ~off[:n]
-    if n == len(t):
-        return events, None
-    return events, f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is no event"
+    problem = "" if n == len(t) else f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is not a valid event"
+    return packed((t, x, y, ~off), n), problem
 
 
-def on_sensor(block: np.ndarray, sensor: Sensor | None, n_before: int) -> tuple[np.ndarray, str | None]:
-    """The events before the first one off the sensor, and what is said of it."""
-    if sensor is None:
-        return block, None
-    off = (block["x"] >= sensor[0]) | (block["y"] >= sensor[1])
-    if not off.any():
-        return block, None
+def events_on_sensor(events: np.ndarray, sensor: Sensor | None, n_before: int = 0) -> tuple[np.ndarray, str]:
+    """The events before the first one off the sensor, and what is wrong with that one ("": none is off)."""
+    off = np.zeros(0, bool) if sensor is None else (events["x"] >= sensor[0]) | (events["y"] >= sensor[1])
+    if sensor is None or not off.any():
+        return events, ""
     i = int(np.argmax(off))
-    x, y = block["x"][i], block["y"][i]
-    return block[:i], f"event {n_before + i} at x = {x}, y = {y} is off the {sensor[0]} x {sensor[1]} sensor"
+    x, y = events["x"][i], events["y"][i]
+    return events[:i], f"event {n_before + i} at x = {x}, y = {y} is off the {sensor[0]} x {sensor[1]} sensor"

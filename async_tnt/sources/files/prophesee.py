@@ -1,0 +1,217 @@
+"""Prophesee's files: RAW (`.raw`) in EVT2, EVT2.1 and EVT3, and DAT (`.dat`), with the header they share.
+
+The header is lines that begin with `% `. After it, a RAW file has words, which `kernels.evt` decodes; a DAT file has
+
+    two bytes              type of events (0x00 and 0x0C: pixels), size of one: 8
+    then, little-endian    t: 32 bits of microseconds
+                           version 2: x: 14 bits, y: 14, p: 4;  version 1: x: 9, y: 8, p: 1, unused: 14
+
+DAT's clock of 32 bits wraps after 71.6 minutes; times are unwrapped.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import uint16, uint32
+
+from async_tnt.kernels.evt import (
+    HIGH,
+    INITIAL,
+    ODD,
+    UNPLACED,
+    decode_evt2,
+    decode_evt3,
+    decode_evt21,
+    kernel_types,
+    unwrap_times,
+)
+from async_tnt.kernels.jit import compile_only
+from async_tnt.sources.files.source import (
+    BLOCK_EVENTS,
+    CorruptData,
+    Sensor,
+    Source,
+    block_columns,
+    packed,
+    valid_events,
+)
+
+MAX_HEADER_BYTES = 1 << 16
+CHUNK_BYTES = 1 << 18
+EVT_VERSIONS: dict[str, tuple[Any, Any, int]] = {  # kernel, type of its words, bytes that belong together
+    "2": (decode_evt2, uint32, 4),
+    "2.1": (decode_evt21, uint32, 8),
+    "3": (decode_evt3, uint16, 2),
+}
+EVT_NAMES = {"evt2": "2", "evt21": "2.1", "evt3": "3"}
+DAT_EVENT_BYTES = 8
+DAT_PERIOD_US = 1 << 32
+DAT_PIXEL_EVENTS = (0x00, 0x0C)
+DAT_FIELDS = {"2": ((0, 14), (14, 14), (28, 4)), "1": ((0, 9), (9, 8), (17, 1))}  # x, y, p: first bit, bits
+_SIDE = re.compile(r"\d{1,5}")
+
+
+class Header:
+    """
+    Attributes
+    ----------
+    fields : keyword in lower case -> the rest of its line.
+    options : what `% format EVT3;height=720;width=1280` says after the name, in lower case.
+    length : bytes of the header.
+    sensor : (width, height), from geometry, format or Width and Height; None if none of them is there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        with path.open("rb") as file:
+            data = file.read(MAX_HEADER_BYTES)
+        self.path = path
+        self.fields: dict[str, str] = {}
+        self.length = 0
+        # an event's first byte can be a %, but hardly a line of text follows
+        while data.startswith(b"% ", self.length):
+            end = data.find(b"\n", self.length)
+            line = data[self.length : end if end >= 0 else len(data)].rstrip(b"\r")
+            if not all(32 <= byte < 127 or byte == 9 for byte in line):
+                break
+            if end < 0:
+                if len(data) < MAX_HEADER_BYTES:
+                    raise ValueError(f"{path}: the file ends inside its header, in {line.decode()[:80]!r}")
+                break
+            self.length = end + 1
+            keyword, _, rest = line[2:].decode().strip().partition(" ")
+            if keyword.lower() == "end":
+                break
+            self.fields[keyword.lower()] = rest.strip()
+        self.format, *options = self.fields.get("format", "").lower().split(";")
+        pairs = (option.partition("=") for option in options)
+        self.options = {name.strip(): value.strip() for name, _, value in pairs}
+        self.sensor = self._sensor()
+
+    @property
+    def t0_us(self) -> int:
+        """What faery subtracts from the times when it writes; 0 if the header does not state it."""
+        t0 = self.fields.get("t0", "0")
+        if not t0.isdecimal() or len(t0) > 18:
+            raise ValueError(f"{self.path}: `% t0` must be whole microseconds, got {t0[:40]!r}")
+        return int(t0)
+
+    def _sensor(self) -> Sensor | None:
+        if "geometry" in self.fields:
+            sides = self.fields["geometry"].lower().split("x")
+        else:
+            found = next((where for where in (self.options, self.fields) if {"width", "height"} <= where.keys()), None)
+            if found is None:
+                return None
+            sides = [found["width"], found["height"]]
+        if len(sides) != 2 or not all(_SIDE.fullmatch(side) and 1 <= int(side) <= 1 << 16 for side in sides):
+            raise ValueError(f"{self.path}: the header's sensor must be two sizes in pixels, got {'x'.join(sides)!r}")
+        return int(sides[0]), int(sides[1])
+
+
+class EvtSource(Source):
+    """The events of a RAW file; triggers and other words are skipped.
+
+    Raises
+    ------
+    ValueError : the header names no version, or an unknown one.
+    """
+
+    def __init__(self, path: Path) -> None:
+        header = Header(path)
+        version = EVT_NAMES.get(header.format) or header.fields.get("evt", "").removesuffix(".0")
+        if version not in EVT_VERSIONS:
+            raise ValueError(
+                f"{path}: the header must say `% evt` 2.0, 2.1 or 3.0, or `% format` EVT2, EVT21 or EVT3; "
+                f"got {header.fields.get('format') or header.fields.get('evt')!r}"
+            )
+        self.path = path
+        self.sensor = header.sensor
+        self._version = version
+        self._start = header.length
+        self._t0_us = header.t0_us
+        # IMX636 and older send the upper half of a 64-bit word first, which the header calls legacy
+        endianness = header.options.get("endianness", "little" if header.format else "legacy")
+        self._halves_swapped = version == "2.1" and endianness != "legacy"
+        if version == "2.1" and endianness not in ("legacy", "little"):
+            raise ValueError(f"{path}: `endianness` must be little or legacy, got {endianness!r}")
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        decode, word_type, size = EVT_VERSIONS[self._version]
+        compile_only(decode, *kernel_types(word_type))
+        dtype = np.dtype(str(word_type)).newbyteorder("<")
+        state = np.array(INITIAL, np.int64)
+        columns = block_columns()
+        with self.path.open("rb") as file:
+            file.seek(self._start)
+            place = self._start
+            while chunk := file.read(CHUNK_BYTES):
+                words = np.frombuffer(chunk, dtype, len(chunk) // size * size // dtype.itemsize)
+                if self._halves_swapped:
+                    words = np.ascontiguousarray(words.reshape(-1, 2)[:, ::-1]).ravel()
+                done, status = 0, None
+                while done < len(words) and status != ODD:
+                    n, done, status = decode(words, done, state, *columns)
+                    if n:
+                        events = packed(columns, n)
+                        events["t"] += self._t0_us
+                        yield events
+                if status == ODD:
+                    raise CorruptData(
+                        f"byte {place + done * dtype.itemsize}: a vector of events reaches beyond x = 2047, "
+                        "the format's limit"
+                    )
+                place += len(chunk)
+                if len(chunk) % size:
+                    raise CorruptData(f"the file ends at byte {place}, {len(chunk) % size} bytes into a word of {size}")
+        if state[UNPLACED] and state[HIGH] < 0:
+            raise CorruptData(f"{state[UNPLACED]} words of events have no time: there is no TIME_HIGH")
+
+
+class DatSource(Source):
+    """The events of a DAT file.
+
+    Raises
+    ------
+    ValueError : unknown version, other than pixel events, or a file that ends before the first event.
+    """
+
+    def __init__(self, path: Path) -> None:
+        header = Header(path)
+        version = header.fields.get("version", "2")
+        if version not in DAT_FIELDS:
+            raise ValueError(f"{path}: the header's Version must be 1 or 2, got {version!r}")
+        with path.open("rb") as file:
+            file.seek(header.length)
+            kind = file.read(2)
+        if len(kind) < 2 or kind[0] not in DAT_PIXEL_EVENTS or kind[1] != DAT_EVENT_BYTES:
+            raise ValueError(
+                f"{path}: after the header there must be a type of events, 0 or 12, and their size, 8; got {list(kind)}"
+            )
+        self.path = path
+        self.sensor = header.sensor
+        self._fields = DAT_FIELDS[version]
+        self._start = header.length + 2
+        self._t0_us = header.t0_us
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        newest_us = np.int64(-1)
+        n_read = 0
+        with self.path.open("rb") as file:
+            file.seek(self._start)
+            while chunk := file.read(BLOCK_EVENTS * DAT_EVENT_BYTES):
+                words = np.frombuffer(chunk, "<u4", len(chunk) // DAT_EVENT_BYTES * 2).reshape(-1, 2)
+                t = words[:, 0].astype(np.int64)
+                newest_us = np.int64(unwrap_times(t, newest_us, np.int64(DAT_PERIOD_US)))
+                x, y, p = (words[:, 1] >> first & (1 << bits) - 1 for first, bits in self._fields)
+                events, problem = valid_events(t + self._t0_us, x, y, p)
+                yield events
+                n_read += len(events)
+                if problem:
+                    raise CorruptData(f"event {n_read} (byte {self._start + n_read * DAT_EVENT_BYTES}): {problem}")
+                if n_left := len(chunk) % DAT_EVENT_BYTES:
+                    raise CorruptData(f"the file ends {n_left} bytes into event {n_read}, which has {DAT_EVENT_BYTES}")

@@ -1,0 +1,225 @@
+"""Text with an event per row: UZH's layout (`.txt`) and CSV (`.csv`, `.tsv`, `.txt`).
+
+UZH    t x y p between blanks, t in seconds; before them, optionally, a line with the sensor's `width height`
+       240 180
+       0.003811000 96 133 0
+       Digits become microseconds, to the nearest one, without a float in between.
+CSV    commas, semicolons or tabs between the columns, t in whole microseconds; a header says which column is which
+       (t|ts|timestamp, x, y, p|on|polarity|pol; others are skipped), without one they are t, x, y, p
+
+Polarity is 0/1, -1/+1 or, in CSV, False/True. Lines that begin with # or % are comments.
+
+References
+----------
+Mueggler, Rebecq, Gallego, Delbruck, Scaramuzza 2017, The Event-Camera Dataset and Simulator, IJRR 36(2): events.txt.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from async_tnt.event_forms import NAMES, the_name
+from async_tnt.kernels.jit import compile_only
+from async_tnt.kernels.text import BLANKS, ODD, ROW_TYPES, SKIPPED, P, T, X, Y, parse_rows
+from async_tnt.sources.files.source import CorruptData, Sensor, Source, block_columns, packed
+
+CHUNK_BYTES = 1 << 20
+MAX_ROW_BYTES = 1 << 16
+COMMENTS = ("#", "%")
+SEPARATORS = ",;\t"
+ROLES = {"t": T, "x": X, "y": Y, "p": P}
+UZH_ROW = "`t x y p`, t in seconds"
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+@dataclass
+class TextSource(Source):
+    """Rows of text.
+
+    Parameters
+    ----------
+    path : the file.
+    start, line : the first row: where it begins, in bytes, and its line number, counted from 1.
+    roles : what each column is (see `kernels.text`).
+    separator : the character between columns; BLANKS: any number of spaces and tabs.
+    decimals : 6 where times are seconds, 0 where they are microseconds.
+    expected : what a row looks like, for messages.
+    """
+
+    path: Path
+    start: int
+    line: int
+    roles: Sequence[int]
+    separator: int
+    decimals: int
+    expected: str
+    sensor: Sensor | None = None
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        compile_only(parse_rows, *ROW_TYPES)
+        columns = block_columns()
+        roles, seen = np.array(self.roles, np.int64), np.zeros(2, np.int64)
+        line = self.line
+        for text, is_whole in self._chunks():
+            data = np.frombuffer(text, np.uint8)
+            pos = 0
+            while pos < len(text):
+                n, stop, status = parse_rows(data, pos, len(text), roles, self.separator, self.decimals, seen, *columns)
+                if n and not is_whole and status != ODD and stop == len(text) and self.roles[-1] in (T, X, Y):
+                    status = ODD  # the last number of the file may have lost its last digits
+                    n -= 1
+                    stop = text.rstrip().rfind(b"\n") + 1
+                if n:
+                    yield packed(columns, n)
+                if status == ODD:
+                    line += text.count(b"\n", 0, stop)
+                    row = text[stop : stop + 200].split(b"\n")[0].decode("utf-8", "backslashreplace").strip()
+                    cut = "" if is_whole or text.find(b"\n", stop) < len(text) - 1 else ", and the file ends there"
+                    raise CorruptData(f"line {line}: expected {self.expected}, got {row[:80]!r}{cut}")
+                pos = stop
+            line += text.count(b"\n")
+
+    def _chunks(self) -> Iterator[tuple[bytes, bool]]:
+        """Whole rows, and whether the last of them has a line end (the file's last may not)."""
+        with self.path.open("rb") as file:
+            file.seek(self.start)
+            rest = b""
+            while (chunk := file.read(CHUNK_BYTES)) and len(rest) <= MAX_ROW_BYTES:  # a longer row is not text
+                end = chunk.rfind(b"\n") + 1
+                if end:
+                    yield rest + chunk[:end], True
+                    rest = b""
+                rest += chunk[end:]
+            if rest:
+                yield rest[:MAX_ROW_BYTES] + b"\n", False
+
+
+class _Row(NamedTuple):
+    """A line of text, where it begins and ends, in bytes, and its number, from 1."""
+
+    text: str
+    start: int
+    end: int
+    line: int
+
+    @property
+    def is_comment(self) -> bool:
+        return self.text.startswith(COMMENTS)
+
+
+def _first_rows(path: Path) -> list[_Row]:
+    """The lines in the first 64 KiB of a file that are not empty."""
+    with path.open("rb") as file:
+        start = file.read(MAX_ROW_BYTES)
+    if b"\0" in start:
+        raise ValueError(f"{path}: expected text, got bytes that are not: {start[:16]!r}")
+    rows = []
+    pos = 3 if start.startswith(b"\xef\xbb\xbf") else 0  # a byte order mark
+    for line, raw in enumerate(start[pos:].split(b"\n"), 1):
+        text = raw.decode("utf-8", "backslashreplace").strip(" \r")
+        if text.strip():
+            rows.append(_Row(text, pos, pos + len(raw), line))
+        pos += len(raw) + 1
+    return rows
+
+
+def open_txt(path: Path) -> Source:
+    """Open a `.txt` file: CSV if there are commas or semicolons between the columns, else UZH's layout."""
+    first = next((row.text for row in _first_rows(path) if not row.is_comment), "")
+    return open_csv(path) if "," in first or ";" in first else open_uzh_text(path)
+
+
+def open_uzh_text(path: Path) -> Source:
+    """Open a text file in UZH's layout.
+
+    Raises
+    ------
+    ValueError : its first line is neither the sensor nor an event, or all its times are whole numbers, which may be
+        seconds or microseconds.
+    OSError : missing or not readable.
+    """
+    rows = [row for row in _first_rows(path) if not row.is_comment]
+    sensor: Sensor | None = None
+    start, line = 0, 1
+    if rows:
+        text, start, end, line = rows[0]
+        columns = text.split()
+        if len(columns) == 2 and all(column.isdecimal() for column in columns):
+            sensor = int(columns[0]), int(columns[1])
+            if not (1 <= sensor[0] <= 1 << 16 and 1 <= sensor[1] <= 1 << 16):
+                raise ValueError(f"{path}: a sensor must have 1 to 65536 pixels a side, got {text!r}")
+            if len(rows) == 1 and path.stat().st_size == end:
+                raise ValueError(f"{path}: the file ends in its first line, {text!r}: no events, and perhaps no sensor")
+            start = end  # a line end, which the first row may begin with
+        elif not columns or not _NUMBER.fullmatch(columns[0]) or len(columns) > 4:
+            raise ValueError(f"{path}: expected {UZH_ROW}, or first `width height`, got {text[:80]!r} at line {line}")
+        times = [row.text.split()[0] for row in rows[1 if sensor else 0 :]]
+        if len(times) > 1 and all(time.isdecimal() for time in times) and any(int(time) for time in times):
+            raise ValueError(
+                f"{path}: times must be seconds with decimals, got whole numbers ({times[0]}, {times[1]}, ...); "
+                "if they are microseconds, write t,x,y,p with commas: CSV's times are microseconds"
+            )
+    return TextSource(path, start, line, (T, X, Y, P), BLANKS, 6, UZH_ROW, sensor)
+
+
+def open_csv(path: Path) -> Source:
+    """Open a CSV file.
+
+    Raises
+    ------
+    ValueError : no separator, a header that lacks one of the four names, or no header and not four columns.
+    OSError : missing or not readable.
+    """
+    rows = _first_rows(path)
+    first = next((row for row in rows if not row.is_comment), None)
+    if first is None:
+        _, start, _, line = rows[-1] if rows else _Row("", 0, 0, 1)
+        return TextSource(path, start, line, tuple(ROLES.values()), ord(","), 0, "t,x,y,p")
+    text, start, end, line = first
+    separator, columns = _split(text)
+    if len(columns) < 4:
+        raise ValueError(
+            f"{path}: expected at least four columns with commas, semicolons or tabs between them, "
+            f"got {text[:80]!r} at line {line}"
+        )
+    comments = [_split(row.text.lstrip("".join(COMMENTS)))[1] for row in rows[: rows.index(first)]]
+    header = next(filter(_is_header, reversed(comments)), None)  # a comment may be one: `# x,y,p,t`
+    if header is None and any(re.search("[A-Za-z]", column) for column in columns[:2]):
+        header = columns
+        if not _is_header(header):
+            wanted = ", ".join("|".join(names) for names in NAMES.values())
+            raise ValueError(f"{path}: the header must name {wanted}; got {text[:80]!r} at line {line}")
+        if len(rows) == 1 and path.stat().st_size == end:
+            raise ValueError(f"{path}: the file ends in its header, {text[:80]!r}")
+        start = end  # a line end, which the first row may begin with
+    if header is None:
+        if len(columns) != 4:
+            raise ValueError(
+                f"{path}: without a header there must be four columns t, x, y, p, got {len(columns)} in "
+                f"{text[:80]!r} at line {line}; with one, further columns are skipped"
+            )
+        header = list(ROLES)
+    roles = [SKIPPED] * len(header)
+    for field, role in ROLES.items():
+        try:
+            roles[header.index(the_name(field, header, "the header"))] = role
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+    return TextSource(path, start, line, roles, ord(separator), 0, separator.join(header) + ", t in whole microseconds")
+
+
+def _split(text: str) -> tuple[str, list[str]]:
+    """The separator that a row has most of, and its columns in lower case."""
+    separator = max(SEPARATORS, key=text.count)
+    return separator, [column.strip(" \r\"'").lower() for column in text.split(separator)]
+
+
+def _is_header(columns: list[str]) -> bool:
+    """Whether all of t, x, y and p are named."""
+    return all(set(columns).intersection(names) for names in NAMES.values())

@@ -1,0 +1,127 @@
+"""Files that are read in a child process: what it sends, and what happens if it is missing, crashes, hangs or lies."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from multiprocessing import Pipe
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings.written import made_events, written
+
+from async_tnt.sources.files import child_process, child_source
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.source import DamagedRecording
+
+posix = pytest.mark.skipif(os.name != "posix", reason="a script in the place of Python")
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "message"),
+    [
+        ("a.aedat4", b"#!AER-DAT4.0\r\n", r"AEDAT4 files are read by faery, .*: pip install '\.\[files\]'"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n", r"HDF5 files are read by h5py, .*: pip install '\.\[hdf5\]'"),
+    ],
+)
+def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, name, start, message):
+    monkeypatch.setattr(child_source, "find_spec", lambda name: None)
+    (tmp_path / name).write_bytes(start)
+    with pytest.raises(ImportError, match=rf"{name}: {message}"):
+        open_recording(tmp_path / name)
+
+
+@posix
+@pytest.mark.parametrize("name", ["dv.aedat4", "dsec.h5"])
+@pytest.mark.parametrize("program", ["exec sleep 600", "exit 3", "kill -SEGV $$"])
+def test_a_child_that_hangs_or_dies_is_damage(tmp_path, monkeypatch, name, program):
+    """As HDF5's does in some damaged attributes, which it reads forever, and faery's where it runs out of memory."""
+    recording = open_recording(written(tmp_path / name, made_events(50)))
+    script = tmp_path / "program.sh"
+    script.write_text(f"#!/bin/sh\n{program}\n")
+    script.chmod(0o755)
+    monkeypatch.setattr(child_source, "SILENCE_S", 0.2)
+    monkeypatch.setattr(child_source.sys, "executable", str(script))
+    with pytest.warns(DamagedRecording, match="after event 0: the process that reads it crashed or hung"):
+        assert recording.n_events == 0
+    with pytest.raises(ValueError, match="the process that reads it crashed or hung"):
+        open_recording(tmp_path / name)
+
+
+def sent(monkeypatch, tmp_path, *messages):
+    """The recording of a child that sends these messages."""
+    monkeypatch.setattr(child_source, "find_spec", lambda name: True)
+    monkeypatch.setattr(child_source.ChildSource, "_messages", lambda source: (message for message in messages))
+    (tmp_path / "a.aedat4").write_bytes(b"#!AER-DAT4.0\r\n")
+    return open_recording(tmp_path / "a.aedat4")
+
+
+@pytest.mark.parametrize(("row", "value"), [(0, -(1 << 63)), (0, 1 << 62), (1, -1), (2, 1 << 16), (3, 2)])
+def test_an_invalid_event_ends_the_reading(tmp_path, monkeypatch, row, value):
+    blocks = np.array([[[10, 11, 12], [1, 1, 1], [2, 2, 2], [0, 1, 0]]] * 3, np.int64)
+    blocks[1, row, 2] = value
+    recording = sent(monkeypatch, tmp_path, b"[34, 34]", *(block.tobytes() for block in blocks))
+    with pytest.warns(DamagedRecording, match=r"event 5: t = .* is not a valid event"):
+        assert recording.read()["t"].tolist() == [10, 11, 12, 10, 11]
+
+
+def test_what_came_before_an_error_is_kept(tmp_path, monkeypatch):
+    block = np.array([[10, 11], [1, 1], [2, 2], [0, 1]], np.int64).tobytes()
+    recording = sent(monkeypatch, tmp_path, b"null", block, "its words")
+    with pytest.warns(DamagedRecording, match="damaged recording: after event 2: its words. Keeping the 2 events"):
+        assert recording.n_events == 2
+    assert recording.sensor is None
+
+
+HANGING = """
+import time
+
+def read(path):
+    yield [34, 34]
+    while True:
+        time.sleep(1)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "alarm"), reason="no alarms on this system")
+def test_a_read_that_hangs_is_ended_even_if_the_parent_is_gone(tmp_path):
+    text = Path(child_process.__file__).read_text()
+    assert text.count("READ_S = 120 ") == 1
+    (tmp_path / "child_process.py").write_text(text.replace("READ_S = 120 ", "READ_S = 1 "))
+    (tmp_path / "hanging.py").write_text(HANGING)
+    receiver, sender = Pipe(duplex=False)
+    with receiver, sender:
+        words = [sys.executable, "-P", str(tmp_path / "child_process.py"), "hanging.py", "FILE", str(sender.fileno())]
+        process = subprocess.Popen(words, pass_fds=[sender.fileno()])
+        assert json.loads(receiver.recv_bytes()) == [34, 34]
+        assert process.wait() == -signal.SIGALRM
+
+
+READER = """
+def read(path):
+    yield None
+    for n in range(3):
+        yield memoryview(bytes([n]))
+    raise KeyError("broken\\nat three")
+"""
+
+
+def test_the_alarm_is_set_while_a_file_is_read_and_not_while_the_parent_reads(tmp_path, monkeypatch):
+    calls = []
+
+    class Sender:
+        def __init__(self, fd, readable):
+            assert (fd, readable) == (7, False)
+
+        def send_bytes(self, message):
+            calls.append(message)
+
+    monkeypatch.setattr(child_process.connection, "Connection", Sender)
+    monkeypatch.setattr(child_process, "_limit_memory", lambda: None)
+    monkeypatch.setattr(child_process, "_alarm", calls.append)
+    (tmp_path / "reader.py").write_text(READER)
+    child_process.main(str(tmp_path / "reader.py"), "FILE", 7)
+    messages = [b"null", b"\x00", b"\x01", b"\x02", b"", b"'broken\\nat three'"]
+    assert calls == [120, *[call for message in messages for call in (0, message, 120)]]

@@ -1,0 +1,222 @@
+"""Damage of every format: the events before it and a clear message, or a ValueError; never a crash.
+
+ASYNC_TNT_FUZZ_CASES and ASYNC_TNT_FUZZ_SEED make the random damage a long run.
+"""
+
+import os
+import warnings
+
+import numpy as np
+import pytest
+from recordings.written import FORMATS, IN_CHILD, dat, es, evt2, evt3, evt_header, made_events, uzh_text, written
+
+from async_tnt.sources.files import child_source
+from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.source import DamagedRecording
+
+CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "300"))  # of each format
+SEED = int(os.environ.get("ASYNC_TNT_FUZZ_SEED", "0"))
+SMALL = (34, 34)
+EVENTS = made_events(40, step_us=300, sensor=SMALL)
+# bytes that an event has: a file cut between two events is a whole file, and nothing can tell
+WHOLE_AGAIN = (".raw", ".dat", ".es", ".txt", ".csv", ".bin")
+every_format = pytest.mark.parametrize("name", sorted(FORMATS))
+
+
+def read(path, **how):
+    """(events, or None if the file is refused; the warnings), within what every reader promises:
+
+    nothing but a ValueError of one line that names the file; at most one warning, DamagedRecording, in three passes;
+    the same events in every pass; valid events, on the sensor.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            recording = open_recording(path, packet_events=64, **how)
+            packets = list(recording)
+            assert recording.n_events == sum(map(len, packets))
+            again = recording.read()
+        except ValueError as error:
+            assert str(path) in str(error) and "\n" not in str(error)
+            return None, caught
+    assert len(caught) <= 1 and all(issubclass(warning.category, DamagedRecording) for warning in caught)
+    got = np.concatenate([made_events(0), *packets])
+    np.testing.assert_array_equal(got, again)
+    assert (got["t"] >= 0).all() and (got["t"] < 1 << 62).all() and (got["p"] <= 1).all()
+    if recording.sensor is not None:
+        assert (got["x"] < recording.sensor[0]).all() and (got["y"] < recording.sensor[1]).all()
+    return got, caught
+
+
+@every_format
+def test_a_file_cut_at_any_byte_gives_its_first_events(tmp_path, name):
+    path = written(tmp_path / name, EVENTS, SMALL)
+    data = path.read_bytes()
+    step = len(data) // 5 if name.endswith(IN_CHILD) else 1
+    n_silent = n_sizes = 0
+    for size in range(0, len(data), step):
+        n_sizes += 1
+        path.write_bytes(data[:size])
+        got, caught = read(path)
+        if got is None:
+            continue
+        np.testing.assert_array_equal(got, EVENTS[: len(got)])
+        if caught:
+            assert f"Keeping the {len(got)} events before" in str(caught[0].message)
+            refused, _ = read(path, strict=True)
+            assert refused is None
+        else:
+            n_silent += 1
+            assert name.endswith(WHOLE_AGAIN) or len(got) == len(EVENTS), f"cut to {size} bytes in silence"
+    assert n_silent < n_sizes
+    if name in ("v1.dat", "v2.dat", "evt2.raw"):
+        assert n_silent <= n_sizes // 4 + 1
+    if name == "plain.bin":
+        assert n_silent == len(EVENTS)
+
+
+def damaged(data, rng):
+    """Bytes changed, cut out, inserted, doubled, set to zeros or ones; or the end lost."""
+    data = bytearray(data)
+    for _ in range(int(rng.integers(1, 4))):
+        place = int(rng.integers(0, len(data))) if data else 0
+        length = int(rng.integers(1, 12))
+        part = slice(place, place + length)
+        kind = rng.integers(0, 8)
+        if kind == 0 and data:
+            data[place] ^= 1 << int(rng.integers(0, 8))
+        elif kind == 1:
+            data[part] = rng.integers(0, 256, length, dtype=np.uint8).tobytes()
+        elif kind == 2:
+            del data[part]
+        elif kind == 3:
+            data[place:place] = rng.integers(0, 256, length, dtype=np.uint8).tobytes()
+        elif kind == 4:
+            data[part] = bytes(length)
+        elif kind == 5:
+            data[part] = b"\xff" * length
+        elif kind == 6:
+            data[place:place] = data[place : place + 10 * length]
+        elif rng.integers(0, 4) == 0:
+            del data[place:]
+    return bytes(data)
+
+
+def first_difference(one, other):
+    n = min(len(one), len(other))
+    different = np.flatnonzero(np.frombuffer(one[:n], np.uint8) != np.frombuffer(other[:n], np.uint8))
+    return int(different[0]) if len(different) else n
+
+
+@every_format
+def test_random_damage_never_crashes_and_moves_no_event_before_it(tmp_path, name, monkeypatch):
+    monkeypatch.setattr(child_source, "SILENCE_S", 5)  # HDF5 reads some damage forever
+    events = made_events(60, step_us=3_000, sensor=SMALL)
+    path = written(tmp_path / name, events, SMALL)
+    data = path.read_bytes()
+    of_bytes = FORMATS[name].of_bytes
+    n_bytes = np.array([len(of_bytes(events[:n], SMALL)) for n in range(len(events) + 1)] if of_bytes else [0])
+    rng = np.random.default_rng((SEED, *name.encode()))
+    n_cases = max(3, CASES // 100) if name.endswith(IN_CHILD) else CASES
+    n_noticed = n_kept = 0
+    for _ in range(n_cases):
+        torn = damaged(data, rng)
+        path.write_bytes(torn)
+        got, caught = read(path)
+        n_noticed += got is None or len(caught) > 0
+        place = first_difference(data, torn)
+        if of_bytes is None or got is None or place < n_bytes[1]:
+            continue
+        # in text, the number next to the damage may be another: so the row before it does not count
+        n = np.searchsorted(n_bytes, place, side="right") - 1 - (path.suffix in (".txt", ".csv"))
+        np.testing.assert_array_equal(got[:n], events[:n])
+        n_kept += 1
+    assert n_noticed > n_cases // 100
+    assert of_bytes is None or n_kept > n_cases // 20
+
+
+@pytest.mark.parametrize("suffix", sorted(READERS))
+def test_an_empty_file_has_no_events_or_is_refused(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    path.touch()
+    if suffix in (".bin", ".csv", ".tsv", ".txt"):  # without a header, no bytes are no events
+        assert open_recording(path).n_events == 0
+    else:
+        with pytest.raises(ValueError, match=rf"a\{suffix}: (the file is empty|not a readable NumPy file)"):
+            open_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.raw", evt3(EVENTS)[len(evt_header("3.0")) :], "its first bytes are not those of a known format"),
+        ("a.raw", b"% evt 4.0\n", r"`% evt` 2.0, 2.1 or 3.0, or `% format` EVT2, EVT21 or EVT3; got '4.0'"),
+        ("a.raw", b"% evt 3.0\n% geometry 12", "the file ends inside its header, in '% geometry 12'"),
+        ("a.raw", b"% evt 3.0\n% geometry 0x12\n", "must be two sizes in pixels, got '0x12'"),
+        ("a.raw", b"% format EVT21;endianness=big\n", "`endianness` must be little or legacy, got 'big'"),
+        ("a.raw", b"% evt 3.0\n% t0 -1\n", "`% t0` must be whole microseconds, got '-1'"),
+        ("a.dat", b"1 2 3\n4 5 6\n", "its first bytes are not those of a known format"),
+        ("a.dat", b"\x00\x01\x02\x03" * 9, "its first bytes are not those of a known format"),
+        ("a.dat", b"% some table\n1 2 3\n4 5 6\n", "after the header there must be a type of events, 0 or 12"),
+        ("a.dat", b"% Version 7\n\x0c\x08", "the header's Version must be 1 or 2, got '7'"),
+        ("a.dat", dat(EVENTS).partition(b"\x08")[0], "a type of events, 0 or 12, and their size, 8; got"),
+        ("a.es", b"Event Stream\x01\x00\x00\x01\x22\x00\x22\x00", "expected Event Stream version 2"),
+        ("a.es", b"Event Stream\x02\x00\x00\x01\x22\x00", "expected the 20 bytes of an Event Stream header"),
+        ("a.es", b"Event Stream\x02\x00\x00\x01\x00\x00\x22\x00", r"at least one pixel a side, got \(0, 34\)"),
+        ("a.csv", b"\x89PNG\r\n\x1a\n\x00\x00", "expected text, got bytes that are not"),
+        ("a.npy", b"PK\x03\x04", "rename it to .npz"),
+        ("a.npz", b"\x93NUMPY", "got a single .npy array"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n" + bytes(100), "not a readable HDF5 file: "),
+        ("a.aedat4", b"#!AER-DAT4.0\r\n" + bytes(9), "not a readable AEDAT4 file: "),
+    ],
+)
+def test_a_file_that_cannot_be_understood_is_refused_in_one_line(tmp_path, name, data, message):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(ValueError, match=message) as raised:
+        open_recording(tmp_path / name)
+    assert str(tmp_path / name) in str(raised.value) and "\n" not in str(raised.value)
+
+
+VECTOR = np.array([0x8001, 0x6005, 0x0009, 0x3000 | 2040, 0x4001, 0x4FFF], "<u2").tobytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message", "n_events"),
+    [
+        ("a.raw", evt_header("3.0") + b"\x01\x00\x02\x20", "there is no TIME_HIGH", 0),
+        ("a.raw", b"% evt 3.0\n" + VECTOR, "byte 20: a vector of events reaches beyond x = 2047", 1),
+        ("a.raw", evt2(EVENTS)[:-1], "the file ends at byte .*, 3 bytes into a word of 4", 39),
+        ("a.dat", dat(EVENTS)[:-3], "the file ends 5 bytes into event 39, which has 8", 39),
+        ("a.dat", dat(EVENTS)[:-1] + b"\x70", r"event 39 \(byte .*\): t = .*, p = 7 is not a valid event", 39),
+        ("a.es", es(EVENTS)[:-1], "the file ends 4 bytes into the event at byte", 39),
+    ],
+)
+def test_a_file_is_read_up_to_the_damage_with_one_warning(tmp_path, name, data, message, n_events):
+    (tmp_path / name).write_bytes(data)
+    recording = open_recording(tmp_path / name)
+    with pytest.warns(DamagedRecording, match=f"damaged recording: .*{message}") as caught:
+        assert (recording.n_events, len(recording.read()), len(list(recording))) == (n_events, n_events, n_events > 0)
+    assert len(caught) == 1
+
+
+@pytest.mark.parametrize(("name", "make"), [("a.txt", uzh_text), ("a.raw", evt3), ("b.raw", evt2), ("a.dat", dat)])
+def test_an_event_off_the_sensor_is_damage(tmp_path, name, make):
+    events = made_events(2_000)
+    events["x"][1_234] = 320
+    (tmp_path / name).write_bytes(make(events))
+    with pytest.warns(DamagedRecording, match="event 1234 at x = 320, y = .* is off the 320 x 240 sensor") as caught:
+        got = open_recording(tmp_path / name).read()
+    assert f"Keeping the 1234 events before, up to {events['t'][1233]} us." in str(caught[0].message)
+    np.testing.assert_array_equal(got, events[:1_234])
+    with pytest.raises(ValueError, match=r"is off the 320 x 240 sensor\. Fetch the file again\.") as raised:
+        open_recording(tmp_path / name, strict=True).read()
+    assert raised.value.__notes__ == ["Or pass strict=False for the 1234 events before."]
+
+
+def test_an_es_event_off_the_sensor_is_damage(tmp_path):
+    events = made_events(20)
+    events["x"][12] = 321
+    (tmp_path / "a.es").write_bytes(es(events))
+    with pytest.warns(DamagedRecording, match=r"the event at byte \d+ is off the 320 x 240 sensor"):
+        np.testing.assert_array_equal(open_recording(tmp_path / "a.es").read(), events[:12])
