@@ -88,12 +88,17 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
     """
     ints = buffer.view(np.int64)
     while first < last and t[first] < ints[S.LIMIT_US]:
-        if _count_event(ints, t[first], x[first], y[first]) and n_stored < stored_t.size:
-            stored_t[n_stored] = t[first]
-            stored_x[n_stored] = x[first]
-            stored_y[n_stored] = y[first]
-            stored_p[n_stored] = p[first]
-            n_stored += 1
+        ints[S.RECEIVED] += 1
+        if t[first] < ints[S.START_US]:
+            _count_late(ints, t[first])
+        else:
+            _count_event(ints, t[first], x[first], y[first])
+            if n_stored < stored_t.size:
+                stored_t[n_stored] = t[first]
+                stored_x[n_stored] = x[first]
+                stored_y[n_stored] = y[first]
+                stored_p[n_stored] = p[first]
+                n_stored += 1
         first += 1
     return first, n_stored
 
@@ -101,9 +106,12 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
 @compiled
 def _absorb_event(buffer, ints, t, x, y, p):
     """Add one event before LIMIT_US."""
-    if not _count_event(ints, t, x, y):
-        return
+    ints[S.RECEIVED] += 1
     dt = t - ints[S.START_US]
+    if dt < 0:
+        _count_late(ints, t)
+        return
+    _count_event(ints, t, x, y)
     mode = ints[S.MODE]
     if mode == S.MODE_RUNNING:
         num_x, num_y, den = displace_running(x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y])
@@ -129,21 +137,19 @@ def _absorb_event(buffer, ints, t, x, y, p):
 
 @inlined
 def _count_event(ints, t, x, y):
-    """Count and sum one event before LIMIT_US; returns whether it is in the open window.
-
-    An event before it counts as DECIDED where the newest window that holds it was closed early, else as LATE.
-    """
-    ints[S.RECEIVED] += 1
-    if t < ints[S.START_US]:
-        hops = (ints[S.START_US] - 1 - t) // ints[S.HOP_US]  # 0: that window is the one before the open one
-        decided = hops < S.REMEMBERED and (ints[S.CLOSED_EARLY + (hops >> 6)] >> (hops & 63)) & 1 == 1
-        ints[S.DECIDED if decided else S.LATE] += 1
-        return False
+    """Count and sum one event of the open window."""
     ints[S.N] += 1
     ints[S.SUM_X] += x
     ints[S.SUM_Y] += y
     ints[S.NEWEST_US] = max(ints[S.NEWEST_US], t)
-    return True
+
+
+@inlined
+def _count_late(ints, t):
+    """Count an event before the open window: as DECIDED where the newest window that holds it was closed early."""
+    hops = (ints[S.START_US] - 1 - t) // ints[S.HOP_US]  # 0: that window is the one before the open one
+    decided = hops < S.REMEMBERED and (ints[S.CLOSED_EARLY + (hops >> 6)] >> (hops & 63)) & 1 == 1
+    ints[S.DECIDED if decided else S.LATE] += 1
 
 
 @compiled

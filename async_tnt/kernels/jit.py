@@ -39,7 +39,7 @@ def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]
 
 
 compiled_without_gil = partial(compiled, nogil=True)
-"""`compiled`, and other Python threads run meanwhile: for work that takes longer than handing the lock over."""
+"""`compiled`, and other Python threads run meanwhile: for work that takes longer than releasing the lock."""
 
 
 def compile_only(kernel: Any, *types: Any) -> None:

@@ -71,29 +71,38 @@ def cells_to_float32(buffer, array, n_intervals):
 
 
 @inlined
-def cell_at(ints, corner):
+def strides_of(ints):
+    """Numbers in a row and in an interval of cells, and from an ON cell to its OFF twin: values for the functions
+    below, read once, which the compiler then knows not to change."""
+    return ints[S.ROW], ints[S.PLANE], ints[S.OFF_SHIFT]
+
+
+@inlined
+def cell_at(strides, corner):
     """Bin, row and column of the cell at this index, the `corner` of an event: the inverse of `splat.place_event`."""
+    row, plane, _ = strides
     place = corner - S.CELLS
-    b = place // ints[S.PLANE]
-    y = (place - b * ints[S.PLANE]) // ints[S.ROW]
-    x = (place - b * ints[S.PLANE] - y * ints[S.ROW]) // 2
+    b = place // plane
+    y = (place - b * plane) // row
+    x = (place - b * plane - y * row) // 2
     return b, y, x
 
 
 @inlined
-def parts_of(ints, b, y, x):
+def parts_of(strides, b, y, x):
     """Where the two numbers lie whose sum is the volume at (b, y, x): the lower bin's weight of interval b and the
-    upper bin's of the interval before. For the first bin, which has none before it, the first one twice."""
-    lower = S.CELLS + b * ints[S.PLANE] + y * ints[S.ROW] + 2 * x
-    is_first = (b == 0) | (b * ints[S.PLANE] == ints[S.OFF_SHIFT])
-    return lower, lower if is_first else lower - ints[S.PLANE] + 1
+    upper bin's of the interval before; and whether b is a first bin, which has no interval before it."""
+    row, plane, off_shift = strides
+    lower = S.CELLS + b * plane + y * row + 2 * x
+    is_first = (b == 0) | (b * plane == off_shift)
+    return lower, lower - plane + 1, is_first
 
 
 @inlined
-def cell_value(buffer, lower, upper, k):
+def cell_value(buffer, lower, upper, is_first, k):
     """The volume k pixels right of the one whose `parts_of` these are."""
-    i = np.uint64(2 * k)
-    return buffer[np.uint64(lower) + i] + (0.0 if lower == upper else buffer[np.uint64(upper) + i])
+    i = np.uint64(k) + np.uint64(k)
+    return buffer[np.uint64(lower) + i] + (0.0 if is_first else buffer[np.uint64(upper) + i])
 
 
 @inlined
@@ -111,10 +120,11 @@ def _copy_bins(buffer, ints, array, n_intervals):
     once.
     """
     n_bins, height, width = array.shape
+    strides = strides_of(ints)
     for y in range(height):
         for first in range(0, n_bins, n_intervals):  # twice with OFF bins
             for b in range(first + ints[S.BIN_LO], min(first + ints[S.BIN_HI] + 2, first + n_intervals)):
-                lower, upper = parts_of(ints, b, y, 0)
+                lower, upper, _ = parts_of(strides, b, y, 0)
                 if b > first:
                     for x in range(width):
                         i = np.uint64(2 * x)
@@ -128,9 +138,11 @@ def _copy_bins(buffer, ints, array, n_intervals):
 def _copy_around(buffer, ints, corner, array):
     """`cells_to_float32` for the eight cells of an event at this corner."""
     n_bins, height, width = array.shape
-    b0, y0, x0 = cell_at(ints, corner)
+    strides = strides_of(ints)
+    b0, y0, x0 = cell_at(strides, corner)
     for b in range(b0, min(b0 + 2, n_bins)):
         for y in range(y0, min(y0 + 2, height)):
-            lower, upper = parts_of(ints, b, y, x0)
+            lower, upper, is_first = parts_of(strides, b, y, x0)
             for k in range(min(2, width - x0)):
-                array[np.uint64(b), np.uint64(y), np.uint64(x0 + k)] = cell_value(buffer, lower, upper, k)
+                value = cell_value(buffer, lower, upper, is_first, k)
+                array[np.uint64(b), np.uint64(y), np.uint64(x0) + np.uint64(k)] = value

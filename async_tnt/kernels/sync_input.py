@@ -10,7 +10,7 @@ from . import layout as L
 from . import state as S
 from .forward import mark_dirty
 from .jit import compiled, inlined
-from .readout import cell_at, cell_value, parts_of
+from .readout import cell_at, cell_value, parts_of, strides_of
 from .simd import vectorized
 
 NUMBERS_PER_LOGGED = 100  # one logged event, scattered in memory, costs as much as so many cells in order
@@ -58,16 +58,17 @@ def set_input(volume, layout, maps, dirty):
 def _sync_corner(buffer, ints, corner, layout, maps, dirty):
     """The eight cells of an event."""
     n_channels, height, width = layout[L.CHANNELS], layout[L.HEIGHT], layout[L.WIDTH]
-    c0, y0, x0 = cell_at(ints, corner)
+    strides = strides_of(ints)
+    c0, y0, x0 = cell_at(strides, corner)
     changed = False
     for c in range(c0, min(c0 + 2, n_channels)):
         for y in range(y0, min(y0 + 2, height)):
-            lower, upper = parts_of(ints, c, y, x0)
-            at = layout[L.INPUT] + ((y + 1) * n_channels + c) * (width + 2) + x0 + 1
+            lower, upper, is_first = parts_of(strides, c, y, x0)
+            at = np.uint64(layout[L.INPUT] + ((y + 1) * n_channels + c) * (width + 2) + x0 + 1)
             for k in range(min(2, width - x0)):
-                value = np.float32(cell_value(buffer, lower, upper, k))
-                changed |= maps[np.uint64(at + k)] != value
-                maps[np.uint64(at + k)] = value
+                value = np.float32(cell_value(buffer, lower, upper, is_first, k))
+                changed |= maps[at + np.uint64(k)] != value
+                maps[at + np.uint64(k)] = value
     if changed:
         mark_dirty(layout, dirty, L.DIRTY_1, layout[L.ROWS_1], layout[L.COLUMNS_1], y0, y0 + 1, x0, x0 + 1)
 
@@ -76,13 +77,15 @@ def _sync_corner(buffer, ints, corner, layout, maps, dirty):
 def _sync_all(buffer, ints, layout, maps, dirty):
     """All cells, row by row of the image."""
     n_channels, height, width = layout[L.CHANNELS], layout[L.HEIGHT], layout[L.WIDTH]
+    strides = strides_of(ints)
     changed = layout[L.TILE]  # flags of this row's pixels, from the one before the first to the one past the last
     for y in range(height):
         for x in range(width + 2):
             maps[np.uint64(changed + x)] = 0
         for c in range(n_channels):
             at = layout[L.INPUT] + ((y + 1) * n_channels + c) * (width + 2) + 1
-            lower, upper = parts_of(ints, c, y, 0)
+            lower, upper, is_first = parts_of(strides, c, y, 0)
+            upper = lower if is_first else upper
             if width < 8:
                 round_cells(buffer, lower, upper, width, maps, at, changed + 1)
             else:
@@ -99,11 +102,11 @@ def round_cells(buffer, lower, upper, n, maps, at, changed):
     Parameters
     ----------
     buffer : float64, a volume's `state`.
-    lower, upper : int. The `parts_of` the first cell.
+    lower, upper : int. The `parts_of` the first cell; of a first bin, the lower one twice.
     maps : float32. Values from `at` on are updated in place; flags from `changed` on become 1 where they differed.
     """
     for x in range(n):
-        value = np.float32(cell_value(buffer, lower, upper, x))
+        value = np.float32(cell_value(buffer, lower, upper, lower == upper, x))
         if maps[at + x] != value:
             maps[changed + x] = 1
         maps[at + x] = value

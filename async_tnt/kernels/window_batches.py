@@ -16,7 +16,7 @@ from . import state as S
 from .absorb import absorb
 from .jit import compiled, inlined
 from .landmark import displace_fixed
-from .readout import cell_at, cells_to_float32, empty_volume
+from .readout import cell_at, cells_to_float32, empty_volume, strides_of
 from .splat import grid_of, place_event
 
 OWN, MEAN, GIVEN = 0, 1, 2
@@ -80,7 +80,7 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
     """
     ints = buffer.view(np.int64)
     scratch_t, scratch_x, scratch_y, scratch_p = scratch
-    start_us = windows[2]
+    start_us, strides = windows[2], strides_of(ints)
     per_time = buffer[S.SCALE_X] * (ints[S.SENSOR_W] - 1) / buffer[S.MAX_U]  # window_us / t_max
     for i in range(out.shape[0]):
         n = _select_events(ints, scratch, columns, windows, i)
@@ -95,7 +95,7 @@ def landmark_gradients(buffer, scratch, columns, windows, landmarks, gradient, o
             corner, y_frac, x_frac, lower, upper, kept = place_event(grid, dt, scratch_p[k] > 0, num_x, num_y, den)
             if not kept:
                 continue
-            b, y, x = cell_at(ints, np.int64(corner))
+            b, y, x = cell_at(strides, np.int64(corner))
             d_u = 0.0
             d_v = 0.0
             for is_upper in range(2):

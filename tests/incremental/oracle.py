@@ -1,6 +1,6 @@
 """What a processor with `every_events` decides, by a plain loop: one event at a time, the whole network each time.
 
-No Processor, no packets, no compiled triggers: a TNTVolume that lays its windows itself, and a function on arrays.
+No Processor, no packets, no compiled triggers: a TNTVolume that opens its windows itself, and a function on arrays.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Row = tuple[str, int, int, int, bool, bytes, Near]
 
 
 def row(decision: Decision) -> Row:
-    """All that a decision says, comparable; the logits by their bits."""
+    """All fields of a decision, comparable; the logits by their bits."""
     return (
         decision.trigger,
         decision.window_start_us,
@@ -48,7 +48,7 @@ def decisions_one_by_one(
     """Windows end to end from the first event; a decision after every so many of a window's events."""
     volume, rows = new_volume(), []
 
-    def say(trigger: str, complete: bool = False) -> None:
+    def decide(trigger: str, complete: bool = False) -> None:
         logits = network(volume.array)
         rows.append(
             (
@@ -65,13 +65,13 @@ def decisions_one_by_one(
     for event in events.tolist():
         n_before = volume.n_events
         if n_before and event[0] >= volume.start_us + volume.config.window_us:
-            say("window", complete=True)
+            decide("window", complete=True)
             n_before = 0
         volume.update_one(*event)
         if volume.n_events > n_before and volume.n_events % every == 0:
-            say("every_events")
+            decide("every_events")
     if volume.n_events:
-        say("end")
+        decide("end")
     return rows
 
 

@@ -13,7 +13,7 @@ from async_tnt import CompiledClassifier, CompiledRegressor, Processor
 
 
 class Another(CompiledClassifier):
-    """A subclass may do otherwise: Processor must ask it, as any callable."""
+    """A subclass may behave differently: Processor must call it like any callable."""
 
     def __call__(self, volume):
         return super().__call__(volume)[::-1].copy()
@@ -103,7 +103,7 @@ def test_the_compiled_path_decides_as_the_general_one(case, settings):
     size=st.sampled_from([None, 1, 7, 0]),
 )
 def test_overlapping_windows_each_by_itself(case, data, hop_us, every, size):
-    """Each window holds its own events; after every so many the oldest speaks."""
+    """Each window holds its own events; every so many of them, the oldest window decides."""
     events = data.draw(nasty_streams(case.config.sensor, 3 * WINDOW_US, 77))
     events = np.sort(events, order="t", kind="stable")
     expected = []
@@ -128,7 +128,7 @@ def test_overlapping_windows_each_by_itself(case, data, hop_us, every, size):
 
 
 @pytest.mark.parametrize("size", [1, 7, 0])
-def test_a_subclass_of_the_compiled_classifier_is_asked_itself(size):
+def test_a_subclass_of_the_compiled_classifier_is_called_itself(size):
     case = CASES[7]
     events = random_events(60, seed=5, duration_us=WINDOW_US)
     processor = Processor(case.config, classifier=Another(model_of(case)), every_events=1)
@@ -139,7 +139,7 @@ def test_a_subclass_of_the_compiled_classifier_is_asked_itself(size):
 
 
 def test_arrays_of_a_decision_are_its_own():
-    """Those of one packet are made in one piece of memory: none may reach into another."""
+    """Those of one packet share one piece of memory: none may reach into another."""
     decisions = Processor(model_of(CASES[7]), every_events=1).push(random_events(20, seed=6, duration_us=3000))
     before = [key(d) for d in decisions]
     decisions[4].logits[:] = 0

@@ -10,7 +10,7 @@ from async_tnt import CompiledClassifier, LeakyIntegrator, Model, Processor, TNT
 
 FINITE = "`classifier` must return finite logits, got"
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none")
-LOUD = 7, 7  # an event here is too much; elsewhere it is as nothing
+LOUD = 7, 7  # an event here overflows; elsewhere events hardly count
 AT_EVENTS = [
     {"every_events": 1},
     {"confidence": 1.0},
@@ -44,7 +44,7 @@ def test_the_numbers_do_overflow(kind):
     assert np.isfinite(network.refresh(volume)).all()
 
 
-def test_a_relu_does_not_swallow_what_is_no_number():
+def test_a_relu_keeps_nan():
     """An infinity in the first map, weighed with 0 in the second: that is nan, and stays it up to the logits."""
     weights = {name: w.copy() for name, w in overflowing("inf").weights.items()}
     weights["conv1.weight"][0, 0, 1, 1] = 3e38
@@ -73,7 +73,7 @@ def processors(kind: str, **settings) -> list[Processor]:
 
 
 def stream(n: int, loud: list[int]) -> np.ndarray:
-    """Quiet events at the upper left, one each microsecond; `loud`: where one is too much, the next takes it back."""
+    """Quiet events at the upper left, one each microsecond; `loud`: where one overflows, and the next cancels it."""
     k = np.arange(n)
     events = events_of(100 + k, k % 3, (k + 1) % 3, [1] * n)
     for k in loud:
@@ -97,7 +97,7 @@ def one_by_one(processor: Processor, events: np.ndarray) -> tuple[list, list[int
 @pytest.mark.parametrize("kind", ["inf", "nan"])
 @pytest.mark.parametrize("settings", AT_EVENTS, ids=str)
 def test_events_go_on_after_the_error(settings, kind):
-    """The event is taken all the same: at the next one, which takes it back, all is as if nothing had been."""
+    """The event is absorbed nevertheless: after the next one, which cancels it, the stream is as without both."""
     loud = [4, 9, 700, 1303]
     events = stream(1500, loud)
     compiled, general = processors(kind, **settings)
@@ -110,8 +110,8 @@ def test_events_go_on_after_the_error(settings, kind):
 
 @pytest.mark.parametrize("size", [2, 7, 1500])
 @pytest.mark.parametrize("settings", AT_EVENTS[:-1], ids=str)
-def test_a_packet_is_taken_up_to_the_error(settings, size):
-    """What comes after it in the packet is not: pushed again, the stream goes on there."""
+def test_a_packet_is_absorbed_up_to_the_error(settings, size):
+    """Its later events are not: pushed again, the stream continues there."""
     loud = [4, 700, 1303]
     events = stream(1500, loud)
     alone = processors("nan", **settings)[0]
@@ -141,7 +141,7 @@ def test_a_packet_is_taken_up_to_the_error(settings, size):
     "settings", [{}, {"every_us": 10}, {"every_us": 10, "confidence": 0.9}, {"hop_us": 400}], ids=str
 )
 def test_a_decision_that_is_due_is_tried_again(settings, kind):
-    """At a window's end or after some time the event that shows it is not taken; the next push tries again."""
+    """At a window's end, or when time is up, the event that shows it is not absorbed; the next push tries again."""
     for processor in processors(kind, **settings):
         assert processor.push_one(0, 1, 1, 1) == []
         assert processor.push_one(5, *LOUD, 1) == []
@@ -153,7 +153,7 @@ def test_a_decision_that_is_due_is_tried_again(settings, kind):
             with pytest.raises(ValueError, match=FINITE):
                 processor.fire()
         assert processor.counts.received == 2
-        assert processor.push_one(6, *LOUD, 0) == []  # in time yet, and takes it back
+        assert processor.push_one(6, *LOUD, 0) == []  # still in time, and cancels it
         decision = processor.push_one(1002, 1, 1, 1)[0]
         assert (decision.events, decision.window_start_us, decision.time_us) == (3, 0, 6)
         assert np.isfinite(decision.logits).all()

@@ -97,14 +97,14 @@ def test_one_small_network_by_hand_event_by_event():
         volume.update_one(100, x, y, p)
         hidden += adds
         assert network.refresh(volume).tolist() == [2 * hidden, 1 - hidden]
-    volume.update_one(100, 2, 1, 1)  # takes the OFF event there back
+    volume.update_one(100, 2, 1, 1)  # cancels the OFF event there
     assert network.refresh(volume).tolist() == [2 * (hidden - 0.25), 1 - (hidden - 0.25)]
     volume.open(0)
     assert network.refresh(volume).tolist() == [1.0, 0.5]
 
 
 def test_a_tap_reaches_its_neighbour_only():
-    """A convolution that looks to the left: an event moves what its right neighbour's cell holds, over the pool's
+    """A convolution of the left neighbour: an event changes the cell on its right, across the pool's
     border, and falls off at the image's."""
     weights = {name: w.copy() for name, w in small_network().weights.items()}
     weights["conv1.weight"][0, 0] = [[0, 0, 0], [1, 0, 0], [0, 0, 0]]

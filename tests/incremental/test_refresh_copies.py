@@ -1,4 +1,4 @@
-"""Copies of volumes, classifiers and processors in mid-stream: both go on, each with its own events."""
+"""Copies of volumes, classifiers and processors in mid-stream: both continue, each with different events."""
 
 import copy
 import itertools
@@ -68,7 +68,7 @@ def test_a_volume_and_its_classifier_copied_together(duplicate):
 
 
 def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monkeypatch):
-    """There windows have the numbers 1, 2, 3 .. too; it must not take one for the one it saw at home."""
+    """Windows there are numbered 1, 2, 3 .. too; it must not mistake one for a window of the first process."""
     network, volume = SMALL.classifier(), SMALL.volume()
     for event in random_events(10, seed=1, duration_us=900, sensor=(8, 8)).tolist():
         volume.update_one(*event)
@@ -116,7 +116,7 @@ def test_a_processor_copied_in_midstream(case, settings):
         start = original.push(first)
         twin = duplicate(original)
         mine, yours = [], []
-        for k in range(0, 150, 10):  # in turns
+        for k in range(0, 150, 10):
             mine += original.push(rest[k : k + 10])
             yours += twin.push(others[k : k + 10])
         for processor, ends, packets in ((original, mine, rest), (twin, yours, others)):

@@ -1,4 +1,4 @@
-"""At every event, the logits that were renewed are those of the whole network, bit for bit."""
+"""At every event, updated logits are those of the whole network, bit for bit."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def assert_equal_at_every_event(case: Case, events: np.ndarray, size: int = 1) -
 def test_at_every_event_of_a_random_stream(case):
     events = random_events(250, seed=1, duration_us=2 * WINDOW_US + 100, sensor=case.config.sensor)
     seen = assert_equal_at_every_event(case, events)
-    assert len(set(seen)) > 0.4 * len(events)  # the classifier has something to say of most events
+    assert len(set(seen)) > 0.4 * len(events)  # most events change the logits
 
 
 def test_at_every_event_on_a_large_grid():

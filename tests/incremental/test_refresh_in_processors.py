@@ -53,16 +53,16 @@ def test_another_model_in_the_middle_of_a_window(case, size):
     first, second = case.classifier(0), case.classifier(1)
     events = random_events(260, seed=1, duration_us=2 * WINDOW_US, sensor=case.config.sensor)
     processor = Processor(case.config, classifier=first, every_events=1)
-    decisions, asked = [], []
+    decisions, used = [], []
     for k, first_event in enumerate(range(0, 260, size)):
         number = k // 3 % 2
         processor.classifier = (first, second)[number]
         new = processor.push(events[first_event : first_event + size])
         decisions += new
-        asked += [number] * len(new)
+        used += [number] * len(new)
     both = [decisions_one_by_one(events, case.volume, dense_of(case, seed), 1)[:-1] for seed in (0, 1)]
-    assert [row(d) for d in decisions] == [both[number][k] for k, number in enumerate(asked)]
-    assert {0, 1} == set(asked)
+    assert [row(d) for d in decisions] == [both[number][k] for k, number in enumerate(used)]
+    assert {0, 1} == set(used)
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
@@ -100,7 +100,7 @@ def opened(case: Case, start_us: int):
 @pytest.mark.parametrize("sizes", [(1, 1), (7, 3), (100, 1)])
 @pytest.mark.parametrize("hop_us", [None, 1500])
 def test_one_classifier_for_two_processors(sizes, hop_us):
-    """Two cameras, one network, in turns."""
+    """Two cameras, one network, alternating."""
     case = CASES[7]
     network = CompiledClassifier(model_of(case))
     streams = [random_events(300, seed=seed, duration_us=2 * WINDOW_US) for seed in (4, 5)]

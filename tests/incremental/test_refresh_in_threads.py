@@ -38,7 +38,7 @@ def test_processors_in_threads_decide_as_one_after_the_other(case, settings):
 
 
 def test_volumes_made_in_threads_are_never_taken_for_each_other():
-    """A window's number is its own, also where threads open windows at the same time."""
+    """Each window has a number of its own, even where threads open windows at the same time."""
     case = CASES[1]
 
     def open_many(seed):
@@ -54,7 +54,7 @@ def test_volumes_made_in_threads_are_never_taken_for_each_other():
 
 
 def test_other_threads_go_on_while_a_packet_is_decided():
-    """While this thread holds the GIL for as long as it likes, the other one can move only when it lets go of it."""
+    """This thread never gives up the GIL by itself, so the other one runs only where the kernel releases it."""
     case = CASES[7]
     processor = Processor(model_of(case), every_events=1)
     events = random_events(20_000, seed=1, duration_us=3900)
@@ -65,7 +65,7 @@ def test_other_threads_go_on_while_a_packet_is_decided():
         while not stop.is_set():
             counted[0] += 1
             running.set()
-            time.sleep(0)  # lets go of the GIL
+            time.sleep(0)  # releases the GIL
 
     other = threading.Thread(target=count)
     interval_s = sys.getswitchinterval()

@@ -1,6 +1,6 @@
 """Readers do not disturb each other: several volumes and classifiers, read and written in any order.
 
-Each volume has a twin that takes the same events and is read by nobody but the oracle, from its array.
+Each volume has a twin that absorbs the same events and is read only by the oracle, from its array.
 """
 
 import copy
@@ -64,7 +64,7 @@ def test_two_volumes_and_two_classifiers_in_any_order(cases, script):
             volumes[v] = copy.deepcopy(volumes[v])
         elif step == "pickle":
             networks[number] = pickle.loads(pickle.dumps(networks[number]))
-        else:  # the incremental classifier is asked about an array in between
+        else:  # the incremental classifier is called with an array in between
             array = np.random.default_rng(k).normal(size=cases[0].config.shape).astype(np.float32)
             assert networks[number](array).tobytes() == dense[number](array).tobytes()
     for v, number in np.ndindex(2, 2):
@@ -74,7 +74,7 @@ def test_two_volumes_and_two_classifiers_in_any_order(cases, script):
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_one_volume_that_two_classifiers_and_somebody_else_read(case):
+def test_one_volume_read_by_two_classifiers_and_as_an_array(case):
     """One reads after every event, one after every fifth, the array is looked at after every third."""
     often, seldom, volume, twin = case.classifier(0), case.classifier(1), case.volume(), case.volume()
     for k, event in enumerate(random_events(90, seed=3, duration_us=5000, sensor=case.config.sensor).tolist()):
@@ -89,7 +89,7 @@ def test_one_volume_that_two_classifiers_and_somebody_else_read(case):
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_one_classifier_that_goes_from_volume_to_volume(case):
-    """Each volume's log moves on while the classifier looks at the other."""
+    """Each volume's log grows while the classifier reads another volume."""
     network, volumes = case.classifier(), [case.volume() for _ in range(3)]
     events = random_events(240, seed=4, duration_us=5000, sensor=case.config.sensor).tolist()
     for k, event in enumerate(events):

@@ -1,4 +1,4 @@
-"""The log is a ring: what the classifier knows stays right however often it went round since, or just did."""
+"""The log is a ring: the classifier's input stays right however often the ring has wrapped since its last read."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def log_size(volume: TNTVolume) -> int:
 
 
 def n_worth_following(case: Case) -> int:
-    """So many new events a classifier finds in the log; for more it looks at all cells."""
+    """Up to this many new events the classifier follows the log; for more it reads all cells."""
     return int(np.prod(case.config.shape)) // NUMBERS_PER_LOGGED
 
 
@@ -58,7 +58,7 @@ def test_packets_of_all_lengths():
 
 
 def test_few_events_after_very_many():
-    """The classifier counts logged events, and the ring has been round forty times before it looks first."""
+    """The classifier counts logged events, and the ring has wrapped forty times before its first read."""
     volume, twin, network = MIDDLE.volume(), MIDDLE.volume(), MIDDLE.classifier()
     events = random_events(20_100, seed=9, duration_us=3900, sensor=MIDDLE.grid, start_us=1)
     for one in (volume, twin):
@@ -96,7 +96,7 @@ def test_cells_that_cancel_leave_no_trace():
 
 
 def test_the_log_was_followed_where_it_pays():
-    """Without this the tests above might all look at all cells: of a few new events only their places are compared.
+    """Otherwise the tests above might all read all cells: of a few new events only their places are compared.
 
     A cell that no new event touches is given a wrong value in the classifier's input. It stays.
     """

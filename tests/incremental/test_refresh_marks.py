@@ -22,7 +22,7 @@ CASE = Case((34, 34), 9, "signed", "none", (16, 32, 64), 10)
 
 
 class Marks:
-    """A classifier that is asked layer by layer."""
+    """A classifier that runs layer by layer."""
 
     def __init__(self, case: Case, changes: dict | None = None) -> None:
         self.network = CompiledClassifier(model_of(case)).network
@@ -102,7 +102,7 @@ def test_several_events_mark_all_that_their_pixels_reach_and_no_more_than_each_a
     assert not (at_least & ~found).any() and not (found & ~at_most).any() and at_least.sum() == 12
 
 
-def test_an_event_that_the_transform_throws_out_marks_nothing():
+def test_an_event_that_the_transform_drops_marks_nothing():
     marks = Marks(CASE, {"transform": "tnt", "landmark": "center", "t_max": 2.0})
     marks.volume.update_one(3000, 17, 17, 1)
     assert marks.steps()[0].any()
@@ -137,7 +137,7 @@ def test_where_a_relu_holds_back_the_change_ends():
 
 @pytest.mark.parametrize("case", [CASES[7], CASES[10]], ids=str)
 def test_another_window_marks_only_where_the_two_differ(case):
-    """A window is over and the next begins with nearly the same events: what is the same is not computed anew."""
+    """A window is over and the next begins with nearly the same events: what is the same is not computed again."""
     events = random_events(300, seed=3, duration_us=3900, sensor=case.config.sensor)
     marks = Marks(case, {"transform": "none", "landmark": "center"})
     marks.volume.update(events)
@@ -152,7 +152,7 @@ def test_another_window_marks_only_where_the_two_differ(case):
     assert 1 <= first.sum() <= 9 and first[4, 4]
 
 
-def test_the_log_tells_the_same_marks_as_a_look_at_all_cells():
+def test_the_log_gives_the_same_marks_as_all_cells():
     followed, looked = Marks(CASES[7]), Marks(CASES[7])
     for event in random_events(200, seed=4, duration_us=3900).tolist():
         for marks in (followed, looked):

@@ -55,7 +55,7 @@ def test_the_zero_heatmap_gives_the_image_centre_exactly():
 
 
 def identity_model(config, heatmap):
-    """Every convolution hands its input on: the heatmap's exponent is `heatmap` times ReLU(V), of one bin."""
+    """Every convolution passes its input on: the heatmap's exponent is `heatmap` times ReLU(V), of one bin."""
     weights = dict(random_regressor_model(config, regressor_widths=(1, 1, 1)).weights)
     for layer in ("conv1", "conv2", "conv3"):
         kernel = np.zeros((1, 1, 3, 3))
