@@ -15,7 +15,7 @@ from async_tnt.cli.arguments import positive_int
 from async_tnt.cli.record import command_words, data_folder
 from async_tnt.files import check_folder, write_text
 from async_tnt.training.settings import PRECISIONS, TrainSettings
-from async_tnt.training.table_rows import ROWS, TRAINED_ON
+from async_tnt.training.table import ROWS, TRAINED_ON
 
 if TYPE_CHECKING:
     from async_tnt.training.table_data import RealData
@@ -126,11 +126,9 @@ def main(args: argparse.Namespace) -> int:
         from tnt_reference import Classifier  # noqa: F401
     except ImportError as error:
         raise ImportError(f"the table needs torch ({error}); install it with: pip install '.[train]'") from None
-    from async_tnt.training.table_all_runs import do_runs
+    from async_tnt.training.table import aggregate, markdown_table, motions_table, text_table
     from async_tnt.training.table_data import RealFolder
-    from async_tnt.training.table_report import markdown_table, motions_table, text_table
-    from async_tnt.training.table_results import aggregate
-    from async_tnt.training.table_run import Run
+    from async_tnt.training.table_runs import Run, run_networks
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
     check_folder(args.out, ("results.json", "table.md"))
@@ -148,7 +146,7 @@ def main(args: argparse.Namespace) -> int:
     settings = TrainSettings(iterations=args.iterations, batch=args.batch, precision=args.precision)
     workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
     started = time.monotonic()
-    results = do_runs(runs, real, simulated, settings, args.out / "networks", workers)
+    results = run_networks(runs, real, simulated, settings, args.out / "networks", workers)
     table = aggregate(results)
     record = {
         "command": command_words(

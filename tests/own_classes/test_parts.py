@@ -11,7 +11,7 @@ from async_tnt.config import MAX_SIDE, TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.training.augment import FINE, Augmentation, fineness
 from async_tnt.training.dataset import read_classes
-from async_tnt.training.windows import Recordings, lay_windows, split_recordings
+from async_tnt.training.windows import Recordings, make_windows, split_recordings
 
 
 def recording(times_us):
@@ -20,7 +20,7 @@ def recording(times_us):
 
 def test_windows_reach_to_the_recordings_last_event():
     events = [recording([3, 102, 103, 2_000_000_003]), recording([50]), recording([])]
-    windows = lay_windows(Recordings.from_events(events, [0, 1, 1]), 100, first_event=True, duration_us=None)
+    windows = make_windows(Recordings.from_events(events, [0, 1, 1]), 100, first_event=True, duration_us=None)
     np.testing.assert_array_equal(windows.recording, [0, 0, 0, 1])
     np.testing.assert_array_equal(windows.start_us, [3, 103, 2_000_000_003, 50])
 
@@ -73,7 +73,7 @@ def test_every_class_is_shown_equally_often_and_every_window_in_turn():
 def test_an_epoch_of_training_sees_every_class_equally_often(tmp_path):
     train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
     events = [recording([1_000 * k, 50_000]) for k in range(12)]
-    windows = lay_windows(Recordings.from_events(events, [0] * 9 + [1] * 3), 105_000)
+    windows = make_windows(Recordings.from_events(events, [0] * 9 + [1] * 3), 105_000)
     seen = {True: [], False: []}
     for balance, labels in seen.items():
 
@@ -109,7 +109,7 @@ def test_patience_ends_the_training_and_the_best_epoch_has_the_lowest_loss(tmp_p
     monkeypatch.setattr(train, "_validate", lambda *words, **more: {"validation_loss": next(losses), "per_window": 0.5})
     rng = np.random.default_rng(0)
     events = [recording(np.sort(rng.integers(0, 100_000, 50))) for _ in range(4)]
-    windows = lay_windows(Recordings.from_events(events, [0, 1, 0, 1]), 105_000, first_event=True, duration_us=None)
+    windows = make_windows(Recordings.from_events(events, [0, 1, 0, 1]), 105_000, first_event=True, duration_us=None)
     settings = train.TrainSettings(epochs=5, batch=4, patience=2, balance=True)
     result = train.train(TNTConfig(), windows, windows, settings, tmp_path, classes=("a", "b"))
     assert len(result.history) == 4 and result.best_epoch == 2
@@ -123,7 +123,7 @@ def test_patience_ends_the_training_and_the_best_epoch_has_the_lowest_loss(tmp_p
 
 def test_a_rare_class_counts_as_much_in_the_validation_loss(monkeypatch):
     train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
-    windows = lay_windows(Recordings.from_events([recording([1])] * 4, [0, 0, 0, 1]), 105_000)
+    windows = make_windows(Recordings.from_events([recording([1])] * 4, [0, 0, 0, 1]), 105_000)
     probabilities = np.array([[0.5, 0.5]] * 3 + [[0.75, 0.25]])
     monkeypatch.setattr(train, "class_probabilities", lambda *words: probabilities)
     balanced, plain = (train._validate(None, windows, balance=b)["validation_loss"] for b in (True, False))

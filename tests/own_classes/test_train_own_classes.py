@@ -85,7 +85,7 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
 
     def refused(*words):
         code, _, told, _ = train(folder, *words)
-        end = f"; give another run folder (train --run OTHER), or delete the folder {run} to start anew\n"
+        end = f"; give another run folder (train --run OTHER), or delete the folder {run} to start again\n"
         assert code == 2 and told.startswith(f"async-tnt: {run} holds a run with other ") and told.endswith(end)
         return told.removeprefix(f"async-tnt: {run} holds a run with other ").removesuffix(end)
 

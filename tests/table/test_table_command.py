@@ -9,8 +9,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from async_tnt import cli, load_model  # noqa: E402
-from async_tnt.training import table_all_runs as all_runs  # noqa: E402
-from async_tnt.training.table_run import Run  # noqa: E402
+from async_tnt.training import table_runs  # noqa: E402
+from async_tnt.training.table_runs import Run  # noqa: E402
 
 
 def table(*words):
@@ -98,7 +98,7 @@ def test_other_settings_in_the_same_folder_are_refused(done, capsys):
 def test_an_interrupted_table_goes_on_to_the_same_numbers(done, tmp_path, monkeypatch, capsys):
     words, out = done
     words = [*words[:-1], tmp_path]
-    real, calls = all_runs.do_run, []
+    real, calls = table_runs.run_network, []
 
     def stop_at_the_third(*args):
         calls.append(args[0])
@@ -106,7 +106,7 @@ def test_an_interrupted_table_goes_on_to_the_same_numbers(done, tmp_path, monkey
             raise KeyboardInterrupt
         return real(*args)
 
-    monkeypatch.setattr(all_runs, "do_run", stop_at_the_third)
+    monkeypatch.setattr(table_runs, "run_network", stop_at_the_third)
     assert table(*words) == 130
     assert capsys.readouterr().err == "async-tnt: interrupted\n"
     assert len(list((tmp_path / "networks").glob("*/result.json"))) == 2

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from async_tnt.training.table_report import markdown_table
-from async_tnt.training.table_results import aggregate
-from async_tnt.training.table_rows import COLUMNS, ROWS
+from async_tnt.training.table import COLUMNS, ROWS, aggregate, markdown_table
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORD = json.loads((ROOT / "benchmarks" / "results" / "table.json").read_text(encoding="utf-8"))
