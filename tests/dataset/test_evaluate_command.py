@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from dataset.gestures import bar, write, write_set
 from made import random_model
-from own_classes.gestures import bar, write, write_set
 
 from async_tnt import Model, Processor, TNTConfig
 from async_tnt.archive.streamed import moments

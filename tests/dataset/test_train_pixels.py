@@ -6,7 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from own_classes.gestures import bar, write
+from dataset.gestures import bar, write
 
 from async_tnt.networks.model import load_model
 from async_tnt.sources.pixel_filter import PixelFilter

@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from own_classes.gestures import bar
+from dataset.gestures import bar
 from recordings.written import BYTES
 
 from async_tnt.events import EVENT_DTYPE

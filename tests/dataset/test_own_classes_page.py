@@ -5,8 +5,8 @@ import re
 from pathlib import Path
 
 import pytest
+from dataset.gestures import bar, write
 from made import random_model
-from own_classes.gestures import bar, write
 
 from async_tnt import Model, TNTConfig
 from async_tnt.cli import main
