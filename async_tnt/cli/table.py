@@ -1,4 +1,4 @@
-"""`async-tnt table`: train and test all networks of the thesis' results table, and print it beside the thesis."""
+"""`async-tnt table`: train and test all networks of the thesis' results table, and print it beside the thesis'."""
 
 from __future__ import annotations
 
@@ -31,13 +31,12 @@ streaming landmarks `running` and `line` (flow removed, unsigned). Columns, trai
   all/sim   all three saccades            / 30 simulated motions of N-MOVING-MNIST
   1/sim     the first saccade only        / 30 simulated motions
 
-A network is validated on held-out digits of its training motion; no other number is looked at before the end.
-Every network's checkpoints and result are kept below --out: stop with Ctrl-C, give the same command again, and
-it goes on where it was.
+A network is validated on held-out digits of its training motion, and tested only at the end. Checkpoints and results
+of all networks are kept in --out: stop with Ctrl-C, give the same command again, and it resumes.
 """
 EPILOG = """\
 examples:
-  async-tnt table --smoke --nmnist N-MNIST --mnist MNIST     the whole way in a minute or two, few digits
+  async-tnt table --smoke --nmnist N-MNIST --mnist MNIST     everything in a minute or two, few digits
   async-tnt simulate --mnist MNIST --out moving-mnist        10,000 digits, 30 motions
   async-tnt table --nmnist N-MNIST --simulated moving-mnist --iterations 10000 --out table
   async-tnt table --nmnist N-MNIST --simulated moving-mnist --rows baseline line --seeds 0 --out table
@@ -57,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--simulated",
         type=Path,
         metavar="FOLDER",
-        help="a set made by `async-tnt simulate`; without it the test set of 30 motions is made below --out first",
+        help="a set made by `async-tnt simulate`; by default the test set of 30 motions is first made in --out",
     )
     data.add_argument(
         "--mnist",
@@ -96,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--precision",
         choices=PRECISIONS,
         default="float32",
-        help="of the networks' products in training (default: float32); bfloat16 is faster on hardware that has it",
+        help="of the networks' products (default: float32); bfloat16 is faster on hardware that supports it",
     )
     how.add_argument(
         "--workers",
@@ -107,8 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument(
         "--smoke",
         action="store_true",
-        help="try the whole way in a minute or two: 8 recordings of each digit, 30 iterations, seed 0, 20 simulated "
-        "digits",
+        help="try everything in a minute or two: 8 recordings a digit, 30 iterations, seed 0, 20 simulated digits",
     )
     out = parser.add_argument_group("results")
     out.add_argument(
@@ -121,6 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt table`. Returns the exit code 0."""
     try:
         import torch
         from tnt_reference import Classifier  # noqa: F401
@@ -136,7 +135,7 @@ def main(args: argparse.Namespace) -> int:
         args.seeds, args.iterations = args.seeds[:1], min(args.iterations, 30)
     per_digit = 8 if args.smoke else None
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
-    # Read once here, so that a missing or damaged file is told before anything is trained.
+    # now, so that a missing or damaged file shows before anything is trained
     real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit, args.skip_damaged)
     data = real.read()
     args.out.mkdir(parents=True, exist_ok=True)

@@ -68,9 +68,9 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
-    from async_tnt.training.evaluate import evaluate
+    from async_tnt.training.evaluation import evaluate
+    from async_tnt.training.loop import train
     from async_tnt.training.pipeline import pipeline_of
-    from async_tnt.training.train import train
 
     start = load_model(args.start_from) if args.start_from else None
     config = _config(args) if start is None else start.config

@@ -291,4 +291,6 @@ def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
         return pixels
     if pixels.sensor not in (None, sensor):
         raise ValueError(f"--sensor must be the one of --start-from, {by(sensor)}, got {by(pixels.sensor)}")
+    if pixels.mask is not None:
+        pixels.mask.pixels(sensor)  # refuses a mask of another sensor
     return replace(pixels, sensor=sensor)

@@ -110,10 +110,10 @@ def check_run(
         name for part, values in wanted.items() for name, value in values.items() if found[part].get(name) != value
     ]
     then, now = state["sources"], dict(sources or {})
-    if then.get("pixels") != now.get("pixels"):
-        pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
-        names = [n for n in {**pixels_then, **pixels_now} if pixels_then.get(n) != pixels_now.get(n)]
-        differ += ["mask" if name in ("masked_pixels", "mask_sha256") else name for name in names]
+    pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
+    for name in {**pixels_then, **pixels_now}:
+        if (pixels_then.get(name) or None) != (pixels_now.get(name) or None):  # no crop, and no region to crop
+            differ.append("mask" if name in ("masked_pixels", "mask_sha256") else name)
     if differ:
         raise other_run(run_folder, ", ".join(sorted(set(differ))))
     _check_recordings(run_folder, then, now)

@@ -19,13 +19,13 @@ from async_tnt.files import write_text
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.simulation.moving_mnist import open_set
-from async_tnt.training.evaluate import class_probabilities
+from async_tnt.training.evaluation import class_probabilities
+from async_tnt.training.loop import train
 from async_tnt.training.pipeline import Pipeline, pipeline_of
 from async_tnt.training.run_files import HISTORY, plot_curves
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.table import ROWS, columns_of
 from async_tnt.training.table_data import RealData, RealFolder, on_first_saccade, saccade, simulated_windows
-from async_tnt.training.train import train
 from async_tnt.training.windows import Windows
 
 RESULT = "result.json"

@@ -259,7 +259,7 @@ def test_the_test_folder_is_of_the_same_sensor_and_read_before_training(tmp_path
 
 @pytest.mark.parametrize("error", [ValueError("no such thing"), KeyboardInterrupt()])
 def test_the_model_is_written_before_it_is_tested(error, gestures, tmp_path, train, monkeypatch):
-    from async_tnt.training import evaluate as evaluation
+    from async_tnt.training import evaluation
 
     write_set(tmp_path / "set" / "Train", {"upright": 4, "flat": 4})
     write_set(tmp_path / "set" / "Test", {"upright": 2, "flat": 2}, seed=1)

@@ -42,7 +42,7 @@ def test_the_line_shows_share_rate_and_time_left(seconds):
     assert terminal.getvalue() == ""  # quick work needs no bar
     seconds.value = 2.0
     bar.update(9, "still checking")
-    assert screen(terminal.getvalue()) == describe("still checking", 20, 100, 10, 2.0)[:59]
+    assert screen(terminal.getvalue()) == describe("still checking", 20, 100, 10, 2.0)[:59].rstrip()
     assert describe("x", 20, 100, 10, 2.0) == "x  20 % [####................] 20/100, 5.0/s, 0:16 left"
     assert describe("x", 1, 7201, 1, 1.0).endswith("1.0/s, 2:00:00 left")
     seconds.value = 2.05

@@ -131,7 +131,7 @@ def test_smoke_makes_its_own_motions_in_two_processes(small_nmnist, small_mnist,
         ([], "no data: give --nmnist FOLDER"),
         (["--nmnist", "nowhere"], "no folder nowhere; give --nmnist FOLDER"),
         (["--nmnist", "."], "no folder Train in ."),
-        (["--nmnist", "NMNIST", "--simulated", "."], "no set.json there"),
+        (["--nmnist", "NMNIST", "--simulated", "."], "no set.json in it"),
         (["--nmnist", "NMNIST"], "no data: give --mnist FOLDER"),
     ],
 )

@@ -7,7 +7,7 @@ torch = pytest.importorskip("torch")
 
 from async_tnt.networks.model import load_model  # noqa: E402
 from async_tnt.training.digits import read_nmnist_folder, read_samples  # noqa: E402
-from async_tnt.training.evaluate import class_probabilities, evaluate  # noqa: E402
+from async_tnt.training.evaluation import class_probabilities, evaluate  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 

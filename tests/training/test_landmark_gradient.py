@@ -13,9 +13,9 @@ from async_tnt.networks.model import load_model  # noqa: E402
 from async_tnt.networks.torch_modules import torch_regressor  # noqa: E402
 from async_tnt.training.augment import FINE, Augmentation, unchanged  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
+from async_tnt.training.loop import train  # noqa: E402
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export, pipeline_of  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
-from async_tnt.training.train import train  # noqa: E402
 from async_tnt.training.windows import CLASSES, Recordings, make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="regressor", t_max=2.0)

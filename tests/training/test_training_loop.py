@@ -15,10 +15,10 @@ from async_tnt.progress import Bar  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.checkpoint import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
-from async_tnt.training.evaluate import evaluate  # noqa: E402
+from async_tnt.training.evaluation import evaluate  # noqa: E402
+from async_tnt.training.loop import train  # noqa: E402
 from async_tnt.training.pipeline import Pipeline, export, input_scale, new_pipeline  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
-from async_tnt.training.train import train  # noqa: E402
 from async_tnt.training.windows import CLASSES, Recordings, make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)

@@ -56,7 +56,7 @@ def test_scores_by_hand():
 
 
 def test_every_class_is_shown_equally_often_and_every_window_in_turn():
-    train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
+    train = pytest.importorskip("async_tnt.training.loop", reason="needs torch", exc_type=ImportError)
     labels = np.array([0] * 90 + [1] * 7 + [2] * 3)
     order = train.balanced_order(labels, np.random.default_rng(1))
     assert len(order) == 100
@@ -69,7 +69,7 @@ def test_every_class_is_shown_equally_often_and_every_window_in_turn():
 
 
 def test_an_epoch_of_training_shows_every_class_equally_often():
-    train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
+    train = pytest.importorskip("async_tnt.training.loop", reason="needs torch", exc_type=ImportError)
     events = [recording([1_000 * k, 50_000]) for k in range(12)]
     windows = make_windows(Recordings.from_events(events, [0] * 9 + [1] * 3), 105_000)
     seen = {True: [], False: []}
@@ -90,7 +90,7 @@ def test_a_moment_knows_the_events_before_it_and_no_others():
 
 
 def test_patience_ends_the_training_and_the_best_epoch_has_the_lowest_loss(tmp_path, monkeypatch):
-    train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
+    train = pytest.importorskip("async_tnt.training.loop", reason="needs torch", exc_type=ImportError)
     losses = iter([3.0, 1.0, 2.0, 1.5, 0.5])
     monkeypatch.setattr(train, "_validate", lambda *words, **more: {"validation_loss": next(losses), "per_window": 0.5})
     rng = np.random.default_rng(0)
@@ -108,9 +108,19 @@ def test_patience_ends_the_training_and_the_best_epoch_has_the_lowest_loss(tmp_p
 
 
 def test_a_rare_class_counts_as_much_in_the_validation_loss(monkeypatch):
-    train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
+    train = pytest.importorskip("async_tnt.training.loop", reason="needs torch", exc_type=ImportError)
     windows = make_windows(Recordings.from_events([recording([1])] * 4, [0, 0, 0, 1]), 105_000)
     probabilities = np.array([[0.5, 0.5]] * 3 + [[0.75, 0.25]])
     monkeypatch.setattr(train, "class_probabilities", lambda *words: probabilities)
     balanced, plain = (train._validate(None, windows, balance=b)["validation_loss"] for b in (True, False))
     assert balanced == pytest.approx((np.log(2) + np.log(4)) / 2) and plain == pytest.approx(1.25 * np.log(2))
+
+
+def test_every_public_name_is_there():
+    pytest.importorskip("torch")
+    import async_tnt.training
+
+    for name in async_tnt.training.__all__:
+        assert getattr(async_tnt.training, name).__name__ == name
+    with pytest.raises(AttributeError, match=r"module 'async_tnt.training' has no attribute 'x'"):
+        _ = async_tnt.training.x

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from async_tnt.simulation.samples import FIRST_INDEX as FIRST_SAMPLE
+from async_tnt.simulation.digits import FIRST_SAMPLE
 from async_tnt.training.digits import FIRST_INDEX, simulate_recordings
 from async_tnt.training.run_files import plot_curves
 from async_tnt.training.windows import make_windows
