@@ -1,7 +1,7 @@
 """How the image moves over the sensor: displacement in pixels as a function of time, and its optical flow.
 
 A displacement (dx, dy) puts the image's pixel (column 0, row 0) on the sensor's point (x, y) = (dx, dy);
-x grows to the right, y downwards. The image moves as a whole, so one flow holds for every point of it.
+x grows to the right, y downwards. The image moves as a whole, so the flow is the same at every point of it.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ class TrainingData:
     Parameters
     ----------
     config : of the volumes, with the sensor of the events.
-    record : what the model's record says of the recordings.
-    tests : name in the model's record -> windows, and what the record says of them.
+    record : the recordings, for the model's record.
+    tests : name in the model's record -> windows, and more for that entry of the record.
     held_out : names of the recordings to validate on.
     left_out : which recordings were left out and why, one line each.
     notes : what else a user should know, one line each.

@@ -39,7 +39,7 @@ def test_a_shard_for_each_motion_and_two_images(made):
     assert [len(shard) for shard in made][:6] == [2, 2, 1, 2, 2, 1]
 
 
-def test_each_recording_is_simulated_with_a_seed_of_its_own(mnist, made):
+def test_each_recording_is_simulated_with_its_own_seed(mnist, made):
     images, labels = load_mnist(mnist, "test")
     for index, image in ((0, 0), (7, 3), (29, 4)):
         motion = motions_of("constant")[index]
@@ -182,7 +182,7 @@ def test_open_set_gives_what_build_gave(made):
     assert opened.parameters["simulator"]["pixels"]["threshold_on"] > 0
 
 
-def test_an_incomplete_set_is_told_with_the_command_that_goes_on(made, tmp_path):
+def test_an_incomplete_set_is_refused_with_the_command_to_resume(made, tmp_path):
     folder = tmp_path / "set"
     shutil.copytree(made.folder, folder)
     for path in made.shards[10:13]:
@@ -195,7 +195,7 @@ def test_an_incomplete_set_is_told_with_the_command_that_goes_on(made, tmp_path)
     assert opened.missing == 3 and len(opened.shards) == 90 and sum(1 for _ in opened) == 87
 
 
-def test_what_is_not_in_the_set_is_told(made):
+def test_what_is_not_in_the_set_is_an_index_error(made):
     for motion, image in ((30, 0), (0, 5), (-1, 0)):
         with pytest.raises(IndexError, match=r"motion must be in \[0, 30\) and image in \[0, 5\), got"):
             made.locate(motion, image)
@@ -233,7 +233,7 @@ def with_parameter(name, value):
         lambda content: content | {"parameters": without("seed")(content["parameters"])},
     ],
 )
-def test_a_damaged_manifest_is_told_in_one_line(made, tmp_path, damage):
+def test_a_damaged_manifest_is_refused_in_one_line(made, tmp_path, damage):
     content = damage(json.loads((made.folder / "set.json").read_text()))
     (tmp_path / "set.json").write_text(content if isinstance(content, str) else json.dumps(content))
     with pytest.raises(ValueError, match=r"set\.json: damaged, or not a set of this release: ") as caught:
@@ -241,7 +241,7 @@ def test_a_damaged_manifest_is_told_in_one_line(made, tmp_path, damage):
     assert "\n" not in str(caught.value)
 
 
-def test_folders_without_a_set_are_told(tmp_path):
+def test_folders_without_a_set_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no set\.json in it; expected a folder that async-tnt simulate made"):
         open_set(tmp_path)
     with pytest.raises(FileNotFoundError, match=r"no set\.json in it"):
@@ -257,7 +257,7 @@ def test_workers_give_all_results_and_pass_errors_on():
     assert 1 <= available_cores() <= (os.cpu_count() or 1)
 
 
-def test_a_worker_that_dies_is_told():
+def test_a_worker_that_dies_is_an_error():
     with pytest.raises(ChildProcessError, match="a worker process ended without an answer"):
         list(run_all(os._exit, [3, 3, 3], workers=2))
 

@@ -219,7 +219,7 @@ def changed(index, value):
         ("more", lambda _: np.zeros(3, np.int64), "must hold t, x, y, p, .*got.*more"),
     ],
 )
-def test_columns_that_break_a_rule_are_told(tmp_path, name, change, complaint):
+def test_columns_that_break_a_rule_are_refused(tmp_path, name, change, complaint):
     tensors, metadata = tensors_of(tmp_path / "a")
     tensors[name] = change(tensors.get(name))
     (tmp_path / "b").write_bytes(save(tensors, metadata={"shard": json.dumps(metadata)}))
@@ -244,7 +244,7 @@ def test_columns_that_break_a_rule_are_told(tmp_path, name, change, complaint):
         ),
     ],
 )
-def test_metadata_that_breaks_a_rule_is_told(tmp_path, metadata, complaint):
+def test_metadata_that_breaks_a_rule_is_refused(tmp_path, metadata, complaint):
     tensors, _ = tensors_of(tmp_path / "a")
     (tmp_path / "b").write_bytes(save(tensors, metadata=None if metadata is None else {"shard": metadata}))
     with pytest.raises(ValueError, match=complaint):

@@ -215,7 +215,9 @@ def start_and_stop(argv, folder, stop):
             _, err = process.communicate()
         finally:
             process.kill()
+    deadline = time.monotonic() + 600
     while any(map(is_running, family)):  # no worker outlives the command
+        assert time.monotonic() < deadline
         time.sleep(0.05)
     return process.returncode, err
 
