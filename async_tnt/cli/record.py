@@ -59,3 +59,10 @@ def command_words(
         text = " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
         words.append(action.option_strings[0] if value is True else f"{action.option_strings[0]} {text}")
     return " ".join(words)
+
+
+def seed_number(text: str) -> int:
+    """An argparse type: a whole number of at least 0."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {text!r}")
+    return int(text)

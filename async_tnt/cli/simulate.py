@@ -12,6 +12,7 @@ from pathlib import Path
 
 from async_tnt.archive.workers import available_cores
 from async_tnt.cli.arguments import complain, positive_int
+from async_tnt.cli.record import data_folder, seed_number
 from async_tnt.files import check_folder
 from async_tnt.progress import progress
 from async_tnt.simulation.comparison import compare, recordings_by_image
@@ -62,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "N-MNIST's three saccades, 308 ms (default: %(default)s)",
     )
     parser.add_argument("--digits", type=positive_int, metavar="N", help="the first N images (default: all)")
-    parser.add_argument("--seed", type=_whole, default=0, help="of all randomness (default: 0)")
+    parser.add_argument("--seed", type=seed_number, default=0, help="of all randomness (default: 0)")
     parser.add_argument(
         "--workers", type=positive_int, metavar="N", help=f"processes (default: all cores, here {available_cores()})"
     )
@@ -84,9 +85,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt simulate`. Returns the exit code: 0, or 130 when interrupted."""
-    mnist, nmnist = _folder(args.mnist, "mnist"), _folder(args.nmnist, "nmnist")
-    if mnist is None:
-        raise FileNotFoundError("no MNIST: give --mnist FOLDER, or set TNT_DATA to the folder with mnist/")
+    mnist = data_folder(args.mnist, "mnist", "--mnist")
+    root = os.environ.get("TNT_DATA")
+    nmnist = None
+    if args.nmnist is not None or (root and (Path(root) / "nmnist").is_dir()):
+        nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     for folder in (args.out, args.bin):
         if folder is not None:
             check_folder(folder, (MANIFEST,))
@@ -153,19 +156,3 @@ def export(made: MovingMnist, folder: Path) -> None:
                 path = motion / str(int(shard.labels[i])) / f"{int(shard.image[i]) + 1:05}.bin"
                 write_nmnist(path, shard.recording(i), sensor=shard.sensor)
                 bar.update()
-
-
-def _folder(given: Path | None, name: str) -> Path | None:
-    """The folder as given, which must exist, or the one in $TNT_DATA, if it exists."""
-    if given is not None:
-        if not given.is_dir():
-            raise FileNotFoundError(f"no folder {given}; --{name} must be the folder of {name.upper()}")
-        return given
-    root = os.environ.get("TNT_DATA")
-    folder = Path(root) / name if root else None
-    return folder if folder is not None and folder.is_dir() else None
-
-
-def _whole(text: str) -> int:
-    """An argparse type: a whole number of at least 0."""
-    return positive_int(text) if text.strip("0_ ") else 0

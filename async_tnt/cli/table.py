@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from async_tnt.archive.workers import available_cores
 from async_tnt.checking.timing import machine
 from async_tnt.cli.arguments import positive_int
-from async_tnt.cli.record import command_words, data_folder
+from async_tnt.cli.record import command_words, data_folder, seed_number
 from async_tnt.files import check_folder, write_text
 from async_tnt.training.settings import PRECISIONS, TrainSettings
 from async_tnt.training.table import ROWS, TRAINED_ON
@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--seeds",
         nargs="+",
-        type=_seed,
+        type=seed_number,
         default=[0, 1, 2],
         metavar="N",
         help="of weights, order and augmentation (default: 0 1 2)",
@@ -217,9 +217,3 @@ def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) 
         "images that no training recording shows.\n"
         f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)"
     )
-
-
-def _seed(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {text!r}")
-    return int(text)

@@ -124,7 +124,7 @@ def test_help_teaches(capsys):
         (["--motions", "circles"], "--motions"),
         (["--digits", "0"], "must be at least 1, got 0"),
         (["--digits", "some"], "must be a whole number, got 'some'"),
-        (["--seed", "-1"], "must be at least 1|must be at least 0|expected one argument"),
+        (["--seed", "-1"], "must be a whole number of at least 0|expected one argument"),
         (["--workers", "0"], "must be at least 1, got 0"),
         (["--fly"], "unrecognized arguments: --fly"),
     ],
@@ -152,12 +152,15 @@ def damaged(mnist, tmp_path):
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (lambda mnist, tmp: [], "no MNIST: give --mnist FOLDER, or set TNT_DATA"),
-        (lambda mnist, tmp: ["--mnist", str(tmp / "nowhere")], "no folder .*nowhere; --mnist must be"),
+        (lambda mnist, tmp: [], "no data: give --mnist FOLDER, or set TNT_DATA"),
+        (lambda mnist, tmp: ["--mnist", str(tmp / "nowhere")], "no folder .*nowhere; give --mnist FOLDER"),
         (lambda mnist, tmp: ["--mnist", str(tmp)], "neither t10k-images-idx3-ubyte.gz nor"),
         (lambda mnist, tmp: ["--mnist", str(damaged(mnist, tmp))], "t10k-images-idx3-ubyte.gz: damaged gzip file"),
         (lambda mnist, tmp: ["--mnist", str(mnist), "--digits", "25"], "`digits` must be at most 24"),
-        (lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(tmp / "nowhere")], "no folder .*nowhere; --nmnist"),
+        (
+            lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(tmp / "nowhere")],
+            "no folder .*nowhere; give --nmnist",
+        ),
         (lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(mnist)], "no N-MNIST recordings; expected"),
         (lambda mnist, tmp: ["--mnist", str(mnist), "--bin", str(mnist / "t10k-labels-idx1-ubyte.gz")], "not a folder"),
     ],
