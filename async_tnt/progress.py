@@ -1,24 +1,98 @@
-"""A progress bar on stderr for long work, where tqdm is installed and stderr is a terminal."""
+"""The progress bar of every command: one line on stderr where that is a terminal, nothing elsewhere."""
 
 from __future__ import annotations
 
+import contextlib
+import shutil
 import sys
-from contextlib import AbstractContextManager
-from typing import Any
+import time
+from typing import TextIO
+
+FIRST_S, EVERY_S = 1.0, 0.1
+"""The bar appears when the work takes longer than this, and is drawn again after this; in seconds."""
 
 
-class _Silent(AbstractContextManager["_Silent"]):
-    def update(self, n: int = 1) -> None:
-        pass
+class Bar:
+    """Work that is done, of `total`. A context manager: the line is cleared when it ends, also by an error.
+
+    Parameters
+    ----------
+    total : units of work; 0 where unknown.
+    title : what is being done.
+    file : a terminal; None shows nothing.
+    done : units that were done before, which do not count towards the rate.
+    """
+
+    def __init__(self, total: int, title: str, file: TextIO | None = None, *, done: int = 0) -> None:
+        self.total, self.title, self.done = total, title, done
+        self._file, self._first = file, done
+        self._started = time.monotonic()
+        self._next_draw = self._started + FIRST_S
+        self._width = 0
+
+    def update(self, n: int = 1, title: str | None = None) -> None:
+        """`n` more units are done; from now on it is `title`, where given."""
+        self.done += n
+        self.title = self.title if title is None else title
+        if self._file is None or (now := time.monotonic()) < self._next_draw:
+            return
+        self._next_draw = now + EVERY_S
+        text = describe(self.title, self.done, self.total, self.done - self._first, now - self._started)
+        text = text[: shutil.get_terminal_size().columns - 1]
+        self._write("\r" + text.ljust(self._width))
+        self._width = len(text)
+
+    def clear(self) -> None:
+        """Clear the line, such as before something else is printed. The next update draws it again."""
+        if self._width:
+            self._write("\r" + " " * self._width + "\r")
+            self._width = 0
+
+    def _write(self, text: str) -> None:
+        assert self._file is not None  # for mypy: only what is drawn is cleared
+        with contextlib.suppress(OSError, ValueError):  # a terminal that is gone is no reason to stop
+            self._file.write(text)
+            self._file.flush()
+
+    def __enter__(self) -> Bar:
+        return self
 
     def __exit__(self, *error: object) -> None:
-        pass
+        self.clear()
 
 
-def progress(total: int, what: str) -> Any:
-    """`with progress(n, "checking") as bar: ... bar.update()`; it shows up when the work takes over a second."""
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        return _Silent()
-    return tqdm(total=total, desc=what, delay=1.0, leave=False, file=sys.stderr, disable=not sys.stderr.isatty())
+def progress(total: int, title: str, *, done: int = 0) -> Bar:
+    """`with progress(n, "checking") as bar: ... bar.update()`, on stderr if that is a terminal."""
+    is_terminal = sys.stderr is not None and not sys.stderr.closed and sys.stderr.isatty()
+    return Bar(total, title, sys.stderr if is_terminal else None, done=done)
+
+
+def no_progress(total: int, title: str, *, done: int = 0) -> Bar:
+    """In the place of `progress`: a bar that shows nothing."""
+    return Bar(total, title, done=done)
+
+
+def describe(title: str, done: int, total: int, n: int, seconds: float) -> str:
+    """The line of a bar, of which the last `n` units took `seconds`.
+
+    Examples
+    --------
+    >>> describe("checking", 2_000, 8_000, 1_500, 3.0)
+    'checking  25 % [#####...............] 2,000/8,000, 500/s, 0:12 left'
+    >>> describe("epoch 1/3", 0, 30, 0, 2.0)
+    'epoch 1/3   0 % [....................] 0/30'
+    >>> describe("reading", 4, 0, 4, 16.0)
+    'reading 4, 4.0 s each'
+    """
+    text = f"{title} {done:,}"
+    if total > 0:
+        share = min(done / total, 1.0)
+        text = f"{title} {100 * share:3.0f} % [{'#' * int(20 * share):.<20}] {done:,}/{total:,}"
+    if n > 0 and seconds > 0:
+        rate = n / seconds
+        text += f", {rate:,.0f}/s" if rate >= 10 else f", {rate:.1f}/s" if rate >= 1 else f", {seconds / n:.1f} s each"
+        if total > 0:
+            minutes, left = divmod(round(max(total - done, 0) / rate), 60)
+            hours, minutes = divmod(minutes, 60)
+            text += f", {hours}:{minutes:02}:{left:02} left" if hours else f", {minutes}:{left:02} left"
+    return text

@@ -7,7 +7,7 @@ from typing import Any
 from page_parts import percent, results, short, table
 
 from async_tnt import load_model
-from async_tnt.training.table_report import markdown_table, motions_table
+from async_tnt.training.table import markdown_table, motions_table
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
 

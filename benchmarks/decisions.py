@@ -31,9 +31,10 @@ from async_tnt.checking.bench_network import bench_network, bench_on_noise, fast
 from async_tnt.checking.bench_touched import bench_touched
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
-from async_tnt.checking.timing import Progress, is_installed, machine, one_thread
+from async_tnt.checking.timing import is_installed, machine, one_thread
 from async_tnt.cli.arguments import writable_file
 from async_tnt.files import write_text
+from async_tnt.progress import Bar, progress
 from async_tnt.views.style import check_picture
 
 MODEL = "digits"
@@ -50,9 +51,12 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     ------
     WorkDiffers : contenders do not agree. Then nothing is reported.
     """
+    with progress(1 + len(NEW_EVENTS) + 1 + len(NEW_EVENTS) + 3 + settings["starts"] + 1, "compiling") as bar:
+        return _measure(settings, quick, bar)
+
+
+def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
     model = load_model(MODEL)
-    progress = Progress(1 + len(NEW_EVENTS) + 1 + len(NEW_EVENTS) + 3 + settings["starts"] + 1)
-    progress.step("compiling")
     warmup(model)
     recordings = bench_recordings(model)
     windows = [window for events in recordings for window in windows_of(events, model.config.window_us)]
@@ -61,25 +65,25 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
         networks = contenders.dense_networks(model)
         network = {}
         for n_new in NEW_EVENTS:
-            progress.step(f"the network alone, new events: {n_new}")
+            bar.update(title=f"the network alone, new events: {n_new}")
             network[str(n_new)] = bench_network(model, networks, windows, n_new, **counts)
-        progress.step("the network alone, random numbers")
+        bar.update(title="the network alone, random numbers")
         network["random"] = bench_on_noise(model, networks, **counts)
         way = fastest(contenders.ONNXRUNTIME, network)
         whole = {}
         for n_new in NEW_EVENTS:
-            progress.step(f"from packet to decision, new events: {n_new}")
+            bar.update(title=f"from packet to decision, new events: {n_new}")
             whole[str(n_new)] = end_to_end.bench_end_to_end(model, way, windows, n_new, **counts)
-        progress.step("a decision after every event")
+        bar.update(title="a decision after every event")
         others = {name: f for name, f in networks.items() if name not in contenders.ONNXRUNTIME or name == way}
         n_events = 500 if quick else None
         rates = bench_every_event(model, others, recordings, rounds=settings["rounds"], n_events=n_events)
-        progress.step("single decisions")
+        bar.update(title="single decisions")
         singles = bench_singles(model, recordings, n_decisions=settings["single_decisions"])
-    progress.step("what new events touch")
+    bar.update(title="what new events touch")
     touched = bench_touched(model, windows, moments=40 if quick else 1000)
     started = starts.bench_starts(
-        model, rounds=settings["starts"], cold=not quick, each=lambda: progress.step("fresh processes")
+        model, rounds=settings["starts"], cold=not quick, each=lambda: bar.update(title="fresh processes")
     )
     return {
         "machine": machine(*PACKAGES),

@@ -23,9 +23,10 @@ import numpy as np
 
 from async_tnt import EVENT_DTYPE, TNTConfig, TNTVolume, warmup
 from async_tnt.checking.bench_volumes import GRIDS, made_events
-from async_tnt.checking.timing import Progress, interleave, is_installed, machine, one_thread, spread, work_clock
+from async_tnt.checking.timing import interleave, is_installed, machine, one_thread, spread, work_clock
 from async_tnt.cli.arguments import writable_file
 from async_tnt.files import write_text
+from async_tnt.progress import progress
 
 BINS = 9
 PACKET = 1300
@@ -285,12 +286,13 @@ def main(argv: list[str] | None = None) -> int:
     warmup()
     settings = [(grid, PACKET, 20) for grid in GRIDS]
     settings += [(grid, round(DENSITY * grid[0] * grid[1]), 1) for grid in GRIDS[1:]]
-    progress = Progress(len(settings))
+    settings = settings[:1] if args.quick else settings
     results = []
-    for grid, size, n_packets in settings[:1] if args.quick else settings:
-        progress.step("{} x {}, ".format(*grid) + f"packets of {size:,}")
-        with one_thread(is_installed("torch")):
+    with progress(len(settings), "volumes") as bar, one_thread(is_installed("torch")):
+        for grid, size, n_packets in settings:
+            bar.update(0, "{} x {}, ".format(*grid) + f"packets of {size:,}")
             results.append(compare(grid, size, n_packets, rounds=3 if args.quick else 15))
+            bar.update()
     missing = {row: package for row, package in PACKAGES.items() if not is_installed(package)}
     report = {
         "machine": machine("torch", "eventcv", "tonic"),

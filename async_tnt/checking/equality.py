@@ -23,7 +23,6 @@ from async_tnt.checking.reference import (
     reference_kept,
     reference_landmark,
     reference_pipeline,
-    reference_regressor,
     reference_volume,
 )
 from async_tnt.config import LANDMARKS, TNTConfig
@@ -31,6 +30,7 @@ from async_tnt.deferred_landmark import Regressor
 from async_tnt.networks.classifier import CompiledClassifier
 from async_tnt.networks.model import Model
 from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.networks.torch_modules import landmark_function
 from async_tnt.processor import Processor
 from async_tnt.volume import TNTVolume
 
@@ -156,7 +156,7 @@ class _RegressedPrefix:
 
     def __init__(self, name: str, model: Model) -> None:
         self.config = model.config
-        self.regressor = reference_regressor(model)
+        self.regressor = landmark_function(model)
         self.about_ours = Comparison("volume against reference, of the largest cell", name, VOLUME_BOUND)
         self.landmarks = Comparison("landmark against reference, px", name, REGRESSED_LANDMARK_BOUND)
         self.about_theirs = Comparison("volume against reference, its own landmark", name, REGRESSED_VOLUME_BOUND)

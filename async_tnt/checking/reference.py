@@ -6,15 +6,13 @@ Torch is imported only when something is asked.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
-
-if TYPE_CHECKING:
-    import tnt_reference
+from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
 
 Landmark = tuple[float, float]
 
@@ -58,20 +56,6 @@ def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> 
     return x, y
 
 
-def reference_regressor(model: Model) -> Callable[[np.ndarray], Landmark]:
-    """The model's landmark network in torch: raw volume -> (x, y) in grid pixels."""
-    import torch
-
-    network = _regressor(model)
-
-    def forward(raw_volume: np.ndarray) -> Landmark:
-        with torch.inference_mode():
-            x, y = network(torch.tensor(raw_volume)).tolist()
-        return x, y
-
-    return forward
-
-
 def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
     """The whole model in torch: a window's events and its start -> logits."""
     import tnt_reference
@@ -79,7 +63,7 @@ def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
 
     config = model.config
     pipeline = tnt_reference.Pipeline(
-        _classifier(model),
+        torch_classifier(model),
         sensor=config.sensor,
         window_us=config.window_us,
         grid=config.grid,
@@ -89,7 +73,7 @@ def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
         transform=config.transform,
         remove_flow=config.remove_flow,
         landmark=config.landmark if config.transform == "tnt" else "center",
-        regressor=_regressor(model) if config.needs_regressor else None,
+        regressor=torch_regressor(model),
     )
 
     def forward(events: np.ndarray, start_us: int) -> np.ndarray:
@@ -97,32 +81,6 @@ def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
             return pipeline(*(events[field] for field in ("t", "x", "y", "p")), start_us).numpy()
 
     return forward
-
-
-def _classifier(model: Model) -> tnt_reference.Classifier:
-    import tnt_reference
-    import torch
-
-    f1, f2, f3 = (len(model.weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
-    network = tnt_reference.Classifier(model.config.channels, model.config.grid, len(model.classes), (f1, f2, f3))
-    weights = {name: torch.tensor(w) for name, w in model.weights.items() if not name.startswith("regressor.")}
-    network.load_state_dict(weights)
-    return network
-
-
-def _regressor(model: Model) -> tnt_reference.LandmarkRegressor:
-    import tnt_reference
-    import torch
-
-    prefix = "regressor."
-    weights = {k.removeprefix(prefix): torch.tensor(w) for k, w in model.weights.items() if k.startswith(prefix)}
-    network = tnt_reference.LandmarkRegressor(model.config.channels, model.config.grid)
-    for layer in ("conv1", "conv2", "conv3", "heatmap"):  # of the model's widths, which need not be equal
-        n_filters, channels, side, _ = weights[f"{layer}.weight"].shape
-        convolution = torch.nn.Conv2d(channels, n_filters, side, padding="same", bias=f"{layer}.bias" in weights)
-        setattr(network, layer, convolution)
-    network.load_state_dict(weights)
-    return network
 
 
 def _where(config: TNTConfig, start_us: int) -> dict[str, Any]:

@@ -134,17 +134,3 @@ def _version(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
-
-
-class Progress:
-    """One line a step on stderr, once a run has taken longer than two seconds."""
-
-    def __init__(self, n_steps: int, after_s: float = 2.0) -> None:
-        self._n_steps, self._after_s = n_steps, after_s
-        self._done, self._started = 0, time.perf_counter()
-
-    def step(self, what: str) -> None:
-        """Say what comes next."""
-        self._done += 1
-        if time.perf_counter() - self._started > self._after_s:
-            print(f"[{self._done}/{self._n_steps}] {what} ...", file=sys.stderr, flush=True)

@@ -6,14 +6,13 @@ masks, one `scatter_add_` for all eight neighbours. It must give the same volume
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
-from tnt_reference import Classifier, LandmarkRegressor
 
 from async_tnt import Model, TNTConfig
+from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
 
 BORDER_TOLERANCE = 1e-5  # pixels, the rounding of float32 at these sizes; see `tnt_reference`
 
@@ -33,11 +32,10 @@ class TorchBatch:
     Parameters
     ----------
     config : TNTConfig; every landmark, transform and polarity.
-    weights : of the network, by the names of `Model`; None for volumes alone.
-    classes : how many the network tells apart.
+    model : of this configuration; None for volumes alone.
     """
 
-    def __init__(self, config: TNTConfig, weights: Mapping[str, np.ndarray] | None = None, classes: int = 0) -> None:
+    def __init__(self, config: TNTConfig, model: Model | None = None) -> None:
         self.config = config
         width, height = config.grid
         plane = width * height
@@ -46,25 +44,13 @@ class TorchBatch:
         )[:, None]  # (8, 1); a single bin has no later neighbour, and gets nothing as one
         self._on_grid = [(width - 1) / (config.sensor[0] - 1), (height - 1) / (config.sensor[1] - 1)]
         self._centre = [(width - 1) / 2, (height - 1) / 2]
-        self.network = self._regressor = None
-        if weights is not None:
-            parts: dict[str, dict[str, torch.Tensor]] = {"": {}, "regressor.": {}}
-            for name, w in weights.items():
-                prefix = "regressor." if name.startswith("regressor.") else ""
-                parts[prefix][name.removeprefix(prefix)] = torch.from_numpy(w.copy())
-            widths = tuple(len(weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
-            self.network = Classifier(config.channels, config.grid, classes, widths)  # type: ignore[arg-type]
-            self.network.load_state_dict(parts[""])
-            self.network.eval()
-            if config.needs_regressor:
-                n_filters = len(weights["regressor.conv1.bias"])
-                self._regressor = LandmarkRegressor(config.channels, config.grid, n_filters).eval()
-                self._regressor.load_state_dict(parts["regressor."])
+        self.network = None if model is None else torch_classifier(model)
+        self._regressor = None if model is None else torch_regressor(model)
 
     @classmethod
     def of(cls, model: Model) -> TorchBatch:
         """The batch way of a model."""
-        return cls(model.config, model.weights, len(model.classes))
+        return cls(model.config, model)
 
     def logits(self, volume: torch.Tensor) -> torch.Tensor:
         """(C, H, W) -> (n_classes,)."""

@@ -18,8 +18,9 @@ from async_tnt.checking.bench_network import bench_network
 from async_tnt.checking.bench_volumes import GRIDS, PACKETS, bench_volume
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, made_recording, windows_of
-from async_tnt.checking.timing import Progress, is_installed, machine, one_thread
+from async_tnt.checking.timing import is_installed, machine, one_thread
 from async_tnt.config import LANDMARKS
+from async_tnt.progress import Bar, progress
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 DESCRIPTION = """\
@@ -93,12 +94,10 @@ def main(args: argparse.Namespace) -> int:
     """Run `async-tnt bench`. Returns 0; 1 if stream and batch do not agree."""
     model, model_name = bench_model(args.model, args.landmark, args.seed)
     with_torch = is_installed("torch", "tnt_reference")
-    progress = Progress(len(GRIDS) + len(NEW_EVENTS) + 4)
-    progress.step("compiling")
-    warmup(model)
     try:
-        with one_thread(with_torch):
-            report = _measure(args, model, model_name, with_torch, progress)
+        with progress(len(GRIDS) + len(NEW_EVENTS) + 4, "compiling") as bar, one_thread(with_torch):
+            warmup(model)
+            report = _measure(args, model, model_name, with_torch, bar)
     except WorkDiffers as error:
         print(f"async-tnt bench: {error}", file=sys.stderr)
         return 1
@@ -106,33 +105,31 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _measure(
-    args: argparse.Namespace, model: Any, model_name: str, with_torch: bool, progress: Progress
-) -> dict[str, Any]:
+def _measure(args: argparse.Namespace, model: Any, model_name: str, with_torch: bool, bar: Bar) -> dict[str, Any]:
     rng = np.random.default_rng(args.seed)
     sizes = QUICK if args.quick else FULL
     rounds = sizes["rounds"]  # many short ones: another process interrupts few of them
     volumes = []
     for grid in GRIDS:
-        progress.step(f"volume, {grid[0]} x {grid[1]}")
+        bar.update(title=f"volume, {grid[0]} x {grid[1]}")
         n_events = 13_000 if args.quick else 26_000  # whole packets of every size
         volumes.append(bench_volume(grid, args.landmark, rng, n_events=n_events, rounds=rounds))
     recording = open_recording(sample_recordings()[3])
     fits = recording.sensor == model.config.sensor
     events = recording.read() if fits else made_recording(rng, model.config, 5000)
-    progress.step("recording through a Processor")
+    bar.update(title="recording through a Processor")
     stream = bench_stream(model, events, rounds=rounds, with_torch=with_torch)
-    progress.step("latency of decisions")
+    bar.update(title="latency of decisions")
     decisions = bench_latency(model, events, moments=sizes["moments"], with_torch=with_torch)
     recordings = bench_recordings(model, args.seed)
     windows = [window for r in recordings for window in windows_of(r, model.config.window_us)]
     networks, of_network = dense_networks(model), {}
     for n_new in NEW_EVENTS:
-        progress.step(f"the network, {n_new} new events")
+        bar.update(title=f"the network, {n_new} new events")
         of_network[str(n_new)] = bench_network(
             model, networks, windows, n_new, blocks=sizes["blocks"], size=sizes["decisions_a_block"]
         )
-    progress.step("a decision after every event")
+    bar.update(title="a decision after every event")
     rates = bench_every_event(
         model, networks, recordings[: sizes["recordings"]], rounds=sizes["recordings"], n_events=sizes["events"]
     )

@@ -1,4 +1,4 @@
-"""What the commands share that read data sets and keep a record of what they did."""
+"""Shared by commands that read data sets and record how a result was made."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 
-def data_folder(given: Path | None, name: str, option: str, *, rather: str = "") -> Path:
+def data_folder(given: Path | None, name: str, option: str, *, alternative: str = "") -> Path:
     """A data folder: as given, or `name` in $TNT_DATA.
 
     Parameters
     ----------
-    rather : what else the command takes, to be named first where nothing is given.
+    alternative : another argument that would do, named first in the error.
 
     Raises
     ------
@@ -24,7 +24,7 @@ def data_folder(given: Path | None, name: str, option: str, *, rather: str = "")
         root = os.environ.get("TNT_DATA")
         if not root:
             raise FileNotFoundError(
-                f"no data: give {rather}{option} FOLDER, or set TNT_DATA to the folder with {name}/"
+                f"no data: give {alternative}{option} FOLDER, or set TNT_DATA to the folder with {name}/"
             )
         folder = Path(root) / name
     if not folder.is_dir():
@@ -39,12 +39,12 @@ def command_words(
     *,
     leave_out: Collection[str] = (),
 ) -> str:
-    """The command that does this again, without the paths, which differ from machine to machine.
+    """The command that repeats this, without paths, which differ from machine to machine.
 
     Parameters
     ----------
     program : such as "async-tnt train".
-    args, add_arguments : what was given, and what adds the options that it was parsed by.
+    args, add_arguments : the parsed options, and the function that adds them to a parser.
     leave_out : options that do not change the result, by their name in `args`.
     """
     parser = argparse.ArgumentParser(add_help=False)
@@ -59,3 +59,10 @@ def command_words(
         text = " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
         words.append(action.option_strings[0] if value is True else f"{action.option_strings[0]} {text}")
     return " ".join(words)
+
+
+def seed_number(text: str) -> int:
+    """An argparse type: a whole number of at least 0."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {text!r}")
+    return int(text)

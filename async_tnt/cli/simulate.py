@@ -12,6 +12,7 @@ from pathlib import Path
 
 from async_tnt.archive.workers import available_cores
 from async_tnt.cli.arguments import complain, positive_int
+from async_tnt.cli.record import data_folder, seed_number
 from async_tnt.files import check_folder
 from async_tnt.progress import progress
 from async_tnt.simulation.comparison import compare, recordings_by_image
@@ -24,19 +25,19 @@ from async_tnt.sources.files.nmnist import write_nmnist
 DESCRIPTION = """\
 Simulate N-MOVING-MNIST: every digit of MNIST before an event camera of 34 x 34 pixels, under each of 30
 motions (10 directions x 3, 5 and 8 pixels) in one window of 105 ms. The folder gets one .safetensors file per
-motion and 1,000 images, with the optical flow that was simulated, and set.json, which says how all was made.
+motion and 1,000 images, with the simulated optical flow, and set.json, which records how they were made.
 
 The 10,000 test images give 300,000 recordings: some 3 GB, in minutes. Stop with Ctrl-C, give the same
-command again, and it goes on. The same seed gives the same files, however many workers there are.
+command again, and it resumes. The same seed gives the same files, for any number of workers.
 
-At the end come the numbers of real N-MNIST recordings, of simulations of the same images under N-MNIST's own
+At the end it prints statistics of real N-MNIST recordings, of simulations of the same images under N-MNIST's own
 motion, and of this set, side by side.
 """
 EPILOG = """\
 examples:
   async-tnt simulate --mnist MNIST --out moving --digits 20        a first look: seconds
   async-tnt simulate --mnist MNIST --out moving-test               the whole test set
-  async-tnt simulate --mnist MNIST --out bells --motions bell      the same ways, with a saccade's speed
+  async-tnt simulate --mnist MNIST --out bells --motions bell      the same paths, with a saccade's speed
   async-tnt simulate --mnist MNIST --out moving --digits 20 --bin as-nmnist
   async-tnt run as-nmnist/000deg-5px/7/00001.bin
 MNIST is the folder with train-images-idx3-ubyte.gz, t10k-images-idx3-ubyte.gz and their labels.
@@ -52,17 +53,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)",
     )
-    parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="where the set goes; made if missing")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="folder of the set; made if missing")
     parser.add_argument("--split", choices=("train", "test"), default="test", help="of MNIST (default: %(default)s)")
     parser.add_argument(
         "--motions",
         choices=KINDS,
         default="constant",
-        help="constant: 30 constant velocities; bell: the same 30 ways with the speed of a saccade; nmnist: "
+        help="constant: 30 constant velocities; bell: the same 30 paths with the speed of a saccade; nmnist: "
         "N-MNIST's three saccades, 308 ms (default: %(default)s)",
     )
     parser.add_argument("--digits", type=positive_int, metavar="N", help="the first N images (default: all)")
-    parser.add_argument("--seed", type=_whole, default=0, help="of all randomness, at least 0 (default: 0)")
+    parser.add_argument("--seed", type=seed_number, default=0, help="of all randomness (default: 0)")
     parser.add_argument(
         "--workers", type=positive_int, metavar="N", help=f"processes (default: all cores, here {available_cores()})"
     )
@@ -83,10 +84,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Simulate as `args` say. Returns the exit code: 0, or 130 when interrupted."""
-    mnist, nmnist = _folder(args.mnist, "mnist"), _folder(args.nmnist, "nmnist")
-    if mnist is None:
-        raise FileNotFoundError("no MNIST: give --mnist FOLDER, or set TNT_DATA to the folder with mnist/")
+    """Run `async-tnt simulate`. Returns the exit code: 0, or 130 when interrupted."""
+    mnist = data_folder(args.mnist, "mnist", "--mnist")
+    root = os.environ.get("TNT_DATA")
+    nmnist = None
+    if args.nmnist is not None or (root and (Path(root) / "nmnist").is_dir()):
+        nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     for folder in (args.out, args.bin):
         if folder is not None:
             check_folder(folder, (MANIFEST,))
@@ -108,7 +111,7 @@ def main(args: argparse.Namespace) -> int:
             export(made, args.bin)
         columns = compare(made, mnist, nmnist)
     except KeyboardInterrupt:
-        complain(f"interrupted; finished shards are kept in {args.out}. Give the same command again to go on.")
+        complain(f"interrupted; finished shards are kept in {args.out}. Give the same command again to resume.")
         return 130
     n_bytes = sum(path.stat().st_size for path in made.shards)
     if args.json:
@@ -132,7 +135,7 @@ def main(args: argparse.Namespace) -> int:
         + " under N-MNIST's own motion"
     )
     if nmnist is None:
-        print("no N-MNIST to compare with: --nmnist FOLDER names it", file=sys.stderr)
+        print("no N-MNIST to compare with; give --nmnist FOLDER", file=sys.stderr)
     return 0
 
 
@@ -153,19 +156,3 @@ def export(made: MovingMnist, folder: Path) -> None:
                 path = motion / str(int(shard.labels[i])) / f"{int(shard.image[i]) + 1:05}.bin"
                 write_nmnist(path, shard.recording(i), sensor=shard.sensor)
                 bar.update()
-
-
-def _folder(given: Path | None, name: str) -> Path | None:
-    """The folder as given, which must exist, or the one in $TNT_DATA, which may."""
-    if given is not None:
-        if not given.is_dir():
-            raise FileNotFoundError(f"no folder {given}; --{name} names the folder of {name.upper()}")
-        return given
-    root = os.environ.get("TNT_DATA")
-    folder = Path(root) / name if root else None
-    return folder if folder is not None and folder.is_dir() else None
-
-
-def _whole(text: str) -> int:
-    """An argparse type: a whole number of at least 0."""
-    return positive_int(text) if text.strip("0_ ") else 0

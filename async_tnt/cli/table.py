@@ -1,4 +1,4 @@
-"""`async-tnt table`: train and test all networks of the thesis' results table, and print it beside the thesis."""
+"""`async-tnt table`: train and test all networks of the thesis' results table, and print it beside the thesis'."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from async_tnt.archive.workers import available_cores
 from async_tnt.checking.timing import machine
 from async_tnt.cli.arguments import positive_int
-from async_tnt.cli.record import command_words, data_folder
+from async_tnt.cli.record import command_words, data_folder, seed_number
 from async_tnt.files import check_folder, write_text
 from async_tnt.training.settings import PRECISIONS, TrainSettings
-from async_tnt.training.table_rows import ROWS, TRAINED_ON
+from async_tnt.training.table import ROWS, TRAINED_ON
 
 if TYPE_CHECKING:
     from async_tnt.training.table_data import RealData
@@ -31,13 +31,12 @@ streaming landmarks `running` and `line` (flow removed, unsigned). Columns, trai
   all/sim   all three saccades            / 30 simulated motions of N-MOVING-MNIST
   1/sim     the first saccade only        / 30 simulated motions
 
-A network is validated on held-out digits of its training motion; no other number is looked at before the end.
-Every network's checkpoints and result are kept below --out: stop with Ctrl-C, give the same command again, and
-it goes on where it was.
+A network is validated on held-out digits of its training motion, and tested only at the end. Checkpoints and results
+of all networks are kept in --out: stop with Ctrl-C, give the same command again, and it resumes.
 """
 EPILOG = """\
 examples:
-  async-tnt table --smoke --nmnist N-MNIST --mnist MNIST     the whole way in a minute or two, few digits
+  async-tnt table --smoke --nmnist N-MNIST --mnist MNIST     everything in a minute or two, few digits
   async-tnt simulate --mnist MNIST --out moving-mnist        10,000 digits, 30 motions
   async-tnt table --nmnist N-MNIST --simulated moving-mnist --iterations 10000 --out table
   async-tnt table --nmnist N-MNIST --simulated moving-mnist --rows baseline line --seeds 0 --out table
@@ -57,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--simulated",
         type=Path,
         metavar="FOLDER",
-        help="a set made by `async-tnt simulate`; without it the test set of 30 motions is made below --out first",
+        help="a set made by `async-tnt simulate`; by default the test set of 30 motions is first made in --out",
     )
     data.add_argument(
         "--mnist",
@@ -78,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--seeds",
         nargs="+",
-        type=_seed,
+        type=seed_number,
         default=[0, 1, 2],
         metavar="N",
         help="of weights, order and augmentation (default: 0 1 2)",
@@ -96,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--precision",
         choices=PRECISIONS,
         default="float32",
-        help="of the networks' products in training (default: float32); bfloat16 is faster on hardware that has it",
+        help="of the networks' products (default: float32); bfloat16 is faster on hardware that supports it",
     )
     how.add_argument(
         "--workers",
@@ -107,8 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument(
         "--smoke",
         action="store_true",
-        help="try the whole way in a minute or two: 8 recordings of each digit, 30 iterations, seed 0, 20 simulated "
-        "digits",
+        help="try everything in a minute or two: 8 recordings a digit, 30 iterations, seed 0, 20 simulated digits",
     )
     out = parser.add_argument_group("results")
     out.add_argument(
@@ -121,16 +119,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
+    """Run `async-tnt table`. Returns the exit code 0."""
     try:
         import torch
         from tnt_reference import Classifier  # noqa: F401
     except ImportError as error:
         raise ImportError(f"the table needs torch ({error}); install it with: pip install '.[train]'") from None
-    from async_tnt.training.table_all_runs import do_runs
+    from async_tnt.training.table import aggregate, markdown_table, motions_table, text_table
     from async_tnt.training.table_data import RealFolder
-    from async_tnt.training.table_report import markdown_table, motions_table, text_table
-    from async_tnt.training.table_results import aggregate
-    from async_tnt.training.table_run import Run
+    from async_tnt.training.table_runs import Run, run_networks
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
     check_folder(args.out, ("results.json", "table.md"))
@@ -138,7 +135,7 @@ def main(args: argparse.Namespace) -> int:
         args.seeds, args.iterations = args.seeds[:1], min(args.iterations, 30)
     per_digit = 8 if args.smoke else None
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
-    # Read once here, so that a missing or damaged file is told before anything is trained.
+    # now, so that a missing or damaged file shows before anything is trained
     real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit, args.skip_damaged)
     data = real.read()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -148,7 +145,7 @@ def main(args: argparse.Namespace) -> int:
     settings = TrainSettings(iterations=args.iterations, batch=args.batch, precision=args.precision)
     workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
     started = time.monotonic()
-    results = do_runs(runs, real, simulated, settings, args.out / "networks", workers)
+    results = run_networks(runs, real, simulated, settings, args.out / "networks", workers)
     table = aggregate(results)
     record = {
         "command": command_words(
@@ -220,9 +217,3 @@ def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) 
         "images that no training recording shows.\n"
         f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)"
     )
-
-
-def _seed(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {text!r}")
-    return int(text)

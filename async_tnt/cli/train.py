@@ -1,4 +1,4 @@
-"""`async-tnt train`: train a classifier on one's own classes, or on N-MNIST's recordings, simulated ones, or both."""
+"""`async-tnt train`: train a classifier on class folders, or on N-MNIST, simulated recordings, or both."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import platform
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,129 +18,78 @@ import numpy as np
 from async_tnt.archive.scores import Scores
 from async_tnt.cli.arguments import complain, one_line
 from async_tnt.cli.record import command_words, data_folder
-from async_tnt.cli.train_options import add_arguments
+from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig
-from async_tnt.files import check_folder, check_writable
-from async_tnt.networks.model import load_model
-from async_tnt.training import dataset_run as own_run
+from async_tnt.files import check_folder, check_writable, write_text
+from async_tnt.networks.model import Model, load_model
+from async_tnt.progress import progress
+from async_tnt.sources.sizes import parse_size
 from async_tnt.training.augment import Augmentation
-from async_tnt.training.run_folder import BEST, CURVES, LAST, RUN_FILES
-from async_tnt.training.settings import TrainSettings
-from async_tnt.training.simulated import read_samples, simulate_recordings
-from async_tnt.training.windows import (
-    CLASSES,
-    Recordings,
-    Windows,
-    lay_windows,
-    no_progress,
-    read_folder,
-    split_recordings,
-)
+from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
+from async_tnt.training.dataset import file_sizes
+from async_tnt.training.run_files import BEST, CURVES, LAST, RUN_FILES, plot_curves
+from async_tnt.training.settings import TrainSettings, settings_for
 
 __all__ = ["add_arguments", "main"]
 
-TIMES_MS = tuple(float(ms) for ms in range(10, 101, 10))
+NUMBERS, PICTURES = ".json", (".curves.png", ".confusion.png")
+TITLES = {
+    "validation": "held out",
+    "test": "Test",
+    "test_windows_from_first_event": "Test, windows from the first event",
+}
 
 
 def main(args: argparse.Namespace) -> int:
     """Train as `args` say. Returns the exit code: 0, 2 for bad usage or input, 130 when interrupted."""
     try:
-        import torch  # noqa: F401
+        import torch
         from tnt_reference import Classifier  # noqa: F401
     except ImportError as error:
-        return _fail(f"training needs torch ({error}); install it with: pip install '.[train]'")
+        complain(f"training needs torch ({error}); install it with: pip install '.[train]'")
+        return 2
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
     run_folder = args.run_folder or Path("runs") / args.out.stem
     try:
         check_writable(args.out, (".safetensors",))  # q.pt beside q.safetensors would share its run folder, its q.json
-        for suffix in own_run.BESIDE if args.dataset is not None else ():
+        for suffix in (NUMBERS, *PICTURES) if args.dataset is not None else ():
             check_writable(args.out.with_suffix(suffix))
         check_folder(run_folder, RUN_FILES)
+        check_options(args)
+        if args.threads is not None:
+            torch.set_num_threads(args.threads)
         return _train(args, run_folder)
     except KeyboardInterrupt:
-        complain(f"interrupted; the finished epochs are kept in {run_folder}. Give the same command again to go on.")
+        complain(f"interrupted; the finished epochs are kept in {run_folder}. Give the same command again to resume.")
         return 130
     except (ValueError, TypeError, OSError) as error:
-        return _fail(error)
+        complain(error)
+        return 2
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
-    import torch
+    from async_tnt.training.evaluation import evaluate
+    from async_tnt.training.loop import train
+    from async_tnt.training.pipeline import pipeline_of
 
-    from async_tnt.training.checkpoint import check_run
-    from async_tnt.training.curves import plot_curves
-    from async_tnt.training.evaluate import evaluate
-    from async_tnt.training.networks import pipeline_of
-    from async_tnt.training.train import train
-
-    own_run.check_options(args)
-    if args.threads is not None:
-        torch.set_num_threads(args.threads)
     start = load_model(args.start_from) if args.start_from else None
-    config = (
-        start.config
-        if start is not None
-        else TNTConfig(
-            bins=args.bins,
-            t_max=args.t_max,
-            landmark=args.landmark,
-            polarity=args.polarity,
-            transform=args.transform,
-            remove_flow=args.remove_flow,
-        )
-    )
-    own: own_run.OwnData | None = None
-    test_folder = None
-    if args.dataset is not None:
-        if args.test and not (args.dataset / "Test").is_dir():
-            raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
-        own = own_run.load(args, config, start, show_progress, run_folder)
-        config, training, validation, data = own.config, own.training, own.validation, own.words
-        settings = own_run.settings_of(args, config, len(training), len(validation))
-        if args.test:  # read now: what is wrong with it must not show after hours
-            test, test_left_out = own_run.load_test(args.dataset, own, show_progress)
-    else:
-        settings = _settings(args)
-        check_run(run_folder, config.to_dict(), asdict(settings))
-        rather = "DATASET, a folder with a folder of recordings for each class, or "
-        nmnist = None if args.smoke else data_folder(args.nmnist, "nmnist", "--nmnist", rather=rather)
-        if args.test:
-            if nmnist is None or not (nmnist / "Test").is_dir():
-                raise FileNotFoundError(f"--test needs N-MNIST's folder Test, not found in {nmnist}")
-            test_folder = nmnist / "Test"
-        training, validation, data = _load(args, nmnist, config)
-    classes = CLASSES if own is None else own.classes
-    print(f"{len(training)} windows to train on, {len(validation)} held out", file=sys.stderr)
-
-    n_epochs = settings.n_epochs(len(training))
-    warm: tuple[float, float] | None = None  # the first epoch here, which waits for the compiler, and its end
-    said_at = -1.0
-
-    def report(row: dict[str, float]) -> None:
-        nonlocal said_at, warm
-        warm = warm or (row["epoch"], time.monotonic())
-        if row["epoch"] < n_epochs and 0 <= said_at > time.monotonic() - 1.0:
-            return  # hundreds of short epochs need no line each
-        said_at = time.monotonic()
-        done = row["epoch"] - warm[0]
-        text = f"epoch {row['epoch']:.0f}/{n_epochs}  loss {row['loss']:.4f}"
-        if "per_window" in row:
-            text += f"  held out: {row['per_window']:.4f} by window, {row['per_recording']:.4f} by recording"
-        if done:
-            left_s = (time.monotonic() - warm[1]) / done * (n_epochs - row["epoch"])
-            text += f"  ({_minutes(left_s)} left)"
-        print(text, file=sys.stderr)
-
+    config = _config(args) if start is None else start.config
+    read = _read_dataset if args.dataset is not None else _read_digits
+    data, settings, sources = read(args, config, start, run_folder)
+    config = data.config
+    print(f"{len(data.training)} windows to train on, {len(data.validation)} held out", file=sys.stderr)
+    n_epochs = settings.n_epochs(len(data.training))
     result = train(
         config,
-        training,
-        validation,
+        data.training,
+        data.validation,
         settings,
         run_folder,
-        classes=classes,
+        classes=data.classes,
         start=start,
-        progress=show_progress,
-        report=report,
+        sources=sources,
+        progress=progress,
+        report=_reporter(n_epochs),
     )
     keep = args.keep or ("last" if settings.patience is None else "best")
     model = result.best if keep == "best" else result.last
@@ -151,71 +100,126 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
             file=sys.stderr,
         )
     summary: dict[str, Any] = {
-        "data": data,
+        "data": data.record,
         "command": _command(args),
         "seed": args.seed,
         "epochs": n_trained,
         "iterations": int(result.history[-1]["iterations"]),
         "kept": f"epoch {result.best_epoch if keep == 'best' else n_trained}",
-        "versions": {
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "numba": numba.__version__,
-            "torch": torch.__version__,
-        },
+        "versions": _versions(),
     }
     if start is not None:
-        summary["started_from"] = {
-            name: start.record[name]
-            for name in ("command", "data", "epochs", "seed", "validation", "test", "started_from")
-            if name in start.record
-        }
+        names = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
+        summary["started_from"] = {name: start.record[name] for name in names if name in start.record}
     pipeline = pipeline_of(model)
+    times_ms = tuple(config.window_us * k / 1e4 for k in range(1, 11))
+    if args.dataset is None:
+        times_ms = tuple(float(ms) for ms in range(10, 101, 10))
     scores = None
-    times_ms = TIMES_MS if own is None else tuple(config.window_us * k / 1e4 for k in range(1, 11))
-    if len(validation):
+    if len(data.validation):
         print("evaluating on the held-out recordings", file=sys.stderr)
-        found = evaluate(pipeline, validation, times_ms=times_ms)
+        found = evaluate(pipeline, data.validation, times_ms=times_ms)
         summary["validation"] = found.to_dict()
-        scores = Scores(classes, found.recording_confusion, found.confusion)
+        scores = Scores(data.classes, found.recording_confusion, found.confusion)
     result.last.save(run_folder / LAST)
     result.best.save(run_folder / BEST)
     plot_curves(result.history, run_folder / CURVES)
 
-    def save() -> None:
-        type(model)(config, model.weights, model.classes, summary).save(args.out)
+    def save() -> list[Path]:
+        """The model with the summary so far and, for a dataset, its numbers beside it."""
+        written = [type(model)(config, model.weights, model.classes, summary).save(args.out)]
+        if args.dataset is not None:
+            numbers = {} if scores is None else scores.to_dict()
+            numbers |= {"held_out": list(data.held_out), "summary": summary, "history": result.history}
+            written.append(args.out.with_suffix(NUMBERS))
+            write_text(written[-1], json.dumps(numbers, indent=1))
+        return written
 
-    save()  # and once more with the accuracy on Test, which may take long, or fail
-    written = [args.out]
-    if own is not None:
-        written += own_run.write_beside(args.out, scores, result.history, summary, own.held_out)
-        if args.test:
-            print("evaluating on Test", file=sys.stderr)
-            found = evaluate(pipeline, test, times_ms=times_ms)
-            summary["test"] = {**found.to_dict(), "left_out": list(test_left_out)}
-            own_run.write_numbers(args.out, scores, result.history, summary, own.held_out)
-            save()
-        own_run.say_left_out(summary)
-    if test_folder is not None:
-        recordings = read_folder(test_folder, skip_damaged=args.skip_damaged, progress=show_progress)
+    written = save()  # and again with the accuracy on Test, which may take long
+    if args.dataset is not None:
+        written += _draw(args.out, scores, result.history)
+    if data.tests:
         print("evaluating on Test", file=sys.stderr)
-        for name, first_event in (("test", False), ("test_windows_from_first_event", True)):
-            windows = lay_windows(recordings, config.window_us, first_event=first_event)
-            summary[name] = evaluate(pipeline, windows, times_ms=TIMES_MS).to_dict()
+        for name, (windows, record) in data.tests.items():
+            summary[name] = {**evaluate(pipeline, windows, times_ms=times_ms).to_dict(), **record}
         save()
+    for line in data.left_out:  # again: hours may lie between
+        print(f"left out: {line}", file=sys.stderr)
     _print_summary(summary, args, written)
     return 0
 
 
-def _command(args: argparse.Namespace) -> str:
-    """As it was given, without paths; a mask decides what is learned, so it is told that there was one."""
-    words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged"))
-    return words if args.mask is None else f"{words} --mask MASK"
+def _config(args: argparse.Namespace) -> TNTConfig:
+    """The volume as the options say; its sensor is the recordings'."""
+    names = ("bins", "t_max", "landmark", "polarity", "transform", "remove_flow")
+    config = TNTConfig(**{name: getattr(args, name) for name in names})
+    grid = parse_size(args.grid) if args.grid else config.grid
+    return config.replace(grid=grid, window_us=args.window_us or config.window_us)
 
 
-def _settings(args: argparse.Namespace) -> TrainSettings:
+def _read_dataset(
+    args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
+) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
+    """DATASET, how to train on it, and what `check_run` compares; another run's folder is refused before it is read."""
+    from async_tnt.training.checkpoint import check_run
+
+    if args.test and not (args.dataset / "Test").is_dir():
+        raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
+    pixels = pixels_of(args, start)
+    validation = 0.2 if args.validation is None else args.validation
+    given = {
+        "seed": args.seed,
+        "learning_rate": args.rate,
+        "precision": args.precision,
+        "iterations": args.iterations,
+    }
+    known = given | {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
+    if args.patience is not None:
+        known["patience"] = args.patience or None
+    volume = {name: value for name, value in config.to_dict().items() if name != "sensor"}
+    if pixels.sensor is not None and not pixels.crop:
+        volume["sensor"] = pixels.sensor
+    sources: dict[str, Any] = {
+        "recordings": file_sizes(args.dataset, "Train"),
+        "validation": validation,
+        "pixels": pixels.record,
+    }
+    check_run(run_folder, volume, known, sources)
+    data = dataset_data(
+        args.dataset,
+        config,
+        pixels=pixels,
+        sensor_source="--sensor" if args.sensor else "--start-from",
+        classes=None if start is None else start.classes,
+        validation=validation,
+        test=args.test,
+        seed=args.seed,
+        progress=progress,
+    )
+    for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
+        print(line, file=sys.stderr)
+    settings = settings_for(
+        data.config,
+        len(data.training),
+        len(data.validation),
+        epochs=args.epochs,
+        batch=args.batch,
+        patience=args.patience,
+        augment=not args.no_augmentation,
+        translate_px=args.translate,
+        **given,
+    )
+    return data, settings, {**sources, "used": list(data.training.recordings.names)}
+
+
+def _read_digits(
+    args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
+) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
+    """N-MNIST or the bundled samples, in the same way."""
+    from async_tnt.training.checkpoint import check_run
+
     epochs = 20 if args.epochs is None else args.epochs
-    return TrainSettings(
+    settings = TrainSettings(
         epochs=min(epochs, 2) if args.smoke else epochs,
         iterations=None if args.smoke else args.iterations,
         batch=64 if args.batch is None else args.batch,
@@ -225,52 +229,84 @@ def _settings(args: argparse.Namespace) -> TrainSettings:
         precision=args.precision,
         patience=args.patience or None,
     )
+    check_run(run_folder, config.to_dict(), asdict(settings))
+    if args.smoke:
+        return sample_data(config), settings, {}
+    alternative = "DATASET, a folder with a folder of recordings for each class, or "
+    nmnist = data_folder(args.nmnist, "nmnist", "--nmnist", alternative=alternative)
+    for name in ("Train", "Test") if args.test else ("Train",):
+        if not (nmnist / name).is_dir():
+            raise FileNotFoundError(
+                f"no folder {name} in {nmnist}; --nmnist must be the folder with N-MNIST's {name}/<digit>/*.bin"
+            )
+    data = nmnist_data(
+        nmnist,
+        config,
+        mnist=data_folder(args.mnist, "mnist", "--mnist") if args.simulated else None,
+        simulated=args.simulated,
+        saccades=args.saccades,
+        validation=0.1 if args.validation is None else args.validation,
+        test=args.test,
+        seed=args.seed,
+        skip_damaged=args.skip_damaged,
+        progress=progress,
+    )
+    return data, settings, {}
 
 
-def _load(args: argparse.Namespace, nmnist: Path | None, config: TNTConfig) -> tuple[Windows, Windows, dict[str, Any]]:
-    """Windows to train on, windows held out, and the data in words."""
-    if nmnist is None:
-        windows = lay_windows(read_samples(), config.window_us)
-        return windows, windows, {"source": "the ten bundled samples, for training and validation (smoke)"}
-    mnist = data_folder(args.mnist, "mnist", "--mnist") if args.simulated else None
-    train_folder = nmnist / "Train"
-    if not train_folder.is_dir():
-        raise FileNotFoundError(
-            f"no folder Train in {nmnist}; --nmnist must be the folder with N-MNIST's Train/<digit>/*.bin"
-        )
-    real = read_folder(train_folder, skip_damaged=args.skip_damaged, progress=show_progress)
-    share = 0.1 if args.validation is None else args.validation
-    learned, held_out = split_recordings(real, share, np.random.default_rng(args.seed))
-    recordings: Recordings = real
-    if mnist is not None:
-        recordings = real + simulate_recordings(mnist, args.simulated, args.seed, progress=show_progress)
-        learned = np.concatenate([learned, np.arange(len(real), len(recordings))])
-    data = {
-        "source": "N-MNIST recordings (Train), held out by recording"
-        + (" and simulated recordings of MNIST training images" if mnist else ""),
-        "real_recordings": len(real) - len(held_out),
-        "simulated_recordings": len(recordings) - len(real),
-        "held_out_recordings": len(held_out),
+def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
+    """Prints a line after an epoch, at most one a second: hundreds of short epochs need no line each."""
+    printed_at = -1.0
+
+    def report(row: dict[str, float]) -> None:
+        nonlocal printed_at
+        if row["epoch"] < n_epochs and 0 <= printed_at > time.monotonic() - 1.0:
+            return
+        printed_at = time.monotonic()
+        text = f"epoch {row['epoch']:.0f}/{n_epochs}  loss {row['loss']:.4f}"
+        if "per_window" in row:
+            text += f"  held out: {row['per_window']:.4f} by window, {row['per_recording']:.4f} by recording"
+        print(text, file=sys.stderr)
+
+    return report
+
+
+def _draw(out: Path, scores: Scores | None, history: list[dict[str, float]]) -> list[Path]:
+    """Draw <out>.curves.png and <out>.confusion.png where matplotlib is installed; returns the files."""
+    curves, confusion = (out.with_suffix(suffix) for suffix in PICTURES)
+    if not plot_curves(history, curves):
+        print("no pictures: matplotlib is not installed (pip install '.[plot]')", file=sys.stderr)
+        return []
+    if scores is None:
+        return [curves]
+    from async_tnt.views.confusion import write_confusion
+
+    title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
+    return [curves, write_confusion(scores.confusion, scores.classes, confusion, title)]
+
+
+def _command(args: argparse.Namespace) -> str:
+    """The command as it was given, without paths; that there was a mask is kept, as it decides what is learned."""
+    words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged"))
+    return words if args.mask is None else f"{words} --mask MASK"
+
+
+def _versions() -> dict[str, str]:
+    import torch
+
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "torch": torch.__version__,
     }
-    if args.saccades != [1, 2, 3]:
-        data["saccades"] = args.saccades
-
-    def windows_of(which: np.ndarray) -> Windows:
-        windows = lay_windows(recordings, config.window_us, which=which)
-        return windows[np.isin(windows.start_us // config.window_us + 1, args.saccades)]
-
-    return windows_of(learned), windows_of(held_out), data
 
 
 def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: list[Path]) -> None:
     if args.json:
         print(json.dumps({"out": str(args.out), **summary}))
         return
-    for name, title in (
-        ("validation", "held out"),
-        ("test", "Test"),
-        ("test_windows_from_first_event", "Test, windows from the first event"),
-    ):
+    for name, title in TITLES.items():
         if name in summary:
             found = summary[name]
             print(
@@ -278,21 +314,3 @@ def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: l
                 f"{found['per_recording']:.4f} of {found['recordings']} recordings right"
             )
     print(one_line(f"wrote {', '.join(map(str, written))}"))
-
-
-def show_progress(items: Iterable[Any], title: str, total: int) -> Iterator[Any]:
-    """A progress bar with the time left, on stderr where that is a terminal and tqdm is installed."""
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        return no_progress(items, title, total)
-    return iter(tqdm(items, desc=title, total=total, disable=None, leave=False, file=sys.stderr))
-
-
-def _minutes(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
-
-
-def _fail(error: Exception | str) -> int:
-    complain(error)
-    return 2

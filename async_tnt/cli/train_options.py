@@ -1,39 +1,44 @@
-"""The options of `async-tnt train`."""
+"""The options of `async-tnt train`, and which of them go together."""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from async_tnt.cli.arguments import positive_int
-from async_tnt.cli.pixel_options import add_selection
+from async_tnt.cli.pixel_options import add_selection, selection_of
 from async_tnt.cli.sizes import size_text
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
+from async_tnt.networks.model import Model
+from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixel_selector import check_region
+from async_tnt.sources.sizes import by, parse_size
 from async_tnt.training.settings import PRECISIONS
 
 DESCRIPTION = """\
 Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
 
-With DATASET, on one's own classes: a folder with a folder of recordings for each class, named as the class is, of any
-sensor and in any format that `async-tnt run` reads. Windows are laid end to end from each recording's first event; a
+With DATASET, on your own classes: a folder with one folder of recordings for each class, named like the class, from
+any camera and in any format that `async-tnt run` reads. Windows follow each other from each recording's first event; a
 shorter recording is one partial window. Every epoch shows each class equally often, however many recordings it has.
-Training stops when the loss on the held-out recordings no longer falls, and the model of its best epoch is kept. Beside
+Training stops when the loss on the held-out recordings no longer falls, and the model of the best epoch is kept. Beside
 the model (m.safetensors) it writes m.json, m.confusion.png and m.curves.png, with the accuracy on held-out recordings.
-With --roi and --mask it learns from a part of the camera's pixels, which the model's record names.
+With --roi and --mask it learns from some of the camera's pixels, which the model's record names.
 
-With --nmnist, on N-MNIST's digits and, with --simulated, on recordings made from MNIST's images.
+With --nmnist, on N-MNIST's digits and, with --simulated, on recordings simulated from MNIST's images.
 
-Each epoch sees every window a little moved, turned and thinned, so that no two epochs are alike. A share of the real
-recordings is held out and only looked at, after each epoch. Checkpoints go into the run folder: stop with
-Ctrl-C, give the same command again, and the training goes on to the very same weights.
+Each epoch shifts, rotates and thins every window at random, so no two epochs are alike. Some of the real recordings are
+held out, and used only to measure accuracy after each epoch. Checkpoints go into the run folder: stop with Ctrl-C, give
+the same command again, and the training resumes and ends with exactly the same weights.
 """
 EPILOG = """\
 examples:
   async-tnt train gestures --out gestures.safetensors          gestures/wave/*.npz, gestures/clap/*.npz, ...
   async-tnt train gestures --sensor 346x260 --grid 44x33 --window-us 200000 --landmark center
   async-tnt train gestures --roi 100,80,64,64 --crop --mask hot.npy    a part of the camera, without hot pixels
-  async-tnt evaluate gestures.safetensors held_out             how good is it on recordings it never saw?
-  async-tnt train --smoke                          does everything work here? seconds, no data needed
+  async-tnt evaluate gestures.safetensors held_out             accuracy on other recordings
+  async-tnt train --smoke                          does everything work? seconds, no data needed
   async-tnt train --nmnist N-MNIST --out mine.safetensors
   async-tnt train --nmnist N-MNIST --mnist MNIST --simulated 20000 --landmark line --t-max 2 --epochs 40
   async-tnt train --nmnist N-MNIST --saccades 1 --landmark regressor --translate 4 --t-max 2 --iterations 60000
@@ -84,24 +89,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--validation",
         type=float,
         metavar="SHARE",
-        help="share of each class's real recordings held out to watch the training (default: 0.1; with DATASET 0.2, "
-        "and at least one)",
+        help="share of each class's real recordings held out for validation (default: 0.1; with DATASET 0.2, and at "
+        "least one)",
     )
     data.add_argument(
         "--skip-damaged",
         action="store_true",
-        help="of N-MNIST: leave damaged recordings out, with a warning each, instead of stopping (of DATASET, what "
-        "cannot be read is always left out, and named at the end)",
+        help="of N-MNIST: leave damaged recordings out, with a warning each, instead of stopping (of DATASET they are "
+        "always left out, and named at the end)",
     )
     data.add_argument(
         "--test",
         action="store_true",
-        help="at the end, also classify the folder Test and write the accuracy into the "
-        "model's record; do this once, after all choices are made",
+        help="at the end, also classify the folder Test and write the accuracy into the model's record; do this once, "
+        "after all choices are made",
     )
     add_selection(
         parser.add_argument_group(
-            "pixels of DATASET (events left out as if they had never been recorded; the model's users give the same)"
+            "pixels of DATASET (other events are ignored; give the same options where the model is used)"
         )
     )
     volume = parser.add_argument_group("volume (what the network sees)")
@@ -112,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--landmark",
         choices=LANDMARKS,
         default="running",
-        help="the point events are normalized about; `window` and `regressor` (a network of its own, trained along) "
+        help="the point events are normalized about; `window` and `regressor` (a second network, trained jointly) "
         "cost a replay at each decision (default: running)",
     )
     volume.add_argument(
@@ -120,14 +125,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=3.0,
         metavar="T",
-        help="TNT time at the window's end: smaller shrinks late events less, but loses more "
-        "of the early ones over the border (default: 3)",
+        help="TNT time at the window's end: a smaller one shrinks late events less, but loses more of the early ones "
+        "at the border (default: 3)",
     )
     volume.add_argument(
         "--polarity",
         choices=POLARITIES,
         default="signed",
-        help="ON minus OFF events, both alike, or in bins of their own (default: signed)",
+        help="ON minus OFF events, both counted alike, or in separate bins (default: signed)",
     )
     volume.add_argument("--remove-flow", action="store_true", help="subtract the fitted flow (with --landmark line)")
     volume.add_argument("--bins", type=int, default=9, metavar="B", help="time bins (default: 9)")
@@ -135,9 +140,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         type=size_text,
         metavar="WxH",
-        help="with DATASET: the camera's pixels, where recordings are silent, and --mask, which says them by its size; "
-        "a .bin is of 34x34 unless one of them says otherwise. Recordings that state another are left out. "
-        "The model is for as many, or with --crop for the region's",
+        help="with DATASET: the camera's pixels, where recordings do not state them (a .bin is 34x34 without this "
+        "option); recordings of another sensor are an error. The model is for this sensor, or with --crop for the "
+        "region",
     )
     volume.add_argument(
         "--grid", type=size_text, metavar="WxH", help="with DATASET: the volume's pixels (default: 34x34)"
@@ -159,20 +164,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--patience",
         type=int,
         metavar="N",
-        help="stop when the validation loss has not fallen for so many epochs; 0 never does (default: 0; with DATASET "
-        "a fifth of the epochs)",
+        help="stop when the validation loss has not fallen for so many epochs; 0: never (default: 0; with DATASET a "
+        "fifth of the epochs)",
     )
     learning.add_argument(
         "--iterations",
         type=positive_int,
         metavar="N",
-        help="steps of the optimizer, instead of --epochs (the thesis: 60000 of 64 windows each)",
+        help="optimizer steps, instead of --epochs (the thesis: 60000 of 64 windows each)",
     )
     learning.add_argument(
         "--batch",
         type=int,
         metavar="N",
-        help="windows per step (default: 64; with DATASET fewer, down to 8, where there are few windows)",
+        help="windows per step (default: 64; with DATASET fewer, down to 8, for a small data set)",
     )
     learning.add_argument(
         "--rate",
@@ -186,13 +191,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="of weights, order, augmentation, split and simulation (default: 0)",
+        help="for weights, order, augmentation, split and simulation (default: 0)",
     )
     learning.add_argument(
         "--precision",
         choices=PRECISIONS,
         default="float32",
-        help="of the networks' products (default: float32); bfloat16 is faster on hardware that has it",
+        help="of the networks' products (default: float32); bfloat16 is faster on hardware that supports it",
     )
     learning.add_argument(
         "--translate",
@@ -206,22 +211,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     learning.add_argument(
         "--keep",
         choices=("last", "best"),
-        help="the weights to write: after the last epoch, or after the one that validates "
-        "best (default: last; where patience ends the training, best; both are in the run folder)",
+        help="weights to write: after the last epoch, or after the best one (default: last; with patience, best); both "
+        "are in the run folder",
     )
     learning.add_argument(
-        "--threads", type=positive_int, metavar="N", help="torch's threads; another number gives slightly other weights"
+        "--threads",
+        type=positive_int,
+        metavar="N",
+        help="torch's threads; another number gives slightly different weights",
     )
     learning.add_argument(
-        "--smoke", action="store_true", help="try the whole way in seconds: two epochs on the ten bundled samples"
+        "--smoke", action="store_true", help="try everything in seconds: two epochs on the ten bundled samples"
     )
     files = parser.add_argument_group("files")
     files.add_argument(
         "--start-from",
         metavar="MODEL",
-        help="train on from a model file, or a bundled model's name, instead of random weights; "
-        "the volume's options are then that model's. Keep --seed, and with it the recordings "
-        "that are held out",
+        help="continue from a model file or a bundled model, instead of random weights; the volume is that model's. "
+        "Keep --seed, and with it the recordings that are held out",
     )
     files.add_argument(
         "--out",
@@ -234,6 +241,57 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FOLDER",
         dest="run_folder",
-        help="checkpoints and learning curves; one run's, which goes on where it was (default: runs/<name of --out>)",
+        help="checkpoints and learning curves of one run, which resumes from there (default: runs/<name of --out>)",
     )
     files.add_argument("--json", action="store_true", help="print the results as JSON on stdout")
+
+
+def check_options(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together.
+
+    Raises
+    ------
+    ValueError : names them.
+    """
+    if args.dataset is None:
+        names = ("sensor", "grid", "window_us", "roi", "crop", "mask")
+        given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]
+        if given:
+            raise ValueError(f"{', '.join(given)} must come with DATASET, a folder of class folders")
+        if args.test and args.smoke:
+            raise ValueError("--test must come without --smoke, which has no test recordings")
+        return
+    given = [f"--{name}" for name in ("nmnist", "mnist", "simulated", "smoke") if getattr(args, name)]
+    given += ["--saccades"] if args.saccades != [1, 2, 3] else []
+    if given:
+        raise ValueError(f"{', '.join(given)} must come without DATASET: train on one or the other")
+    if args.start_from and (args.grid or args.window_us):
+        raise ValueError("--grid and --window-us must come without --start-from: the volume is that model's")
+    if args.grid and min(parse_size(args.grid)) < 4:
+        raise ValueError(f"--grid must be at least 4x4 for the network's two poolings, got {args.grid}")
+
+
+def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
+    """Which pixels of DATASET to train on; the sensor of `start`, the model to continue from, is that of its events.
+
+    Raises
+    ------
+    ValueError, OSError : as for `selection_of`, or a region or sensor that is not the one of `start`.
+    """
+    pixels = selection_of(args)
+    if pixels.region is not None and min(pixels.region) < 2:
+        raise ValueError(
+            "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
+            f"got {by(pixels.region)}"
+        )
+    if start is None:
+        return pixels
+    sensor = start.config.sensor
+    check_region(pixels, sensor)
+    if pixels.crop:
+        return pixels
+    if pixels.sensor not in (None, sensor):
+        raise ValueError(f"--sensor must be the one of --start-from, {by(sensor)}, got {by(pixels.sensor)}")
+    if pixels.mask is not None:
+        pixels.mask.pixels(sensor)  # refuses a mask of another sensor
+    return replace(pixels, sensor=sensor)

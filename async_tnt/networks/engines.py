@@ -11,6 +11,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model, load_model
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
+from async_tnt.networks.torch_modules import landmark_function, torch_classifier
 from async_tnt.networks.torch_network import TorchClassifier
 from async_tnt.processor import Processor
 
@@ -106,13 +107,13 @@ def _onnx_networks(model: Model) -> dict[str, Any]:
 
 def _torch_networks(model: Model) -> dict[str, Any]:
     try:
-        from async_tnt.checking.reference import reference_regressor
-        from async_tnt.training.networks import network_of
+        import tnt_reference  # noqa: F401
+        import torch  # noqa: F401
     except ImportError as error:
         raise ImportError(
             f"engine torch runs the reference network, which needs torch: pip install '.[reference]' ({error})"
         ) from None
-    networks: dict[str, Any] = {"classifier": TorchClassifier(network_of(model))}
+    networks: dict[str, Any] = {"classifier": TorchClassifier(torch_classifier(model))}
     if model.config.needs_regressor:
-        networks["regressor"] = reference_regressor(model)
+        networks["regressor"] = landmark_function(model)
     return networks

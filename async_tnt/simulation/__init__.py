@@ -1,10 +1,10 @@
-"""Simulate an event camera that looks at a moving image: trajectories, scene, pixels, and MNIST to look at.
+"""Simulate an event camera in front of a moving image: trajectories, scene, pixels, and MNIST's digits.
 
 `moving_mnist.build` makes N-MOVING-MNIST, the thesis' set of moving digits, and `open_set` opens one. Needs no
 torch.
 """
 
-from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.digits import simulate_digit, write_samples
 from async_tnt.simulation.mnist import load_mnist, read_idx
 from async_tnt.simulation.motions import Motion, motions_of
 from async_tnt.simulation.moving_mnist import open_set
@@ -37,5 +37,6 @@ __all__ = [
     "simulate",
     "simulate_digit",
     "simulate_events",
+    "write_samples",
     "write_shard",
 ]

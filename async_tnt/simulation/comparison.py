@@ -1,8 +1,8 @@
-"""A simulated set beside N-MNIST: the same numbers of real recordings, of their simulations, and of the set.
+"""A simulated set compared with N-MNIST: the same statistics of real recordings, of their simulations, and of the set.
 
-Like with like: the second column simulates the very images that the real recordings show, under N-MNIST's own
-saccades. It says how good the simulator is; the third, how the set's motions differ from N-MNIST's. Where the
-set has those images, the third column shows them too, each under three of its motions.
+The second column simulates the images that the real recordings show, under N-MNIST's own saccades: it shows how good
+the simulator is. The third shows how the set's motions differ from N-MNIST's, with the same images, if the set has
+them, each under three of its motions.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from async_tnt.sources.files.nmnist import read_nmnist
 
 N_RECORDINGS = 200
 OFFICIAL_TRAIN = 60_000
-"""Recordings in N-MNIST's training set; larger numbers are test recordings, counted on."""
+"""Recordings in N-MNIST's training set; larger numbers are test recordings."""
 
 
 def compare(
@@ -43,14 +43,14 @@ def compare(
     ----------
     made : a set with all its shards.
     mnist_folder : MNIST, to simulate the images of the second column.
-    nmnist_folder : N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin; None leaves the real column out,
-        and the second shows the set's own first images.
+    nmnist_folder : N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin; None omits the real column, and the
+        second shows the set's first images.
     n_recordings : how many recordings to compare, spread evenly over those that show images of the set's
-        split (over all if none does).
+        split (over all if none do).
 
     Raises
     ------
-    ValueError : damaged files, or recordings that do not show the images their numbers say.
+    ValueError : damaged files, or recordings whose digit is not that of the image with their number.
     OSError : missing folders.
     """
     split, digits = made.parameters["split"], made.parameters["digits"]
@@ -68,7 +68,7 @@ def compare(
                 if image >= len(labels) or labels[image] != int(found[image].parent.name):
                     raise ValueError(
                         f"{found[image]}: MNIST's {shown_split} image {image + 1}, which it should show, "
-                        "is no such digit"
+                        "is another digit"
                     )
             real = _counted((read_nmnist(found[image]) for image in shown), bar)
             columns["N-MNIST"] = describe(real, directions_deg=directions)
@@ -81,7 +81,7 @@ def compare(
 
 
 def _describe_set(made: MovingMnist, images: list[int], bar: Any, nmnist_directions: list[float]) -> dict[str, float]:
-    """Each image under three motions (or the only one), so that all motions take equal part."""
+    """Each image under three motions (or the only one), all motions equally often."""
     n_motions = len(made.motions)
     pairs = sorted(
         {((k + turn * n_motions // 3) % n_motions, image) for k, image in enumerate(images) for turn in range(3)}
@@ -92,7 +92,7 @@ def _describe_set(made: MovingMnist, images: list[int], bar: Any, nmnist_directi
     moving = [made.motions[motion] for motion, _ in pairs]
     directions = [[float(motion.direction_deg or 0)] for motion in moving]
     numbers = describe(recordings, sensor=made.sensor, cuts_us=(0, moving[0].duration_us), directions_deg=directions)
-    # Over ten directions these are zero, whatever the recordings look like.
+    # Averaged over ten directions these are zero for any recordings.
     return {name: value for name, value in numbers.items() if ", saccade " not in name}
 
 
@@ -106,10 +106,10 @@ def _recordings(made: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.
 
 
 def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]:
-    """The split of MNIST that is shown, `split` where any recording shows it, and image index -> recording.
+    """The split of MNIST that is shown, `split` if any recording shows it, and image index -> recording.
 
-    Recording n shows image n, counted from 1, of the same official set. Where test recordings are numbered on
-    after the training set's, n - 60,000 is the image.
+    Recording n shows image n, counted from 1, of the same official set. Recordings above 60,000 show image n - 60,000
+    of the test set.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]
                 found[part.lower()][number - 1] = path
     shown = split if found[split] else next((name for name in found if found[name]), None)
     if shown is None:
-        raise FileNotFoundError(f"{folder}: no N-MNIST recordings there; expected Train/<digit>/<number>.bin")
+        raise FileNotFoundError(f"{folder}: no N-MNIST recordings; expected Train/<digit>/<number>.bin")
     return shown, found[shown]
 
 

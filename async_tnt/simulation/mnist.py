@@ -30,11 +30,11 @@ def read_idx(path: str | os.PathLike[str]) -> np.ndarray:
 
     Returns
     -------
-    Array of the shape and type the file states, in native byte order, the caller's to change.
+    Array of the shape and type that the file states, in native byte order, writeable.
 
     Raises
     ------
-    ValueError : damaged or not an IDX file; the message names the file and what is wrong.
+    ValueError : damaged, or not an IDX file; the message names the file.
     OSError : missing or not readable.
     """
     path = Path(path)
@@ -74,7 +74,7 @@ def _read_idx(path: Path, file: IO[bytes] | gzip.GzipFile) -> np.ndarray:
 
 
 def _read_up_to(file: IO[bytes] | gzip.GzipFile, n: int) -> bytearray:
-    """At most n bytes. In pieces: n is the file's word, and asked for n bytes at once, Python makes room for n."""
+    """At most n bytes, in pieces: the file states n, and `read(n)` would allocate them at once."""
     data = bytearray()
     while len(data) < n and (piece := file.read(min(n - len(data), 1 << 20))):
         data += piece
@@ -91,7 +91,7 @@ def load_mnist(folder: str | os.PathLike[str], split: str) -> tuple[np.ndarray, 
 
     Returns
     -------
-    images : uint8, shape (N, 28, 28), 0 = ground, 255 = stroke.
+    images : uint8, shape (N, 28, 28), 0 = background, 255 = stroke.
     labels : uint8, shape (N,), 0-9.
 
     Raises

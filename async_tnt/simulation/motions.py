@@ -1,10 +1,10 @@
 """The motions of N-MOVING-MNIST: 10 directions x 3 distances, the same for every digit.
 
-The thesis moves each digit of MNIST in 30 ways, but names neither the directions nor the magnitudes. Ours are
+The thesis moves each digit of MNIST in 30 ways, but gives neither directions nor magnitudes. Ours are
 directions of 0, 36, ... 324 degrees (0 to the right, 90 downwards: y grows downwards) and distances of 3, 5
 and 8 pixels in one window of 105 ms, 29 to 76 px/s. N-MNIST's own saccades cover about 5 px in such a window.
-Each motion is a straight line that passes the centre at half time: digits of all motions cover the same
-place, and a network cannot tell a motion by where the digit is on average.
+Each motion is a straight line through the centre at half time, so the mean position of a digit is the same for all
+motions, and a network cannot tell them apart by it.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ class Motion:
 
         Parameters
         ----------
-        rng : draws the delays of N-MNIST's saccades; the other kinds leave it alone.
-        image, sensor : sizes (width, height) in pixels. At half time the image lies in the sensor's centre.
-            N-MNIST's path, which was measured on its 34 x 34 pixels, is moved along with the centre.
+        rng : draws the delays of N-MNIST's saccades; the other kinds do not use it.
+        image, sensor : sizes (width, height) in pixels. At half time the image is in the sensor's centre.
+            N-MNIST's path, which was measured on its 34 x 34 pixels, is moved with the centre.
         """
         centre = ((sensor[0] - image[0]) / 2, (sensor[1] - image[1]) / 2)
         if self.kind == "nmnist":

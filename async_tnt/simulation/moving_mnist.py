@@ -1,10 +1,9 @@
 """N-MOVING-MNIST: MNIST's digits, each simulated under every motion.
 
-The thesis' set is not published, and its motions are not named; `motions` says what ours are. A set is a
-folder of shards, each with up to `recordings_per_shard` neighbouring images under one motion, and `set.json`,
-which says how they were made and is written first. Every recording has a random generator of its own, seeded
-by (seed, index of the motion, index of the image): how the work was cut, shared out or interrupted changes
-nothing.
+The thesis' set is not published, and it does not name its motions; ours are in `motions`. A set is a folder of
+shards, each with up to `recordings_per_shard` consecutive images under one motion, and `set.json`, which says how
+they were made and is written first. Every recording has its own random generator, seeded by (seed, index of the
+motion, index of the image), so the number of workers and interruptions change nothing.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.simulation.motions import NMNIST_SENSOR, Motion, motions_of
 from async_tnt.simulation.scene import Scene
-from async_tnt.simulation.set_manifest import MovingMnist, made_otherwise, read_manifest, write_manifest
+from async_tnt.simulation.set_manifest import MovingMnist, other_parameters, read_manifest, write_manifest
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
 
 
 @dataclass(frozen=True)
 class _Job:
-    """One shard to make: neighbouring images under one motion."""
+    """One shard to make: consecutive images under one motion."""
 
     path: Path
     motion: Motion
@@ -65,21 +64,20 @@ def build(
 ) -> MovingMnist:
     """Simulate the set, or what is missing of it; shows a progress bar.
 
-    Shards that are there and made alike are kept, damaged ones made anew; so an interrupted build goes on
-    when called again. The same arguments give the same files, however many workers there are.
+    Existing shards are kept, damaged ones made again, so an interrupted build resumes when called again. The same
+    arguments give the same files, for any number of workers.
 
     Parameters
     ----------
     mnist_folder : folder with MNIST's IDX files. out_folder : made if missing.
     split : "train" or "test". digits : the first so many images; all by default.
     kind : of motion: "constant" (30 motions), "bell" (30) or "nmnist" (1).
-    workers : processes; all cores by default. A script that asks for more than one needs the usual
-        `if __name__ == "__main__":`.
+    workers : processes; one per core by default. A script with more than one needs `if __name__ == "__main__":`.
     scene, pixels, frame_us, sensor : as in `simulate_digit`.
 
     Raises
     ------
-    ValueError : an argument out of its range, damaged MNIST files, or a folder with shards made otherwise.
+    ValueError : an argument out of its range, damaged MNIST files, or a folder with other shards.
     OSError : MNIST missing, or the folder cannot be written.
     """
     _check_at_least("seed", seed, 0)
@@ -131,16 +129,14 @@ def build(
     made = MovingMnist(folder, tuple(job.path for job in jobs), moving, parameters)
     folder.mkdir(parents=True, exist_ok=True)
     write_manifest(made)
-    with progress(len(made), "simulating") as bar:
-        to_do = []
-        for job in jobs:
-            if _is_there(job):
-                bar.update(len(job.images))
-            else:
-                to_do.append(job)
-        with contextlib.closing(run_all(_make_shard, to_do, workers or available_cores())) as results:
-            for n_recordings in results:
-                bar.update(n_recordings)
+    to_do = [job for job in jobs if not _is_done(job)]
+    n_done = len(made) - sum(len(job.images) for job in to_do)
+    with (
+        progress(len(made), "simulating", done=n_done) as bar,
+        contextlib.closing(run_all(_make_shard, to_do, workers or available_cores())) as results,
+    ):
+        for n_recordings in results:
+            bar.update(n_recordings)
     for part in folder.glob("*.safetensors.*.part"):  # of processes that were killed
         part.unlink(missing_ok=True)
     return made
@@ -152,11 +148,11 @@ def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) 
     Parameters
     ----------
     folder : with `set.json` and the shards.
-    allow_incomplete : True bears missing shards and counts them in `missing`.
+    allow_incomplete : accept missing shards, and count them in `missing`.
 
     Raises
     ------
-    ValueError : incomplete, with the command that goes on; or no set, or a damaged `set.json`.
+    ValueError : incomplete, with the command to resume; not a set, or a damaged `set.json`.
     OSError : missing or not readable.
     """
     folder = Path(folder)
@@ -165,7 +161,7 @@ def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) 
     if missing and not allow_incomplete:
         p = made.parameters
         raise ValueError(
-            f"{folder}: {missing} of {len(made.shards)} shards are missing. Go on with: async-tnt simulate "
+            f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: async-tnt simulate "
             f"--mnist MNIST --out {folder} --split {p['split']} --motions {p['kind']} --digits {p['digits']} "
             f"--seed {p['seed']}"
         )
@@ -195,7 +191,7 @@ def _make_shard(job: _Job) -> int:
             sensor=job.sensor,
             frame_us=job.frame_us,
         )
-        # The last half microsecond rounds up to `duration_us`, where the next window would begin.
+        # The last half microsecond is rounded up to `duration_us`, where the next window begins.
         recordings.append(events[events["t"] < duration_us])
     write_shard(
         job.path,
@@ -211,18 +207,18 @@ def _make_shard(job: _Job) -> int:
     return len(recordings)
 
 
-def _is_there(job: _Job) -> bool:
-    """Whether the shard is there and sound; one made otherwise is an error."""
+def _is_done(job: _Job) -> bool:
+    """Whether the shard is there and not damaged; one with other parameters is an error."""
     if not job.path.exists():
         return False
     try:
         shard = open_shard(job.path)
     except ValueError:
-        return False  # damaged: made anew
+        return False  # damaged: made again
     for name, expected in job.metadata.items():
         if shard.metadata.get(name) != expected:
-            raise made_otherwise(job.path, name, shard.metadata.get(name), expected)
+            raise other_parameters(job.path, name, shard.metadata.get(name), expected)
     expected_image = job.first + np.arange(len(job.images))
     if not (np.array_equal(shard.image, expected_image) and np.array_equal(shard.labels, job.labels)):
-        raise made_otherwise(job.path, "images", "other images", f"{job.first} to {expected_image[-1]}")
+        raise other_parameters(job.path, "images", "other images", f"{job.first} to {expected_image[-1]}")
     return True

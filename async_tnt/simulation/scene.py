@@ -1,9 +1,9 @@
-"""The scene: an image on a screen, seen through a lens by a sensor, as frames of log luminance.
+"""The scene: an image on a screen, seen by a sensor through a lens, as frames of log luminance.
 
 With v = image^gamma in [0, 1] (1 = stroke), blurred by the lens,
 
-    luminance = 1 - (1 - 1/contrast) v              dark strokes on a bright ground
-    luminance = 1/contrast + (1 - 1/contrast) v     bright strokes on a dark ground
+    luminance = 1 - (1 - 1/contrast) v              dark strokes on a bright background
+    luminance = 1/contrast + (1 - 1/contrast) v     bright strokes on a dark background
 
 so `contrast` is the ratio of the brighter to the darker of the two, and log luminance spans
 [-log contrast, 0].
@@ -26,11 +26,11 @@ class Scene:
 
     Attributes
     ----------
-    contrast : luminance of the brighter part over the darker, above 1.
-    gamma : exponent from the image's values to the screen's light; above 1 thins the strokes.
+    contrast : ratio of the brighter to the darker luminance, above 1.
+    gamma : exponent from the image's values to the screen's luminance; above 1 makes strokes thinner.
     blur_px : standard deviation of the lens' Gaussian point spread, in sensor pixels.
-    dark_on_bright : True shows dark strokes on a bright ground, so that ON events trail the motion and OFF
-        events lead it, as in N-MNIST; False the reverse, with the opposite polarity.
+    dark_on_bright : True shows dark strokes on a bright background, so ON events trail the motion and OFF events
+        lead it, as in N-MNIST; False the reverse, with the opposite polarity.
     """
 
     contrast: float = 5.0
@@ -58,11 +58,11 @@ def render(
     """Frames of log luminance of an image displaced by (dx, dy) pixels.
 
     Frame k at sensor pixel (x, y) shows the blurred image at (x - dx[k], y - dy[k]), interpolated bilinearly;
-    beyond the image lies the ground.
+    beyond the image is background.
 
     Parameters
     ----------
-    image : shape (h, w); uint8 in 0-255, or floating in [0, 1]; 0 is the ground.
+    image : shape (h, w); uint8 in 0-255, or floating in [0, 1]; 0 is the background.
     dx, dy : shape (K,), in pixels.
     scene : contrast, blur and polarity; `Scene()` by default.
     sensor : (width, height) in pixels.
@@ -86,7 +86,7 @@ def render(
     if width < 1 or height < 1:
         raise ValueError(f"`sensor` must be a positive (width, height), got {sensor}")
 
-    margin = math.ceil(3.0 * scene.blur_px) + 1  # 3 standard deviations of blur, and one pixel of ground around
+    margin = math.ceil(3.0 * scene.blur_px) + 1  # 3 standard deviations of blur, and one pixel of background around
     blurred = _blur(np.pad(strokes, margin), scene.blur_px)
     frames = np.empty((len(dx), height, width))
     translate(frames, blurred, dx - margin, dy - margin)
@@ -108,7 +108,7 @@ def _checked_image(image: np.ndarray) -> np.ndarray:
 
 
 def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian blur, separable, with ground (zero) beyond the border."""
+    """Gaussian blur, separable, with background (zero) beyond the border."""
     if sigma == 0:
         return image
     radius = math.ceil(3.0 * sigma)

@@ -1,7 +1,7 @@
-"""What a set of moving digits is made of: `set.json` beside its shards.
+"""The manifest of a set of moving digits: `set.json` beside its shards.
 
 format, version   "async_tnt.moving_mnist", 1
-parameters        all that decides the content: split, kind of motion, digits, seed, sensor, simulator,
+parameters        everything that decides the content: split, kind of motion, digits, seed, sensor, simulator,
                   recordings_per_shard, package_version, and a checksum of the images and labels
 motions           by index
 shards            names of the files, motion by motion, and by image within each
@@ -31,11 +31,11 @@ class MovingMnist:
 
     Attributes
     ----------
-    folder : where it lies.
+    folder : its folder.
     shards : the files, motion by motion, and by image within each.
     motions : the motions, by index.
-    parameters : all that decides the set's content: split, kind, digits, seed, simulator, MNIST's checksum ...
-    missing : how many of `shards` are not there (yet); 0 unless `open_set` was told to bear it.
+    parameters : everything that decides the content: split, kind, digits, seed, simulator, MNIST's checksum ...
+    missing : how many of `shards` do not exist (yet); 0 unless `open_set` allows it.
     """
 
     folder: Path
@@ -55,7 +55,7 @@ class MovingMnist:
         return len(self.motions) * self.parameters["digits"]
 
     def __iter__(self) -> Iterator[Shard]:
-        """Open one shard after the other, without those that are missing."""
+        """Open one shard after the other, skipping missing ones."""
         return (open_shard(path) for path in self.shards if path.exists())
 
     def locate(self, motion: int, image: int) -> tuple[Path, int]:
@@ -74,10 +74,10 @@ class MovingMnist:
         return self.shards[motion * -(-digits // step) + image // step], image % step
 
 
-def made_otherwise(path: Path, name: str, there: object, asked: object) -> ValueError:
+def other_parameters(path: Path, name: str, there: object, asked: object) -> ValueError:
     return ValueError(
-        f"{path}: made with other parameters: {name} {there!r} there, {asked!r} asked for. Give the same, or "
-        "another folder"
+        f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give the same, or another "
+        "folder"
     )
 
 
@@ -87,7 +87,7 @@ def write_manifest(made: MovingMnist) -> None:
         there = read_manifest(made.folder).parameters
         for name in sorted(there | made.parameters):
             if there.get(name) != made.parameters.get(name):
-                raise made_otherwise(path, name, there.get(name), made.parameters.get(name))
+                raise other_parameters(path, name, there.get(name), made.parameters.get(name))
         return
     content = {
         "format": FORMAT,
@@ -102,7 +102,7 @@ def write_manifest(made: MovingMnist) -> None:
 def read_manifest(folder: Path) -> MovingMnist:
     path = folder / MANIFEST
     if not path.is_file():
-        raise FileNotFoundError(f"{folder}: no {MANIFEST} there; expected a folder that async-tnt simulate made")
+        raise FileNotFoundError(f"{folder}: no {MANIFEST} in it; expected a folder that async-tnt simulate made")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if (content["format"], content["version"]) != (FORMAT, VERSION):
@@ -124,5 +124,5 @@ def read_manifest(folder: Path) -> MovingMnist:
             raise ValueError(f"no {' and no '.join(absent)} among its parameters")
     except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else error
-        raise ValueError(f"{path}: damaged, or no set of this release: {what}") from None
+        raise ValueError(f"{path}: damaged, or not a set of this release: {what}") from None
     return MovingMnist(folder, tuple(folder / name for name in names), moving, dict(parameters))

@@ -1,4 +1,4 @@
-"""A shard: many recordings in one .safetensors file, to be used by memory map.
+"""A shard: many recordings in one .safetensors file.
 
 With N events in R recordings, all of which last `duration_us`:
 
@@ -12,7 +12,7 @@ With N events in R recordings, all of which last `duration_us`:
     flow_times_us  int64    (K,)       these times; K = 1 where the flow is constant
 
 and one metadata entry, `shard`: JSON with `format`, `version`, `sensor` [width, height], `duration_us` and
-what the maker adds: the motion, the seed, the simulator's parameters.
+more: the motion, the seed, the simulator's parameters.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from async_tnt.checks import plain_array
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.files import replacing
-from async_tnt.simulation.mapped_tensors import map_tensors
 
 FORMAT = "async_tnt.shard"
 VERSION = 1
@@ -39,13 +39,13 @@ COLUMNS = ("t", "x", "y", "p", "offsets", "labels", "image", "flow", "flow_times
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """Recordings of one file. Made by `open_shard`; the arrays are read-only memory maps of it.
+    """Recordings of one file. Made by `open_shard`; the arrays are read-only.
 
     Attributes
     ----------
     path : the file.
     t, x, y, p, offsets, labels, image, flow, flow_times_us : the columns; see the module's docstring.
-    metadata : what the maker wrote: `sensor`, `duration_us`, `motion` and more.
+    metadata : `sensor`, `duration_us`, `motion` and more.
     """
 
     path: Path
@@ -124,7 +124,7 @@ def write_shard(
 ) -> Path:
     """Write recordings to a shard; the same arguments give the same bytes.
 
-    An existing file is replaced at once, when the new one is complete; it stays where that fails.
+    An existing file is replaced at once when the new one is complete; it stays if that fails.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def write_shard(
     labels, image : R integers each.
     flow : shape (R, K, 2), px/s. flow_times_us : shape (K,).
     sensor : (width, height). duration_us : events lie in [0, duration_us).
-    metadata : what else to keep, as JSON.
+    metadata : more to keep, as JSON.
 
     Raises
     ------
@@ -162,18 +162,18 @@ def write_shard(
 
 
 def open_shard(path: str | os.PathLike[str]) -> Shard:
-    """Map a shard and check it: every value, so that what is returned respects the format's rules.
-
-    The check reads the file once, about 3 ms for a million events. Each open shard holds one file descriptor.
+    """Read a shard and check every value against the format's rules.
 
     Raises
     ------
-    ValueError : damaged, or no shard of this version; the message names the file and what is wrong.
+    ValueError : damaged, or not a shard of this version; the message names the file and what is wrong.
     OSError : missing or not readable.
     """
     path = Path(path)
     try:
-        tensors, strings = map_tensors(path)
+        with safe_open(path, framework="numpy") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is not iterable)
+            strings = file.metadata() or {}
         metadata = _parsed_metadata(strings)
         types = _column_types(metadata)
         if set(tensors) != set(COLUMNS):
@@ -182,8 +182,10 @@ def open_shard(path: str | os.PathLike[str]) -> Shard:
             if column.dtype != types[name]:
                 raise ValueError(f"`{name}` must be {types[name]}, got {column.dtype}")
         _check_columns(tensors, metadata)
-    except ValueError as error:
-        raise ValueError(f"{path}: no shard, or a damaged one: {error}") from None
+    except (SafetensorError, ValueError, TypeError, AttributeError) as error:  # the latter two: a type NumPy lacks
+        raise ValueError(f"{path}: not a shard, or a damaged one: {error}") from None
+    for column in tensors.values():
+        column.flags.writeable = False
     return Shard(path, **tensors, metadata=metadata)
 
 
@@ -202,7 +204,7 @@ def _parsed_metadata(strings: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _column_types(metadata: Mapping[str, Any]) -> dict[str, np.dtype]:
-    """Type of each column, after a look at what decides it."""
+    """Type of each column, from the sensor."""
     sensor, duration_us = metadata.get("sensor"), metadata.get("duration_us")
     if not (isinstance(sensor, list) and len(sensor) == 2 and all(type(n) is int and 0 < n <= 1 << 16 for n in sensor)):
         raise ValueError(f"`sensor` must be a width and a height in 1-65536, got {sensor!r}")

@@ -1,13 +1,13 @@
 """Pixels of an event camera: from frames of log luminance to events.
 
-Between two frames the log luminance L of a pixel runs in a straight line. With the reference level R:
+Between two frames the log luminance L of a pixel is interpolated linearly. With the reference level R:
 
     ON  event at the time t where L(t) = R + C_on;      then R := R + C_on
     OFF event at the time t where L(t) = R - C_off;     then R := R - C_off
 
 as often as L gets there. After an event at t the pixel is held in reset for `refractory_us`: it sees nothing,
 and then R := L(t + refractory_us). Times are rounded to whole microseconds, and events are sorted by
-(t, y, x); those of one pixel at one time stay in the order they happened.
+(t, y, x); those of one pixel at one time stay in order.
 
 References
 ----------
@@ -35,14 +35,14 @@ MIN_THRESHOLD = 1e-3
 
 @dataclass(frozen=True)
 class PixelModel:
-    """What the sensor's pixels are like. The defaults are fitted to N-MNIST (see `statistics`).
+    """The sensor's pixels. The defaults are fitted to N-MNIST (see `statistics`).
 
     Attributes
     ----------
     threshold_on, threshold_off : mean contrast thresholds C_on and C_off, in natural log of luminance.
     mismatch : standard deviation, over pixels, of the log of the thresholds; ON and OFF are independent.
     refractory_us : time a pixel is held in reset after each event, in microseconds.
-    noise_hz : background events per pixel and second, uniform in time, whatever the light does.
+    noise_hz : background events per pixel and second, uniform in time, independent of the light.
     noise_on_share : share of the background events that are ON.
     """
 
@@ -75,7 +75,7 @@ def simulate(
     """Events of a sensor whose pixels differ, begin in random states and add background noise.
 
     Each pixel's reference level begins where the last event before the recording may have left it: uniformly
-    in [-C_on, C_off] about the first frame. Noise events do not reset the pixel and know no refractory time.
+    in [-C_on, C_off] about the first frame. Noise events do not reset the pixel and ignore the refractory time.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def simulate_events(
     reference: ArrayLike | None = None,
     refractory_us: float = 0.0,
 ) -> np.ndarray:
-    """Events of noiseless pixels with known thresholds: the definition in the module's docstring, no more.
+    """Events of noiseless pixels with known thresholds, by the definition in the module's docstring.
 
     Parameters
     ----------

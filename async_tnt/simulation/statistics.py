@@ -54,9 +54,9 @@ def describe(
 ) -> dict[str, float]:
     """Describe recordings by a handful of numbers, each a mean over saccades, then over recordings.
 
-    A saccade is what lies between two neighbouring cuts. An active pixel has an event in the saccade.
-    Same-pixel intervals are those between neighbouring events of one pixel, of either polarity, in one
-    saccade; their quantiles are over all the recordings' intervals together. The centroid of ON events minus
+    A saccade is the time between two consecutive cuts. An active pixel has an event in the saccade.
+    Same-pixel intervals are those between consecutive events of one pixel, of either polarity, in one
+    saccade; their quantiles are over all recordings together. The centroid of ON events minus
     that of OFF events points against the motion where ON events trail.
 
     Parameters
@@ -118,7 +118,7 @@ def describe(
 
 
 def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
-    """A table of several descriptions: one column each under its title, one row per number; - where it lacks one."""
+    """A table of several descriptions: a column for each, a row for each number; - where one is missing."""
     names = list(dict.fromkeys(name for description in columns.values() for name in description))
     width = max((len(title) for title in columns), default=0) + 3
     labels = {name: f"{name} [{UNITS[name]}]" if UNITS.get(name) else name for name in names}

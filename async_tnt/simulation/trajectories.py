@@ -1,7 +1,7 @@
 """How the image moves over the sensor: displacement in pixels as a function of time, and its optical flow.
 
 A displacement (dx, dy) puts the image's pixel (column 0, row 0) on the sensor's point (x, y) = (dx, dy);
-x grows to the right, y downwards. The image moves as a whole, so one flow holds for every point of it.
+x grows to the right, y downwards. The image moves as a whole, so the flow is the same at every point of it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 
 class Trajectory(Protocol):
-    """What the simulator needs of a motion."""
+    """A motion, as the simulator needs it."""
 
     @property
     def duration_us(self) -> int:
@@ -39,7 +39,7 @@ class ConstantVelocity:
     ----------
     velocity : (vx, vy) in pixels per second.
     start : displacement at t = 0, in pixels. (3, 3) centres a 28 x 28 image on a 34 x 34 sensor.
-    duration_us : how long it lasts, in microseconds.
+    duration_us : its duration, in microseconds.
     """
 
     velocity: tuple[float, float]
@@ -112,7 +112,7 @@ class Saccade:
 
 @dataclass(frozen=True)
 class Saccades:
-    """Several saccades after one another: (dx, dy)(t) = start + sum of each one's share so far.
+    """Several saccades after one another: (dx, dy)(t) = start + sum of their displacements at t.
 
     Saccades may overlap; two that do, in different directions, make a curved path.
 
@@ -120,7 +120,7 @@ class Saccades:
     ----------
     start : displacement before the first saccade, in pixels.
     saccades : the movements.
-    duration_us : how long the recording lasts, in microseconds.
+    duration_us : duration of the recording, in microseconds.
     """
 
     start: tuple[float, float]

@@ -1,16 +1,16 @@
-"""Augmentation of events: each window of each epoch a little different. All of it is our choice.
+"""Augmentation of events: every epoch changes every window at random. All of it is our choice.
 
 A window is moved in time and on the sensor, thinned, and sometimes cut short:
 
     start      a live stream's windows start at its first event, some milliseconds into N-MNIST's saccade;
                TNT magnifies what happens near the start, so the network must not rely on it
-    place      (x', y') = A (x - c) + c + shift      A = rotation * shear * scale
-    thinning   each event stays with a probability that is drawn per window
-    partial    the window ends early, so that decisions before its end are practised
+    position   (x', y') = A (x - c) + c + shift      A = rotation * shear * scale
+    thinning   each event is kept with a probability that is drawn per window
+    partial    the window ends early, as training for decisions before its end
 
-Places after a rotation are no whole pixels. Rounding them would comb the volume, so augmented events lie on a
-sensor `FINE` times finer (see `fineness`), whose corners are those of the real one; the grid, which is mapped
-from corner to corner, does not notice.
+After a rotation, positions are not whole pixels. Rounding them would leave stripes in the volume, so augmented events
+are on a sensor `FINE` times finer (see `fineness`) with the same corners; as the grid is mapped from corner to corner,
+it stays the same.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ FINE = 32
 
 @dataclass(frozen=True)
 class Draws:
-    """What happens to each of N windows.
+    """How each of N windows is augmented.
 
     Parameters
     ----------
     start_us : int64, (N,). Added to the window's start.
-    until_us : int64, (N,). Events at or after this time since the window's start are left out.
+    until_us : int64, (N,). Events at or after this time since the window's start are dropped.
     matrix : float64, (N, 2, 3). (x', y') = matrix @ (x, y, 1), rounded, in pixels of `sensor`.
-    keep : float64, (N,). Probability that an event stays.
-    seed : uint64, (N,). Of the choice which events stay.
-    sensor : (width, height) of the augmented events' sensor; what leaves it is lost.
+    keep : float64, (N,). Probability that an event is kept.
+    seed : uint64, (N,). Decides which events are kept.
+    sensor : (width, height) of the augmented events' sensor; events beyond it are dropped.
     """
 
     start_us: np.ndarray
@@ -47,7 +47,7 @@ class Draws:
 
 
 def fineness(sensor: tuple[int, int]) -> int:
-    """How many times finer augmented events lie: `FINE`, or as many as a sensor of over 1024 pixels leaves room for.
+    """How many times finer the sensor of augmented events is: `FINE`, or less for a sensor of over 1024 pixels.
 
     Examples
     --------
@@ -58,7 +58,7 @@ def fineness(sensor: tuple[int, int]) -> int:
 
 
 def unchanged(n: int, config: TNTConfig, until_us: int | None = None) -> Draws:
-    """No augmentation: `n` windows as they are, or their first `until_us` microseconds."""
+    """No augmentation: `n` unchanged windows, or their first `until_us` microseconds."""
     matrix = np.zeros((n, 2, 3))
     matrix[:, 0, 0] = matrix[:, 1, 1] = 1.0
     return Draws(
@@ -73,18 +73,18 @@ def unchanged(n: int, config: TNTConfig, until_us: int | None = None) -> Draws:
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How far windows are moved and what is taken from them; every draw is uniform.
+    """The largest changes; every draw is uniform.
 
     Parameters
     ----------
-    start_ms : the window's start moves by up to so many milliseconds, either way.
-    shift_px : by up to so many sensor pixels, in x and in y.
-    translate_px : and by a whole number of sensor pixels up to this, in x and in y (the thesis' augmentation).
-    rotation_deg : up to so many degrees, either way.
-    scale : up to this share larger or smaller.
-    shear : x moves by up to this share of y.
-    drop : up to this share of the events is dropped.
-    partial : share of windows that end early, after `partial_from_ms` at the soonest.
+    start_ms : shift of the window's start, in milliseconds, either way.
+    shift_px : shift in x and in y, in sensor pixels.
+    translate_px : shift by a whole number of pixels besides, in x and in y (the thesis' augmentation).
+    rotation_deg : rotation, in degrees, either way.
+    scale : change of size, as a fraction.
+    shear : shift of x, as a fraction of y.
+    drop : fraction of the events that is dropped.
+    partial : fraction of windows that end early, but not before `partial_from_ms`.
     """
 
     start_ms: float = 5.0
@@ -106,7 +106,7 @@ class Augmentation:
 
     @classmethod
     def for_sensor(cls, config: TNTConfig, *, translate_px: int = 0) -> Augmentation:
-        """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, in proportion to another sensor and window."""
+        """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, scaled to another sensor and window."""
         larger = (min(config.sensor) - 1) / 33
         longer = config.window_us / 105_000
         return cls(
@@ -117,7 +117,7 @@ class Augmentation:
         )
 
     def draw(self, n: int, config: TNTConfig, rng: np.random.Generator) -> Draws:
-        """Draw for `n` windows."""
+        """Random changes for `n` windows."""
 
         def spread(by: float) -> np.ndarray:
             return rng.uniform(-by, by, n)

@@ -1,4 +1,4 @@
-"""Volumes of many windows at once, through the kernels that also serve a stream.
+"""Volumes of many windows at once, by the kernels that also process streams.
 
 Without augmentation a window's volume is bit for bit what `TNTVolume.array` holds after the same events.
 """
@@ -17,7 +17,7 @@ from async_tnt.volume_state import new_state
 
 
 class BatchVolumes:
-    """Makes the volumes of windows, into memory that it reuses.
+    """Makes the volumes of windows, in memory that it reuses.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class BatchVolumes:
         Parameters
         ----------
         windows : the windows.
-        draws : what augmentation drew for them; None: as they are.
+        draws : their augmentation; None: as they are.
         landmarks : with landmark `regressor` only: float64, shape (N, 2), (x, y) in grid pixels.
 
         Returns
@@ -80,7 +80,7 @@ class BatchVolumes:
         return out
 
     def _arguments(self, windows: Windows, draws: Draws) -> tuple[Any, ...]:
-        """What both kernels take first."""
+        """The first arguments of both kernels."""
         recordings = windows.recordings
         first, last = recordings.offsets[windows.recording], recordings.offsets[windows.recording + 1]
         longest = int((last - first).max(initial=0))
@@ -101,13 +101,13 @@ class BatchVolumes:
         return np.ascontiguousarray(landmarks * (np.array(draws.sensor) - 1) / (np.array(self.config.grid) - 1))
 
     def _state(self, sensor: tuple[int, int]) -> np.ndarray:
-        """The state that the kernels work in, with the parameters for events of this sensor."""
+        """The kernels' state, with the parameters for events of this sensor."""
         if sensor not in self._states:
-            fixed = self.config.landmark if self._about == OWN else "center"  # its place is set for each window
+            fixed = self.config.landmark if self._about == OWN else "center"  # its position is set for each window
             self._states[sensor] = new_state(self.config.replace(sensor=sensor, landmark=fixed))
         return self._states[sensor]
 
 
 def _empty_columns(n: int) -> tuple[np.ndarray, ...]:
-    """t, x, y, p in the types that the kernels take."""
+    """t, x, y, p in the kernels' types."""
     return np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8)

@@ -1,4 +1,4 @@
-"""The checkpoint of a training run: what it holds, and whether it is the run's that is to go on."""
+"""The run folder: checkpoint and history of a training, and whether a training may resume from it."""
 
 from __future__ import annotations
 
@@ -16,22 +16,42 @@ import torch
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing, write_text
 from async_tnt.networks.model import Model
-from async_tnt.training.run_folder import CHECKPOINT, HISTORY, other_run
+from async_tnt.training.run_files import CHECKPOINT, HISTORY
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.windows import CLASSES, Windows
+from async_tnt.training.windows import Windows
 
-FORMAT = 2
+FORMAT = 3
+SHOWN = 3  # recordings that a refusal names
 
 
 def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
-    """Write it, and the history once more for people to read.
+    """Write the checkpoint, and its history once more for people to read.
 
-    state : `identity` as `identity_of` says it, `history`, and whatever else is needed to go on.
+    Parameters
+    ----------
+    state : `identity` from `identity_of`, `sources` for `check_run`, `history`, and what else is needed to resume.
     """
     with replacing(run_folder / CHECKPOINT) as part:
         torch.save(dict(state), part)
     text = json.dumps({"settings": json.loads(state["identity"]), "history": state["history"]}, indent=1)
     write_text(run_folder / HISTORY, text)
+
+
+def load_checkpoint(run_folder: Path, identity: str) -> dict[str, Any] | None:
+    """The state that `save_checkpoint` wrote into the folder; None where there is none yet.
+
+    Raises
+    ------
+    ValueError : it belongs to a run of another identity or release, or is damaged.
+    """
+    state = _read(run_folder / CHECKPOINT)
+    if state is None:
+        return None
+    found, wanted = _flat(json.loads(state["identity"])), _flat(json.loads(identity))
+    differ = [name for name in {**wanted, **found} if found.get(name) != wanted.get(name)]
+    if differ:
+        raise other_run(run_folder, ", ".join(differ))
+    return state
 
 
 def identity_of(
@@ -42,7 +62,7 @@ def identity_of(
     start: Model | None,
     classes: tuple[str, ...],
 ) -> str:
-    """All that decides the weights, as JSON: a checkpoint goes on only where it is the same."""
+    """All that decides the weights, as JSON: a checkpoint is used only where it is the same."""
     data = zlib.crc32(training.recordings.offsets.tobytes())
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):
@@ -53,81 +73,76 @@ def identity_of(
         {
             "format": FORMAT,
             "config": config.to_dict(),
-            # without what older runs had no name for, so that they go on
-            "settings": {n: v for n, v in asdict(settings).items() if v or n not in ("balance", "patience")},
+            "settings": asdict(settings),
             "training_windows": len(training),
             "validation_windows": len(validation),
             "data": data,
-            "classes": zlib.crc32(json.dumps(classes).encode()) if classes != CLASSES else 0,
+            "classes": classes,
             "start": 0 if start is None else zlib.crc32(b"".join(w.tobytes() for w in start.weights.values())),
         }
     )
 
 
-def check_run(run_folder: Path, config: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
-    """Whether the folder holds a run already; refuses one of others than these, before any data is read.
-
-    Raises
-    ------
-    ValueError : the run's differ; names them. Or its checkpoint is damaged.
-    """
-    differ = differing_settings(run_folder, config, settings)
-    if differ:
-        raise other_run(run_folder, ", ".join(differ))
-    return differ is not None
-
-
-def differing_settings(run_folder: Path, config: Mapping[str, Any], settings: Mapping[str, Any]) -> list[str] | None:
-    """The names of those that are not the ones of the run in the folder; None where there is no run.
+def check_run(
+    run_folder: Path,
+    config: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    sources: Mapping[str, Any] | None = None,
+) -> None:
+    """Refuse a folder that holds another run than the one to be started, before any data is read.
 
     Parameters
     ----------
-    config, settings : fields of `TNTConfig` and `TrainSettings` and their values; not all need be known yet.
+    config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known yet.
+    sources : as given to `train`. `pixels`: of `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of
+        those that were not left out, unknown yet; `validation`: the share held out.
 
     Raises
     ------
-    ValueError : its checkpoint is damaged.
+    ValueError : names what differs. Or the checkpoint is damaged, or of another release.
     """
     state = _read(run_folder / CHECKPOINT)
     if state is None:
-        return None
+        return
     found = json.loads(state["identity"])
     wanted = json.loads(json.dumps({"config": dict(config), "settings": dict(settings)}))
-    return sorted(
-        name
-        for part, values in wanted.items()
-        for name, value in values.items()
-        if (found[part].get(name) or None)
-        != (value or None)  # older runs lack names whose value was then False or None
-    )
-
-
-def load_checkpoint(run_folder: Path, identity: str) -> dict[str, Any] | None:
-    """What `save_checkpoint` wrote into the folder; None where there is nothing yet.
-
-    Raises
-    ------
-    ValueError : it is of a run of another identity, or damaged.
-    """
-    state = _read(run_folder / CHECKPOINT)
-    if state is None:
-        return None
-    found = json.loads(state["identity"])
-    wanted = json.loads(identity)
-    differ = sorted(
-        name
-        for part in ("config", "settings")
-        for name in {**found[part], **wanted[part]}
-        if found[part].get(name) != wanted[part].get(name)
-    )
-    differ += [
-        name
-        for name in ("format", "training_windows", "validation_windows", "data", "classes", "start")
-        if found.get(name, 0) != wanted[name]
+    differ = [
+        name for part, values in wanted.items() for name, value in values.items() if found[part].get(name) != value
     ]
+    then, now = state["sources"], dict(sources or {})
+    pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
+    for name in {**pixels_then, **pixels_now}:
+        if (pixels_then.get(name) or None) != (pixels_now.get(name) or None):  # no crop, and no region to crop
+            differ.append("mask" if name in ("masked_pixels", "mask_sha256") else name)
     if differ:
-        raise other_run(run_folder, ", ".join(differ))
-    return state
+        raise other_run(run_folder, ", ".join(sorted(set(differ))))
+    _check_recordings(run_folder, then, now)
+
+
+def _check_recordings(run_folder: Path, then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Compare recordings by their names and sizes. Those that were left out may be gone."""
+    before, present = then.get("recordings", {}), now.get("recordings", {})
+    differ = [f"{name} is new" for name in present if name not in before]
+    differ += [f"{name} has changed" for name in present if name in before and before[name] != present[name]]
+    differ += [f"{name} is gone" for name in then.get("used", ()) if name not in present]
+    if differ:
+        more = f", and {len(differ) - SHOWN} more" if len(differ) > SHOWN else ""
+        raise other_run(run_folder, f"recordings ({', '.join(differ[:SHOWN])}{more})")
+    if then.get("validation") != now.get("validation"):
+        raise other_run(run_folder, f"validation ({then.get('validation')}, now {now.get('validation')})")
+
+
+def other_run(run_folder: Path, what: str) -> ValueError:
+    """The error about a run folder whose run differs in `what`."""
+    return ValueError(
+        f"{run_folder} holds a run with other {what}; give another run folder (train --run OTHER), or delete the "
+        f"folder {run_folder} to start again"
+    )
+
+
+def _flat(identity: dict[str, Any]) -> dict[str, Any]:
+    """Name -> value, without the levels `config` and `settings`."""
+    return {**identity.pop("config"), **identity.pop("settings"), **identity}
 
 
 def _read(path: Path) -> dict[str, Any] | None:
@@ -138,8 +153,10 @@ def _read(path: Path) -> dict[str, Any] | None:
             if archive.testzip() is not None:  # torch.load does not compare checksums
                 raise zipfile.BadZipFile
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        json.loads(state["identity"])
-        return state
+        written = json.loads(state["identity"])["format"]
     except Exception as error:  # a damaged archive surfaces as any of a dozen types
         kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
-        raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start anew") from error
+        raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error
+    if written != FORMAT:
+        raise ValueError(f"{path} was written by another release of async_tnt; remove it to start again")
+    return state

@@ -1,163 +1,252 @@
-"""A folder of one's own classes -> recordings in memory, of one sensor, split by recording."""
+"""A folder with a folder of recordings for each class -> recordings in memory, of one sensor."""
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
-from async_tnt.sources.class_folders import find_recordings
+import numpy as np
+
+from async_tnt.progress import Bar, no_progress
+from async_tnt.sources.class_folders import find_recordings, name_of
 from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import Sensor
+from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.pixel_selector import PixelSelector
-from async_tnt.training.dataset_camera import camera_of, check_named
-from async_tnt.training.dataset_recording import (
-    COPY,
-    DAMAGED,
-    OTHER_SENSOR,
-    UNSEEN,
-    OwnRecording,
-    fingerprint,
-    read_own,
-)
-from async_tnt.training.windows import Progress, Recordings, no_progress
+from async_tnt.sources.sizes import by
+from async_tnt.training.windows import Recordings
 
-MOST_SAY = "most recordings say"
+MAX_US = 1 << 31  # what a column of int32 holds
 
 
 @dataclass(frozen=True)
-class OwnClasses:
+class Dataset:
     """Labelled recordings of one camera.
 
     Parameters
     ----------
     recordings : their times count from each recording's first event.
-    classes : names, in order; `recordings.labels` are places in them.
-    sensor : (width, height) of these events: the camera's, or the region's that was cut out of it.
-    left_out : what was left out and why, one line each.
+    classes : names; `recordings.labels` are indices into them.
     camera : (width, height) of the camera.
-    left_out_events : of `recordings`, by their pixels: how many were `left_out_outside` of the region, and
-        `left_out_masked`. Without a region, or a mask, there is no such name.
+    sensor : (width, height) of these events: the camera's, or that of the region that was cropped.
+    left_out : which recordings were left out and why, one line each.
+    left_out_events : how many events of `recordings` were left out by their pixels: `left_out_outside` of the region,
+        `left_out_masked`. Empty without a region and a mask.
     """
 
     recordings: Recordings
     classes: tuple[str, ...]
+    camera: Sensor
     sensor: Sensor
     left_out: tuple[str, ...]
-    camera: Sensor
-    left_out_events: dict[str, int] = field(default_factory=dict)
+    left_out_events: Mapping[str, int]
 
 
-def read_classes(
+def read_dataset(
     folder: str | os.PathLike[str],
     *,
     part: str = "Train",
     pixels: PixelSelection | None = None,
+    sensor_source: str = "--sensor",
     classes: tuple[str, ...] | None = None,
-    skip_damaged: bool = False,
-    said_by: str | None = None,
-    progress: Progress = no_progress,
-) -> OwnClasses:
+    progress: Callable[..., Bar] = no_progress,
+) -> Dataset:
     """Read `<folder>/<class>/<recording>`, or `<folder>/<part>/<class>/<recording>` where there is such a folder.
 
-    Events older than their recording's first one are left out, as a stream leaves them out; the others are put in
-    order of time. A recording without events is left out.
+    The recordings state their sensor and agree, or `pixels.sensor` gives it to those that do not state one. Recordings
+    that cannot be read, that have no events, or an event off the sensor, are left out. So are events older than their
+    recording's first one, as in a stream; the others are sorted by time.
 
-    The camera is the one that `pixels` names, else the one that nearly all recordings state. A recording of another
-    is left out, as a damaged one is. But more than one in ten of another are refused where `pixels` names no camera,
-    or one that no recording states: `camera_of` and `check_named` say why.
-
-    Copies are of two kinds. The same recording in two classes is an error: one of its labels is wrong. That is asked
-    of all its events, so that two recordings which differ outside of the region alone are not taken for one. What is
-    the same as another recording of its class in all that the network sees, is left out: on both sides of the split,
-    it would be learned by heart and then asked for.
+    The same recording in two classes is an error: one of its labels is wrong. That is decided by all its events, so
+    two recordings that differ only outside of the region are not the same. A recording that looks to the network like
+    another one of its class is left out: on both sides of the split, it would be learned and then asked for.
 
     Parameters
     ----------
-    pixels : what of the recordings to learn from; by default all events. Its `sensor`, (width, height) of the camera,
-        is needed where no recording says it, and for `.bin` of another than N-MNIST's 34 x 34. What it leaves out is
-        as if it had never been recorded: times count from the first event that is left.
-    classes : the classes there must be; by default the folders there are, at least two.
-    skip_damaged : False refuses a recording that cannot be read or is of another sensor, with an error that names it;
-        True leaves it out.
-    said_by : who says the sensor in `pixels`, for messages, such as "--start-from is for"; by default as
-        `PixelSelector.said_by`: an option.
+    pixels : which events to learn from; by default all. The others are removed as if they had never been recorded:
+        times count from the first event that is left.
+    sensor_source : what `pixels.sensor` comes from, for messages.
+    classes : the class names that may occur; by default the folders there are, at least two.
 
     Raises
     ------
-    ValueError : fewer than two classes, or others than `classes`; a class without recordings, or of which none is
-        left; the same recording in two classes; recordings of different sensors, or of another one than is named, as
-        above; a region or a mask that does not suit the sensor; a recording that lasts too long, or that cannot be
-        left out, as `skip_damaged` says.
+    ValueError : fewer than two classes, or others than `classes`; a class without recordings, or with none left; the
+        same recording in two classes; recordings of different sensors, or of an unknown one; a region or a mask that
+        does not fit the sensor; a recording that is too long.
     OSError : no such folder.
     """
     pixels = PixelSelection() if pixels is None else pixels
-    selector = PixelSelector(pixels, None)
-    known = pixels.camera
-    who = _bare(said_by or selector.said_by[0], pixels) if known is not None else MOST_SAY
     found = find_recordings(folder, part)
-    names = tuple(found) if classes is None else classes
     _check_classes(folder, found, classes)
+    names = tuple(found) if classes is None else classes
     paths = [(label, path) for label, name in enumerate(names) for path in found.get(name, [])]
-    recordings: list[OwnRecording] = []
-    for label, path in progress(paths, "reading", len(paths)):
-        one = read_own(path, label, selector)
-        if known is not None:
-            one.fit(known, who)
-            one.select(selector, known, who)
-        elif one.sensor is not None:  # now, and not when all are in memory with what the network is not to see
-            one.select(selector, one.sensor, "it says")
-        _refuse_damaged(one, skip_damaged)
-        recordings.append(one)
-    if known is not None:
-        check_named(folder, recordings, known, who)
-        camera: Sensor | None = known
-    else:
-        camera = camera_of(folder, recordings)
-        if camera is not None:
-            selector.filter_of("", camera)  # refuses a region or a mask that does not suit it
-            for one in recordings:
-                one.fit(camera, who)
-                one.select(selector, camera, who)
-                _refuse_damaged(one, skip_damaged)
+    camera, source = pixels.sensor, sensor_source
+    recordings: list[_Recording] = []
+    n_selected = 0
+    with progress(len(paths), "reading") as bar:
+        for label, path in paths:
+            one = _Recording.read(path, label, pixels.sensor)
+            recordings.append(one)
+            if camera is None:
+                camera, source = one.sensor, one.name
+            elif one.sensor not in (None, camera):
+                raise ValueError(
+                    f"{folder}: all recordings must be of one sensor, got {by(camera)} ({source}) and "
+                    f"{by(one.sensor)} ({one.name})"
+                )
+            if camera is not None:  # at once: what the network will not see takes no memory
+                keep = _filter(pixels, camera)
+                for waiting in recordings[n_selected:]:
+                    waiting.select(keep, camera)
+                n_selected = len(recordings)
+            bar.update()
     _leave_out_copies(recordings)
     kept = [one for one in recordings if one.events is not None]
     empty = [name for label, name in enumerate(names) if label not in {one.label for one in kept}]
-    if empty and (classes is None or not kept):  # of a given list of classes, one recording is enough
+    if empty and (classes is None or not kept):  # of given classes, some may have no recordings
         out = [one for one in recordings if names[one.label] in empty]
         raise ValueError(f"{folder}: no recording of class {', '.join(empty)} is left; {_advice(out, pixels)}")
     if camera is None:
-        _ask_for_sensor(folder, kept, selector)
+        x, y = (max(int(one.events[axis].max()) for one in kept if one.events is not None) for axis in "xy")
+        raise ValueError(
+            f"{folder}: no recording states its sensor; give --sensor WxH (the events need at least {x + 1}x{y + 1})"
+        )
     left_out_events = {}
     if pixels.roi is not None:
         left_out_events["left_out_outside"] = sum(one.n_outside for one in kept)
     if pixels.mask is not None:
         left_out_events["left_out_masked"] = sum(one.n_masked for one in kept)
-    return OwnClasses(
+    return Dataset(
         Recordings.from_events(
             (one.events for one in kept if one.events is not None),
             [one.label for one in kept],
             [one.name for one in kept],
         ),
         names,
-        pixels.region or camera,
-        tuple(one.left_out for one in recordings if one.cause),
         camera,
+        pixels.region or camera,
+        tuple(one.left_out for one in recordings if one.left_out),
         left_out_events,
     )
 
 
-def _bare(said_by: str, pixels: PixelSelection) -> str:
-    """Without the mask's folder: a model's record, which names what was left out, may be given away."""
-    return said_by if pixels.mask is None else said_by.replace(pixels.mask.name, Path(pixels.mask.name).name)
+def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
+    """Recording -> bytes, of all that `folder` or `folder/part` holds; -1 for a link to nothing."""
+    paths = [path for some in find_recordings(folder, part).values() for path in some]
+    return {name_of(path): path.stat().st_size if path.exists() else -1 for path in paths}
 
 
-def _refuse_damaged(one: OwnRecording, skip_damaged: bool) -> None:
-    if one.cause in (DAMAGED, OTHER_SENSOR) and not skip_damaged:
-        raise ValueError(one.refusal)
+@dataclass
+class _Recording:
+    """A recording on its way from its file to the network.
+
+    Parameters
+    ----------
+    label : index of its class.
+    events : None where it is left out.
+    sensor : (width, height) as the file states; None where it does not.
+    fingerprint : of its events before any is removed.
+    left_out : why it is left out; "" where it is not.
+    is_unseen : it is left out because no event is at the selected pixels.
+    n_outside, n_masked : events removed outside of the region, and at masked pixels.
+    """
+
+    path: Path
+    label: int
+    events: np.ndarray | None = None
+    sensor: Sensor | None = None
+    fingerprint: bytes = b""
+    left_out: str = ""
+    is_unseen: bool = False
+    n_outside: int = 0
+    n_masked: int = 0
+
+    @classmethod
+    def read(cls, path: Path, label: int, sensor: Sensor | None) -> _Recording:
+        """All events of a recording, `sensor` being that of files that do not state it."""
+        one = cls(path, label)
+        try:
+            recording = open_recording(path, strict=True, sensor=sensor)
+            events = recording.read()
+        except (ValueError, OSError) as error:
+            return one.leave_out(_message(error, path))
+        if len(events) == 0:
+            return one.leave_out(f"{one.name}: no events")
+        if recording.stated_sensor is not None:
+            one.sensor = int(recording.stated_sensor[0]), int(recording.stated_sensor[1])
+        one.events, one.fingerprint = events, fingerprint(events)
+        return one
+
+    @property
+    def name(self) -> str:
+        """Class folder and file."""
+        return name_of(self.path)
+
+    def leave_out(self, why: str) -> _Recording:
+        """`why` without the path: a model's record, which has these lines, may be given away."""
+        self.events, self.left_out = None, why.replace(str(self.path), self.name)
+        return self
+
+    def select(self, keep: PixelFilter | None, sensor: Sensor) -> None:
+        """Reduce the events to those that the network will see, with times from the first of them on, in order.
+
+        Raises
+        ------
+        ValueError : it is too long.
+        """
+        if self.events is None:
+            return
+        off = _off_sensor(self.events, sensor)
+        if off:
+            self.leave_out(f"{self.name}: every event must lie on the {by(sensor)} sensor, got {off}.")
+            return
+        seen = self.events if keep is None else keep(self.events)
+        if keep is not None:
+            self.n_outside, self.n_masked = keep.counts.dropped_outside, keep.counts.dropped_masked
+            keep.reset()
+        seen = from_first_event(seen)
+        if len(seen) == 0:
+            self.is_unseen = True
+            self.leave_out(f"{self.name}: no events at the selected pixels")
+            return
+        if seen["t"][-1] >= MAX_US:
+            raise ValueError(
+                f"{self.path}: lasts {seen['t'][-1] / 60e6:.0f} minutes, more than the 35 that training supports; "
+                "cut it into shorter recordings"
+            )
+        self.events = seen
+
+
+def from_first_event(events: np.ndarray) -> np.ndarray:
+    """Times from the first event on, in order, without older events. The times of `events` are changed in place."""
+    if len(events) == 0:
+        return events
+    events["t"] -= events["t"][0]
+    if (np.diff(events["t"]) < 0).any():
+        events = events[events["t"] >= 0]
+        events = events[np.argsort(events["t"], kind="stable")]
+    return events
+
+
+def fingerprint(events: np.ndarray) -> bytes:
+    """The same for the same events, in whatever file and whatever time they begin at. At least one event."""
+    hashed = hashlib.blake2b(digest_size=16)
+    hashed.update((events["t"].astype(np.int64) - np.int64(events["t"][0])).tobytes())
+    for name, dtype in (("x", np.uint16), ("y", np.uint16), ("p", np.uint8)):
+        hashed.update(np.ascontiguousarray(events[name], dtype).tobytes())
+    return hashed.digest()
+
+
+def _filter(pixels: PixelSelection, sensor: Sensor) -> PixelFilter | None:
+    """The filter of these pixels; None where it would keep all."""
+    if not pixels.leaves_out:
+        return None
+    mask = None if pixels.mask is None else pixels.mask.pixels(sensor)
+    return PixelFilter(sensor, pixels.roi, mask, crop=pixels.crop)
 
 
 def _check_classes(
@@ -166,64 +255,62 @@ def _check_classes(
     if classes is not None:
         unknown = [name for name in found if name not in classes]
         if unknown:
-            raise ValueError(f"{folder}: class {', '.join(unknown)} is unknown here; known are {', '.join(classes)}")
+            raise ValueError(f"{folder}: unknown class {', '.join(unknown)}; known are {', '.join(classes)}")
         if not any(found.values()):
             raise ValueError(f"{folder}: no recordings in any class folder")
         return
     if len(found) < 2:
-        raise ValueError(f"{folder}: there must be at least two class folders to tell apart, got {', '.join(found)}")
-    bare = [name for name, paths in found.items() if not paths]
-    if bare:
+        raise ValueError(f"{folder}: there must be at least two class folders, got {', '.join(found)}")
+    without = [name for name, paths in found.items() if not paths]
+    if without:
         raise ValueError(
-            f"{folder}: no recordings in the class folder {', '.join(bare)}; expected files in "
+            f"{folder}: no recordings in the class folder {', '.join(without)}; expected files in "
             f"{', '.join(sorted(READERS))} there, or remove the folder"
         )
 
 
-def _leave_out_copies(recordings: Iterable[OwnRecording]) -> None:
-    """Of recordings that show the network the same; refuses the same recording in two classes."""
-    recorded: dict[bytes, OwnRecording] = {}
-    seen: dict[tuple[int, bytes], OwnRecording] = {}
+def _leave_out_copies(recordings: Iterable[_Recording]) -> None:
+    """Leave out recordings that look the same to the network; refuse the same recording in two classes."""
+    recorded: dict[bytes, _Recording] = {}
+    seen: dict[tuple[int, bytes], _Recording] = {}
     for one in recordings:
         if one.events is None:
             continue
-        twin = recorded.setdefault(one.recorded, one)
+        twin = recorded.setdefault(one.fingerprint, one)
         if twin.label != one.label:
             raise ValueError(
                 f"{twin.name} and {one.name} hold the same events, but are of two classes; remove the wrong one"
             )
         twin = seen.setdefault((one.label, fingerprint(one.events)), one)
         if twin is not one:
-            where = "" if twin.recorded == one.recorded else " at the pixels that are not left out"
-            one.leave_out(COPY, f"{one.name}: the same events as {twin.name}{where}")
+            where = "" if twin.fingerprint == one.fingerprint else " at the selected pixels"
+            one.leave_out(f"{one.name}: the same events as {twin.name}{where}")
 
 
-def _advice(left_out: Sequence[OwnRecording], pixels: PixelSelection) -> str:
-    """What to do about classes of which these recordings, all there are, were left out."""
-    causes = {one.cause for one in left_out}
-    if UNSEEN in causes:
+def _advice(left_out: Sequence[_Recording], pixels: PixelSelection) -> str:
+    """What to do about classes whose recordings, these, were all left out."""
+    advice = "record some, or remove the folder"
+    if any(one.is_unseen for one in left_out):
         given = {"--roi": pixels.roi, "--mask": pixels.mask}
-        advice = f"look at {' and '.join(option for option, value in given.items() if value is not None)}"
-    elif OTHER_SENSOR in causes:
-        advice = "all recordings must be of one sensor"
-    else:
-        advice = "record some, or remove the folder"
+        advice = f"check {' and '.join(option for option, value in given.items() if value is not None)}"
     if not left_out:
         return advice
-    first = left_out[0].left_out
-    more = f"{'' if first.endswith('.') else '.'} And {len(left_out) - 1} more" if len(left_out) > 1 else ""
-    advice += f" (left out: {first}{more})"
-    unfit = (DAMAGED, OTHER_SENSOR)
-    if pixels.camera is None and any(one.cause in unfit and one.path.suffix.lower() == ".bin" for one in left_out):
-        advice += "; a .bin of another camera than N-MNIST's 34x34 needs --sensor WxH"
-    return advice
+    first = left_out[0].left_out.removesuffix(".")
+    return f"{advice} (left out: {first}{f'; and {len(left_out) - 1} more' if len(left_out) > 1 else ''})"
 
 
-def _ask_for_sensor(folder: str | os.PathLike[str], kept: Sequence[OwnRecording], selector: PixelSelector) -> NoReturn:
-    """The refusal of recordings none of which says its sensor."""
-    selector.filter_of(kept[0].name, None)  # has better words where --roi needs it
-    x, y = (max(int(one.events[name].max()) for one in kept if one.events is not None) for name in "xy")
-    raise ValueError(
-        f"{folder}: no recording says how large its sensor is; give --sensor WxH "
-        f"(the events need at least {x + 1}x{y + 1})"
-    )
+def _off_sensor(events: np.ndarray, sensor: Sensor) -> str:
+    """The first event off the sensor, in words; "" where there is none."""
+    for axis, side in zip("xy", sensor, strict=True):
+        off = np.flatnonzero(events[axis] >= side)
+        if len(off):
+            return f"{axis} = {events[axis][off[0]]} at event {off[0]}"
+    return ""
+
+
+def _message(error: Exception, path: Path) -> str:
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}."
+    text = str(error)
+    text = text if path.name in text else f"{name_of(path)}: {text}"
+    return text if text.endswith(".") else f"{text}."

@@ -1,13 +1,17 @@
-"""How to train."""
+"""How to train: settings, and their defaults for a data set."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
+from async_tnt.config import TNTConfig
 from async_tnt.training.augment import Augmentation
 
 PRECISIONS = ("float32", "bfloat16")
+MIN_STEPS = 1_500
+"""Optimizer steps on a small data set by default, unless patience ends the training earlier."""
 
 
 @dataclass(frozen=True)
@@ -17,8 +21,8 @@ class TrainSettings:
     Parameters
     ----------
     epochs : passes over the training windows.
-    iterations : steps of the optimizer, which then end the training, and not `epochs`; the last epoch may be
-        cut short. The thesis has 60,000, with a batch of 64.
+    iterations : steps of the optimizer, in place of `epochs`; the last epoch may be cut short. The thesis has
+        60,000, with a batch of 64.
     batch : windows per step.
     learning_rate : the highest; it rises over the first 5 % of the steps and falls along a cosine to 0.
     weight_decay : of AdamW, on weights, not on biases.
@@ -26,11 +30,11 @@ class TrainSettings:
     seed : of weights, order and augmentation.
     augmentation : None trains on the windows as they are.
     precision : "float32", or "bfloat16": the networks' products in 16 bits, the weights in 32. Half the time or
-        less where the hardware has such products (AMX, AVX512-BF16, GPUs), no gain elsewhere.
-    balance : each epoch shows every class equally often, and validation counts every class alike; else windows
-        count, and with them the classes that have more.
-    patience : stop when the validation loss has not fallen for so many epochs; the best epoch is then the one of
-        the lowest validation loss. None trains to the end; the best epoch is then the one of most windows right.
+        less where the hardware supports it (AMX, AVX512-BF16, GPUs), no gain elsewhere.
+    balance : each epoch shows every class equally often, and the validation loss weights classes equally; else
+        windows count equally.
+    patience : stop when the validation loss has not fallen for so many epochs; the best epoch is then the one with
+        the lowest validation loss. None trains to the end; the best epoch then has the most windows right.
     """
 
     epochs: int = 10
@@ -66,3 +70,35 @@ class TrainSettings:
     def n_iterations(self, n_windows: int) -> int:
         """Steps in all, for so many training windows."""
         return self.iterations or self.epochs * math.ceil(n_windows / self.batch)
+
+
+def settings_for(
+    config: TNTConfig,
+    n_windows: int,
+    n_held_out: int,
+    *,
+    epochs: int | None = None,
+    batch: int | None = None,
+    patience: int | None = None,
+    augment: bool = True,
+    translate_px: int = 0,
+    **settings: Any,
+) -> TrainSettings:
+    """Settings for a data set of any size: where nothing is given, enough small steps even for few windows.
+
+    Parameters
+    ----------
+    n_windows, n_held_out : windows to train on, and held out.
+    patience : 0 trains to the end.
+    augment, translate_px : `Augmentation.for_sensor`, or none.
+    settings : others of `TrainSettings`.
+    """
+    batch = min(64, max(8, n_windows // 32)) if batch is None else batch
+    if epochs is None:
+        epochs = max(20, math.ceil(MIN_STEPS / max(1, math.ceil(n_windows / max(batch, 1)))))
+    if patience is None:
+        patience = max(5, epochs // 5) if n_held_out else 0
+    augmentation = Augmentation.for_sensor(config, translate_px=translate_px) if augment else None
+    return TrainSettings(
+        epochs=epochs, batch=batch, patience=patience or None, augmentation=augmentation, balance=True, **settings
+    )

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt.simulation.moving_mnist import open_set
-from async_tnt.training.windows import COLUMNS, Recordings, Windows, lay_windows, read_folder, split_recordings
+from async_tnt.training.digits import read_nmnist_folder
+from async_tnt.training.windows import COLUMNS, Recordings, Windows, make_windows, split_recordings
 
 WINDOW_US = 105_000
 OFFICIAL = (60_000, 10_000)
@@ -46,7 +47,7 @@ class RealFolder:
     ----------
     folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
     validation : share of the training recordings that is held out.
-    per_digit : only the first so many recordings of each digit, in either folder; None for all.
+    per_digit : only the first so many recordings of each digit in each folder; None for all.
     skip_damaged : leave damaged recordings out, with a warning each, instead of stopping.
     """
 
@@ -55,49 +56,45 @@ class RealFolder:
     per_digit: int | None = None
     skip_damaged: bool = False
 
+    @lru_cache(maxsize=1)  # noqa: B019  (frozen, and one is enough)
     def read(self) -> RealData:
-        """Read both folders; a second time in the same process gives the same object.
+        """Read both folders, once in a process.
 
         Raises
         ------
         FileNotFoundError : a folder is missing.
         ValueError : a damaged file; the message names it.
         """
-        return _read(self)
-
-
-@lru_cache(maxsize=1)
-def _read(real: RealFolder) -> RealData:
-    for name in ("Train", "Test"):
-        if not (real.folder / name).is_dir():
-            raise FileNotFoundError(
-                f"no folder {name} in {real.folder}; expected N-MNIST's Train/<digit>/*.bin and Test/<digit>/*.bin"
-            )
-    train, test = (
-        read_folder(real.folder / name, per_digit=real.per_digit, skip_damaged=real.skip_damaged)
-        for name in ("Train", "Test")
-    )
-    learned, held_out = split_recordings(train, real.validation, np.random.default_rng(VALIDATION_SEED))
-    official = (len(train), len(test)) == OFFICIAL
-    return RealData(
-        lay_windows(train, WINDOW_US, which=learned),
-        lay_windows(train, WINDOW_US, which=held_out),
-        lay_windows(test, WINDOW_US),
-        shown_test_images(train.names),
-        {
-            "training_recordings": len(learned),
-            "held_out_recordings": len(held_out),
-            "test_recordings": len(test),
-            "split": "the official one" if official else "not the official one (60,000 and 10,000 recordings)",
-        },
-    )
+        for name in ("Train", "Test"):
+            if not (self.folder / name).is_dir():
+                raise FileNotFoundError(
+                    f"no folder {name} in {self.folder}; expected N-MNIST's Train/<digit>/*.bin and Test/<digit>/*.bin"
+                )
+        train, test = (
+            read_nmnist_folder(self.folder / name, per_digit=self.per_digit, skip_damaged=self.skip_damaged)
+            for name in ("Train", "Test")
+        )
+        learned, held_out = split_recordings(train, self.validation, np.random.default_rng(VALIDATION_SEED))
+        official = (len(train), len(test)) == OFFICIAL
+        return RealData(
+            make_windows(train, WINDOW_US, which=learned),
+            make_windows(train, WINDOW_US, which=held_out),
+            make_windows(test, WINDOW_US),
+            shown_test_images(train.names),
+            {
+                "training_recordings": len(learned),
+                "held_out_recordings": len(held_out),
+                "test_recordings": len(test),
+                "split": "the official one" if official else "not the official one (60,000 and 10,000 recordings)",
+            },
+        )
 
 
 def shown_test_images(names: Sequence[str]) -> np.ndarray:
     """Which of MNIST's test images recordings show, by their names, such as `3/60026.bin`: int64, increasing.
 
-    Number n of the official Train shows image n of MNIST's training set. Where a set is split anew, official test
-    recording n is numbered 60,000 + n; it shows image n of MNIST's test set, index n - 1.
+    Number n of the official Train shows image n of MNIST's training set. Where a set is split differently, official
+    test recording n is numbered 60,000 + n; it shows image n of MNIST's test set, index n - 1.
     """
     numbers = [int(stem) for stem in (Path(name).stem for name in names) if stem.isdigit()]
     return np.unique([n - OFFICIAL[0] - 1 for n in numbers if OFFICIAL[0] < n <= sum(OFFICIAL)]).astype(np.int64)
@@ -133,5 +130,5 @@ def simulated_windows(folder: Path, seen_images: np.ndarray) -> Iterator[tuple[s
         unseen = np.flatnonzero(~np.isin(shard.image, seen_images))
         yield (
             shard.metadata["motion"]["name"],
-            lay_windows(recordings, WINDOW_US, which=unseen, duration_us=WINDOW_US),
+            make_windows(recordings, WINDOW_US, which=unseen, duration_us=WINDOW_US),
         )

@@ -1,35 +1,21 @@
-"""Labelled recordings in memory, and the windows that lie on them.
+"""Labelled recordings in memory, and windows of them.
 
-Thousands of recordings are held as four long columns with offsets. A window is not a copy of its events but a
-place: a recording and a start. So its start can be moved into the neighbouring window's events, as a live
-stream's windows are, which start at the stream's first event.
+Thousands of recordings are held as four long columns with offsets. A window does not copy its events: it is a recording
+and a start. So augmentation can move its start into the neighbouring window, as the windows of a live stream start at
+the stream's first event.
 """
 
 from __future__ import annotations
 
-import os
-import re
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-
-from async_tnt.sources.files.nmnist import read_nmnist
 
 CLASSES = tuple("0123456789")
 COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
 DURATION_US = 315_000
 """Three saccades of 105 ms; the few later events of an N-MNIST recording are left out."""
-
-Progress = Callable[[Iterable[Any], str, int], Iterator[Any]]
-
-
-def no_progress(items: Iterable[Any], title: str, total: int) -> Iterator[Any]:
-    """Shows nothing."""
-    return iter(items)
 
 
 @dataclass(frozen=True)
@@ -116,61 +102,18 @@ class Windows:
         return self.recordings.labels[self.recording]
 
 
-def read_folder(
-    folder: str | os.PathLike[str],
-    *,
-    skip_damaged: bool = False,
-    per_digit: int | None = None,
-    progress: Progress = no_progress,
-) -> Recordings:
-    """Read a folder in N-MNIST's layout: `<digit>/<number>.bin`.
-
-    Parameters
-    ----------
-    folder : the folder with the digits' folders, such as N-MNIST's Train.
-    skip_damaged : False refuses a damaged file with an error that names it; True leaves it out with a warning
-        that names it.
-    per_digit : read only the first so many of each digit, by name.
-
-    Raises
-    ------
-    ValueError : a damaged file, or no recordings at all.
-    FileNotFoundError : no such folder.
-    """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise FileNotFoundError(f"no folder {folder}; expected N-MNIST's layout <digit>/<number>.bin in it")
-    paths = []
-    for digit in sorted(d for d in folder.iterdir() if d.is_dir() and re.fullmatch("[0-9]", d.name)):
-        paths += [(int(digit.name), path) for path in sorted(digit.glob("*.bin"))[:per_digit]]
-    if not paths:
-        raise ValueError(f"{folder}: no recordings; expected N-MNIST's layout <digit>/<number>.bin")
-    events, labels, names = [], [], []
-    for label, path in progress(paths, "reading", len(paths)):
-        try:
-            events.append(read_nmnist(path))
-        except ValueError as error:
-            if not skip_damaged:
-                raise ValueError(f"{error} Or leave damaged files out with --skip-damaged.") from None
-            warnings.warn(f"left out: {error}", stacklevel=2)
-            continue
-        labels.append(label)
-        names.append(f"{path.parent.name}/{path.name}")
-    return Recordings.from_events(events, labels, names)
-
-
 def split_recordings(
     recordings: Recordings, fraction: float, rng: np.random.Generator, *, at_least: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Hold out a share of each class's recordings, drawn at random.
 
-    Whole recordings: the three saccades of one digit never lie on both sides.
+    Whole recordings: the three saccades of one digit are never on both sides.
 
     Parameters
     ----------
     fraction : the share, rounded to whole recordings of each class.
-    at_least : of each class hold out so many all the same, and leave one to train on, where it has as many; no effect
-        with a fraction of 0.
+    at_least : hold out at least so many of each class, as far as one is left to train on; no effect with a fraction
+        of 0.
 
     Returns
     -------
@@ -188,7 +131,7 @@ def split_recordings(
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
-def lay_windows(
+def make_windows(
     recordings: Recordings,
     window_us: int,
     *,
@@ -196,7 +139,7 @@ def lay_windows(
     first_event: bool = False,
     duration_us: int | None = DURATION_US,
 ) -> Windows:
-    """Windows laid end to end on each recording, as `Processor` lays them; empty ones are left out.
+    """Windows end to end on each recording, as `Processor` opens them, without the empty ones.
 
     Parameters
     ----------
@@ -204,20 +147,16 @@ def lay_windows(
     which : indices of recordings; all by default.
     first_event : False starts at 0 (N-MNIST's saccades at 105 ms), True at each recording's first event, as
         where a stream is classified without an explicit start.
-    duration_us : see `window_us`; None: as many as it takes to the recording's last event, the last one perhaps
-        cut short by the recording's end.
+    duration_us : see `window_us`; None: up to the recording's last event, so the last window may be partial.
     """
     which = np.arange(len(recordings)) if which is None else np.asarray(which)
-    places = []
+    windows = []
     for r in which:
-        t = recordings.t[recordings.offsets[r] : recordings.offsets[r + 1]]
+        t = recordings.t[recordings.offsets[r] : recordings.offsets[r + 1]].astype(np.int64)
         first_us = int(t[0]) if first_event and len(t) else 0
-        if duration_us is None:  # only those that hold events: a pause of hours costs nothing
-            starts = first_us + window_us * np.unique((t.astype(np.int64) - first_us) // window_us)
-            places += [(r, start) for start in starts]
-            continue
-        starts = first_us + window_us * np.arange(max(1, duration_us // window_us) + 1)
-        occupied = np.diff(np.searchsorted(t, starts)) > 0
-        places += [(r, start) for start in starts[:-1][occupied]]
-    table = np.array(places, np.int64).reshape(-1, 2)
+        index = np.unique((t - first_us) // window_us)  # only windows that hold events: a pause of hours costs nothing
+        if duration_us is not None:
+            index = index[index < max(1, duration_us // window_us)]
+        windows += [(r, first_us + window_us * k) for k in index]
+    table = np.array(windows, np.int64).reshape(-1, 2)
     return Windows(recordings, np.ascontiguousarray(table[:, 0]), np.ascontiguousarray(table[:, 1]))

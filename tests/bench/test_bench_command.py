@@ -17,7 +17,7 @@ from async_tnt import Model, TNTConfig
 from async_tnt.checking import bench_latency as latency
 from async_tnt.checking.backends import WORK as ENGINES
 from async_tnt.checking.moments import made_recording
-from async_tnt.checking.timing import Progress, interleave, spread
+from async_tnt.checking.timing import interleave, spread
 from async_tnt.cli.bench import TITLES, add_arguments, main, table
 
 WAYS = {"single"} | {f"packet_{n}_{form}" for n in (10, 100, 1300) for form in ("structured", "columns")}
@@ -198,13 +198,6 @@ def test_spread_by_hand():
         "max": 9.0,
         "n": 5,
     }
-
-
-def test_progress_keeps_quiet_at_first(capsys):
-    Progress(2).step("soon")
-    assert capsys.readouterr().err == ""
-    Progress(2, after_s=0.0).step("at once")
-    assert capsys.readouterr().err == "[1/2] at once ...\n"
 
 
 TWINS = [

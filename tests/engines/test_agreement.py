@@ -11,9 +11,9 @@ from async_tnt.checking.equality import closed_volumes
 from async_tnt.networks.engines import choose_engine
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
+from async_tnt.networks.torch_modules import torch_classifier
 from async_tnt.networks.torch_network import TorchClassifier
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.training.networks import network_of
 
 pytest.importorskip("onnx", reason="onnx is not installed (extra `onnx`)")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `onnx`)")
@@ -42,7 +42,10 @@ def assert_same_logits(logits, expected):
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_logits_of_all_engines_are_the_same(case):
     model = made(*case)
-    compiled, others = CompiledClassifier(model), [OnnxClassifier(to_onnx(model)), TorchClassifier(network_of(model))]
+    compiled, others = (
+        CompiledClassifier(model),
+        [OnnxClassifier(to_onnx(model)), TorchClassifier(torch_classifier(model))],
+    )
     volume = TNTVolume(model.config)
     volume.open(0)
     for packet in [None, *np.split(random_events(1200, sensor=model.config.sensor, seed=4), 4)]:
@@ -53,7 +56,7 @@ def test_logits_of_all_engines_are_the_same(case):
 
 
 NASTY = made((9, 7), 3, "split", (3, 4, 6), 3)
-NASTY_ENGINES = (CompiledClassifier(NASTY), OnnxClassifier(to_onnx(NASTY)), TorchClassifier(network_of(NASTY)))
+NASTY_ENGINES = (CompiledClassifier(NASTY), OnnxClassifier(to_onnx(NASTY)), TorchClassifier(torch_classifier(NASTY)))
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.differing_executors])
@@ -87,7 +90,10 @@ def test_decisions_on_the_samples_are_the_same(engine):
 
 def test_logits_on_real_recordings_are_the_same(data):
     model = load_model("digits")
-    compiled, others = CompiledClassifier(model), [OnnxClassifier(to_onnx(model)), TorchClassifier(network_of(model))]
+    compiled, others = (
+        CompiledClassifier(model),
+        [OnnxClassifier(to_onnx(model)), TorchClassifier(torch_classifier(model))],
+    )
     n = 0
     for path in sorted((data / "nmnist" / "Test").glob("*/*.bin"))[::25]:
         for _, volume in closed_volumes(open_recording(path).read(), model.config, 0, None):

@@ -15,7 +15,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, bundled_models, load_model
-from async_tnt.training.networks import network_of
+from async_tnt.networks.torch_modules import torch_classifier
 
 SHAPES = [  # configuration, classes, widths
     (TNTConfig(), 10, (16, 32, 64)),
@@ -47,7 +47,7 @@ def test_any_widths_and_grids_compute_what_torch_computes(tmp_path, config, clas
     model = load_model(random_model(config, classes=classes, widths=widths).save(tmp_path / "m"))
     volume = np.random.default_rng(0).normal(size=config.shape).astype(np.float32)
     with torch.no_grad():
-        expected = network_of(model)(torch.from_numpy(volume)[None])[0].numpy()
+        expected = torch_classifier(model)(torch.from_numpy(volume)[None])[0].numpy()
     logits = CompiledClassifier(model)(volume)
     assert np.ptp(expected) > 1e-3 or classes == 1
     np.testing.assert_allclose(logits, expected, atol=1e-4)  # summation order in float32

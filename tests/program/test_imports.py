@@ -24,13 +24,13 @@ def modules_after(code):
 
 
 def test_import_brings_only_what_is_used():
-    heavy = {"numpy", "numba", "torch", "matplotlib", "tqdm", "argparse", "typing", "signal"}
+    heavy = {"numpy", "numba", "torch", "matplotlib", "argparse", "typing", "signal"}
     nothing = modules_after("pass")
     for code in ("import async_tnt", "import async_tnt.cli"):
         assert not heavy & (modules_after(code) - nothing)
     assert "numba" not in modules_after("import async_tnt; async_tnt.TNTConfig()")
     used = modules_after("import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.sources.files")
-    assert "numba" in used and not {"torch", "matplotlib", "tqdm"} & used
+    assert "numba" in used and not {"torch", "matplotlib"} & used
 
 
 def test_public_names_are_there_in_every_way():

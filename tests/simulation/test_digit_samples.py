@@ -1,17 +1,13 @@
-"""`simulate_digit`, the bundled samples, and the command that makes them."""
+"""`simulate_digit`, and the bundled samples."""
 
 import gzip
 import os
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.samples import main, sample_indices, write_samples
+from async_tnt.simulation.digits import sample_indices, simulate_digit, write_samples
 from async_tnt.simulation.simulator import PixelModel
 from async_tnt.simulation.trajectories import ConstantVelocity
 from async_tnt.sources.files.nmnist import read_nmnist
@@ -55,7 +51,7 @@ def test_events_follow_the_stated_flow():
     assert start == pytest.approx(motion.start[0] + 13.5, abs=0.5)  # columns 12-15
 
 
-def test_same_seed_same_events_another_seed_others():
+def test_the_seed_decides_the_events():
     one, again, other = (simulate_digit(digit_image(), np.random.default_rng(seed)) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one, again)
     assert one.tolist() != other.tolist()
@@ -81,19 +77,6 @@ def test_impossible_frame_intervals_are_refused(frame_us):
         simulate_digit(digit_image(), np.random.default_rng(0), frame_us=frame_us)
 
 
-def test_a_recording_takes_some_milliseconds():
-    """About 5 ms where this was written; the bound leaves room for slow and busy machines."""
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
-        pytest.skip("times compiled code")
-    simulate_digit(digit_image(), np.random.default_rng(0))
-    seconds = []
-    for seed in range(5):
-        start = time.perf_counter()
-        simulate_digit(digit_image(), np.random.default_rng(seed))
-        seconds.append(time.perf_counter() - start)
-    assert min(seconds) < 0.1
-
-
 def test_samples_are_the_first_of_each_digit_from_index_2000():
     labels = np.arange(2_020)[::-1] % 10
     indices = sample_indices(labels)
@@ -101,7 +84,7 @@ def test_samples_are_the_first_of_each_digit_from_index_2000():
     assert sorted(indices.values()) == list(range(2_000, 2_010))
 
 
-def test_a_digit_that_does_not_occur_is_told():
+def test_a_digit_that_does_not_occur_is_refused():
     with pytest.raises(ValueError, match="no image of a 9 from index 0 on, in 18 images"):
         sample_indices(np.arange(18) % 9, first_index=0)
 
@@ -117,38 +100,7 @@ def test_samples_are_reproducible_bit_for_bit(folder, tmp_path):
 
 
 @pytest.mark.skipif(not (DATA / "mnist").is_dir(), reason=f"needs mnist in {DATA} (set TNT_DATA)")
-def test_bundled_samples_are_what_the_command_makes(tmp_path):
+def test_bundled_samples_are_those_of_seed_0(tmp_path):
     made = write_samples(DATA / "mnist", tmp_path, seed=0)
     for digit, bundled in sample_recordings().items():
         assert bundled.read_bytes() == made[digit].read_bytes(), f"sample {digit} is not what this version simulates"
-
-
-def test_command_writes_ten_files_and_says_so(folder, tmp_path, capsys):
-    assert main([str(folder), str(tmp_path), "--seed", "5"]) == 0
-    assert capsys.readouterr().out.count(".bin") == 10
-    assert len(list(tmp_path.glob("*.bin"))) == 10
-
-
-def test_command_refuses_bad_input_with_code_2(folder, tmp_path, capsys):
-    assert main([str(tmp_path / "nowhere"), str(tmp_path)]) == 2
-    assert "error:" in capsys.readouterr().err
-    (tmp_path / "train-images-idx3-ubyte").write_bytes(b"damaged")
-    (tmp_path / "train-labels-idx1-ubyte").write_bytes(b"damaged")
-    assert main([str(tmp_path), str(tmp_path)]) == 2
-    assert "not an IDX file" in capsys.readouterr().err
-    (tmp_path / "file").write_bytes(b"")
-    assert main([str(folder), str(tmp_path / "file")]) == 2
-    with pytest.raises(SystemExit) as stopped:
-        main([str(folder), str(tmp_path), "--seed", "-1"])
-    assert stopped.value.code == 2
-    assert "--seed must be at least 0, got -1" in capsys.readouterr().err
-
-
-def test_command_runs_as_a_module():
-    done = subprocess.run(
-        [sys.executable, "-m", "async_tnt.simulation.samples", "--help"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0 and "mnist_folder" in done.stdout and not done.stderr

@@ -60,7 +60,7 @@ def test_truncation_at_every_byte(tmp_path, size):
         read_idx(tmp_path / "cut")
 
 
-def test_sizes_that_do_not_fit_are_told(tmp_path):
+def test_sizes_that_do_not_fit_are_refused(tmp_path):
     (tmp_path / "a").write_bytes(idx_bytes(np.zeros((2, 3))) + b"x")
     with pytest.raises(ValueError, match=r"shape \(2, 3\) of uint8 takes 18 bytes, got more"):
         read_idx(tmp_path / "a")
@@ -77,7 +77,7 @@ def test_no_more_is_unpacked_than_the_header_says(tmp_path):
         tracemalloc.stop()
 
 
-def test_sides_whose_product_passes_64_bits_are_told(tmp_path):
+def test_sides_whose_product_passes_64_bits_are_refused(tmp_path):
     (tmp_path / "a").write_bytes(bytes([0, 0, 8, 3]) + b"\xff" * 12)
     with pytest.raises(ValueError, match=r"takes 79228162458924105385300197391 bytes, got 16"):
         read_idx(tmp_path / "a")
@@ -123,7 +123,7 @@ def test_folders_that_are_not_mnist_are_refused(tmp_path, change, complaint):
         load_mnist(mnist_folder(tmp_path, **change), "train")
 
 
-def test_missing_files_and_unknown_splits_are_told(tmp_path):
+def test_missing_files_and_unknown_splits_are_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"neither train-images-idx3-ubyte\.gz nor train-images-idx3-ubyte;"):
         load_mnist(tmp_path, "train")
     with pytest.raises(ValueError, match=r"`split` must be one of 'train', 'test', got 'val'"):

@@ -37,7 +37,7 @@ def test_a_shard_for_each_motion_and_two_images(made):
     assert [len(shard) for shard in made][:6] == [2, 2, 1, 2, 2, 1]
 
 
-def test_each_recording_is_simulated_with_a_seed_of_its_own(mnist, made):
+def test_each_recording_is_simulated_with_its_own_seed(mnist, made):
     images, labels = load_mnist(mnist, "test")
     for index, image in ((0, 0), (7, 3), (29, 4)):
         motion = motions_of("constant")[index]
@@ -95,7 +95,7 @@ def test_nmnists_motion_gives_recordings_like_simulate_digits_own(mnist, tmp_pat
     images, _ = load_mnist(mnist, "test")
     expected = simulate_digit(images[2], np.random.default_rng((0, 0, 2)), frame_us=5_000.0)
     np.testing.assert_array_equal(shard.recording(2), expected[expected["t"] < 308_000])
-    assert shard.flow.shape == (3, 89, 2) and (shard.flow[0] != shard.flow[1]).any()  # delays are drawn anew
+    assert shard.flow.shape == (3, 89, 2) and (shard.flow[0] != shard.flow[1]).any()  # delays are drawn for each
 
 
 def test_what_is_there_is_kept_and_what_is_missing_or_damaged_is_made(mnist, made, tmp_path):
@@ -118,12 +118,12 @@ def test_what_is_there_is_kept_and_what_is_missing_or_damaged_is_made(mnist, mad
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"seed": 1}, "seed 0 there, 1 asked for"),
-        ({"digits": 4}, "digits 5 there, 4 asked for"),
-        ({"kind": "bell"}, "kind 'constant' there, 'bell' asked for"),
-        ({"split": "train"}, "split 'test' there, 'train' asked for"),
-        ({"frame_us": 1_000.0}, "simulator .*5250.* there, .*1000.* asked for"),
-        ({"recordings_per_shard": 5}, "recordings_per_shard 2 there, 5 asked for"),
+        ({"seed": 1}, "seed is 0, requested 1"),
+        ({"digits": 4}, "digits is 5, requested 4"),
+        ({"kind": "bell"}, "kind is 'constant', requested 'bell'"),
+        ({"split": "train"}, "split is 'test', requested 'train'"),
+        ({"frame_us": 1_000.0}, "simulator is .*5250.*, requested .*1000.*"),
+        ({"recordings_per_shard": 5}, "recordings_per_shard is 2, requested 5"),
     ],
 )
 def test_a_set_made_with_other_parameters_is_refused_and_left_alone(mnist, made, change, complaint):
@@ -136,7 +136,9 @@ def test_a_set_made_with_other_parameters_is_refused_and_left_alone(mnist, made,
 def test_a_shard_made_with_other_parameters_is_refused(mnist, made, tmp_path):
     """As when someone copies files between folders, or loses set.json."""
     (tmp_path / made.shards[0].name).write_bytes(made.shards[0].read_bytes())
-    with pytest.raises(ValueError, match=r"000deg-3px_00000\.safetensors: made with other parameters: seed 0 there, 3"):
+    with pytest.raises(
+        ValueError, match=r"000deg-3px_00000\.safetensors: made with other parameters: seed is 0, requested 3"
+    ):
         build(mnist, tmp_path, **QUICK | {"seed": 3})
 
 
@@ -178,20 +180,20 @@ def test_open_set_gives_what_build_gave(made):
     assert opened.parameters["simulator"]["pixels"]["threshold_on"] > 0
 
 
-def test_an_incomplete_set_is_told_with_the_command_that_goes_on(made, tmp_path):
+def test_an_incomplete_set_is_refused_with_the_command_to_resume(made, tmp_path):
     folder = tmp_path / "set"
     shutil.copytree(made.folder, folder)
     for path in made.shards[10:13]:
         (folder / path.name).unlink()
     command = f"async-tnt simulate --mnist MNIST --out {folder} --split test --motions constant --digits 5 --seed 0"
-    with pytest.raises(ValueError) as told:
+    with pytest.raises(ValueError) as caught:
         open_set(folder)
-    assert f"3 of 90 shards are missing. Go on with: {command}" in str(told.value)
+    assert f"3 of 90 shards are missing. Resume with: {command}" in str(caught.value)
     opened = open_set(folder, allow_incomplete=True)
     assert opened.missing == 3 and len(opened.shards) == 90 and sum(1 for _ in opened) == 87
 
 
-def test_what_is_not_in_the_set_is_told(made):
+def test_what_is_not_in_the_set_is_an_index_error(made):
     for motion, image in ((30, 0), (0, 5), (-1, 0)):
         with pytest.raises(IndexError, match=r"motion must be in \[0, 30\) and image in \[0, 5\), got"):
             made.locate(motion, image)
@@ -229,18 +231,18 @@ def with_parameter(name, value):
         lambda content: content | {"parameters": without("seed")(content["parameters"])},
     ],
 )
-def test_a_damaged_manifest_is_told_in_one_line(made, tmp_path, damage):
+def test_a_damaged_manifest_is_refused_in_one_line(made, tmp_path, damage):
     content = damage(json.loads((made.folder / "set.json").read_text()))
     (tmp_path / "set.json").write_text(content if isinstance(content, str) else json.dumps(content))
-    with pytest.raises(ValueError, match=r"set\.json: damaged, or no set of this release: ") as told:
+    with pytest.raises(ValueError, match=r"set\.json: damaged, or not a set of this release: ") as caught:
         open_set(tmp_path, allow_incomplete=True)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
 
 
-def test_folders_without_a_set_are_told(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"no set\.json there; expected a folder that async-tnt simulate made"):
+def test_folders_without_a_set_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no set\.json in it; expected a folder that async-tnt simulate made"):
         open_set(tmp_path)
-    with pytest.raises(FileNotFoundError, match=r"no set\.json there"):
+    with pytest.raises(FileNotFoundError, match=r"no set\.json in it"):
         open_set(tmp_path / "nowhere")
 
 
@@ -253,6 +255,6 @@ def test_workers_give_all_results_and_pass_errors_on():
     assert 1 <= available_cores() <= (os.cpu_count() or 1)
 
 
-def test_a_worker_that_dies_is_told():
+def test_a_worker_that_dies_is_an_error():
     with pytest.raises(ChildProcessError, match="a worker process ended without an answer"):
         list(run_all(os._exit, [3, 3, 3], workers=2))

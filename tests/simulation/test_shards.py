@@ -1,4 +1,4 @@
-"""Shards: what goes in comes out, by memory map; and no damage gets through."""
+"""Shards: what is written is read, and no damage goes unnoticed."""
 
 import json
 
@@ -58,11 +58,10 @@ def test_round_trip(tmp_path, sensor, pixel):
     assert "4 recordings, 17 events" in repr(shard)
 
 
-def test_columns_are_aligned_read_only_maps_of_the_file(tmp_path):
+def test_columns_are_aligned_and_read_only(tmp_path):
     shard = open_shard(write(tmp_path / "a.safetensors"))
     for column in (*shard.columns(2), shard.offsets, shard.labels, shard.image, shard.flow, shard.flow_times_us):
-        assert isinstance(column, np.memmap) and column.filename == tmp_path / "a.safetensors"
-        assert column.flags.aligned and column.flags.c_contiguous and not column.flags.owndata
+        assert column.flags.aligned and column.flags.c_contiguous
         with pytest.raises(ValueError, match="read-only"):
             column[...] = 0
     shard.recording(2)["t"] = 0  # a copy, the caller's to change
@@ -132,15 +131,15 @@ def test_truncation_at_every_byte(tmp_path):
     assert len(open_shard(tmp_path / "a.safetensors")) == 2
     for size in range(len(whole)):
         (tmp_path / "cut").write_bytes(whole[:size])
-        with pytest.raises(ValueError, match="cut: no shard, or a damaged one: "):
+        with pytest.raises(ValueError, match="cut: not a shard, or a damaged one: "):
             open_shard(tmp_path / "cut")
     (tmp_path / "cut").write_bytes(whole + b"\0")
-    with pytest.raises(ValueError, match=f"speaks of {len(whole)} bytes, but the file has {len(whole) + 1}"):
+    with pytest.raises(ValueError, match="cut: not a shard, or a damaged one: "):
         open_shard(tmp_path / "cut")
 
 
 def assert_rules(shard):
-    """The format's rules, written out anew."""
+    """The format's rules, written a second time."""
     width, height = shard.sensor
     assert shard.offsets[0] == 0 and shard.offsets[-1] == len(shard.t)
     assert len(shard.t) == len(shard.x) == len(shard.y) == len(shard.p)
@@ -178,7 +177,7 @@ def test_random_damage_gives_one_clear_error_or_data_that_respects_the_rules(tmp
     try:
         shard = open_shard(path)
     except ValueError as error:
-        assert "fuzz-shard: no shard, or a damaged one: " in str(error) and "\n" not in str(error)
+        assert "fuzz-shard: not a shard, or a damaged one: " in str(error) and "\n" not in str(error)
     else:
         assert_rules(shard)
 
@@ -215,16 +214,16 @@ def changed(index, value):
         ("labels", lambda labels: labels[:, None], r"`labels` must have shape \(4,\), got \(4, 1\)"),
         ("image", changed(1, -3), "`image` must be in"),
         ("flow", changed(0, np.inf), "`flow` must be finite"),
-        ("flow", lambda flow: flow.astype(np.float64), "not described as an array of I64, I32"),
+        ("flow", lambda flow: flow.astype(np.float64), "`flow` must be float32, got float64"),
         ("flow_times_us", changed(0, -1), "`flow_times_us` must be in"),
         ("more", lambda _: np.zeros(3, np.int64), "must hold t, x, y, p, .*got.*more"),
     ],
 )
-def test_columns_that_break_a_rule_are_told(tmp_path, name, change, complaint):
+def test_columns_that_break_a_rule_are_refused(tmp_path, name, change, complaint):
     tensors, metadata = tensors_of(tmp_path / "a")
     tensors[name] = change(tensors.get(name))
     (tmp_path / "b").write_bytes(save(tensors, metadata={"shard": json.dumps(metadata)}))
-    with pytest.raises(ValueError, match=rf"b: no shard, or a damaged one: .*{complaint}"):
+    with pytest.raises(ValueError, match=rf"b: not a shard, or a damaged one: .*{complaint}"):
         open_shard(tmp_path / "b")
 
 
@@ -245,7 +244,7 @@ def test_columns_that_break_a_rule_are_told(tmp_path, name, change, complaint):
         ),
     ],
 )
-def test_metadata_that_breaks_a_rule_is_told(tmp_path, metadata, complaint):
+def test_metadata_that_breaks_a_rule_is_refused(tmp_path, metadata, complaint):
     tensors, _ = tensors_of(tmp_path / "a")
     (tmp_path / "b").write_bytes(save(tensors, metadata=None if metadata is None else {"shard": metadata}))
     with pytest.raises(ValueError, match=complaint):
@@ -253,37 +252,26 @@ def test_metadata_that_breaks_a_rule_is_told(tmp_path, metadata, complaint):
 
 
 @pytest.mark.parametrize(
-    ("header", "complaint"),
+    "header",
     [
-        (b"\xff", "the header is not JSON"),
-        (b"[" * 50_000, "the header is not JSON"),
-        (b"[]", "the header must be a JSON object"),
-        (b'{"__metadata__": {"a": 1}}', "`__metadata__` must map names to strings"),
-        (b'{"t": 3}', "`t` is not described as an array"),
-        (b'{"t": {"dtype": "U8", "shape": 4, "data_offsets": [0, 4]}}', "`t` is not described"),
-        (b'{"t": {"dtype": "U8", "shape": [-4], "data_offsets": [0, 4]}}', "impossible shape"),
-        (b'{"t": {"dtype": "U8", "shape": [true], "data_offsets": [0, 1]}}', "impossible shape"),
-        (b'{"t": {"dtype": "U8", "shape": [0, 1180591620717411303424], "data_offsets": [0, 0]}}', "impossible shape"),
-        (b'{"t": {"dtype": "U8", "shape": [4], "data_offsets": [4, 0]}}', "impossible shape"),
-        (b'{"t": {"dtype": "I32", "shape": [2], "data_offsets": [0, 4]}}', r"of shape \(2,\) and int32 cannot take 4"),
-        (
-            b'{"t": {"dtype": "U8", "shape": [2], "data_offsets": [2, 4]}}',
-            "must begin where the array before it ends, 0",
-        ),
-        (b'{"t": {"dtype": "U8", "shape": [3], "data_offsets": [0, 3]}}', "speaks of [0-9]+ bytes, but the file has"),
-        (b' {"t": {"dtype": "I32", "shape": [1], "data_offsets": [0, 4]}}', "must lie at a multiple of 4 bytes"),
+        b"\xff",
+        b"[" * 50_000,
+        b"[]",
+        b'{"__metadata__": {"a": 1}}',
+        b'{"t": 3}',
+        b'{"t": {"dtype": "U8", "shape": [-4], "data_offsets": [0, 4]}}',
+        b'{"t": {"dtype": "U8", "shape": [0, 1180591620717411303424], "data_offsets": [0, 0]}}',
+        b'{"t": {"dtype": "U8", "shape": [0, 99999999999999, 99999999999999], "data_offsets": [0, 0]}}',
+        b'{"t": {"dtype": "U8", "shape": [4], "data_offsets": [4, 0]}}',
+        b'{"t": {"dtype": "I32", "shape": [2], "data_offsets": [0, 4]}}',
+        b'{"t": {"dtype": "U8", "shape": [2], "data_offsets": [2, 4]}}',
+        b'{"t": {"dtype": "U8", "shape": [3], "data_offsets": [0, 3]}}',
+        b'{"t": {"dtype": "BF16", "shape": [2], "data_offsets": [0, 4]}}',
     ],
 )
-def test_headers_that_break_a_rule_are_told(tmp_path, header, complaint):
+def test_damaged_headers_are_refused(tmp_path, header):
     (tmp_path / "a").write_bytes(len(header).to_bytes(8, "little") + header + bytes(4))
-    with pytest.raises(ValueError, match=f"a: no shard, or a damaged one: .*{complaint}"):
-        open_shard(tmp_path / "a")
-
-
-def test_zeros_times_huge_sides_are_told(tmp_path):
-    header = b'{"t": {"dtype": "U8", "shape": [0, 99999999999999, 99999999999999], "data_offsets": [0, 0]}}'
-    (tmp_path / "a").write_bytes(len(header).to_bytes(8, "little") + header)
-    with pytest.raises(ValueError, match="a: no shard, or a damaged one"):
+    with pytest.raises(ValueError, match="a: not a shard, or a damaged one: "):
         open_shard(tmp_path / "a")
 
 

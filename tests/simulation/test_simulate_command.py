@@ -1,7 +1,8 @@
-"""`async-tnt simulate`: what it writes and prints, and what it says of wrong input; stopped at any moment."""
+"""`async-tnt simulate`: what it writes and prints, its errors, and that it resumes when stopped at any moment."""
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -30,29 +31,13 @@ def no_data(monkeypatch):
 @compiled_only
 def test_a_small_set_with_everything(mnist, tmp_path, capsys):
     out, binary = tmp_path / "set", tmp_path / "as-nmnist"
-    assert (
-        main(
-            [
-                "simulate",
-                "--mnist",
-                str(mnist),
-                "--out",
-                str(out),
-                "--digits",
-                "3",
-                "--workers",
-                "1",
-                "--bin",
-                str(binary),
-            ]
-        )
-        == 0
-    )
+    words = ["--mnist", mnist, "--out", out, "--digits", 3, "--workers", 1, "--bin", binary]
+    assert main(["simulate", *map(str, words)]) == 0
     captured = capsys.readouterr()
     assert "90 recordings (3 images x 30 motions) in 30 files" in captured.out
     assert captured.out.splitlines()[2].split() == ["simulated", "this", "set"]
     assert "ON - OFF centroid, along the motion [px]" in captured.out and "nan" not in captured.out
-    assert captured.err == "no N-MNIST to compare with: --nmnist FOLDER names it\n"
+    assert captured.err == "no N-MNIST to compare with; give --nmnist FOLDER\n"
 
     made = open_set(out)
     n_files = 0
@@ -104,7 +89,7 @@ def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(mnist
     one = sorted((nmnist / "Train").glob("*/*.bin"))[0]
     one.rename(one.with_name("60024.bin"))  # shows another digit
     assert main([*argv, "--out", str(tmp_path / "b"), "--nmnist", str(nmnist)]) == 2
-    assert "60024.bin: MNIST's test image 24, which it should show, is no such digit" in capsys.readouterr().err
+    assert "60024.bin: MNIST's test image 24, which it should show, is another digit" in capsys.readouterr().err
 
 
 @compiled_only
@@ -139,7 +124,7 @@ def test_help_teaches(capsys):
         (["--motions", "circles"], "--motions"),
         (["--digits", "0"], "must be at least 1, got 0"),
         (["--digits", "some"], "must be a whole number, got 'some'"),
-        (["--seed", "-1"], "must be at least 1|must be at least 0|expected one argument"),
+        (["--seed", "-1"], "must be a whole number of at least 0|expected one argument"),
         (["--workers", "0"], "must be at least 1, got 0"),
         (["--fly"], "unrecognized arguments: --fly"),
     ],
@@ -148,10 +133,10 @@ def test_wrong_flags_exit_with_2(mnist, tmp_path, options, complaint, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["simulate", "--mnist", str(mnist), "--out", str(tmp_path / "set"), *options])
     assert stopped.value.code == 2 and not (tmp_path / "set").exists()
-    assert pytest.importorskip("re").search(complaint, capsys.readouterr().err)
+    assert re.search(complaint, capsys.readouterr().err)
 
 
-def test_an_output_folder_is_asked_for(mnist, capsys):
+def test_an_output_folder_is_required(mnist, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["simulate", "--mnist", str(mnist)])
     assert stopped.value.code == 2 and "--out" in capsys.readouterr().err
@@ -167,32 +152,35 @@ def damaged(mnist, tmp_path):
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (lambda mnist, tmp: [], "no MNIST: give --mnist FOLDER, or set TNT_DATA"),
-        (lambda mnist, tmp: ["--mnist", str(tmp / "nowhere")], "no folder .*nowhere; --mnist names"),
+        (lambda mnist, tmp: [], "no data: give --mnist FOLDER, or set TNT_DATA"),
+        (lambda mnist, tmp: ["--mnist", str(tmp / "nowhere")], "no folder .*nowhere; give --mnist FOLDER"),
         (lambda mnist, tmp: ["--mnist", str(tmp)], "neither t10k-images-idx3-ubyte.gz nor"),
         (lambda mnist, tmp: ["--mnist", str(damaged(mnist, tmp))], "t10k-images-idx3-ubyte.gz: damaged gzip file"),
         (lambda mnist, tmp: ["--mnist", str(mnist), "--digits", "25"], "`digits` must be at most 24"),
-        (lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(tmp / "nowhere")], "no folder .*nowhere; --nmnist"),
-        (lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(mnist)], "no N-MNIST recordings there; expected"),
+        (
+            lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(tmp / "nowhere")],
+            "no folder .*nowhere; give --nmnist",
+        ),
+        (lambda mnist, tmp: ["--mnist", str(mnist), "--nmnist", str(mnist)], "no N-MNIST recordings; expected"),
         (lambda mnist, tmp: ["--mnist", str(mnist), "--bin", str(mnist / "t10k-labels-idx1-ubyte.gz")], "not a folder"),
     ],
 )
-def test_missing_and_damaged_input_is_told_in_one_line(mnist, tmp_path, options, complaint, capsys):
+def test_errors_are_one_line_and_exit_code_2(mnist, tmp_path, options, complaint, capsys):
     assert main(["simulate", "--out", str(tmp_path / "set"), *options(mnist, tmp_path)]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.startswith("async-tnt: ") and captured.err.count("\n") == 1
-    assert pytest.importorskip("re").search(complaint, captured.err)
+    assert re.search(complaint, captured.err)
     assert not (tmp_path / "set").exists()
 
 
-def test_output_that_is_a_file_and_sets_made_otherwise_are_told(mnist, tmp_path, capsys):
+def test_output_that_is_a_file_or_another_set_is_refused(mnist, tmp_path, capsys):
     (tmp_path / "file").write_bytes(b"")
     assert main(["simulate", "--mnist", str(mnist), "--out", str(tmp_path / "file")]) == 2
     assert "file is not a folder; expected a folder to write to" in capsys.readouterr().err
     build(mnist, tmp_path / "set", digits=1, kind="nmnist", workers=1, frame_us=50_000.0)
     assert main(["simulate", "--mnist", str(mnist), "--out", str(tmp_path / "set"), "--digits", "1"]) == 2
     captured = capsys.readouterr()
-    assert "set.json: made with other parameters: kind 'nmnist' there, 'constant' asked for" in captured.err
+    assert "set.json: made with other parameters: kind is 'nmnist', requested 'constant'" in captured.err
     assert captured.err.count("\n") == 1
 
 
@@ -219,19 +207,18 @@ def start_and_stop(argv, folder, stop):
         command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, text=True
     ) as process:
         try:
-            deadline = time.monotonic() + 60
             while not list(folder.glob("*.safetensors")):
-                assert process.poll() is None and time.monotonic() < deadline
+                assert process.poll() is None
                 time.sleep(0.005)
             family = descendants(process.pid)
             if stop == signal.SIGINT:
                 os.killpg(process.pid, stop)  # Ctrl-C in a terminal: every process of the group gets it
             else:
                 process.kill()
-            _, err = process.communicate(timeout=60)
+            _, err = process.communicate()
         finally:
             process.kill()
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 600
     while any(map(is_running, family)):  # no worker outlives the command
         assert time.monotonic() < deadline
         time.sleep(0.05)
@@ -241,9 +228,9 @@ def start_and_stop(argv, folder, stop):
 @compiled_only
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes in /proc")
 @pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
-def test_stopped_in_the_middle_it_goes_on_to_the_same_files(tmp_path, stop):
+def test_a_stopped_simulation_resumes_to_the_same_files(tmp_path, stop):
     (tmp_path / "mnist").mkdir()
-    mnist = write_small_mnist(tmp_path / "mnist", 100)  # so many that there is a middle to be stopped in
+    mnist = write_small_mnist(tmp_path / "mnist", 30)  # so many that there is a middle to be stopped in
     for attempt in range(5):  # on a busy machine the stop may come when all is done: then once more
         folder = tmp_path / f"set {attempt}"
         argv = ["simulate", "--mnist", str(mnist), "--out", str(folder), "--motions", "bell"]
@@ -255,7 +242,7 @@ def test_stopped_in_the_middle_it_goes_on_to_the_same_files(tmp_path, stop):
     if stop == signal.SIGINT:
         assert code == 130
         assert err == (
-            f"async-tnt: interrupted; finished shards are kept in {folder}. Give the same command again to go on.\n"
+            f"async-tnt: interrupted; finished shards are kept in {folder}. Give the same command again to resume.\n"
         )
     with pytest.raises(ValueError, match=f"{30 - n_made} of 30 shards are missing"):
         open_set(folder)

@@ -6,10 +6,10 @@ import torch
 from made import random_events, random_model, random_regressor_model
 
 from async_tnt import Model, TNTConfig, TNTVolume
-from async_tnt.checking.reference import reference_regressor
 from async_tnt.kernels.heatmap import centroid, draw_heatmap, rectify
 from async_tnt.networks.model import HEATMAP
 from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.networks.torch_modules import landmark_function
 
 CASES = [  # grid, bins, polarity, widths
     ((34, 34), 9, "signed", (20, 20, 20)),
@@ -36,7 +36,7 @@ def test_landmark_equals_the_reference_network(grid, bins, polarity, widths):
     from_center = []
     for seed in range(5):
         model = random_regressor_model(config, regressor_widths=widths, sharpness=5.0, seed=seed)
-        regressor, reference = CompiledRegressor(model), reference_regressor(model)
+        regressor, reference = CompiledRegressor(model), landmark_function(model)
         for n_events in (0, 1, 40, 800):
             volume = raw_volume(config, n_events, seed)
             landmark, expected = regressor(volume), reference(volume)

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from made import nasty_streams, random_events, random_regressor_model
 
 from async_tnt import Counts, ReplayBufferFull, TNTConfig, TNTVolume
-from async_tnt.checking.reference import reference_kept, reference_regressor, reference_volume
+from async_tnt.checking.reference import reference_kept, reference_volume
 from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.networks.torch_modules import landmark_function
 
 SHAPES = [  # sensor, grid, bins, window_us, t_max
     ((34, 34), (34, 34), 9, 105_000, 8.0),
@@ -27,7 +28,7 @@ MODELS = [
     for seed, (sensor, grid, bins, window_us, t_max) in enumerate(SHAPES)
     for polarity, widths in (("signed", (20, 20, 20)), ("split", (12, 9, 16)), ("unsigned", (8, 5, 17)))
 ]
-TORCH = {id(model): reference_regressor(model) for model in MODELS}
+TORCH = {id(model): landmark_function(model) for model in MODELS}
 CONFIG = TNTConfig(window_us=1000, landmark="regressor", t_max=2.0)
 
 

@@ -9,8 +9,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from async_tnt import cli, load_model  # noqa: E402
-from async_tnt.training import table_all_runs as all_runs  # noqa: E402
-from async_tnt.training.table_run import Run  # noqa: E402
+from async_tnt.training import table_runs  # noqa: E402
+from async_tnt.training.table_runs import Run  # noqa: E402
 
 
 def table(*words):
@@ -21,30 +21,13 @@ def table(*words):
 def done(small_nmnist, small_set, tmp_path_factory):
     """One small table of two rows."""
     out = tmp_path_factory.mktemp("table")
-    words = [
-        "--nmnist",
-        small_nmnist,
-        "--simulated",
-        small_set,
-        "--rows",
-        "baseline",
-        "regress",
-        "--seeds",
-        3,
-        "--iterations",
-        3,
-        "--batch",
-        16,
-        "--workers",
-        1,
-        "--out",
-        out,
-    ]
+    words = ["--nmnist", small_nmnist, "--simulated", small_set, "--rows", "baseline", "regress", "--seeds", 3]
+    words += ["--iterations", 3, "--batch", 16, "--workers", 1, "--out", out]
     assert table(*words) == 0
     return words, out
 
 
-def test_results_say_what_was_done(done):
+def test_results_record_what_was_done(done):
     _, out = done
     record = json.loads((out / "results.json").read_text())
     assert record["command"] == (
@@ -95,10 +78,10 @@ def test_other_settings_in_the_same_folder_are_refused(done, capsys):
     assert "holds a run with other iterations" in capsys.readouterr().err
 
 
-def test_an_interrupted_table_goes_on_to_the_same_numbers(done, tmp_path, monkeypatch, capsys):
+def test_an_interrupted_table_resumes_to_the_same_numbers(done, tmp_path, monkeypatch, capsys):
     words, out = done
     words = [*words[:-1], tmp_path]
-    real, calls = all_runs.do_run, []
+    real, calls = table_runs.run_network, []
 
     def stop_at_the_third(*args):
         calls.append(args[0])
@@ -106,7 +89,7 @@ def test_an_interrupted_table_goes_on_to_the_same_numbers(done, tmp_path, monkey
             raise KeyboardInterrupt
         return real(*args)
 
-    monkeypatch.setattr(all_runs, "do_run", stop_at_the_third)
+    monkeypatch.setattr(table_runs, "run_network", stop_at_the_third)
     assert table(*words) == 130
     assert capsys.readouterr().err == "async-tnt: interrupted\n"
     assert len(list((tmp_path / "networks").glob("*/result.json"))) == 2
@@ -131,11 +114,11 @@ def test_smoke_makes_its_own_motions_in_two_processes(small_nmnist, small_mnist,
         ([], "no data: give --nmnist FOLDER"),
         (["--nmnist", "nowhere"], "no folder nowhere; give --nmnist FOLDER"),
         (["--nmnist", "."], "no folder Train in ."),
-        (["--nmnist", "NMNIST", "--simulated", "."], "no set.json there"),
+        (["--nmnist", "NMNIST", "--simulated", "."], "no set.json in it"),
         (["--nmnist", "NMNIST"], "no data: give --mnist FOLDER"),
     ],
 )
-def test_what_is_missing_is_one_line(words, text, small_nmnist, tmp_path, monkeypatch, capsys):
+def test_missing_data_is_one_line(words, text, small_nmnist, tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("TNT_DATA", raising=False)
     monkeypatch.chdir(tmp_path)
     assert table(*[str(small_nmnist) if word == "NMNIST" else word for word in words]) == 2
@@ -144,7 +127,7 @@ def test_what_is_missing_is_one_line(words, text, small_nmnist, tmp_path, monkey
 
 
 def test_a_set_without_unseen_images_is_refused(small_nmnist, small_mnist, tmp_path, capsys):
-    """Had all its images been seen in training, it would tell nothing."""
+    """With all its images seen in training, it would measure nothing."""
     folder = tmp_path / "nmnist"
     for split in ("Train", "Test"):
         for k, path in enumerate(sorted((small_nmnist / split).glob("*/*.bin"))):
@@ -155,29 +138,13 @@ def test_a_set_without_unseen_images_is_refused(small_nmnist, small_mnist, tmp_p
 
 
 @pytest.mark.filterwarnings("default:left out:UserWarning")
-def test_damaged_recordings_are_told_and_may_be_left_out(small_nmnist, small_set, tmp_path, capsys):
+def test_damaged_recordings_are_refused_or_left_out(small_nmnist, small_set, tmp_path, capsys):
     folder = tmp_path / "nmnist"
     shutil.copytree(small_nmnist, folder)
     damaged = next(folder.glob("Train/3/*.bin"))
     damaged.write_bytes(damaged.read_bytes()[:-2])
-    words = [
-        "--nmnist",
-        folder,
-        "--simulated",
-        small_set,
-        "--rows",
-        "baseline",
-        "--trained-on",
-        "1",
-        "--seeds",
-        0,
-        "--iterations",
-        1,
-        "--workers",
-        1,
-        "--out",
-        tmp_path / "out",
-    ]
+    words = ["--nmnist", folder, "--simulated", small_set, "--rows", "baseline", "--trained-on", "1", "--seeds", 0]
+    words += ["--iterations", 1, "--workers", 1, "--out", tmp_path / "out"]
     assert table(*words) == 2
     printed = capsys.readouterr().err
     assert damaged.name in printed and "--skip-damaged" in printed and printed.count("\n") == 1
@@ -188,7 +155,7 @@ def test_damaged_recordings_are_told_and_may_be_left_out(small_nmnist, small_set
 
 
 @pytest.mark.parametrize("words", [["--rows", "best"], ["--seeds", "-1"], ["--iterations", "0"], ["--precision", "8"]])
-def test_wrong_flags_are_told(words, capsys):
+def test_wrong_options_are_named(words, capsys):
     with pytest.raises(SystemExit) as stopped:
         table(*words)
     assert stopped.value.code == 2 and words[0] in capsys.readouterr().err

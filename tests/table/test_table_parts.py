@@ -5,10 +5,16 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from async_tnt.training.table import (  # noqa: E402
+    COLUMNS,
+    ROWS,
+    aggregate,
+    columns_of,
+    markdown_table,
+    motions_table,
+    text_table,
+)
 from async_tnt.training.table_data import RealFolder, on_first_saccade, saccade, shown_test_images, simulated_windows  # noqa: E402
-from async_tnt.training.table_report import markdown_table, motions_table, text_table  # noqa: E402
-from async_tnt.training.table_results import aggregate  # noqa: E402
-from async_tnt.training.table_rows import COLUMNS, ROWS, columns_of  # noqa: E402
 
 
 def test_rows_differ_only_in_what_they_are_named_for():

@@ -6,10 +6,10 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from async_tnt.networks.model import load_model  # noqa: E402
-from async_tnt.training.evaluate import class_probabilities, evaluate  # noqa: E402
-from async_tnt.training.networks import pipeline_of  # noqa: E402
-from async_tnt.training.simulated import read_samples  # noqa: E402
-from async_tnt.training.windows import lay_windows, read_folder  # noqa: E402
+from async_tnt.training.digits import read_nmnist_folder, read_samples  # noqa: E402
+from async_tnt.training.evaluation import class_probabilities, evaluate  # noqa: E402
+from async_tnt.training.pipeline import pipeline_of  # noqa: E402
+from async_tnt.training.windows import make_windows  # noqa: E402
 
 PER_DIGIT = 40  # 400 of the 1,000 test recordings: 1,200 windows, standard error 0.4 %
 
@@ -21,7 +21,7 @@ def model():
 
 @pytest.mark.parametrize("first_event", [False, True], ids=["from 0", "from the first event"])
 def test_every_window_of_every_sample_is_classified_right(model, first_event):
-    windows = lay_windows(read_samples(), model.config.window_us, first_event=first_event)
+    windows = make_windows(read_samples(), model.config.window_us, first_event=first_event)
     assert len(windows) == 30
     decided = class_probabilities(pipeline_of(model), windows).argmax(1)
     np.testing.assert_array_equal(decided, windows.labels)
@@ -44,8 +44,8 @@ def test_the_record_says_what_was_done(model):
 
 @pytest.mark.parametrize("first_event", [False, True], ids=["from 0", "from the first event"])
 def test_accuracy_on_real_recordings(model, first_event, data):
-    recordings = read_folder(data / "nmnist" / "Test", per_digit=PER_DIGIT)
-    windows = lay_windows(recordings, model.config.window_us, first_event=first_event)
+    recordings = read_nmnist_folder(data / "nmnist" / "Test", per_digit=PER_DIGIT)
+    windows = make_windows(recordings, model.config.window_us, first_event=first_event)
     found = evaluate(pipeline_of(model), windows)
     assert found.n_recordings == 400 and found.n_windows >= 1_195
     assert found.per_window >= 0.98

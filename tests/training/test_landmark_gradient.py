@@ -10,13 +10,13 @@ from made import random_events  # noqa: E402
 
 from async_tnt.config import TNTConfig  # noqa: E402
 from async_tnt.networks.model import load_model  # noqa: E402
+from async_tnt.networks.torch_modules import torch_regressor  # noqa: E402
 from async_tnt.training.augment import FINE, Augmentation, unchanged  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
-from async_tnt.training.networks import export, pipeline_before_export, pipeline_of, regressor_of  # noqa: E402
-from async_tnt.training.pipelines import Pipeline, new_pipeline  # noqa: E402
+from async_tnt.training.loop import train  # noqa: E402
+from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export, pipeline_of  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
-from async_tnt.training.train import train  # noqa: E402
-from async_tnt.training.windows import CLASSES, Recordings, lay_windows  # noqa: E402
+from async_tnt.training.windows import CLASSES, Recordings, make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="regressor", t_max=2.0)
 LANDMARKS = np.array([[15.2, 17.9], [3.1, 30.2], [16.5, 16.5]])
@@ -24,7 +24,7 @@ LANDMARKS = np.array([[15.2, 17.9], [3.1, 30.2], [16.5, 16.5]])
 
 def windows_of(config, n=600, seed=0):
     events = [random_events(n, seed=seed + k, sensor=config.sensor) for k in range(3)]
-    return lay_windows(Recordings.from_events(events, [0, 1, 2]), config.window_us, duration_us=config.window_us)
+    return make_windows(Recordings.from_events(events, [0, 1, 2]), config.window_us, duration_us=config.window_us)
 
 
 def columns(windows, i):
@@ -118,7 +118,10 @@ def test_the_exported_pipeline_equals_the_references():
     pipeline, _ = trained_pipeline(windows)
     model = export(pipeline, ("a", "b", "c"), {})
     reference = tnt_reference.Pipeline(
-        pipeline_of(model).classifier, **reference_settings(CONFIG), landmark="regressor", regressor=regressor_of(model)
+        pipeline_of(model).classifier,
+        **reference_settings(CONFIG),
+        landmark="regressor",
+        regressor=torch_regressor(model),
     )
     with torch.no_grad():
         expected = pipeline(windows)
@@ -143,7 +146,7 @@ def test_a_regressor_and_its_landmark_go_together():
     classifier = tnt_reference.Classifier()
     with pytest.raises(ValueError, match="landmark 'regressor' and a `regressor` network go together: got landmark"):
         Pipeline(CONFIG, classifier)
-    with pytest.raises(ValueError, match="only landmark 'regressor' has landmarks of its own, got 'running'"):
+    with pytest.raises(ValueError, match="only landmark 'regressor' has landmarks to compute, got 'running'"):
         Pipeline(TNTConfig(), classifier).landmarks(windows_of(CONFIG))
     with pytest.raises(ValueError, match="`landmarks` must be given with landmark 'regressor', and with no other"):
         BatchVolumes(CONFIG)(windows_of(CONFIG))

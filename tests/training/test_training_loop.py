@@ -10,15 +10,16 @@ torch = pytest.importorskip("torch")
 from async_tnt.config import TNTConfig  # noqa: E402
 from async_tnt.events import EVENT_DTYPE  # noqa: E402
 from async_tnt.networks.model import load_model  # noqa: E402
+from async_tnt.networks.torch_modules import torch_classifier  # noqa: E402
+from async_tnt.progress import Bar  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
-from async_tnt.training.checkpoint import CHECKPOINT, load_checkpoint, save_checkpoint  # noqa: E402
-from async_tnt.training.evaluate import evaluate  # noqa: E402
-from async_tnt.training.networks import export, network_of  # noqa: E402
-from async_tnt.training.pipelines import Pipeline, input_scale, new_pipeline  # noqa: E402
+from async_tnt.training.checkpoint import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
+from async_tnt.training.evaluation import evaluate  # noqa: E402
+from async_tnt.training.loop import train  # noqa: E402
+from async_tnt.training.pipeline import Pipeline, export, input_scale, new_pipeline  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
-from async_tnt.training.train import train  # noqa: E402
-from async_tnt.training.windows import CLASSES, Recordings, lay_windows  # noqa: E402
+from async_tnt.training.windows import CLASSES, Recordings, make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
 
@@ -35,7 +36,7 @@ def bars(n=24, seed=0):
         events["p"] = rng.integers(0, 2, 600)
         recordings.append(events)
         labels.append(k % 2)
-    return lay_windows(Recordings.from_events(recordings, labels), CONFIG.window_us)
+    return make_windows(Recordings.from_events(recordings, labels), CONFIG.window_us)
 
 
 def weights_equal(a, b):
@@ -63,14 +64,14 @@ def test_interrupted_and_resumed_equals_uninterrupted(windows, tmp_path):
     settings = TrainSettings(epochs=3, batch=16, seed=5)
     whole = train(CONFIG, windows, windows[:6], settings, tmp_path / "whole")
 
-    def kill_in_epoch_2(items, title, total):
-        for step, item in enumerate(items):
-            if title == "epoch 2/3" and step == 2:
+    class KilledInEpoch2(Bar):
+        def update(self, n=1, title=None):
+            super().update(n, title)
+            if self.done == 8:  # of 5 steps an epoch
                 raise Killed
-            yield item
 
     with pytest.raises(Killed):
-        train(CONFIG, windows, windows[:6], settings, tmp_path / "cut", progress=kill_in_epoch_2)
+        train(CONFIG, windows, windows[:6], settings, tmp_path / "cut", progress=KilledInEpoch2)
     epochs_run = []
     resumed = train(
         CONFIG,
@@ -103,6 +104,10 @@ def test_a_run_folder_of_other_settings_or_data_is_refused(windows, tmp_path):
         train(CONFIG.replace(t_max=8.0), windows, windows[:0], settings, tmp_path)
     with pytest.raises(ValueError, match="holds a run with other data"):
         train(CONFIG, bars(seed=3), windows[:0], settings, tmp_path)
+    state = torch.load(tmp_path / CHECKPOINT)
+    torch.save({**state, "identity": json.dumps({**json.loads(state["identity"]), "format": 2})}, tmp_path / CHECKPOINT)
+    with pytest.raises(ValueError, match=r"checkpoint.pt was written by another release .* remove it to start again"):
+        train(CONFIG, windows, windows[:0], settings, tmp_path)
     (tmp_path / CHECKPOINT).write_bytes(b"damaged")
     with pytest.raises(ValueError, match=r"not a readable checkpoint .* remove it"):
         train(CONFIG, windows, windows[:0], settings, tmp_path)
@@ -110,8 +115,7 @@ def test_a_run_folder_of_other_settings_or_data_is_refused(windows, tmp_path):
 
 def test_a_damaged_checkpoint_is_not_believed(tmp_path):
     """Any bit: `torch.load` alone takes weights as they come."""
-    zeros = dict.fromkeys(("format", "training_windows", "validation_windows", "data", "classes", "start"), 0)
-    identity = json.dumps({"config": {}, "settings": {}, **zeros})
+    identity = json.dumps({"config": {}, "settings": {}, "format": FORMAT})
     save_checkpoint(tmp_path, {"identity": identity, "history": [], "weights": torch.ones(500)})
     content = (tmp_path / CHECKPOINT).read_bytes()
     rng, n_refused = np.random.default_rng(0), 0
@@ -137,7 +141,7 @@ def test_the_exported_network_takes_raw_volumes(windows, tmp_path):
         scaled = pipeline(windows[:5])
         export(pipeline, CLASSES, {"seed": 1}).save(tmp_path / "m.safetensors")
         model = load_model(tmp_path / "m.safetensors")
-        raw = network_of(model)(volumes)
+        raw = torch_classifier(model)(volumes)
         unscaled = pipeline.classifier(volumes)
     torch.testing.assert_close(raw, scaled, atol=1e-5, rtol=1e-4)
     assert (scaled - unscaled).abs().max() > 1e-3
@@ -166,12 +170,11 @@ def test_iterations_end_the_training_within_an_epoch(windows, tmp_path):
     assert settings.n_epochs(len(windows)) == 2
     steps = []
 
-    def count(items, title, total):
-        for item in items:
+    class Counted(Bar):
+        def update(self, n=1, title=None):
             steps.append(title)
-            yield item
 
-    result = train(CONFIG, windows, windows[:6], settings, tmp_path, progress=count)
+    result = train(CONFIG, windows, windows[:6], settings, tmp_path, progress=Counted)
     assert steps == ["epoch 1/2"] * 5 + ["epoch 2/2"] * 2
     assert [row["iterations"] for row in result.history] == [5, 7]
 
@@ -228,7 +231,7 @@ def test_evaluation_by_hand():
 
     recordings = Recordings.from_events([recording((1, 1), (1, 1), (9, 0)), recording((3, 0), (3, 0), (3, 0))], [1, 0])
     config = TNTConfig(transform="none")
-    found = evaluate(Pipeline(config, CountsOn()), lay_windows(recordings, 105_000), times_ms=(10, 100))
+    found = evaluate(Pipeline(config, CountsOn()), make_windows(recordings, 105_000), times_ms=(10, 100))
     assert found.per_window == pytest.approx(5 / 6)
     np.testing.assert_array_equal(found.confusion, [[3, 0], [1, 2]])
     assert (found.n_windows, found.n_recordings) == (6, 2)
@@ -244,9 +247,9 @@ def test_training_on_starts_where_the_model_ended(windows, tmp_path):
     on = train(CONFIG, windows, windows[:0], still, tmp_path / "on", start=first).last
     for name, weights in first.weights.items():
         np.testing.assert_allclose(on.weights[name], weights, rtol=1e-5, atol=1e-7)
-    anew = train(CONFIG, windows, windows[:0], still, tmp_path / "anew").last
-    assert not np.allclose(anew.weights["fc1.weight"], first.weights["fc1.weight"], atol=1e-4)
+    fresh = train(CONFIG, windows, windows[:0], still, tmp_path / "fresh").last
+    assert not np.allclose(fresh.weights["fc1.weight"], first.weights["fc1.weight"], atol=1e-4)
     with pytest.raises(ValueError, match="holds a run with other start"):
-        train(CONFIG, windows, windows[:0], still, tmp_path / "on", start=anew)
+        train(CONFIG, windows, windows[:0], still, tmp_path / "on", start=fresh)
     with pytest.raises(ValueError, match="`start` must have the configuration and classes of this training"):
         train(CONFIG.replace(t_max=8.0), windows, windows[:0], still, tmp_path / "other", start=first)

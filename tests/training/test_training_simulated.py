@@ -6,10 +6,10 @@ import sys
 import numpy as np
 import pytest
 
-from async_tnt.simulation.samples import FIRST_INDEX as FIRST_SAMPLE
-from async_tnt.training.curves import plot_curves
-from async_tnt.training.simulated import FIRST_INDEX, simulate_recordings
-from async_tnt.training.windows import lay_windows
+from async_tnt.simulation.digits import FIRST_SAMPLE
+from async_tnt.training.digits import FIRST_INDEX, simulate_recordings
+from async_tnt.training.run_files import plot_curves
+from async_tnt.training.windows import make_windows
 
 N_IMAGES = FIRST_INDEX + 4
 
@@ -32,7 +32,7 @@ def test_each_recording_shows_another_image_beyond_the_samples(mnist):
     recordings = simulate_recordings(mnist, 4, seed=0)
     np.testing.assert_array_equal(np.sort(recordings.labels), [1, 2, 3, 4])  # none of the empty ones
     assert FIRST_INDEX > FIRST_SAMPLE + 1_000  # the samples are the first of each digit from there
-    assert len(lay_windows(recordings, 105_000)) == 12
+    assert len(make_windows(recordings, 105_000)) == 12
     for r, label in enumerate(recordings.labels):
         events = slice(recordings.offsets[r], recordings.offsets[r + 1])
         bar = 3 + 5 * label - 2.5 + 3.5  # its centre in the image, and the image's place on the sensor

@@ -7,7 +7,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.training.augment import FINE, Augmentation, unchanged
 from async_tnt.training.batches import BatchVolumes
-from async_tnt.training.windows import Recordings, lay_windows
+from async_tnt.training.windows import Recordings, make_windows
 from async_tnt.volume import TNTVolume
 
 SENSOR = (34, 34)
@@ -42,7 +42,7 @@ def test_a_batch_equals_the_streamed_volumes(changes, first_event):
     config = TNTConfig(**changes)
     events = random_recordings(sensor=config.sensor)
     recordings = Recordings.from_events(events, [0, 1, 2])
-    windows = lay_windows(recordings, config.window_us, first_event=first_event)
+    windows = make_windows(recordings, config.window_us, first_event=first_event)
     batch = BatchVolumes(config)(windows)
     assert batch.shape == (9, *config.shape)
     for k in range(len(windows)):
@@ -58,7 +58,7 @@ def test_a_batch_equals_the_streamed_volumes(changes, first_event):
 def test_a_partial_window_equals_the_streamed_volume_at_that_time():
     config = TNTConfig(landmark="line")
     events = random_recordings()
-    windows = lay_windows(Recordings.from_events(events, [0, 1, 2]), config.window_us)
+    windows = make_windows(Recordings.from_events(events, [0, 1, 2]), config.window_us)
     batch = BatchVolumes(config)(windows, unchanged(len(windows), config, until_us=40_000))
     volume = TNTVolume(config)
     volume.open(0)
@@ -69,7 +69,7 @@ def test_a_partial_window_equals_the_streamed_volume_at_that_time():
 
 def test_a_moved_start_takes_in_the_neighbouring_windows_events():
     config = TNTConfig(transform="none")
-    windows = lay_windows(Recordings.from_events(random_recordings(1), [0]), config.window_us)
+    windows = make_windows(Recordings.from_events(random_recordings(1), [0]), config.window_us)
     draws = Augmentation(5.0, 0, 0, 0, 0, 0, 0).draw(3, config, np.random.default_rng(1))
     draws.start_us[:] = -4_000, 5_000, 2_345
     moved = BatchVolumes(config)(windows, draws).copy()
@@ -88,7 +88,7 @@ def one_event(x, y):
 def test_places_by_hand(field, value, place):
     """An event at (20, 10), that is (3.5, -6.5) from the centre (16.5, 16.5)."""
     config = TNTConfig(transform="none")
-    windows = lay_windows(Recordings.from_events([one_event(20, 10)], [0]), config.window_us)
+    windows = make_windows(Recordings.from_events([one_event(20, 10)], [0]), config.window_us)
     draws = Augmentation(0, 0, 0, 0, 0, 0, 0).draw(1, config, np.random.default_rng(0))
     matrix = draws.matrix[0]
     centre = FINE * 16.5
@@ -109,7 +109,7 @@ def test_places_by_hand(field, value, place):
 
 def test_augmentation_of_nothing_changes_nothing():
     config = TNTConfig(landmark="running", t_max=2.0)
-    windows = lay_windows(Recordings.from_events(random_recordings(), [0, 1, 2]), config.window_us)
+    windows = make_windows(Recordings.from_events(random_recordings(), [0, 1, 2]), config.window_us)
     plain = BatchVolumes(config)(windows)
     draws = Augmentation(0, 0, 0, 0, 0, 0, 0).draw(len(windows), config, np.random.default_rng(0))
     np.testing.assert_allclose(BatchVolumes(config)(windows, draws), plain, atol=1e-5)
@@ -118,7 +118,7 @@ def test_augmentation_of_nothing_changes_nothing():
 def test_thinning_keeps_the_drawn_share():
     config = TNTConfig(transform="none", polarity="unsigned")
     recordings = Recordings.from_events(random_recordings(1, 60_000), [0])
-    windows = lay_windows(recordings, config.window_us)
+    windows = make_windows(recordings, config.window_us)
     n_all = BatchVolumes(config)(windows).sum((1, 2, 3), dtype=np.float64)
     draws = unchanged(3, config)
     draws.keep[:] = 0.0, 0.25, 0.7

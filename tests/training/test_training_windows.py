@@ -5,8 +5,8 @@ import pytest
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.nmnist import write_nmnist
-from async_tnt.training.simulated import FIRST_INDEX, read_samples
-from async_tnt.training.windows import Recordings, lay_windows, read_folder, split_recordings
+from async_tnt.training.digits import FIRST_INDEX, read_nmnist_folder, read_samples
+from async_tnt.training.windows import Recordings, make_windows, split_recordings
 
 
 def recording(times_us, x=5):
@@ -24,13 +24,13 @@ def write_folder(folder, n=3):
 
 
 def test_a_folder_is_read_in_order_with_its_labels(tmp_path):
-    recordings = read_folder(write_folder(tmp_path))
+    recordings = read_nmnist_folder(write_folder(tmp_path))
     assert recordings.names[:4] == ("0/00000.bin", "0/00001.bin", "0/00002.bin", "4/00000.bin")
     np.testing.assert_array_equal(recordings.labels, [0, 0, 0, 4, 4, 4])
     np.testing.assert_array_equal(recordings.offsets, [0, 2, 4, 6, 8, 10, 12])
     np.testing.assert_array_equal(recordings.x, np.repeat([0, 1, 2, 4, 5, 6], 2))
     np.testing.assert_array_equal(recordings.t[:4], [0, 120_000, 1_000, 120_000])
-    assert len(read_folder(tmp_path, per_digit=1)) == 2
+    assert len(read_nmnist_folder(tmp_path, per_digit=1)) == 2
 
 
 def test_a_damaged_file_is_refused_by_name_or_left_out_by_name(tmp_path):
@@ -38,32 +38,32 @@ def test_a_damaged_file_is_refused_by_name_or_left_out_by_name(tmp_path):
     with (folder / "4" / "00001.bin").open("ab") as file:
         file.write(b"\x01")
     with pytest.raises(ValueError, match=r"4/00001.bin: damaged .* --skip-damaged"):
-        read_folder(folder)
+        read_nmnist_folder(folder)
     with pytest.warns(UserWarning, match=r"left out: .*4/00001.bin"):
-        recordings = read_folder(folder, skip_damaged=True)
+        recordings = read_nmnist_folder(folder, skip_damaged=True)
     assert "4/00001.bin" not in recordings.names and len(recordings) == 5
     np.testing.assert_array_equal(recordings.labels, [0, 0, 0, 4, 4])
 
 
 def test_a_missing_or_empty_folder_is_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere.*<digit>/<number>.bin"):
-        read_folder(tmp_path / "nowhere")
+        read_nmnist_folder(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="no recordings; expected N-MNIST's layout"):
-        read_folder(tmp_path)
+        read_nmnist_folder(tmp_path)
 
 
 def test_windows_from_zero_and_from_the_first_event():
     recordings = Recordings.from_events(
         [recording([2_000, 104_999, 105_000, 316_000]), recording([]), recording([212_000])], [1, 2, 3]
     )
-    from_zero = lay_windows(recordings, 105_000)
+    from_zero = make_windows(recordings, 105_000)
     np.testing.assert_array_equal(from_zero.recording, [0, 0, 2])  # none of 0's between 210 and 315 ms
     np.testing.assert_array_equal(from_zero.start_us, [0, 105_000, 210_000])
     np.testing.assert_array_equal(from_zero.labels, [1, 1, 3])
-    from_first = lay_windows(recordings, 105_000, first_event=True)
+    from_first = make_windows(recordings, 105_000, first_event=True)
     np.testing.assert_array_equal(from_first.recording, [0, 0, 2])
     np.testing.assert_array_equal(from_first.start_us, [2_000, 212_000, 212_000])
-    assert len(lay_windows(recordings, 400_000, which=[0])) == 1
+    assert len(make_windows(recordings, 400_000, which=[0])) == 1
 
 
 def test_recordings_add_up():
@@ -98,5 +98,5 @@ def test_a_split_is_by_recording_and_even_over_the_classes():
 def test_the_samples_are_ten_digits_of_images_that_training_leaves_out():
     samples = read_samples()
     np.testing.assert_array_equal(samples.labels, range(10))
-    assert len(lay_windows(samples, 105_000)) == 30
+    assert len(make_windows(samples, 105_000)) == 30
     assert FIRST_INDEX == 5_000

@@ -238,7 +238,7 @@ def open_recording(
 def sample_recordings() -> dict[int, Path]:
     """The bundled recordings, digit -> path: one simulated N-MNIST-like recording of each digit.
 
-    See `async_tnt.simulation.samples` for how they were made.
+    `async_tnt.simulation.write_samples` made them.
     """
     folder = Path(str(files("async_tnt") / "assets" / "samples"))
     return {int(path.stem): path for path in sorted(folder.glob("[0-9].bin"))}

@@ -1,17 +1,15 @@
-"""The parts that training on own classes adds: balance, patience, windows to the recording's end, the split."""
+"""Parts of training on small and uneven data sets: balance, patience, settings, windows, the split."""
 
 import numpy as np
 import pytest
 from made import events_of
-from own_classes.gestures import write
 
 from async_tnt.archive.scores import score_recordings
 from async_tnt.archive.streamed import decided_at
 from async_tnt.config import MAX_SIDE, TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.training.augment import FINE, Augmentation, fineness
-from async_tnt.training.dataset import read_classes
-from async_tnt.training.windows import Recordings, lay_windows, split_recordings
+from async_tnt.training.windows import Recordings, make_windows, split_recordings
 
 
 def recording(times_us):
@@ -20,7 +18,7 @@ def recording(times_us):
 
 def test_windows_reach_to_the_recordings_last_event():
     events = [recording([3, 102, 103, 2_000_000_003]), recording([50]), recording([])]
-    windows = lay_windows(Recordings.from_events(events, [0, 1, 1]), 100, first_event=True, duration_us=None)
+    windows = make_windows(Recordings.from_events(events, [0, 1, 1]), 100, first_event=True, duration_us=None)
     np.testing.assert_array_equal(windows.recording, [0, 0, 0, 1])
     np.testing.assert_array_equal(windows.start_us, [3, 103, 2_000_000_003, 50])
 
@@ -58,32 +56,28 @@ def test_scores_by_hand():
 
 
 def test_every_class_is_shown_equally_often_and_every_window_in_turn():
-    epoch = pytest.importorskip("async_tnt.training.epoch", reason="needs torch", exc_type=ImportError)
+    train = pytest.importorskip("async_tnt.training.loop", reason="needs torch", exc_type=ImportError)
     labels = np.array([0] * 90 + [1] * 7 + [2] * 3)
-    order = epoch.balanced_order(labels, np.random.default_rng(1))
+    order = train.balanced_order(labels, np.random.default_rng(1))
     assert len(order) == 100
     assert sorted(np.bincount(labels[order])) == [33, 33, 34]
     shown = np.bincount(order, minlength=100)
     assert shown[:90].max() == 1 and np.ptp(shown[90:97]) <= 1 and np.ptp(shown[97:]) <= 1
-    again, other = (epoch.balanced_order(labels, np.random.default_rng(seed)) for seed in (1, 2))
+    again, other = (train.balanced_order(labels, np.random.default_rng(seed)) for seed in (1, 2))
     np.testing.assert_array_equal(order, again)
     assert not np.array_equal(order, other)
 
 
-def test_an_epoch_of_training_sees_every_class_equally_often(tmp_path):
-    train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
+def test_an_epoch_of_training_shows_every_class_equally_often():
+    train = pytest.importorskip("async_tnt.training.loop", reason="needs torch", exc_type=ImportError)
     events = [recording([1_000 * k, 50_000]) for k in range(12)]
-    windows = lay_windows(Recordings.from_events(events, [0] * 9 + [1] * 3), 105_000)
+    windows = make_windows(Recordings.from_events(events, [0] * 9 + [1] * 3), 105_000)
     seen = {True: [], False: []}
     for balance, labels in seen.items():
-
-        def note(batches, title, total, labels=labels):
-            for some, draws in batches:
-                labels += some.labels.tolist()
-                yield some, draws
-
         settings = train.TrainSettings(epochs=2, batch=4, balance=balance)
-        train.train(TNTConfig(), windows, windows[:0], settings, tmp_path / str(balance), progress=note)
+        for epoch in range(2):
+            for some, _ in train.batches_of(TNTConfig(), windows, settings, epoch):
+                labels += some.labels.tolist()
     assert np.bincount(seen[True]).tolist() == [12, 12] and np.bincount(seen[False]).tolist() == [18, 6]
 
 
@@ -95,21 +89,13 @@ def test_a_moment_knows_the_events_before_it_and_no_others():
     assert decided_at(window, [4, 5, 10, 11, 25, 26]) == [-1, 0, 0, 1, 1, 2]
 
 
-def test_events_older_than_the_first_are_left_out_and_the_others_put_in_order(tmp_path):
-    for k, name in enumerate("ab"):
-        write(tmp_path / name / "1.npz", recording([500, 520 + k, 510, 499]), sensor=(9, 9))
-    own = read_classes(tmp_path)
-    np.testing.assert_array_equal(own.recordings.t, [0, 10, 20, 0, 10, 21])
-    assert own.sensor == (9, 9) and own.recordings.names == ("a/1.npz", "b/1.npz")
-
-
 def test_patience_ends_the_training_and_the_best_epoch_has_the_lowest_loss(tmp_path, monkeypatch):
-    train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
+    train = pytest.importorskip("async_tnt.training.loop", reason="needs torch", exc_type=ImportError)
     losses = iter([3.0, 1.0, 2.0, 1.5, 0.5])
     monkeypatch.setattr(train, "_validate", lambda *words, **more: {"validation_loss": next(losses), "per_window": 0.5})
     rng = np.random.default_rng(0)
     events = [recording(np.sort(rng.integers(0, 100_000, 50))) for _ in range(4)]
-    windows = lay_windows(Recordings.from_events(events, [0, 1, 0, 1]), 105_000, first_event=True, duration_us=None)
+    windows = make_windows(Recordings.from_events(events, [0, 1, 0, 1]), 105_000, first_event=True, duration_us=None)
     settings = train.TrainSettings(epochs=5, batch=4, patience=2, balance=True)
     result = train.train(TNTConfig(), windows, windows, settings, tmp_path, classes=("a", "b"))
     assert len(result.history) == 4 and result.best_epoch == 2
@@ -122,9 +108,19 @@ def test_patience_ends_the_training_and_the_best_epoch_has_the_lowest_loss(tmp_p
 
 
 def test_a_rare_class_counts_as_much_in_the_validation_loss(monkeypatch):
-    train = pytest.importorskip("async_tnt.training.train", reason="needs torch", exc_type=ImportError)
-    windows = lay_windows(Recordings.from_events([recording([1])] * 4, [0, 0, 0, 1]), 105_000)
+    train = pytest.importorskip("async_tnt.training.loop", reason="needs torch", exc_type=ImportError)
+    windows = make_windows(Recordings.from_events([recording([1])] * 4, [0, 0, 0, 1]), 105_000)
     probabilities = np.array([[0.5, 0.5]] * 3 + [[0.75, 0.25]])
     monkeypatch.setattr(train, "class_probabilities", lambda *words: probabilities)
     balanced, plain = (train._validate(None, windows, balance=b)["validation_loss"] for b in (True, False))
     assert balanced == pytest.approx((np.log(2) + np.log(4)) / 2) and plain == pytest.approx(1.25 * np.log(2))
+
+
+def test_every_public_name_is_there():
+    pytest.importorskip("torch")
+    import async_tnt.training
+
+    for name in async_tnt.training.__all__:
+        assert getattr(async_tnt.training, name).__name__ == name
+    with pytest.raises(AttributeError, match=r"module 'async_tnt.training' has no attribute 'x'"):
+        _ = async_tnt.training.x

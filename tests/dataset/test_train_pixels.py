@@ -1,4 +1,4 @@
-"""`async-tnt train DATASET` with --roi, --crop and --mask: as if what they leave out had never been recorded."""
+"""`async-tnt train DATASET` with --roi, --crop and --mask: as if the other events had never been recorded."""
 
 import hashlib
 import json
@@ -6,7 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from own_classes.gestures import bar, write
+from dataset.gestures import bar, write
 
 from async_tnt.networks.model import load_model
 from async_tnt.sources.pixel_filter import PixelFilter
@@ -15,8 +15,8 @@ from async_tnt.sources.pixel_selection import PixelSelection
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
-from async_tnt.training import dataset_run as own_run
-from async_tnt.training.dataset import read_classes
+from async_tnt.cli import train as command
+from async_tnt.training.dataset import read_dataset
 
 QUICK = ("--epochs", "2", "--batch", "4", "--patience", "0")
 SIZE = (64, 64)
@@ -35,7 +35,7 @@ def mask_of(size, pixels=HOT, corner=(0, 0)):
 def recorded(kind, seed):
     """A bar at 64x64 and two pixels that fire all the time; the file begins with one of their events from the middle.
 
-    So whoever drops what is older than the first event before the hot pixels are left out drops half of the bar.
+    Dropping what is older than the first event before the hot pixels are removed would drop half of the bar.
     """
     events = bar(kind, seed, side=64, n=600, start_us=5_000)
     events = events[~mask_of(SIZE)[events["y"], events["x"]]]
@@ -106,11 +106,11 @@ def test_the_weights_are_those_of_recordings_without_these_events(name, models):
     assert any((clean.weights[w] != disturbed.weights[w]).any() for w in clean.weights)
 
 
-def test_the_record_says_what_was_seen(models, sets):
+def test_the_record_has_the_selected_pixels(models, sets):
     assert "pixels" not in load_model(models["clean"]).record["data"]
-    told = load_model(models["large"]).record
+    record = load_model(models["large"]).record
     mask = np.load(sets / "large.npy")
-    assert told["data"]["pixels"] == {
+    assert record["data"]["pixels"] == {
         "roi": [30, 10, 64, 64],
         "crop": True,
         "masked_pixels": 2,
@@ -119,31 +119,31 @@ def test_the_record_says_what_was_seen(models, sets):
         "left_out_outside": 7500,
         "left_out_masked": 9000,
     }
-    assert told["data"]["sensor"] == [64, 64]
-    assert " --roi 30,10,64,64 --crop " in told["command"] and told["command"].endswith(" --mask MASK")
+    assert record["data"]["sensor"] == [64, 64]
+    assert " --roi 30,10,64,64 --crop " in record["command"] and record["command"].endswith(" --mask MASK")
     beside = json.loads(models["large"].with_suffix(".json").read_text())
-    assert beside["summary"]["data"]["pixels"] == told["data"]["pixels"]
+    assert beside["summary"]["data"]["pixels"] == record["data"]["pixels"]
 
 
-def test_it_says_on_the_way_how_much_is_left_out(sets, chosen, train):
-    code, _, told, _ = train(sets / "hot", *chosen["hot"])
-    assert code == 0 and "left out of the recordings: 9,000 of masked pixels\n" in told
+def test_the_number_of_left_out_events_is_printed(sets, chosen, train):
+    code, _, err, _ = train(sets / "hot", *chosen["hot"])
+    assert code == 0 and "events left out of the recordings: 9,000 of masked pixels\n" in err
     assert "left out" not in train(sets / "clean", name="clean")[2]
 
 
 def test_such_a_model_is_evaluated_and_run_with_the_same_options(models, sets, chosen, program):
     reports = []
     for name in ("clean", "large"):
-        code, printed, told = program("evaluate", models[name], sets / name, "--json", *chosen[name])
-        assert code == 0 and told == ""
+        code, printed, err = program("evaluate", models[name], sets / name, "--json", *chosen[name])
+        assert code == 0 and err == ""
         report = json.loads(printed)
         report.pop("pixels", None)
         reports.append({k: v for k, v in report.items() if not k.endswith("_per_second") and k != "seconds"})
     assert reports[0] == reports[1] and reports[0]["recordings"] == 10
     words = "run", "--model", models["large"], sets / "large" / "flat" / "0.npz"
     assert program(*words, *chosen["large"])[0] == 0
-    code, _, told = program(*words)
-    assert code == 2 and "the model is for 64x64" in told and "--roi X,Y,64,64 --crop" in told
+    code, _, err = program(*words)
+    assert code == 2 and "the model is for 64x64" in err and "--roi X,Y,64,64 --crop" in err
 
 
 def test_a_region_alone_and_a_region_without_crop(sets, tmp_path, train):
@@ -157,9 +157,9 @@ def test_a_region_alone_and_a_region_without_crop(sets, tmp_path, train):
     assert all((got.weights[name] == weights).all() for name, weights in expected.weights.items())
 
 
-def test_the_test_folder_is_seen_through_the_same_pixels(sets, chosen, tmp_path, train, monkeypatch):
-    """Event by event: two models that decide alike may have seen something else."""
-    from async_tnt.training import evaluate as evaluation
+def test_the_test_folder_is_reduced_to_the_same_pixels(sets, chosen, tmp_path, train, monkeypatch):
+    """Event by event: two models with the same decisions may have seen something else."""
+    from async_tnt.training import evaluation
 
     evaluate, seen = evaluation.evaluate, []
 
@@ -174,8 +174,8 @@ def test_the_test_folder_is_seen_through_the_same_pixels(sets, chosen, tmp_path,
             shutil.copytree(sets / name, tmp_path / name / part)
         for path in (tmp_path / name / "Test").rglob("*.csv"):
             path.unlink()
-        code, _, told, out = train(tmp_path / name, "--test", *chosen[name], name=name)
-        assert code == 0, told
+        code, _, err, out = train(tmp_path / name, "--test", *chosen[name], name=name)
+        assert code == 0, err
         tests.append(load_model(out).record["test"])
     assert tests[0] == tests[1] and tests[0]["recordings"] == 6
     of_clean, of_large = seen[1], seen[3]  # after those of the held-out recordings
@@ -184,8 +184,8 @@ def test_the_test_folder_is_seen_through_the_same_pixels(sets, chosen, tmp_path,
         np.testing.assert_array_equal(getattr(of_large, name), getattr(of_clean, name))
 
 
-def test_the_test_folder_need_not_say_the_sensor_again(sets, tmp_path, train):
-    """The recordings trained on have said it: the region is cut out of theirs, and a .bin is of it."""
+def test_the_test_folder_need_not_state_the_sensor_again(sets, tmp_path, train):
+    """It is that of the recordings to train on, also for a .bin."""
     for path in (sets / "large").glob("*/*.npz"):
         (tmp_path / "set" / "Train" / path.parent.name).mkdir(parents=True, exist_ok=True)
         shutil.copy(path, tmp_path / "set" / "Train" / path.parent.name)
@@ -193,26 +193,17 @@ def test_the_test_folder_need_not_say_the_sensor_again(sets, tmp_path, train):
         for suffix in (".csv", ".bin"):
             events = events[100:]  # so that they are no copies of each other
             write(tmp_path / "set" / "Test" / path.parent.name / f"{path.stem}{suffix}", events)
-    code, _, told, out = train(tmp_path / "set", "--roi", "30,10,64,64", "--crop", "--test")
-    assert code == 0, told
+    code, _, err, out = train(tmp_path / "set", "--roi", "30,10,64,64", "--crop", "--test")
+    assert code == 0, err
     record = load_model(out).record["test"]
     assert record["recordings"] == 12 and record["left_out"] == []
 
 
-def test_the_mask_says_the_sensor_of_silent_recordings_and_bins(sets, tmp_path):
-    """As `--sensor` does, also where their events would fit a smaller one."""
-    for k, suffix in enumerate((".csv", ".npy", ".bin", ".csv")):
-        write(tmp_path / "ab"[k % 2] / f"{k}{suffix}", bar("flat", k, side=30, n=50))
-    for pixels in (PixelSelection(mask=np.zeros((90, 120), bool)), PixelSelection((1, 1, 90, 80), True, None, CAMERA)):
-        own = read_classes(tmp_path, pixels=pixels)
-        assert own.camera == CAMERA and own.sensor == (pixels.region or CAMERA) and len(own.recordings) == 4
-
-
-def test_a_region_is_cut_out_of_silent_recordings_by_the_others_sensor(sets):
-    """Half of the set is CSV. As if `--sensor` had said it; also where the first one read is silent."""
+def test_a_region_is_cropped_from_recordings_that_do_not_state_their_sensor(sets):
+    """Half of the set is CSV. As if `--sensor` had given that of the others."""
     for roi in ((30, 10, 64, 64), (0, 0, 100, 90)):
         got, expected = (
-            read_classes(sets / "large", pixels=PixelSelection(roi, True, None, sensor)) for sensor in (None, CAMERA)
+            read_dataset(sets / "large", pixels=PixelSelection(roi, True, None, sensor)) for sensor in (None, CAMERA)
         )
         assert got.recordings.names == expected.recordings.names and got.left_out_events == expected.left_out_events
         np.testing.assert_array_equal(got.recordings.x, expected.recordings.x)
@@ -222,13 +213,13 @@ def test_events_of_recordings_that_are_left_out_do_not_count(sets, tmp_path):
     mask = mask_of(SIZE)
     expected = {"left_out_masked": 9000}
     folder = shutil.copytree(sets / "hot", tmp_path / "set")
-    assert read_classes(folder, pixels=PixelSelection(mask=mask)).left_out_events == expected
+    assert read_dataset(folder, pixels=PixelSelection(mask=mask)).left_out_events == expected
     _, hot = recorded("flat", 0)
     shutil.copy(folder / "flat" / "0.npz", folder / "flat" / "copy.npz")
     write(folder / "flat" / "still.npz", hot[mask[hot["y"], hot["x"]]], sensor=SIZE)
-    own = read_classes(folder, pixels=PixelSelection(mask=mask))
-    assert own.left_out_events == expected and len(own.left_out) == 2
-    assert read_classes(folder).left_out_events == {}
+    dataset = read_dataset(folder, pixels=PixelSelection(mask=mask))
+    assert dataset.left_out_events == expected and len(dataset.left_out) == 2
+    assert read_dataset(folder).left_out_events == {}
 
 
 def test_another_selection_is_another_run(sets, chosen, tmp_path, train, monkeypatch):
@@ -236,64 +227,53 @@ def test_another_selection_is_another_run(sets, chosen, tmp_path, train, monkeyp
     save_mask(mask, mask_of(SIZE))
     assert train(sets / "hot", "--mask", mask)[0] == 0
     assert train(sets / "hot", *chosen["hot"])[0] == 0  # the same mask by another name
-    monkeypatch.setattr(own_run, "read_classes", lambda *given, **more: pytest.fail("the recordings were read"))
+    monkeypatch.setattr(command, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
     save_mask(mask, mask_of(SIZE, HOT[:1]))
     run = tmp_path / "run m"
     for words, what in (
         (("--mask", mask), "mask"),
         ((), "mask"),
         (("--mask", sets / "hot.npy", "--roi", "0,0,64,50"), "roi"),
-        (("--mask", sets / "hot.npy", "--roi", "0,0,50,64", "--crop"), "roi, crop"),
+        (("--mask", sets / "hot.npy", "--roi", "0,0,50,64", "--crop"), "crop, roi"),
         (("--mask", sets / "large.npy"), "mask"),
         (("--mask", sets / "large.npy", "--sensor", "120x90"), "mask, sensor"),
         (("--mask", mask, "--seed", "3"), "mask, seed"),
     ):
-        code, _, told, _ = train(sets / "hot", *words)
-        assert code == 2 and told.startswith(f"async-tnt: {run} holds a run with other {what}; give another"), told
-        assert told.count("\n") == 1
+        code, _, err, _ = train(sets / "hot", *words)
+        assert code == 2 and err.startswith(f"async-tnt: {run} holds a run with other {what}; give another"), err
+        assert err.count("\n") == 1
 
 
 def test_a_moved_region_is_named_as_such(sets, tmp_path, train):
     words = ("--crop", "--mask", sets / "large.npy")
     assert train(sets / "large", "--roi", "30,10,64,64", *words)[0] == 0
     for roi in ("31,10,64,64", "30,10,66,64"):  # of another size or not
-        code, _, told, _ = train(sets / "large", "--roi", roi, *words)
-        assert code == 2 and "holds a run with other roi; give another" in told, told
-    code, _, told, _ = train(sets / "large", *words[1:])
-    assert code == 2 and "holds a run with other roi, crop; give another" in told, told
-
-
-def test_a_run_from_before_there_were_selections_goes_on(sets, tmp_path, train):
-    assert train(sets / "clean")[0] == 0
-    note = tmp_path / "run m" / "recordings.json"
-    noted = json.loads(note.read_text())
-    assert noted.pop("pixels") == {}
-    note.write_text(json.dumps(noted))
-    assert train(sets / "clean")[0] == 0
-    code, _, told, _ = train(sets / "clean", "--roi", "0,0,64,50")
-    assert code == 2 and "other roi;" in told
+        code, _, err, _ = train(sets / "large", "--roi", roi, *words)
+        assert code == 2 and "holds a run with other roi; give another" in err, err
+    code, _, err, _ = train(sets / "large", *words[1:])
+    assert code == 2 and "holds a run with other crop, roi; give another" in err, err
 
 
 def test_training_on_with_the_same_or_another_region(models, sets, chosen, train):
-    code, _, told, out = train(sets / "large", "--start-from", models["clean"], *chosen["large"], name="on")
-    assert code == 0 and load_model(out).config == load_model(models["clean"]).config, told
+    code, _, err, out = train(sets / "large", "--start-from", models["clean"], *chosen["large"], name="on")
+    assert code == 0 and load_model(out).config == load_model(models["clean"]).config, err
     wrong = ("--start-from", models["clean"], "--roi", "30,10,60,60", "--crop")
-    code, _, told, _ = train(sets / "large", *wrong, name="wrong")
-    assert code == 2 and "is for 64x64 pixels, got a region of 60x60" in told
-    code, _, told, _ = train(sets / "hot", "--start-from", models["clean"], *chosen["hot"], name="hot")
-    assert code == 0, told
-    code, _, told, _ = train(
+    code, _, err, _ = train(sets / "large", *wrong, name="wrong")
+    assert code == 2 and "is for 64x64 pixels, got a region of 60x60" in err
+    code, _, err, _ = train(sets / "hot", "--start-from", models["clean"], *chosen["hot"], name="hot")
+    assert code == 0, err
+    code, _, err, _ = train(
         sets / "hot", "--start-from", models["clean"], "--mask", sets / "large.npy", name="other mask"
     )
-    assert code == 2 and "a mask of a 64x64 sensor must be" in told and told.count("\n") == 1
+    assert code == 2 and "a mask of a 64x64 sensor must be" in err and err.count("\n") == 1
 
 
 def test_a_recording_of_which_nothing_is_left_is_named(sets, tmp_path, train):
     folder = shutil.copytree(sets / "hot", tmp_path / "set")
     _, hot = recorded("flat", 0)
     write(folder / "flat" / "still.npz", hot[mask_of(SIZE)[hot["y"], hot["x"]]], sensor=SIZE)
-    code, _, told, _ = train(folder, "--mask", sets / "hot.npy")
-    assert code == 0 and told.count("left out: flat/still.npz: no events at the pixels that are not left out") == 2
+    code, _, err, _ = train(folder, "--mask", sets / "hot.npy")
+    assert code == 0 and err.count("left out: flat/still.npz: no events at the selected pixels") == 2
 
 
 @pytest.mark.parametrize(
@@ -302,26 +282,23 @@ def test_a_recording_of_which_nothing_is_left_is_named(sets, tmp_path, train):
         (("SET", "--crop"), "--crop belongs to --roi"),
         (("SET", "--roi", "40,40,1,1", "--crop"), "the region is the model's sensor and must have sides of at least 2"),
         (("SET", "--mask", "no_such.npy"), "no_such.npy: No such file"),
-        (
-            ("SET", "--mask", "HOT"),
-            ": hot.npy is a mask of 64x64, but the recordings that state their sensor say 120x90 (flat/0.npz and 5",
-        ),
+        (("SET", "--mask", "HOT"), "hot.npy: a mask of a 120x90 sensor must be"),
         (("SET", "--mask", "HOT", "--sensor", "120x90"), "a mask of 64x64 pixels, but the camera's are given as"),
         (("SET", "--roi", "100,0,64,64", "--crop"), "must lie on the sensor of 120x90 pixels"),
         (("SET", "--roi", "0,0,1,64", "--crop", "--mask", "LARGE"), "sides of at least 2 pixels, got 1x64"),
         (("--smoke", "--roi", "0,0,3,3"), "--roi must come with DATASET"),
         (("--smoke", "--mask", "HOT"), "--mask must come with DATASET"),
-        (("SILENT", "--roi", "0,0,64,64", "--crop"), "does not say the camera's pixels, which --crop needs"),
-        (("SILENT", "--roi", "0,0,50,50"), "does not say the camera's pixels, which --roi needs"),
-        (("SILENT", "--mask", "HOT"), "flat/1.csv: every event must lie on the 64x64 sensor, got x = "),
+        (("SILENT", "--roi", "0,0,64,64", "--crop"), "no recording states its sensor; give --sensor WxH"),
+        (("SILENT", "--mask", "HOT"), "no recording states its sensor; give --sensor WxH"),
+        (("SILENT", "--mask", "HOT", "--sensor", "64x64"), "flat/1.csv: every event must lie on the 64x64 sensor, got"),
     ],
 )
-def test_what_cannot_be_is_one_line(words, text, sets, tmp_path, program, monkeypatch):
+def test_errors_are_one_line(words, text, sets, tmp_path, program, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for path in (sets / "large").rglob("*.csv"):
         (tmp_path / "silent" / path.parent.name).mkdir(parents=True, exist_ok=True)
         shutil.copy(path, tmp_path / "silent" / path.parent.name)
     known = {"SET": sets / "large", "SILENT": "silent", "HOT": sets / "hot.npy", "LARGE": sets / "large.npy"}
-    code, printed, told = program("train", *(known.get(word, word) for word in words))
-    assert code == 2 and text in told and told.count("\n") == 1 and printed == "", told
+    code, printed, err = program("train", *(known.get(word, word) for word in words))
+    assert code == 2 and text in err and err.count("\n") == 1 and printed == "", err
     assert not (tmp_path / "model.safetensors").exists() and not (tmp_path / "runs").exists()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -15,13 +15,13 @@ from torch.nn import functional as F
 
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
+from async_tnt.progress import Bar, no_progress
+from async_tnt.training.augment import Draws
 from async_tnt.training.checkpoint import identity_of, load_checkpoint, save_checkpoint
-from async_tnt.training.epoch import batches_of
-from async_tnt.training.evaluate import accuracy_by_recording, class_probabilities
-from async_tnt.training.networks import export, pipeline_before_export
-from async_tnt.training.pipelines import Pipeline, new_pipeline
+from async_tnt.training.evaluation import class_probabilities, confusion_by_recording, share_right
+from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.windows import CLASSES, Progress, Windows, no_progress
+from async_tnt.training.windows import CLASSES, Windows
 
 
 @dataclass(frozen=True)
@@ -43,27 +43,29 @@ def train(
     *,
     classes: tuple[str, ...] = CLASSES,
     start: Model | None = None,
-    progress: Progress = no_progress,
+    sources: Mapping[str, Any] | None = None,
+    progress: Callable[..., Bar] = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
     device: str | None = None,
 ) -> TrainResult:
     """Train the thesis' classifier.
 
-    After each epoch a checkpoint goes into the run folder; a run that finds one there goes on from it and
-    ends with the same weights as if it had never stopped, for all randomness is drawn from (seed, epoch).
+    After each epoch a checkpoint goes into the run folder. A run that finds one there resumes from it and ends with
+    the same weights as if it had never stopped, as all randomness is drawn from (seed, epoch).
 
     Parameters
     ----------
     config : how events become volumes.
     training : windows to learn from.
-    validation : windows that choose the best epoch (the later of equals); may be empty: then it is the last, and
-        no patience runs out.
+    validation : windows that choose the best epoch (the later of equals). May be empty: then the last epoch is the
+        best, and patience has no effect.
     run_folder : for checkpoint and history; made if missing.
     classes : names, one for each label from 0 on.
-    start : a model to train on from; None starts with random weights.
-    progress : shows each epoch's steps.
+    start : a model to continue from; None starts with random weights.
+    sources : kept in the checkpoint, so that `check_run` can compare it before any data is read.
+    progress : makes the progress bar, which counts optimizer steps.
     report : called with the history's new row after each epoch, when its checkpoint is written.
-    device : of torch; a GPU where torch sees one, else the CPU.
+    device : of torch; by default a GPU where torch finds one, else the CPU.
 
     Raises
     ------
@@ -103,50 +105,89 @@ def train(
     steps = math.ceil(len(training) / settings.batch)
     n_iterations = settings.n_iterations(len(training))
     n_epochs = settings.n_epochs(len(training))
-    for epoch in range(len(history), n_epochs):
-        if settings.patience is not None and epochs_since_best(history) >= settings.patience:
-            break
-        pipeline.train()
-        total_loss, right, seen = 0.0, 0, 0
-        here = min(steps, n_iterations - epoch * steps)
-        batches = islice(batches_of(config, training, settings, epoch), here)
-        for step, (windows, draws) in enumerate(progress(batches, f"epoch {epoch + 1}/{n_epochs}", here)):
-            _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
-            target = torch.from_numpy(windows.labels).to(device)
-            with torch.autocast(device, torch.bfloat16, enabled=settings.precision == "bfloat16"):
-                logits = pipeline(windows, draws)
-            loss = F.cross_entropy(logits, target, label_smoothing=settings.label_smoothing)
-            optimizer.zero_grad(set_to_none=True)
-            loss.backward()
-            optimizer.step()
-            total_loss += loss.item() * len(windows)
-            right += int((logits.argmax(1) == target).sum())
-            seen += len(windows)
-        row = {
-            "epoch": epoch + 1,
-            "iterations": epoch * steps + here,
-            "loss": total_loss / seen,
-            "training": right / seen,
-        }
-        row.update(_validate(pipeline, validation, balance=settings.balance))
-        history.append(row)
-        if _is_best(history, by_loss=settings.patience is not None):
-            best_epoch = epoch + 1
-            best = {name: w.detach().clone() for name, w in pipeline.state_dict().items()}
-        checkpoint = {
-            "identity": identity,
-            "pipeline": pipeline.state_dict(),
-            "optimizer": optimizer.state_dict(),
-            "history": history,
-            "best": best,
-            "best_epoch": best_epoch,
-        }
-        save_checkpoint(run_folder, checkpoint)
-        report(row)
+    with progress(n_iterations, "training", done=len(history) * steps) as bar:
+        for epoch in range(len(history), n_epochs):
+            if settings.patience is not None and epochs_since_best(history) >= settings.patience:
+                break
+            pipeline.train()
+            total_loss, n_right, n_seen = 0.0, 0, 0
+            n_steps = min(steps, n_iterations - epoch * steps)
+            for step, (windows, draws) in enumerate(islice(batches_of(config, training, settings, epoch), n_steps)):
+                _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
+                target = torch.from_numpy(windows.labels).to(device)
+                with torch.autocast(device, torch.bfloat16, enabled=settings.precision == "bfloat16"):
+                    logits = pipeline(windows, draws)
+                loss = F.cross_entropy(logits, target, label_smoothing=settings.label_smoothing)
+                optimizer.zero_grad(set_to_none=True)
+                loss.backward()
+                optimizer.step()
+                total_loss += loss.item() * len(windows)
+                n_right += int((logits.argmax(1) == target).sum())
+                n_seen += len(windows)
+                bar.update(title=f"epoch {epoch + 1}/{n_epochs}")
+            history.append(
+                {
+                    "epoch": epoch + 1,
+                    "iterations": epoch * steps + n_steps,
+                    "loss": total_loss / n_seen,
+                    "training": n_right / n_seen,
+                    **_validate(pipeline, validation, balance=settings.balance),
+                }
+            )
+            if _is_best(history, by_loss=settings.patience is not None):
+                best_epoch = epoch + 1
+                best = {name: w.detach().clone() for name, w in pipeline.state_dict().items()}
+            checkpoint = {
+                "identity": identity,
+                "sources": dict(sources or {}),
+                "pipeline": pipeline.state_dict(),
+                "optimizer": optimizer.state_dict(),
+                "history": history,
+                "best": best,
+                "best_epoch": best_epoch,
+            }
+            save_checkpoint(run_folder, checkpoint)
+            bar.clear()
+            report(history[-1])
 
     last = export(pipeline, classes, {})
     pipeline.load_state_dict(best)
     return TrainResult(last, export(pipeline, classes, {}), best_epoch, history)
+
+
+def batches_of(
+    config: TNTConfig, windows: Windows, settings: TrainSettings, epoch: int
+) -> Iterator[tuple[Windows, Draws | None]]:
+    """The batches of one epoch, and how each is augmented."""
+    rng = np.random.default_rng((settings.seed, epoch))
+    order = balanced_order(windows.labels, rng) if settings.balance else rng.permutation(len(windows))
+    for first in range(0, len(order), settings.batch):
+        some = windows[order[first : first + settings.batch]]
+        augmentation = settings.augmentation
+        yield some, None if augmentation is None else augmentation.draw(len(some), config, rng)
+
+
+def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """As many indices as there are labels, every class equally often (within one), in random order.
+
+    A class with fewer windows than its share is repeated, each time in another order; of a class with more, each epoch
+    shows others. We sample rather than weight the loss: a rare class in every batch gives steadier steps than a rare
+    one with a large weight, and augmentation makes each repetition different.
+
+    Examples
+    --------
+    >>> labels = np.array([0, 0, 0, 0, 0, 0, 0, 1])
+    >>> np.bincount(labels[balanced_order(labels, np.random.default_rng(0))])
+    array([4, 4])
+    """
+    members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
+    shares = np.diff(np.linspace(0, len(labels), len(members) + 1).astype(np.int64))
+    rng.shuffle(shares)  # which class gets one more
+    chosen = []
+    for places, share in zip(members, shares, strict=True):
+        rounds = -(-int(share) // len(places))
+        chosen.append(np.concatenate([rng.permutation(places) for _ in range(rounds)])[:share])
+    return rng.permutation(np.concatenate(chosen))
 
 
 def epochs_since_best(history: list[dict[str, float]]) -> int:
@@ -156,7 +197,7 @@ def epochs_since_best(history: list[dict[str, float]]) -> int:
 
 
 def _is_best(history: list[dict[str, float]], *, by_loss: bool) -> bool:
-    """Whether the newest epoch is."""
+    """Whether the newest epoch is the best."""
     if by_loss:
         return epochs_since_best(history) == 0
     return history[-1].get("per_window", 0.0) >= max(row.get("per_window", 0.0) for row in history)
@@ -168,13 +209,13 @@ def _validate(pipeline: Pipeline, windows: Windows, *, balance: bool) -> dict[st
     probabilities = class_probabilities(pipeline, windows)
     per_window = float((probabilities.argmax(1) == windows.labels).mean())
     log_likelihood = np.log(probabilities[np.arange(len(windows)), windows.labels] + 1e-12)
-    if balance:  # else, of 95 windows of one class and 5 of another, the 5 would hardly count
+    if balance:  # with 95 windows of one class and 5 of another, the 5 would hardly count
         loss = -float(np.mean([log_likelihood[windows.labels == label].mean() for label in np.unique(windows.labels)]))
     else:
         loss = -float(log_likelihood.mean())
     return {
         "per_window": per_window,
-        "per_recording": accuracy_by_recording(probabilities, windows)[0],
+        "per_recording": share_right(confusion_by_recording(probabilities, windows)),
         "validation_loss": loss,
     }
 

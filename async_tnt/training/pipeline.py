@@ -1,14 +1,17 @@
-"""From windows to logits, trainable from end to end: volumes from the kernels, networks in torch.
+"""The pipeline from windows to logits: trainable from end to end, and its way into a model file and back.
+
+Volumes come from the kernels, networks are torch modules.
 
     events -> volume -> classifier                                             every landmark but one
     events -> raw volume -> regressor -> landmark -> volume -> classifier      landmark `regressor`
 
-In the second way the loss reaches the regressor through the volume, by `window_batches.landmark_gradients`: a volume
-has two numbers to learn, its landmark's, so that the way back costs about as much as the splat.
+With landmark `regressor`, the loss reaches the regressor through the volume (`BatchVolumes.landmark_gradient`). Only
+the landmark's two numbers are learned there, so the backward pass costs about as much as the splat.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +20,8 @@ from tnt_reference import Classifier, LandmarkRegressor
 from torch import nn
 
 from async_tnt.config import TNTConfig
+from async_tnt.networks.model import Model
+from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
 from async_tnt.training.augment import Draws
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.windows import Windows
@@ -58,7 +63,7 @@ class Pipeline(nn.Module):
         self._raw_volumes = BatchVolumes(config.replace(landmark="center", transform="none", remove_flow=False))
 
     def forward(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
-        """Logits (N, n_classes) of N windows, varied as `draws` say."""
+        """Logits (N, n_classes) of N windows, augmented by `draws`."""
         logits: torch.Tensor = self.classifier(self._on_device(self.volumes(windows, draws), self.scale))
         return logits.float()
 
@@ -73,7 +78,7 @@ class Pipeline(nn.Module):
     def landmarks(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:
         """(N, 2): the regressor's landmarks, float64, in grid pixels."""
         if self.regressor is None:
-            raise ValueError(f"only landmark 'regressor' has landmarks of its own, got {self.config.landmark!r}")
+            raise ValueError(f"only landmark 'regressor' has landmarks to compute, got {self.config.landmark!r}")
         raw = torch.from_numpy(self._raw_volumes(windows, draws))
         landmarks: torch.Tensor = self.regressor(self._on_device(raw, self.raw_scale))
         return landmarks.double()
@@ -104,10 +109,10 @@ class _SplatAbout(torch.autograd.Function):
 
 
 def new_pipeline(config: TNTConfig, n_classes: int, seed: int, windows: Windows) -> Pipeline:
-    """The thesis' networks with PyTorch's initial weights, a function of the seed alone; input scales measured on
+    """The thesis' networks with PyTorch's initial weights, which depend on the seed alone; input scales measured on
     `windows`.
 
-    The regressor's last convolution starts at zero: the first landmark is the image centre. Torch's own
+    The regressor's last convolution starts at zero: the first landmark is the image centre. Torch's global
     generator is left as it was.
     """
     with torch.random.fork_rng(devices=[]):
@@ -129,12 +134,46 @@ def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:
 
 
 def input_scale(config: TNTConfig, windows: Windows, n: int = 512) -> float:
-    """1 / root mean square of all cells, over `n` windows spread evenly. No part of the finished network: see `export`.
+    """1 / root mean square of all cells, over `n` windows spread evenly; `export` folds it into the weights.
 
-    One number for all bins: a scale for each would even out the training motion's course of events over time, blow
-    up the bins where it has few (31 times in N-MNIST's first, after TNT), and be wrong for every other motion. TNT
-    does worse with it even on held-out digits of the training motions.
+    One number for all bins. A scale per bin would fit the training motion's event rate over time, amplify the bins
+    with few events (31 times in N-MNIST's first, after TNT), and be wrong for every other motion. TNT does worse with
+    it even on held-out digits of the training motions.
     """
     some = windows[np.unique(np.linspace(0, len(windows) - 1, min(n, len(windows))).astype(np.int64))]
     mean_square = float(np.square(BatchVolumes(config)(some), dtype=np.float64).mean())
     return 1.0 / np.sqrt(max(mean_square, 1e-12))
+
+
+def export(pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, Any]) -> Model:
+    """The finished model: the first convolutions absorb their input's scale, so that they take raw volumes.
+
+    conv1(scale V) = w * (scale V) = (scale w) * V
+    """
+    parts: dict[str, tuple[Any, torch.Tensor]]
+    parts = {"": (pipeline.classifier, pipeline.scale), "regressor.": (pipeline.regressor, pipeline.raw_scale)}
+    weights = {}
+    for prefix, (network, scale) in parts.items():
+        if network is None:
+            continue
+        for name, tensor in network.state_dict().items():
+            w = tensor.detach().cpu()
+            weights[prefix + name] = (w * scale.cpu() if name == "conv1.weight" else w.clone()).numpy()
+    return Model(pipeline.config, weights, classes, record)
+
+
+def pipeline_of(model: Model) -> Pipeline:
+    """A model in torch, from windows to logits, ready to classify."""
+    return Pipeline(model.config, torch_classifier(model), torch_regressor(model)).eval()
+
+
+def pipeline_before_export(model: Model, windows: Windows) -> Pipeline:
+    """The inverse of `export`: a model's pipeline, with input scales measured on `windows`, to train it on."""
+    scales = input_scales(model.config, windows)
+    pipeline = Pipeline(model.config, torch_classifier(model), torch_regressor(model), **scales)
+    network: Any
+    with torch.no_grad():
+        for network, scale in ((pipeline.classifier, pipeline.scale), (pipeline.regressor, pipeline.raw_scale)):
+            if network is not None:
+                network.conv1.weight /= scale
+    return pipeline

@@ -1,11 +1,11 @@
-"""`async-tnt evaluate`: its numbers against a count of one's own, and what it says of what it cannot take."""
+"""`async-tnt evaluate`: its numbers against an independent count, and its messages."""
 
 import json
 
 import numpy as np
 import pytest
+from dataset.gestures import bar, write, write_set
 from made import random_model
-from own_classes.gestures import bar, write, write_set
 
 from async_tnt import Model, Processor, TNTConfig
 from async_tnt.archive.streamed import moments
@@ -37,7 +37,7 @@ CLASSES = ("flat", "slanted", "upright")
 
 @pytest.fixture(scope="module")
 def model():
-    """A network of chance: its decisions are no constant, which is all that counting needs."""
+    """A random network whose decisions vary."""
     made = random_model(TNTConfig(sensor=(128, 128), window_us=60_000), classes=3, seed=3)
     weights = {name: w * (40 if name == "fc2.weight" else 1) for name, w in made.weights.items()}
     return Model(made.config, weights, CLASSES)
@@ -85,13 +85,11 @@ def count_by_hand(model, dataset):
 
 
 def test_the_numbers_are_those_of_an_independent_count(model, saved, dataset, program):
-    code, printed, told = program("evaluate", saved, dataset, "--json")
+    code, printed, err = program("evaluate", saved, dataset, "--json")
     report = json.loads(printed)
-    assert code == 0 and told == "" and set(report) == KEYS and report["classes"] == list(CLASSES)
+    assert code == 0 and err == "" and set(report) == KEYS and report["classes"] == list(CLASSES)
     by_recording, by_window, right, decided = count_by_hand(model, dataset)
-    assert (
-        len(np.unique(by_window.argmax(1))) > 1 or (by_window > 0).sum() > 3
-    )  # decisions differ, else nothing is seen
+    assert len(np.unique(by_window.argmax(1))) > 1 or (by_window > 0).sum() > 3  # decisions vary
     np.testing.assert_array_equal(report["confusion"], by_recording)
     np.testing.assert_array_equal(report["window_confusion"], by_window)
     assert report["accuracy"] == pytest.approx(np.trace(by_recording) / 11)
@@ -137,10 +135,10 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
     write(folder / "flat" / "silent.npz", bar("flat", 0)[:0])
     write(folder / "flat" / "wide.npz", bar("flat", 0), sensor=(640, 480))
     (folder / "slanted").mkdir()
-    code, printed, told = program("evaluate", saved, folder, "--json")
+    code, printed, err = program("evaluate", saved, folder, "--json")
     report = json.loads(printed)
     assert code == 0 and report["recordings"] == 4 and report["per_class"]["slanted"] is None
-    assert told.count("\n") == 3 and told.count("async-tnt: skipped: ") == 3
+    assert err.count("\n") == 3 and err.count("async-tnt: skipped: ") == 3
     for name, why in (
         ("torn.npz", "not a readable NumPy file"),
         ("silent.npz", "no events"),
@@ -151,16 +149,16 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
 
 
 @pytest.mark.skipif(".csv" not in READERS, reason="no reader of CSV")
-def test_half_a_recording_is_none(saved, tmp_path, program):
-    """A file that ends in damage is skipped whole: its first events might show something else."""
+def test_a_damaged_recording_is_skipped_as_a_whole(saved, tmp_path, program):
+    """Its first events alone might show something else."""
     folder = write_set(tmp_path / "set", {"upright": 2}, suffixes=(".csv",))
     with (folder / "upright" / "01.csv").open("a") as file:
         file.write("torn,1\n")
-    code, printed, told = program("evaluate", saved, folder, "--json")
-    assert code == 0 and json.loads(printed)["recordings"] == 1 and "01.csv: damaged recording" in told
+    code, printed, err = program("evaluate", saved, folder, "--json")
+    assert code == 0 and json.loads(printed)["recordings"] == 1 and "01.csv: damaged recording" in err
 
 
-def test_the_folder_test_is_taken_where_there_is_one(saved, tmp_path, program):
+def test_the_folder_test_is_used_where_there_is_one(saved, tmp_path, program):
     write_set(tmp_path / "set" / "Train", {"upright": 3, "flat": 3})
     write_set(tmp_path / "set" / "Test", {"upright": 2}, seed=1)
     code, printed, _ = program("evaluate", saved, tmp_path / "set", "--json")
@@ -193,23 +191,23 @@ def _none(folder):
         (_none, ("--picture", "nowhere/c.png"), "no folder nowhere to write c.png to"),
     ],
 )
-def test_what_cannot_be_is_one_line_and_exit_code_2(make, words, text, saved, tmp_path, program):
+def test_errors_are_one_line_and_exit_code_2(make, words, text, saved, tmp_path, program):
     pytest.importorskip("matplotlib", reason="--picture needs matplotlib (extra `plot`)")
     make(tmp_path / "set")
-    code, printed, told = program("evaluate", saved, tmp_path / "set", *words)
-    assert code == 2 and text in told and told.count("\n") == 1 and printed == "", told
+    code, printed, err = program("evaluate", saved, tmp_path / "set", *words)
+    assert code == 2 and text in err and err.count("\n") == 1 and printed == "", err
 
 
-def test_a_missing_model_is_said(tmp_path, program):
-    code, _, told = program("evaluate", tmp_path / "none.safetensors", tmp_path)
-    assert code == 2 and "no model file" in told
+def test_a_missing_model_is_named(tmp_path, program):
+    code, _, err = program("evaluate", tmp_path / "none.safetensors", tmp_path)
+    assert code == 2 and "no model file" in err
 
 
 def test_a_picture_without_matplotlib_is_refused_before_the_work(saved, dataset, program, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     monkeypatch.setattr(evaluate, "stream_archive", lambda *words: pytest.fail("it began to stream"))
-    code, _, told = program("evaluate", saved, dataset, "--picture", tmp_path / "c.png")
-    assert code == 2 and "pip install '.[plot]'" in told
+    code, _, err = program("evaluate", saved, dataset, "--picture", tmp_path / "c.png")
+    assert code == 2 and "pip install '.[plot]'" in err
 
 
 @pytest.mark.parametrize("window_us", [1, 7, 10, 105_003])

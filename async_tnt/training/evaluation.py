@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from async_tnt.training.augment import unchanged
-from async_tnt.training.pipelines import Pipeline
+from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.windows import Windows
 
 BATCH = 256
@@ -21,21 +21,32 @@ class Evaluation:
 
     Parameters
     ----------
-    per_window : share of windows classified right.
-    per_recording : share of recordings right by the mean of their windows' probabilities.
     against_time : milliseconds since the window's start -> share of windows right by the events until then.
     confusion : (n_classes, n_classes), windows by true class (row) and decided class (column).
-    recording_confusion : the same of recordings.
-    n_windows, n_recordings : how many.
+    recording_confusion : the same of recordings, each decided by the mean of its windows' probabilities.
     """
 
-    per_window: float
-    per_recording: float
     against_time: dict[float, float]
     confusion: np.ndarray
     recording_confusion: np.ndarray
-    n_windows: int
-    n_recordings: int
+
+    @property
+    def per_window(self) -> float:
+        """Share of windows classified right."""
+        return share_right(self.confusion)
+
+    @property
+    def per_recording(self) -> float:
+        """Share of recordings classified right."""
+        return share_right(self.recording_confusion)
+
+    @property
+    def n_windows(self) -> int:
+        return int(self.confusion.sum())
+
+    @property
+    def n_recordings(self) -> int:
+        return int(self.recording_confusion.sum())
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -70,13 +81,6 @@ def class_probabilities(pipeline: Pipeline, windows: Windows, *, until_us: int |
     return np.concatenate(parts)
 
 
-def accuracy_by_recording(probabilities: np.ndarray, windows: Windows) -> tuple[float, int]:
-    """Share of recordings right by the mean of their windows' probabilities, and how many recordings."""
-    confusion = confusion_by_recording(probabilities, windows)
-    n_recordings = int(confusion.sum())
-    return float(np.trace(confusion) / n_recordings), n_recordings
-
-
 def confusion_by_recording(probabilities: np.ndarray, windows: Windows) -> np.ndarray:
     """Recordings by true class (row) and the class of their windows' mean probability (column)."""
     recordings, place = np.unique(windows.recording, return_inverse=True)
@@ -92,26 +96,20 @@ def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...
 
     Parameters
     ----------
-    times_ms : milliseconds since the window's start. A window without any event by then is decided all the
-        same, from the empty volume.
+    times_ms : milliseconds since the window's start. A window without any event by then is decided from the empty
+        volume.
     """
     labels = windows.labels
     complete = class_probabilities(pipeline, windows)
-    decided = complete.argmax(1)
     confusion = np.zeros((complete.shape[1], complete.shape[1]), np.int64)
-    np.add.at(confusion, (labels, decided), 1)
-    per_recording, n_recordings = accuracy_by_recording(complete, windows)
-    by_recording = confusion_by_recording(complete, windows)
+    np.add.at(confusion, (labels, complete.argmax(1)), 1)
     against_time = {}
     for ms in times_ms:
         early = class_probabilities(pipeline, windows, until_us=round(1e3 * ms))
         against_time[float(ms)] = float((early.argmax(1) == labels).mean())
-    return Evaluation(
-        float((decided == labels).mean()),
-        per_recording,
-        against_time,
-        confusion,
-        by_recording,
-        len(windows),
-        n_recordings,
-    )
+    return Evaluation(against_time, confusion, confusion_by_recording(complete, windows))
+
+
+def share_right(confusion: np.ndarray) -> float:
+    """The diagonal's share of a confusion matrix."""
+    return float(np.trace(confusion) / confusion.sum())

@@ -1,4 +1,4 @@
-"""Learning curves as a picture, where matplotlib is installed."""
+"""The files in a run folder, and the learning curves among them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from async_tnt.files import replacing
+
+CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"
+LAST, BEST = "last.safetensors", "best.safetensors"
+RUN_FILES = (CHECKPOINT, HISTORY, CURVES, LAST, BEST)
 
 
 def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:

@@ -1,7 +1,7 @@
 """A set and a model that several tests share."""
 
 import pytest
-from own_classes.gestures import write_set
+from dataset.gestures import write_set
 
 from async_tnt.cli import main
 

@@ -1,0 +1,186 @@
+"""What a model is trained, validated and tested on: windows of class folders or of N-MNIST, and their record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.config import TNTConfig
+from async_tnt.progress import Bar, no_progress
+from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.training.dataset import Dataset, read_dataset
+from async_tnt.training.digits import read_nmnist_folder, read_samples, simulate_recordings
+from async_tnt.training.windows import CLASSES, Recordings, Windows, make_windows, split_recordings
+
+SACCADES = (1, 2, 3)
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """Windows to train on, to validate on and to test on.
+
+    Parameters
+    ----------
+    config : of the volumes, with the sensor of the events.
+    record : the recordings, for the model's record.
+    tests : name in the model's record -> windows, and more for that entry of the record.
+    held_out : names of the recordings to validate on.
+    left_out : which recordings were left out and why, one line each.
+    notes : what else a user should know, one line each.
+    """
+
+    config: TNTConfig
+    classes: tuple[str, ...]
+    training: Windows
+    validation: Windows
+    record: dict[str, Any]
+    tests: Mapping[str, tuple[Windows, dict[str, Any]]] = field(default_factory=dict)
+    held_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def dataset_data(
+    folder: Path,
+    config: TNTConfig,
+    *,
+    pixels: PixelSelection,
+    sensor_source: str = "--sensor",
+    classes: tuple[str, ...] | None = None,
+    validation: float = 0.2,
+    test: bool = False,
+    seed: int = 0,
+    progress: Callable[..., Bar] = no_progress,
+) -> TrainingData:
+    """A folder of class folders, split by recording. Windows start at each recording's first event.
+
+    Parameters
+    ----------
+    config : its sensor is replaced by that of the events.
+    pixels, sensor_source, classes : as for `read_dataset`.
+    validation : share of each class's recordings to hold out; at least one, where there are two.
+    test : also read `folder/Test`, through the same pixels.
+    seed : of the split.
+    """
+    dataset = read_dataset(folder, pixels=pixels, sensor_source=sensor_source, classes=classes, progress=progress)
+    config = config.replace(sensor=dataset.sensor)
+    recordings, labels = dataset.recordings, dataset.recordings.labels
+    learned, held_out = split_recordings(recordings, validation, np.random.default_rng(seed), at_least=1)
+
+    def windows_of(of: Dataset, which: np.ndarray | None = None) -> Windows:
+        return make_windows(of.recordings, config.window_us, which=which, first_event=True, duration_us=None)
+
+    counts = {name: int((labels == k).sum()) for k, name in enumerate(dataset.classes)}
+    record: dict[str, Any] = {
+        "source": "recordings of own classes, held out by recording",
+        "classes": counts,
+        "sensor": list(dataset.sensor),
+        "real_recordings": len(learned),
+        "held_out_recordings": len(held_out),
+        "left_out": list(dataset.left_out),
+    }
+    if pixels.leaves_out:
+        record["pixels"] = {**pixels.record, "camera": list(dataset.camera), **dataset.left_out_events}
+    notes = _notes(dataset, "the recordings")
+    notes.append("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()))
+    single = [name for k, name in enumerate(dataset.classes) if counts[name] and k not in labels[held_out]]
+    if single and validation:
+        notes.append(f"not held out, as there is only one recording: {', '.join(single)}")
+    left_out, tests = list(dataset.left_out), {}
+    if test:
+        testing = read_dataset(
+            folder / "Test",
+            part="Test",
+            pixels=replace(pixels, sensor=dataset.camera),
+            sensor_source="the recordings to train on",
+            classes=dataset.classes,
+            progress=progress,
+        )
+        tests["test"] = (windows_of(testing), {"left_out": list(testing.left_out)})
+        left_out += [f"Test/{line}" for line in testing.left_out]
+        notes += _notes(testing, "Test")
+    return TrainingData(
+        config,
+        dataset.classes,
+        windows_of(dataset, learned),
+        windows_of(dataset, held_out),
+        record,
+        tests,
+        tuple(recordings.names[r] for r in held_out),
+        tuple(left_out),
+        tuple(notes),
+    )
+
+
+def nmnist_data(
+    folder: Path,
+    config: TNTConfig,
+    *,
+    mnist: Path | None = None,
+    simulated: int = 0,
+    saccades: Collection[int] = SACCADES,
+    validation: float = 0.1,
+    test: bool = False,
+    seed: int = 0,
+    skip_damaged: bool = False,
+    progress: Callable[..., Bar] = no_progress,
+) -> TrainingData:
+    """N-MNIST's Train, split by recording, and simulated recordings of MNIST to train on besides.
+
+    Parameters
+    ----------
+    mnist, simulated : MNIST's folder, and how many of its images to simulate.
+    saccades : which of the three to train and validate on.
+    validation : share of N-MNIST's recordings to hold out.
+    test : also read Test, with windows from 0 and from each recording's first event.
+    seed : of the split and of the simulation.
+    skip_damaged : leave damaged recordings out, with a warning each.
+    """
+
+    def read(part: str) -> Recordings:
+        return read_nmnist_folder(folder / part, skip_damaged=skip_damaged, progress=progress)
+
+    recordings = read("Train")
+    n_real = len(recordings)
+    learned, held_out = split_recordings(recordings, validation, np.random.default_rng(seed))
+    if mnist is not None and simulated:
+        recordings += simulate_recordings(mnist, simulated, seed, progress=progress)
+        learned = np.concatenate([learned, np.arange(n_real, len(recordings))])
+    record = {
+        "source": "N-MNIST recordings (Train), held out by recording"
+        + (" and simulated recordings of MNIST training images" if simulated else ""),
+        "real_recordings": n_real - len(held_out),
+        "simulated_recordings": len(recordings) - n_real,
+        "held_out_recordings": len(held_out),
+    }
+    if set(saccades) != set(SACCADES):
+        record["saccades"] = list(saccades)
+
+    def windows_of(which: np.ndarray) -> Windows:
+        windows = make_windows(recordings, config.window_us, which=which)
+        return windows[np.isin(windows.start_us // config.window_us + 1, list(saccades))]
+
+    tests: dict[str, tuple[Windows, dict[str, Any]]] = {}
+    if test:
+        testing = read("Test")
+        for name, first_event in (("test", False), ("test_windows_from_first_event", True)):
+            tests[name] = (make_windows(testing, config.window_us, first_event=first_event), {})
+    return TrainingData(config, CLASSES, windows_of(learned), windows_of(held_out), record, tests)
+
+
+def sample_data(config: TNTConfig) -> TrainingData:
+    """The ten bundled samples, to train and to validate on: to try whether everything works."""
+    windows = make_windows(read_samples(), config.window_us)
+    record = {"source": "the ten bundled samples, for training and validation (smoke)"}
+    return TrainingData(config, CLASSES, windows, windows, record)
+
+
+def _notes(dataset: Dataset, where: str) -> list[str]:
+    """How many events were left out by their pixels."""
+    words = {"left_out_outside": "outside of the region", "left_out_masked": "of masked pixels"}
+    counts = [f"{n:,} {words[name]}" for name, n in dataset.left_out_events.items()]
+    return [f"events left out of {where}: {', '.join(counts)}"] if counts else []

@@ -1,0 +1,100 @@
+"""Recordings of digits to train on: N-MNIST's, simulated ones, and the bundled samples."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from async_tnt.progress import Bar, no_progress
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.files.recording import sample_recordings
+from async_tnt.training.windows import Recordings
+
+FIRST_INDEX = 5_000
+"""Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000, some of which are
+held out for validation; the bundled samples show images 2,000 to 2,100."""
+
+
+def read_nmnist_folder(
+    folder: str | os.PathLike[str],
+    *,
+    skip_damaged: bool = False,
+    per_digit: int | None = None,
+    progress: Callable[..., Bar] = no_progress,
+) -> Recordings:
+    """Read a folder in N-MNIST's layout: `<digit>/<number>.bin`.
+
+    Parameters
+    ----------
+    folder : the folder that holds the digits' folders, such as N-MNIST's Train.
+    skip_damaged : leave damaged files out, with a warning each, instead of raising an error.
+    per_digit : read only the first so many recordings of each digit, by name.
+
+    Raises
+    ------
+    ValueError : a damaged file, or no recordings at all.
+    FileNotFoundError : no such folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"no folder {folder}; expected N-MNIST's layout <digit>/<number>.bin in it")
+    paths = []
+    for digit in sorted(d for d in folder.iterdir() if d.is_dir() and re.fullmatch("[0-9]", d.name)):
+        paths += [(int(digit.name), path) for path in sorted(digit.glob("*.bin"))[:per_digit]]
+    if not paths:
+        raise ValueError(f"{folder}: no recordings; expected N-MNIST's layout <digit>/<number>.bin")
+    events, labels, names = [], [], []
+    with progress(len(paths), "reading") as bar:
+        for label, path in paths:
+            bar.update()
+            try:
+                events.append(read_nmnist(path))
+            except ValueError as error:
+                if not skip_damaged:
+                    raise ValueError(f"{error} Or leave damaged files out with --skip-damaged.") from None
+                bar.clear()
+                warnings.warn(f"left out: {error}", stacklevel=2)
+                continue
+            labels.append(label)
+            names.append(f"{path.parent.name}/{path.name}")
+    return Recordings.from_events(events, labels, names)
+
+
+def simulate_recordings(
+    mnist_folder: str | os.PathLike[str], n: int, seed: int, *, progress: Callable[..., Bar] = no_progress
+) -> Recordings:
+    """Simulate `n` recordings of different MNIST training images, drawn from index `FIRST_INDEX` on.
+
+    Each has its own random generator, seeded by (seed, index of the image).
+
+    Raises
+    ------
+    ValueError : more recordings than there are images, or damaged MNIST files.
+    OSError : no such files.
+    """
+    images, labels = load_mnist(mnist_folder, "train")
+    n_images = max(0, len(images) - FIRST_INDEX)
+    if not 0 <= n <= n_images:
+        raise ValueError(f"the number of simulated recordings must be in [0, {n_images}], got {n}")
+    indices = FIRST_INDEX + np.random.default_rng(seed).permutation(n_images)[:n]
+    events = []
+    with progress(n, "simulating") as bar:
+        for i in indices:
+            events.append(simulate_digit(images[i], np.random.default_rng((seed, int(i)))))
+            bar.update()
+    return Recordings.from_events(events, labels[indices], [f"simulated {i}" for i in indices])
+
+
+def read_samples() -> Recordings:
+    """The ten bundled sample recordings."""
+    paths = sample_recordings()
+    return Recordings.from_events(
+        (read_nmnist(path) for path in paths.values()), list(paths), [path.name for path in paths.values()]
+    )

@@ -1,0 +1,166 @@
+"""The networks of the table: trained and tested, several at a time, each with its result in a file."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from async_tnt.archive.workers import run_all
+from async_tnt.files import write_text
+from async_tnt.networks.model import Model
+from async_tnt.progress import progress
+from async_tnt.simulation.moving_mnist import open_set
+from async_tnt.training.evaluation import class_probabilities
+from async_tnt.training.loop import train
+from async_tnt.training.pipeline import Pipeline, pipeline_of
+from async_tnt.training.run_files import HISTORY, plot_curves
+from async_tnt.training.settings import TrainSettings
+from async_tnt.training.table import ROWS, columns_of
+from async_tnt.training.table_data import RealData, RealFolder, on_first_saccade, saccade, simulated_windows
+from async_tnt.training.windows import Windows
+
+RESULT = "result.json"
+POLL_S = 2.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """Which network: a row, what it is trained on ("all" or "1"), and a seed."""
+
+    row: str
+    trained_on: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.row}-{self.trained_on}-seed{self.seed}"
+
+
+def run_networks(
+    runs: list[Run], real: RealFolder, simulated: Path, settings: TrainSettings, folder: Path, workers: int
+) -> list[dict[str, Any]]:
+    """`run_network` for each of `runs`, in so many processes of one thread each; with one worker, in this process.
+
+    Raises
+    ------
+    ValueError, OSError : as `run_network`. ChildProcessError : a worker was killed.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
+    with _watched(runs, folder, settings), contextlib.closing(run_all(task, runs, workers)) as results:
+        return list(results)
+
+
+def _run_task(run: Run, *, real: RealFolder, simulated: Path, settings: TrainSettings, folder: Path) -> dict[str, Any]:
+    torch.set_num_threads(1)  # the cores have a network each
+    return run_network(run, real.read(), simulated, settings, folder)
+
+
+@contextlib.contextmanager
+def _watched(runs: list[Run], folder: Path, settings: TrainSettings) -> Iterator[None]:
+    """A progress bar of all iterations, read from the histories that the runs write."""
+    ended = threading.Event()
+    with progress(len(runs) * (settings.iterations or 0), f"{len(runs)} networks") as bar:
+
+        def watch() -> None:
+            before = 0
+            while not ended.wait(POLL_S):
+                now = sum(_iterations(folder / run.name / HISTORY) for run in runs)
+                bar.update(now - before)
+                before = now
+
+        watcher = threading.Thread(target=watch, daemon=True)
+        watcher.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            watcher.join()
+
+
+def _iterations(history: Path) -> int:
+    try:
+        return int(json.loads(history.read_text(encoding="utf-8"))["history"][-1]["iterations"])
+    except (OSError, ValueError, LookupError):  # not started yet
+        return 0
+
+
+def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettings, folder: Path) -> dict[str, Any]:
+    """Train and test one network, or return the result that is there already, if its settings are the same.
+
+    Parameters
+    ----------
+    simulated : a set of `async-tnt simulate`.
+    settings : without seed and augmentation, which are the run's and its row's.
+    folder : holds a folder for each run: its checkpoint, its history as JSON and, when done, its model, its result
+        as JSON and, with matplotlib, its learning curves.
+
+    Raises
+    ------
+    ValueError : the folder holds this run with other settings or data.
+    """
+    row = ROWS[run.row]
+    settings = replace(settings, seed=run.seed, augmentation=row.augmentation)
+    folder = folder / run.name
+    training, held_out = data.training, data.held_out
+    if run.trained_on == "1":
+        training, held_out = on_first_saccade(training), on_first_saccade(held_out)
+    # quick for a finished run: its checkpoint, if it has these settings, is at the end
+    trained = train(row.config, training, held_out, settings, folder)
+    tested_on = {"nmnist": data.description, "simulated": open_set(simulated).parameters}
+    finished = folder / RESULT
+    if finished.exists():
+        result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
+        if result["tested_on"] == tested_on:
+            return result
+    pipeline = pipeline_of(trained.last)
+    last_epoch = trained.history[-1]
+    columns: dict[str, Any] = {}
+    for column in columns_of(run.trained_on):
+        n_right, n = {}, {}
+        for motion, windows in _tests(column.split("/")[1], data, simulated):
+            n[motion] = len(windows)
+            n_right[motion] = int(_right(pipeline, windows).sum())
+        columns[column] = {
+            "accuracy": sum(n_right.values()) / sum(n.values()),
+            "windows": sum(n.values()),
+            "per_motion": {motion: n_right[motion] / n[motion] for motion in n},
+        }
+    result = {
+        "row": run.row,
+        "trained_on": run.trained_on,
+        "seed": run.seed,
+        "columns": columns,
+        "tested_on": tested_on,
+        "validation": {name: last_epoch[name] for name in ("per_window", "validation_loss") if name in last_epoch},
+    }
+    plot_curves(trained.history, folder / "curves.png")
+    Model(row.config, trained.last.weights, trained.last.classes, result).save(folder / "model.safetensors")
+    write_text(finished, json.dumps(result, indent=1))
+    return result
+
+
+def _tests(name: str, data: RealData, simulated: Path) -> Iterator[tuple[str, Windows]]:
+    """(motion, windows) of the test data "all", "train" or "sim"."""
+    if name == "sim":
+        yield from simulated_windows(simulated, data.seen_images)
+        return
+    windows = data.test if name == "all" else data.training
+    for k in range(3):
+        yield f"saccade {k + 1}", windows[saccade(windows) == k]
+
+
+def _right(pipeline: Pipeline, windows: Windows) -> np.ndarray:
+    if len(windows) == 0:
+        return np.zeros(0, bool)
+    right: np.ndarray = class_probabilities(pipeline, windows).argmax(1) == windows.labels
+    return right
