@@ -1,28 +1,11 @@
 """Leave out events by their pixels, and count events per pixel."""
 
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 
 from .jit import compiled_without_gil
+from .records import store
 
 KEEP, MASKED, OUTSIDE = 0, 1, 2
-
-
-@intrinsic
-def store(typingctx, raw, offset, value, number):
-    """Write `value` as the type `number`, little-endian, from byte `offset` of `raw` on, at any alignment."""
-    value_type = number.instance_type
-
-    def codegen(context, builder, signature, args):
-        array = context.make_array(signature.args[0])(context, builder, args[0])
-        pointer = builder.gep(array.data, [args[1]])
-        pointer = builder.bitcast(pointer, context.get_value_type(value_type).as_pointer())
-        stored = builder.store(context.cast(builder, args[2], signature.args[2], value_type), pointer)
-        stored.align = 1
-        return context.get_dummy_value()
-
-    return types.void(raw, offset, value, number), codegen
 
 
 @compiled_without_gil

@@ -37,6 +37,22 @@ def load(typingctx, raw, offset, number):
     return value_type(raw, offset, number), codegen
 
 
+@intrinsic
+def store(typingctx, raw, offset, value, number):
+    """Write `value` as the type `number`, little-endian, from byte `offset` of `raw` on, at any alignment."""
+    value_type = number.instance_type
+
+    def codegen(context, builder, signature, args):
+        array = context.make_array(signature.args[0])(context, builder, args[0])
+        pointer = builder.gep(array.data, [args[1]])
+        pointer = builder.bitcast(pointer, context.get_value_type(value_type).as_pointer())
+        stored = builder.store(context.cast(builder, args[2], signature.args[2], value_type), pointer)
+        stored.align = 1
+        return context.get_dummy_value()
+
+    return types.void(raw, offset, value, number), codegen
+
+
 @inlined
 def _load_kind(raw, offset, kind):
     if kind == U16:

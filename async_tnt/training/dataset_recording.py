@@ -10,6 +10,7 @@ import numpy as np
 
 from async_tnt.sources.class_folders import name_of
 from async_tnt.sources.files.fitting import check_sensor
+from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import Sensor
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selector import PixelSelector
@@ -109,7 +110,7 @@ def read_own(path: Path, label: int, selector: PixelSelector) -> OwnRecording:
     """All events of a recording, not selected yet; or, where it cannot be read or is empty, why it is left out."""
     own = OwnRecording(path, label)
     try:
-        recording = selector.open_to_learn(path, strict=True)
+        recording = open_recording(path, strict=True, sensor=selector.selection.camera)
         events = recording.read()
     except (ValueError, OSError) as error:
         own.leave_out(DAMAGED, _told(error, path))

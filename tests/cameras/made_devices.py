@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from async_tnt.sources.camera_device import FoundCamera, Losses
+from async_tnt.sources.camera_drivers import FoundCamera, Losses
 
 RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as neuromorphic-drivers has it
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 import async_tnt
 from async_tnt.events import as_events
-from async_tnt.sources.camera_dv import KINDS, DvProcessing, dv_processing
-from async_tnt.sources.camera_opening import open_camera
+from async_tnt.sources.camera_drivers import DV_KINDS, DvProcessing, dv_processing
+from async_tnt.sources.cameras import open_camera
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 dv = pytest.importorskip("dv_processing", reason="dv-processing is not installed (extra `cameras`)")
@@ -115,7 +115,7 @@ def test_a_silent_camera_is_asked_now_and_then():
 @pytest.mark.parametrize("model", list(dv.io.camera.CameraModel.__members__))
 def test_every_model_of_the_library(model):
     member = dv.io.camera.CameraModel.__members__[model]
-    for kind in KINDS[model]:
+    for kind in DV_KINDS[model]:
         camera = opened(PlayedInput([]), member, f"camera:{kind}:00000042")
         assert camera.name.startswith(f"{model} 00000042 by dv-processing") and camera.sensor == (346, 260)
 
@@ -158,4 +158,4 @@ def test_a_file_of_the_library_read_as_a_camera(tmp_path):
 def test_the_installed_library_looks():
     driver = dv_processing()
     assert driver.name.startswith("dv-processing 2.")
-    assert all(camera.model in KINDS for camera in driver.find())
+    assert all(camera.model in DV_KINDS for camera in driver.find())

@@ -327,7 +327,7 @@ def test_an_asynchronous_source_needs_no_reader():
     async def camera():
         yield EVENTS
 
-    with pytest.raises(TypeError, match="`source` is asynchronous already: hand it to `astream` as it is"):
+    with pytest.raises(TypeError, match="`source` is asynchronous already: pass it to `astream` directly"):
         BackgroundReader(camera())
 
 

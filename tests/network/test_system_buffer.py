@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from async_tnt.sources import udp_buffer as system_buffer
-from async_tnt.sources.udp_buffer import LostDatagrams
+from async_tnt.sources import udp_socket
+from async_tnt.sources.udp_socket import LostDatagrams
 
 
 class Socket:
@@ -27,7 +27,7 @@ def meminfo(dropped):
 
 @pytest.fixture(autouse=True)
 def linux(monkeypatch):
-    monkeypatch.setattr(system_buffer, "sys", SimpleNamespace(platform="linux"))
+    monkeypatch.setattr(udp_socket, "sys", SimpleNamespace(platform="linux"))
 
 
 def test_a_counter_of_32_bits_goes_on_where_it_wraps():
@@ -44,5 +44,5 @@ def test_of_a_closed_socket_what_it_said_last():
 def test_a_system_that_does_not_say(monkeypatch):
     assert LostDatagrams(Socket()).read() is None
     assert LostDatagrams(Socket(bytes(32))).read() is None  # before Linux 4.12: eight numbers
-    monkeypatch.setattr(system_buffer, "sys", SimpleNamespace(platform="darwin"))
+    monkeypatch.setattr(udp_socket, "sys", SimpleNamespace(platform="darwin"))
     assert LostDatagrams(Socket(meminfo(7))).read() is None

@@ -314,7 +314,7 @@ def test_the_summary_is_one_line_of_what_was_counted():
         assert len(list(source)) == 1
         lost = "0" if sys.platform.startswith("linux") else "unknown"
         expected = (
-            f"2 datagrams, 3 events (2 malformed, 1 of them too far ahead, 0 out of order, datagrams lost: {lost})"
+            f"2 datagrams, 3 events (2 malformed, 1 of them jumps in time, 0 out of order, datagrams lost: {lost})"
         )
         assert source.summary() == expected
     assert source.summary() == expected  # closed: it stays

@@ -180,7 +180,7 @@ def test_any_time_in_a_url():
 @pytest.mark.parametrize("way", ["loop", "thread", "task"])
 def test_a_sleep_cut_in_pieces_lasts_as_long(way, monkeypatch):
     """As one of weeks is: the system takes no more than some days."""
-    monkeypatch.setattr("async_tnt.sources.udp_waiting.LONGEST_S", 0.01)
+    monkeypatch.setattr("async_tnt.sources.udp_socket.LONGEST_S", 0.01)
     if way == "thread":
         monkeypatch.setattr(asyncio.SelectorEventLoop, "add_reader", refuse)
     with UdpSource(port=0, timeout_s=0.1) as source:

@@ -9,7 +9,8 @@ from made import events_of
 from own_classes.gestures import bar, write, write_set
 
 from async_tnt.networks.model import load_model
-from async_tnt.sources.pixel_selection import PackedMask, PixelSelection
+from async_tnt.sources.pixel_masks import PackedMask
+from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.dataset import read_classes
 
 SIZE = (64, 64)

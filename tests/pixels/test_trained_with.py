@@ -5,8 +5,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from async_tnt.sources.model_pixels import difference
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixel_selection import PixelSelection, difference
 
 MASK = np.zeros((48, 60), bool)
 MASK[3, 4] = True
