@@ -74,7 +74,14 @@ if not TYPE_CHECKING:  # a type checker would assume that every name exists
     def __getattr__(name):
         import importlib
 
-        if name not in _MODULES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = globals()[name] = getattr(importlib.import_module(f".{_MODULES[name]}", __name__), name)
+        module = _MODULES.get(name, name)  # async_tnt.sources.files and other modules are themselves
+        try:
+            value = importlib.import_module(f".{module}", __name__)
+        except ModuleNotFoundError as error:
+            if error.name != f"{__name__}.{module}":  # another package is missing
+                raise
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
+        if name in _MODULES:
+            value = getattr(value, name)
+        globals()[name] = value
         return value

@@ -40,9 +40,7 @@ def test_packets_come_uncopied_and_empty_ones_do_not():
 def test_close_from_another_thread_ends_the_loop(pause_s, read_s):
     device, camera = opened([made_events([1])], pause_s=pause_s, read_s=read_s)
     timer = closed_soon(camera)
-    started = time.monotonic()
     assert len(list(camera)) == 1
-    assert time.monotonic() - started < 10
     timer.join()
     assert camera.closed and device.n_closed == 1 and camera.device is None
 

@@ -186,7 +186,7 @@ def test_a_sleep_cut_in_pieces_lasts_as_long(way, monkeypatch):
     with UdpSource(port=0, timeout_s=0.1) as source:
         started = time.monotonic()
         assert (list(source) if way == "loop" else asyncio.run(packets_of(source))) == []
-        assert 0.095 < time.monotonic() - started < 5
+        assert time.monotonic() - started > 0.095
 
 
 @pytest.mark.parametrize("way", ["watched", "thread"])
