@@ -62,7 +62,7 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
         packets: Iterable[Any] = map(select, source)
         reader = None
         if latest is not None:
-            # copy=False: cameras and the network make each packet anew
+            # copy=False: cameras and the network put each packet in new memory
             reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
             packets = stack.enter_context(reader)
         yield LivePackets(name, source, packets, reader)

@@ -123,25 +123,28 @@ def first_line(error: BaseException) -> str:
 
 
 class NeuromorphicDrivers:
-    """The library; tests replace its two functions.
+    """neuromorphic-drivers: Prophesee EVK3 HD and EVK4, DAVIS346, DVXplorer and others. ImportError without it.
 
     Parameters
     ----------
-    list_devices, open : `neuromorphic_drivers.list_devices` and `neuromorphic_drivers.open`.
+    library : what has its `list_devices` and `open`; by default the module itself.
     """
 
-    def __init__(self, list_devices: Callable[[], Sequence[Any]], open: Callable[..., Any]) -> None:
+    def __init__(self, library: Any = None) -> None:
+        if library is None:
+            import neuromorphic_drivers
+
+            library = neuromorphic_drivers
         self.name = f"neuromorphic-drivers {version('neuromorphic-drivers')}"
-        self._list_devices = list_devices
-        self._open = open
+        self._library = library
 
     def find(self) -> list[FoundCamera]:
         found = []
-        for listed in self._list_devices():
+        for listed in self._library.list_devices():
             model = listed.name.value
             # by its address if it is in a network and its serial number is unknown
             which = {"serial": listed.serial} if listed.serial else {"address": listed.address}
-            open_this = partial(NeuromorphicDevice, self._open, which)
+            open_this = partial(NeuromorphicDevice, self._library.open, which)
             found.append(FoundCamera(model, NEUROMORPHIC_KINDS.get(model, ()), listed.serial, open_this, listed.error))
         return found
 
@@ -174,31 +177,27 @@ class NeuromorphicDevice:
         self.handle.close()
 
 
-def neuromorphic_drivers() -> NeuromorphicDrivers:
-    """The installed library. ImportError without it."""
-    import neuromorphic_drivers
-
-    return NeuromorphicDrivers(neuromorphic_drivers.list_devices, neuromorphic_drivers.open)
-
-
 class DvProcessing:
-    """The library; tests replace its two functions.
+    """dv-processing, iniVation's own library: the DAVIS, DVXplorer and DVS128 families. ImportError without it.
 
     Parameters
     ----------
-    discover, open : `dv_processing.io.camera.discover` and `dv_processing.io.camera.open`.
+    library : what has its `discover` and `open`; by default `dv_processing.io.camera`.
     """
 
-    def __init__(self, discover: Callable[[], Sequence[Any]], open: Callable[[Any], Any]) -> None:
+    def __init__(self, library: Any = None) -> None:
+        if library is None:
+            import dv_processing
+
+            library = dv_processing.io.camera
         self.name = f"dv-processing {version('dv-processing')}"
-        self._discover = discover
-        self._open = open
+        self._library = library
 
     def find(self) -> list[FoundCamera]:
         found = []
-        for descriptor in self._discover():
+        for descriptor in self._library.discover():
             model = descriptor.cameraModel.name
-            open_this = partial(DvDevice, self._open, descriptor)
+            open_this = partial(DvDevice, self._library.open, descriptor)
             found.append(FoundCamera(model, DV_KINDS.get(model, ()), descriptor.serialNumber or None, open_this))
         return found
 
@@ -230,16 +229,9 @@ class DvDevice:
         self.handle = None  # the library has no other way
 
 
-def dv_processing() -> DvProcessing:
-    """The installed library. ImportError without it."""
-    import dv_processing
-
-    return DvProcessing(dv_processing.io.camera.discover, dv_processing.io.camera.open)
-
-
 DRIVERS: Mapping[str, Callable[[], Driver]] = {
-    "neuromorphic-drivers": neuromorphic_drivers,
-    "dv-processing": dv_processing,
+    "neuromorphic-drivers": NeuromorphicDrivers,
+    "dv-processing": DvProcessing,
 }
-"""Library -> a function that makes its `Driver`, or raises ImportError where it is not installed. They are asked in
-this order: the first one waits for events without polling, and counts what is lost."""
+"""Library -> its `Driver`. They are asked in this order: the first one waits for events without polling, and counts
+losses."""

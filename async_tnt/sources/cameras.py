@@ -103,19 +103,15 @@ class Camera:
     def summary(self) -> str:
         """The counts so far, in one line for people."""
         counts = self.counts
-        lost = []
-        if counts.overflows is not None:
-            lost.append(f"gaps: {counts.overflows:,}")
-        if counts.dropped is not None:
-            lost.append(f"raw packets dropped: {counts.dropped:,}")
-        if counts.most_waiting is not None:
-            lost.append(f"at most {counts.most_waiting:,} waiting")
-        if counts.clock_restarts:
-            lost.append(f"clock restarts: {counts.clock_restarts:,}")
-        if counts.off_sensor:
-            lost.append(f"off the sensor: {counts.off_sensor:,}")
-        if counts.jumped:
-            lost.append(f"jumps in time: {counts.jumped:,}")
+        numbers = {
+            "gaps: {:,}": counts.overflows,
+            "raw packets dropped: {:,}": counts.dropped,
+            "at most {:,} waiting": counts.most_waiting,
+            "clock restarts: {:,}": counts.clock_restarts or None,
+            "off the sensor: {:,}": counts.off_sensor or None,
+            "jumps in time: {:,}": counts.jumped or None,
+        }
+        lost = [text.format(number) for text, number in numbers.items() if number is not None]
         if counts.overflows is None and counts.dropped is None:
             lost.append("lost: unknown")
         return f"{counts.packets:,} packets, {counts.events:,} events ({', '.join(lost)})"

@@ -19,7 +19,7 @@ def made_events(times, sensor=(34, 34), seed=0):
 
 
 class PlayedDevice:
-    """Hands out packets; raises those that are exceptions; then has nothing more, for ever.
+    """Hands out packets; raises those that are exceptions; then has nothing more.
 
     Like the real ones it breaks when two threads use it at a time.
     """

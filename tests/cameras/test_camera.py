@@ -101,10 +101,10 @@ def test_unplugged_after_the_packets_before():
         r"^Prophesee EVK4 00050423 by played 1\.0: the camera is gone after 3 events \(Usb\(NoDevice\)\); "
         r"check its cable and power, and open it again$"
     )
-    with pytest.raises(OSError, match=line) as told:
+    with pytest.raises(OSError, match=line) as caught:
         came.extend(camera)  # what came before the error stays
     assert np.concatenate(came)["t"].tolist() == [1, 2, 3]
-    assert isinstance(told.value.__cause__, RuntimeError)
+    assert isinstance(caught.value.__cause__, RuntimeError)
     assert camera.closed and device.n_closed == 1
     assert list(camera) == [] and camera.counts.events == 3
 

@@ -92,9 +92,9 @@ def test_a_library_that_does_not_load_says_why():
 def test_no_camera(monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     table = {"a": missing(), **drivers(name="b"), "c": lambda: PlayedDriver(RuntimeError("Other error"), "c 2")}
-    with pytest.raises(OSError) as told:
+    with pytest.raises(OSError) as caught:
         open_camera("camera", drivers=table)
-    assert str(told.value) == (
+    assert str(caught.value) == (
         "camera: no camera found; b 1.0 looked; c 2 cannot look: Other error (no USB here?); a: not installed. "
         "Is it plugged in, and used by no other program? Does lsusb show it, and do udev rules let users read it "
         "(neuromorphic-drivers-install-udev-rules)?"
@@ -168,9 +168,9 @@ def test_camera_with_the_extra_and_no_camera():
 def test_one_library_is_enough(monkeypatch):
     """Whatever is installed: the other one is not found."""
     monkeypatch.setitem(sys.modules, "neuromorphic_drivers", None)
-    with pytest.raises((OSError, ImportError)) as told:
+    with pytest.raises((OSError, ImportError)) as caught:
         open_source("camera:evk3:no such serial")
     if HAVE_DV:
-        assert told.type is OSError and "neuromorphic-drivers: not installed" in str(told.value)
+        assert caught.type is OSError and "neuromorphic-drivers: not installed" in str(caught.value)
     else:
-        assert told.type is ImportError
+        assert caught.type is ImportError

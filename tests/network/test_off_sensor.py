@@ -1,4 +1,4 @@
-"""Events off the sensor are counted, and who listens to nothing else is told why."""
+"""Events off the sensor are counted, and a listener that receives nothing else is warned."""
 
 import logging
 import subprocess
@@ -83,7 +83,7 @@ def listen_to(*parts, format="t64_x16_y16_on8", sensor=SENSOR, sent_as=None):
         return source
 
 
-def test_a_camera_that_is_larger_is_told_once(caplog):
+def test_a_camera_that_is_larger_is_reported_once(caplog):
     source = listen_to(at_pixel(34, 0, WARN_AFTER - 1))
     assert warnings_of(caplog) == []  # one too few
     source = listen_to(at_pixel(34, 0, 3 * WARN_AFTER))
@@ -94,7 +94,7 @@ def test_a_camera_that_is_larger_is_told_once(caplog):
     assert source.counts.off_sensor == 3 * WARN_AFTER
 
 
-def test_another_format_is_told_once(caplog):
+def test_another_format_is_reported_once(caplog):
     events = at_pixel(3, 4, 2500)
     listen_to(events, format="spif", sensor=None, sent_as="spif_t32")
     (warning,) = warnings_of(caplog)
@@ -102,7 +102,7 @@ def test_another_format_is_told_once(caplog):
     assert warning.endswith(" are not valid spif: does the sender use another (?format=...)?")
 
 
-def test_both_reasons_are_told(caplog):
+def test_both_reasons_are_reported(caplog):
     broken = at_pixel(3, 4, WARN_AFTER // 2)
     broken["p"] = 2
     listen_to(broken, at_pixel(0, 20, WARN_AFTER // 2))
@@ -115,7 +115,7 @@ def test_one_good_event_before_is_enough_to_say_nothing(caplog):
     assert warnings_of(caplog) == [] and source.counts.off_sensor == 2 * WARN_AFTER
 
 
-def test_the_program_tells_it_on_stderr():
+def test_the_program_reports_it_on_stderr():
     port = free_port()
     argv = [sys.executable, "-m", "async_tnt.cli", "run", f"udp://127.0.0.1:{port}?timeout_s=1"]
     process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -128,7 +128,7 @@ def test_the_program_tells_it_on_stderr():
         out, err = process.communicate(timeout=60)
     finally:
         process.kill()
-    told = [line for line in err.splitlines() if "can be used" in line]
-    assert len(told) == 1 and "lie off 34x34 pixels: is the camera larger?" in told[0]
+    warnings = [line for line in err.splitlines() if "can be used" in line]
+    assert len(warnings) == 1 and "lie off 34x34 pixels: is the camera larger?" in warnings[0]
     assert "0 events (3,000 malformed, 3,000 of them off the sensor" in err and "Traceback" not in err
     assert process.returncode == 0 and out == ""

@@ -1,4 +1,4 @@
-"""What the system threw away: its counter as it tells it."""
+"""What the system threw away: its counter as it reports it."""
 
 import struct
 from types import SimpleNamespace
@@ -31,12 +31,12 @@ def linux(monkeypatch):
 
 
 def test_a_counter_of_32_bits_goes_on_where_it_wraps():
-    told = [0, 5, 2**32 - 1, 3, 3, 2**32 - 1, 0]
-    lost = LostDatagrams(Socket(*map(meminfo, told)))
-    assert [lost.read() for _ in told] == [0, 5, 2**32 - 1, 2**32 + 3, 2**32 + 3, 2 * 2**32 - 1, 2 * 2**32]
+    reported = [0, 5, 2**32 - 1, 3, 3, 2**32 - 1, 0]
+    lost = LostDatagrams(Socket(*map(meminfo, reported)))
+    assert [lost.read() for _ in reported] == [0, 5, 2**32 - 1, 2**32 + 3, 2**32 + 3, 2 * 2**32 - 1, 2 * 2**32]
 
 
-def test_of_a_closed_socket_what_it_said_last():
+def test_a_closed_socket_keeps_its_last_answer():
     lost = LostDatagrams(Socket(meminfo(7)))
     assert [lost.read(), lost.read()] == [7, 7]
 

@@ -81,7 +81,7 @@ def test_spif_events_carry_the_time_of_arrival():
     assert (np.diff(first["t"]) >= 0).all() and second["t"][0] - first["t"][-1] >= 20_000
 
 
-def test_what_is_no_event_is_counted_and_the_rest_handed_on():
+def test_invalid_events_are_counted_and_the_rest_handed_on():
     good = encode(EVENTS[:3])
     off = encode(events_of([1, 2], [40, 1], [1, 34], [0, 0]))
     with listening(sensor=(34, 34)) as source:
@@ -116,7 +116,7 @@ def test_lost_datagrams_are_counted():
     assert source.counts == counts  # closed: they stay
 
 
-def test_a_smaller_buffer_is_said(caplog):
+def test_a_smaller_buffer_is_reported(caplog):
     with listening(buffer_bytes=(1 << 30) - 1) as source:
         assert source.buffer_bytes < (1 << 30) - 1
         assert "bursts may be lost" in source.advice and source.advice in caplog.text

@@ -48,8 +48,8 @@ def test_it_says_so_where_there_are_none(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["mask", str(SAMPLE)]) == 0
     n = open_recording(SAMPLE).n_events
-    said = f"no hot pixels: none of 34x34 stands out in {n} events; wrote mask.npy, which masks nothing\n"
-    assert capsys.readouterr().out == said
+    printed = f"no hot pixels: none of 34x34 stands out in {n} events; wrote mask.npy, which masks nothing\n"
+    assert capsys.readouterr().out == printed
     assert not np.load("mask.npy").any()
 
 
@@ -57,8 +57,8 @@ def test_only_a_named_file_is_overwritten(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mask.npy").write_bytes(b"precious")
     assert main(["mask", str(SAMPLE)]) == 2
-    told = capsys.readouterr()
-    assert told.out == "" and told.err == (
+    output = capsys.readouterr()
+    assert output.out == "" and output.err == (
         "async-tnt: mask.npy is there already: --out mask.npy overwrites it, --out FILE writes another\n"
     )
     assert (tmp_path / "mask.npy").read_bytes() == b"precious"
@@ -95,10 +95,12 @@ def test_json_and_factor(tmp_path, capsys):
     path = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200))
     out = str(tmp_path / "mask.npy")
     assert main(["mask", str(path), "--sensor", "34x34", "--json", "--out", out]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert [(p["x"], p["y"]) for p in said["hot_pixels"]] == [(30, 2), (3, 31)]
-    assert said["sensor"] == [34, 34] and said["out"] == out and said["events"] == open_recording(path).n_events
-    assert said["share"] == sum(p["events"] for p in said["hot_pixels"]) / said["events"]
+    printed = json.loads(capsys.readouterr().out)
+    assert [(p["x"], p["y"]) for p in printed["hot_pixels"]] == [(30, 2), (3, 31)]
+    assert (
+        printed["sensor"] == [34, 34] and printed["out"] == out and printed["events"] == open_recording(path).n_events
+    )
+    assert printed["share"] == sum(p["events"] for p in printed["hot_pixels"]) / printed["events"]
     assert main(["mask", str(path), "--sensor", "34x34", "--json", "--out", out, "--factor", "60"]) == 0
     assert [(p["x"], p["y"]) for p in json.loads(capsys.readouterr().out)["hot_pixels"]] == [(30, 2)]
 
