@@ -35,29 +35,47 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
     int : events kept.
     """
     newest, offset = clock[NEWEST], clock[OFFSET]
+    end = MAX_TIME_US - offset
     if max_jump == NO_LIMIT:
-        low, high = 0, MAX_TIME_US
+        low, high = 0, end
     elif newest < 0:
         low, high = 0, LATEST_START_US
     else:
         passed = max(arrival - clock[NEWEST_ARRIVAL], 0)
         low, high = newest - max(BACK_US - passed, REORDERED_US), newest + passed + max_jump
-    oldest = MAX_TIME_US
-    plausible = 0
+    if newest >= 0:  # mostly no time jumps: one look at each
+        smallest, largest, n_late = newest, newest, 0
+        for i in range(n):
+            t = load(records, start + i * size + time_at, np.int64)
+            n_late += t < largest
+            smallest, largest = min(smallest, t), max(largest, t)
+        if n > 0 and max(low, 0) <= smallest and largest <= min(high, end - 1):
+            for i in range(n if offset != 0 else 0):
+                at = start + i * size + time_at
+                store(records, at, load(records, at, np.int64) + offset, np.int64)
+            clock[NEWEST], clock[VOTES] = largest, 0
+            clock[LATE] += n_late
+            if n_late < n:
+                clock[NEWEST_ARRIVAL] = arrival
+            return n
+
+    oldest = end
+    n_valid = n_plausible = 0
     for i in range(n):
         t = load(records, start + i * size + time_at, np.int64)  # a uint64 beyond int64 is negative
-        if 0 <= t < MAX_TIME_US - offset:
+        if 0 <= t < end:
+            n_valid += 1
+            n_plausible += low <= t <= high
             oldest = min(oldest, t)
-            plausible += low <= t <= high
 
     has_moved = False
-    if plausible > 0:
+    if n_plausible > 0:
         clock[VOTES] = 0
-    elif oldest < MAX_TIME_US:
+    elif n_valid > 0:
         clock[VOTES] = clock[VOTES] + 1 if abs(oldest - clock[CANDIDATE]) <= max_jump else 1
         clock[CANDIDATE] = oldest
         has_moved = clock[VOTES] >= AGREEING_PACKETS
-    if has_moved or (newest < 0 and plausible > 0 and max_jump != NO_LIMIT):
+    if has_moved or (newest < 0 and n_plausible > 0 and max_jump != NO_LIMIT):
         low, high = oldest, oldest + max_jump
         clock[VOTES] = 0
         if oldest < newest:
@@ -65,20 +83,15 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
             clock[RESTARTS] += 1
         newest = oldest
 
-    kept = 0
+    low, high = max(low, 0), min(high, MAX_TIME_US - offset - 1)
+    kept = n_late = 0
     for i in range(n):
         record = start + i * size
         t = load(records, record + time_at, np.int64)
-        if t < 0 or t >= MAX_TIME_US - offset:
-            continue
         if t < low or t > high:
-            clock[JUMPED] += 1
             continue
-        if t < newest:
-            clock[LATE] += 1
-        else:
-            newest = t
-            clock[NEWEST_ARRIVAL] = arrival
+        n_late += t < newest
+        newest = max(newest, t)
         place = start + kept * size
         if place != record:
             for b in range(size):
@@ -86,5 +99,9 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
         if offset != 0:
             store(records, place + time_at, t + offset, np.int64)
         kept += 1
+    if kept > n_late:
+        clock[NEWEST_ARRIVAL] = arrival
+    clock[JUMPED] += n_valid - kept
+    clock[LATE] += n_late
     clock[NEWEST], clock[OFFSET] = newest, offset
     return kept

@@ -61,10 +61,10 @@ class NetworkCounts:
         Examples
         --------
         >>> NetworkCounts(12, 15_600, 1_199, malformed=1, late=0, lost=None, jumped=1).summary()
-        '12 datagrams, 1,199 events (1 malformed, 1 of them jumps in time, 0 out of order, datagrams lost: unknown)'
+        '12 datagrams, 1,199 events (1 malformed, 1 of them time jumps, 0 out of order, datagrams lost: unknown)'
         """
         lost = "unknown" if self.lost is None else f"{self.lost:,}"
-        of_them = f"{self.jumped:,} of them jumps in time, " if self.jumped else ""
+        of_them = f"{self.jumped:,} of them time jumps, " if self.jumped else ""
         of_them += f"{self.off_sensor:,} of them off the sensor, " if self.off_sensor else ""
         restarts = f", clock restarts: {self.clock_restarts:,}" if self.clock_restarts else ""
         return (

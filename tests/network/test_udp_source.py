@@ -15,6 +15,8 @@ from made import events_of, random_events
 from async_tnt import Processor, TNTConfig, astream, stream
 from async_tnt.sources.background_reader import BackgroundReader
 from async_tnt.sources.datagrams import encode
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.opening import open_source
 from async_tnt.sources.udp import UdpSource, open_udp
 from async_tnt.sources.udp_sender import UdpSender
 
@@ -298,9 +300,7 @@ def test_the_summary_is_one_line_of_what_was_counted():
         raw(source, encode(EVENTS[:3]) + b"cut", encode(events_of([2**62 - 1], [0], [0], [0])))
         assert len(list(source)) == 1
         lost = "0" if sys.platform.startswith("linux") else "unknown"
-        expected = (
-            f"2 datagrams, 3 events (2 malformed, 1 of them jumps in time, 0 out of order, datagrams lost: {lost})"
-        )
+        expected = f"2 datagrams, 3 events (2 malformed, 1 of them time jumps, 0 out of order, datagrams lost: {lost})"
         assert source.summary() == expected
     assert source.summary() == expected  # closed: it stays
 
@@ -349,6 +349,19 @@ def test_open_udp_takes_format_and_timeout():
             open_udp(f"udp://127.0.0.1:{source.port}")  # taken
     with pytest.raises(OSError, match="no such host or port"):
         open_udp("udp://no.such.host.invalid:3333")
+
+
+def test_any_source_by_name():
+    """A URL, a path, an array; cameras are in tests/cameras."""
+    with open_source("udp://127.0.0.1:0?format=spif", (34, 20)) as source:
+        assert isinstance(source, UdpSource) and (source.format, source.sensor) == ("spif", (34, 20))
+    path = sample_recordings()[3]
+    recorded = open_recording(path).read().tobytes()
+    for name in (path, str(path), open_recording(path).read()):
+        assert b"".join(packet.tobytes() for packet in open_source(name)) == recorded
+    assert open_source(path, (60, 48)).sensor == (60, 48)
+    with pytest.raises(FileNotFoundError):
+        open_source("gone.npy")
 
 
 def test_nobody_listening_is_counted_not_raised():
