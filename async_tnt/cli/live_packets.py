@@ -56,7 +56,7 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
     latest : packets that wait at most while decisions are made; None for no queue.
     """
     with contextlib.ExitStack() as stack:
-        source = open_source(name, pixels.expected)
+        source: LiveSource = open_source(name, pixels.expected)
         stack.callback(source.close)
         select = pixels.filter_of(name, pixels.sensor_of(name, source.sensor))
         packets: Iterable[Any] = map(select, source)

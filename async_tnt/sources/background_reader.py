@@ -39,7 +39,7 @@ class BackgroundReader:
     Example
     -------
     >>> from async_tnt import stream
-    >>> from async_tnt.sources.files import open_recording, sample_recordings
+    >>> from async_tnt.sources import open_recording, sample_recordings
     >>> with BackgroundReader(open_recording(sample_recordings()[3])) as reader:
     ...     [decision.label for decision in stream(reader, "digits")]
     ['3', '3', '3']

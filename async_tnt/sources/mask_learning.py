@@ -68,7 +68,7 @@ def learn_mask(
 
     Example
     -------
-    >>> from async_tnt.sources.files import open_recording, sample_recordings
+    >>> from async_tnt.sources import open_recording, sample_recordings
     >>> recording = open_recording(sample_recordings()[3])
     >>> int(learn_mask(recording, (34, 34)).sum())
     0

@@ -38,7 +38,7 @@ def replay(
     Examples
     --------
     >>> import math
-    >>> from async_tnt.sources.files import sample_recordings
+    >>> from async_tnt.sources import sample_recordings
     >>> packets = replay(sample_recordings()[7], speed=math.inf, packet_us=5000)
     >>> packet = next(packets)
     >>> bool(packet["t"][-1] - packet["t"][0] < 5000)
