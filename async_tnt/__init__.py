@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
     from async_tnt.sources.files.recording import open_recording
     from async_tnt.sources.pixel_filter import PixelFilter
+    from async_tnt.sources.playback import replay
     from async_tnt.sources.queue import PacketQueue
-    from async_tnt.sources.replay import replay
     from async_tnt.streams import astream, stream
     from async_tnt.triggers import LeakyIntegrator
     from async_tnt.volume import TNTVolume
@@ -74,7 +74,7 @@ _MODULES = {
     "bundled_models": "networks.model",
     "load_model": "networks.model",
     "open_recording": "sources.files.recording",
-    "replay": "sources.replay",
+    "replay": "sources.playback",
     "stream": "streams",
     "warmup": "compile_ahead",
 }

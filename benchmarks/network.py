@@ -34,7 +34,7 @@ import numpy as np
 from async_tnt import EVENT_DTYPE, Processor, load_model, warmup
 from async_tnt.checking.timing import latency, machine
 from async_tnt.sources.background_reader import BackgroundReader
-from async_tnt.sources.replay import wait_until
+from async_tnt.sources.playback import wait_until
 from async_tnt.sources.udp import UdpSource
 from async_tnt.sources.udp_sender import UdpSender
 

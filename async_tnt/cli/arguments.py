@@ -14,7 +14,7 @@ from async_tnt.networks.model import Model, bundled_models, load_model
 from async_tnt.sources.files.fitting import check_events, check_sensor, open_for
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, sample_recordings
-from async_tnt.sources.live import is_live
+from async_tnt.sources.opening import is_live
 
 SAMPLES = Path("samples")
 

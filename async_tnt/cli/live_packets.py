@@ -10,7 +10,7 @@ from typing import Any
 
 from async_tnt.cli.arguments import complain, positive_int
 from async_tnt.sources.background_reader import BackgroundReader
-from async_tnt.sources.live import LiveSource, open_live
+from async_tnt.sources.opening import LiveSource, open_source
 from async_tnt.sources.pixel_selector import PixelSelector
 
 
@@ -49,20 +49,20 @@ class LivePackets:
 
 @contextlib.contextmanager
 def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterator[LivePackets]:
-    """Open what `open_live` knows by this name, and close it at the end.
+    """Open what `open_source` knows by this name, and close it at the end.
 
     Parameters
     ----------
     latest : packets that wait at most while decisions are made; None for no queue.
     """
     with contextlib.ExitStack() as stack:
-        source = open_live(name, pixels.expected)
+        source: LiveSource = open_source(name, pixels.expected)
         stack.callback(source.close)
         select = pixels.filter_of(name, pixels.sensor_of(name, source.sensor))
         packets: Iterable[Any] = map(select, source)
         reader = None
         if latest is not None:
-            # copy=False: cameras and the network make each packet anew
+            # copy=False: cameras and the network put each packet in new memory
             reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
             packets = stack.enter_context(reader)
         yield LivePackets(name, source, packets, reader)

@@ -13,11 +13,10 @@ import numpy as np
 from async_tnt.cli.arguments import one_line
 from async_tnt.cli.sizes import size_of
 from async_tnt.progress import progress
-from async_tnt.sources import hot_pixels
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.hot_pixels import FACTOR, count_pixels
-from async_tnt.sources.pixel_masks import checked_out, save_mask
+from async_tnt.sources.mask_learning import FACTOR, count_pixels, hot_pixels
+from async_tnt.sources.pixel_masks import check_mask_path, save_mask
 from async_tnt.sources.sizes import by
 from async_tnt.views.style import check_picture
 
@@ -74,7 +73,7 @@ def main(args: argparse.Namespace) -> int:
             raise FileExistsError(
                 f"{args.out} is there already: --out {args.out} overwrites it, --out FILE writes another"
             )
-    checked_out(args.out)
+    check_mask_path(args.out)
     if args.picture is not None:
         check_picture(args.picture)
     counts = _count(args.files, args.sensor)

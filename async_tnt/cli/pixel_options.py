@@ -9,8 +9,7 @@ from async_tnt.cli.arguments import complain
 from async_tnt.cli.sizes import size_text
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
-from async_tnt.sources.model_pixels import difference
-from async_tnt.sources.pixel_selection import PixelSelection, Region
+from async_tnt.sources.pixel_selection import PixelSelection, Region, difference
 from async_tnt.sources.pixel_selector import PixelSelector
 from async_tnt.sources.sizes import parse_size
 

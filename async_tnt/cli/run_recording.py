@@ -16,7 +16,7 @@ from async_tnt.networks.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selector import PixelSelector
-from async_tnt.sources.replay import replay
+from async_tnt.sources.playback import replay
 
 
 def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:

@@ -28,7 +28,7 @@ def run_source(
 
     Parameters
     ----------
-    name : of the source, as `open_live` takes it.
+    name : of the source, as `open_source` takes it.
     latest : see `live_packets`.
     """
     processor.reset()

@@ -15,9 +15,9 @@ import numpy as np
 from async_tnt.cli.arguments import complain, paths_of, positive_int
 from async_tnt.sources.datagrams import EVENT_BYTES
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.replay import replay, wait_until
+from async_tnt.sources.playback import replay, wait_until
 from async_tnt.sources.udp_sender import PACKET_EVENTS, UdpSender
-from async_tnt.sources.udp_url import parse_udp_url
+from async_tnt.sources.udp_socket import parse_udp_url
 
 DESCRIPTION = """Send recordings as UDP datagrams to whoever listens, at the pace at which they were recorded. Several
 recordings come one after the other, their times continued, so that the receiver sees one stream.

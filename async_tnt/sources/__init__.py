@@ -1,73 +1,85 @@
 """Where events come from: recordings, cameras, the network, queues; and which pixels of them count.
 
+open_source         any of the next three by name, or events in memory
 open_recording      a file of any format that `sources.files` reads; `sample_recordings` are bundled
 open_camera         a camera of Prophesee or iniVation (extra `cameras`)
 open_udp            datagrams from the network; `UdpSender` sends them
 replay              a recording at its own pace
-BackgroundReader    reads a source in a thread of its own; `PacketQueue` is the queue alone, for drivers that call back
+BackgroundReader    reads a source in a background thread; `PacketQueue` is the queue alone, for drivers with callbacks
 PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in recordings
 """
 
-from async_tnt.sources.background_reader import BackgroundReader
-from async_tnt.sources.camera import Camera, CameraCounts
-from async_tnt.sources.camera_opening import DRIVERS, open_camera
-from async_tnt.sources.datagrams import EVENT_BYTES, Decoded, Decoder, decode, encode
-from async_tnt.sources.files.fitting import check_sensor, open_for
-from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
-from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
-from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
-from async_tnt.sources.hot_pixels import count_pixels, hot_pixels, learn_mask
-from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
-from async_tnt.sources.pixel_masks import load_mask, save_mask
-from async_tnt.sources.pixel_selection import PackedMask, PixelSelection
-from async_tnt.sources.pixel_selector import PixelSelector
-from async_tnt.sources.queue import PacketQueue, QueueCounters
-from async_tnt.sources.replay import replay
-from async_tnt.sources.udp import UdpSource, open_udp
-from async_tnt.sources.udp_counts import NetworkCounts
-from async_tnt.sources.udp_sender import UdpSender
-from async_tnt.sources.udp_url import UdpUrl, parse_udp_url
+# ruff: noqa: F401 (the names are in __all__, made from _NAMES)
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from async_tnt.sources.background_reader import BackgroundReader
+    from async_tnt.sources.camera_drivers import DRIVERS
+    from async_tnt.sources.cameras import Camera, CameraCounts, open_camera
+    from async_tnt.sources.clock import Clock
+    from async_tnt.sources.datagrams import EVENT_BYTES, Decoded, Decoder, decode, encode
+    from async_tnt.sources.files.fitting import check_sensor, open_for
+    from async_tnt.sources.files.formats import READERS
+    from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+    from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
+    from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
+    from async_tnt.sources.mask_learning import count_pixels, hot_pixels, learn_mask
+    from async_tnt.sources.opening import LiveSource, open_source
+    from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
+    from async_tnt.sources.pixel_masks import PackedMask, load_mask, save_mask
+    from async_tnt.sources.pixel_selection import PixelSelection
+    from async_tnt.sources.pixel_selector import PixelSelector
+    from async_tnt.sources.playback import replay
+    from async_tnt.sources.queue import PacketQueue, QueueCounters
+    from async_tnt.sources.udp import NetworkCounts, UdpSource, open_udp
+    from async_tnt.sources.udp_sender import UdpSender
+    from async_tnt.sources.udp_socket import UdpUrl, parse_udp_url
 
-__all__ = [
-    "DRIVERS",
-    "EVENT_BYTES",
-    "READERS",
-    "BackgroundReader",
-    "Camera",
-    "CameraCounts",
-    "CorruptData",
-    "DamagedRecording",
-    "Decoded",
-    "Decoder",
-    "NetworkCounts",
-    "PackedMask",
-    "PacketQueue",
-    "PixelCounts",
-    "PixelFilter",
-    "PixelSelection",
-    "PixelSelector",
-    "QueueCounters",
-    "Recording",
-    "Source",
-    "UdpSender",
-    "UdpSource",
-    "UdpUrl",
-    "check_sensor",
-    "count_pixels",
-    "decode",
-    "encode",
-    "hot_pixels",
-    "learn_mask",
-    "load_mask",
-    "open_camera",
-    "open_for",
-    "open_recording",
-    "open_udp",
-    "parse_udp_url",
-    "read_nmnist",
-    "replay",
-    "sample_recordings",
-    "save_mask",
-    "write_nmnist",
-]
+_NAMES = {
+    "background_reader": ("BackgroundReader",),
+    "camera_drivers": ("DRIVERS",),
+    "cameras": ("Camera", "CameraCounts", "open_camera"),
+    "clock": ("Clock",),
+    "datagrams": ("EVENT_BYTES", "Decoded", "Decoder", "decode", "encode"),
+    "files.fitting": ("check_sensor", "open_for"),
+    "files.formats": ("READERS",),
+    "files.nmnist": ("read_nmnist", "write_nmnist"),
+    "files.recording": ("Recording", "open_recording", "sample_recordings"),
+    "files.source": ("CorruptData", "DamagedRecording", "Source"),
+    "mask_learning": ("count_pixels", "hot_pixels", "learn_mask"),
+    "opening": ("LiveSource", "open_source"),
+    "pixel_filter": ("PixelCounts", "PixelFilter"),
+    "pixel_masks": ("PackedMask", "load_mask", "save_mask"),
+    "pixel_selection": ("PixelSelection",),
+    "pixel_selector": ("PixelSelector",),
+    "playback": ("replay",),
+    "queue": ("PacketQueue", "QueueCounters"),
+    "udp": ("NetworkCounts", "UdpSource", "open_udp"),
+    "udp_sender": ("UdpSender",),
+    "udp_socket": ("UdpUrl", "parse_udp_url"),
+}
+"""Module -> its public names. Each is imported when one is first used, so that a program starts at once."""
+_MODULES = {name: module for module, names in _NAMES.items() for name in names}
+
+__all__ = list(_MODULES)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+if not TYPE_CHECKING:  # a type checker would assume that every name exists
+
+    def __getattr__(name):
+        import importlib
+
+        module = _MODULES.get(name, name)  # async_tnt.sources.files and other modules are themselves
+        try:
+            value = importlib.import_module(f".{module}", __name__)
+        except ModuleNotFoundError as error:
+            if error.name != f"{__name__}.{module}":  # another package is missing
+                raise
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
+        if name in _MODULES:
+            value = getattr(value, name)
+        globals()[name] = value
+        return value

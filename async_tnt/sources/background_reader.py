@@ -1,4 +1,4 @@
-"""A source of packets, read in a thread of its own, so that it need not wait for whoever uses them."""
+"""Read a source of packets in a background thread, so that it need not wait for their consumer."""
 
 from __future__ import annotations
 
@@ -15,27 +15,25 @@ from async_tnt.sources.queue import PacketQueue, QueueCounters
 class BackgroundReader:
     """Iterates a source in a daemon thread, into a bounded queue; iterating the reader yields the packets in order.
 
-    Reading starts at once. An exception of the source comes up in the reader's loop, after the packets before it;
-    where the source ends, the loop ends. Use it as a context manager (`with` or `async with`), or `close` it: that
-    stops the thread. One that is forgotten stops when it is garbage collected.
+    Reading starts at once. An exception of the source is raised in the reader's loop, after the packets before it; the
+    loop ends where the source ends. Use it as a context manager (`with` or `async with`), or `close` it to stop the
+    thread. A forgotten reader stops when it is garbage collected.
 
     Parameters
     ----------
     source : any iterable of packets, in any form that `async_tnt.event_forms` lists: a camera, a recording, a
-        generator. The thread calls `iter` and `next`, nobody else.
+        generator. Only the thread iterates it.
     max_packets : packets that wait at most.
-    latest : what happens when the queue is full. False: the source is not asked for more until there is room, so
-        that nothing is lost. True: the oldest packets are thrown away and their events counted, so that the delay
-        stays bounded however slow the consumer is.
-    max_events : events that wait at most; a packet that is larger by itself passes alone.
-    copy : whether each packet is copied as it comes. Drivers often reuse the memory of a packet for the next one,
-        and in the queue it has to outlive that. False hands over what came, for sources that make each packet anew.
-    on_close : called by `close`, for a source that may wait for its next packet for ever: something that wakes it
-        up, such as the `close` of a camera or a socket.
+    latest : what happens when the queue is full. False: the source is not read until there is room, so that nothing
+        is lost. True: the oldest packets are discarded and their events counted, so that the delay stays bounded
+        however slow the consumer is.
+    max_events, copy : as for `PacketQueue`.
+    on_close : called by `close`, for a source that may wait forever for its next packet: it should wake the source up,
+        as the `close` of a camera or a socket does.
 
     Raises
     ------
-    TypeError : the source is not iterable, or a limit is no whole number.
+    TypeError : the source is not iterable, or a limit is not a whole number.
     ValueError : a limit is below 1.
 
     Example
@@ -61,11 +59,11 @@ class BackgroundReader:
             raise TypeError(f"`source` must yield events, got the path {source}; open_recording(path) reads a file")
         if not hasattr(source, "__iter__") and not hasattr(source, "__getitem__"):
             if hasattr(source, "__aiter__"):
-                raise TypeError("`source` is asynchronous already: hand it to `astream` as it is")
+                raise TypeError("`source` is asynchronous already: pass it to `astream` directly")
             raise TypeError(f"`source` must be an iterable of packets, got {type(source).__name__}")
         self._queue = PacketQueue(max_packets=max_packets, latest=latest, max_events=max_events, copy=copy)
         self._on_close = on_close
-        # The thread knows the queue, not the reader, which can thus be garbage collected while the thread runs.
+        # The thread refers to the queue, not the reader, which can thus be garbage collected while the thread runs.
         self._thread = threading.Thread(
             target=_read, args=(source, self._queue), name="async_tnt.BackgroundReader", daemon=True
         )
@@ -94,7 +92,7 @@ class BackgroundReader:
 
     @property
     def n_skipped(self) -> int:
-        """Events thrown away."""
+        """Events discarded."""
         return self._queue.n_skipped
 
     @property
@@ -104,14 +102,13 @@ class BackgroundReader:
 
     @property
     def counters(self) -> QueueCounters:
-        """All counts, of one moment."""
+        """All counts, at one moment."""
         return self._queue.counters
 
     def close(self, timeout_s: float = 1.0) -> bool:
-        """Throw away what waits, end the loop over this reader, and stop the thread. May be called again.
+        """Discard waiting packets, end the loop over this reader, and stop the thread. May be called again.
 
-        A thread that waits in the queue stops at once. One that waits inside the source stops at the source's next
-        packet, unless `on_close` wakes it.
+        A thread that waits in the source stops at the source's next packet, unless `on_close` wakes it.
 
         Parameters
         ----------
@@ -141,7 +138,7 @@ class BackgroundReader:
         self.close()
 
     async def aclose(self, timeout_s: float = 1.0) -> bool:
-        """`close`, while asyncio's other tasks go on."""
+        """`close`, while asyncio's other tasks run."""
         self._stop()
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + timeout_s
@@ -159,17 +156,17 @@ class BackgroundReader:
 
 
 def _read(source: Iterable[Any], queue: PacketQueue) -> None:
-    """What the thread does."""
+    """The thread's work."""
     try:
         packets = iter(source)
-        while queue.wait_for_room():  # before asking the source: it is never ahead by more than the queue holds
+        while queue.wait_for_room():  # before reading the source: it is never ahead by more than the queue holds
             try:
                 packet = next(packets)
             except StopIteration:
                 break
             queue.put(packet)
             del packet  # its memory belongs to the consumer
-    except BaseException as error:  # whatever it is, the consumer must know
+    except BaseException as error:  # whatever it is, the consumer must see it
         queue.end(error)
     else:
         queue.end()

@@ -1,58 +1,93 @@
-"""Times that go on where a camera's clock starts anew."""
+"""Times that only go forward, whatever a sender's or a camera's clock does."""
 
 from __future__ import annotations
 
 import numpy as np
 
-RESTART_US = 1_000_000  # drivers hand on events in order, but for microseconds
+from async_tnt.kernels.clock import ARGUMENTS, INITIAL, JUMPED, LATE, NO_LIMIT, RESTARTS, repair_times
+from async_tnt.kernels.jit import compile_only
 
 
-class ContinuousTime:
-    """Shifts times, in place, where they fall back by more than `RESTART_US`: so often has the clock restarted.
+class Clock:
+    """Drops events whose time jumps, until eight consecutive packets agree that the clock has moved.
 
-    A camera's clock starts anew when a signal tells it to, or when its firmware recovers. Windows go by the
-    events' own time, so a processor would wait, silently, until the new times reach the old ones. Here the event
-    that falls back takes the time of the one before it (at the start of a packet, of the newest one that a packet
-    ended with), and those after it keep their distance to it:
+    A processor goes by the events' own times, so that one time far ahead closes all its windows, and times that fall
+    back come too late for them. The rule, for a packet that arrives when `passed` microseconds have gone by here since
+    the newest event so far, n:
 
-        t'_i = t_i + offset,    offset += t'_before - t'_i at each fall
+        an event jumps   iff   t > n + passed + max_jump   or   t < n - max(1 s - passed, 20 ms)
+
+    Such events are dropped and counted. `passed` lets a camera be still for an hour, as its clock goes on; it also
+    recognises a short recording that is sent again. Where all events of a packet jump, the packet votes for its oldest
+    time; a packet within `max_jump` of the vote before adds to it, any other starts again, and a packet with an event
+    that does not jump ends the vote. With the eighth vote the clock has moved. A clock that moved ahead keeps its
+    times. One that moved back, by a restart or a wrap, gets times that go on: from here on all are shifted, so that the
+    oldest event of this packet takes the time n.
+
+    The first packet starts the clock at its oldest event, which lies before the year 2100.
 
     Parameters
     ----------
-    field : of the packets' times, int64 or uint64 microseconds.
+    max_jump_s : seconds; None: every time is believed and stays what it is.
+
+    Attributes
+    ----------
+    max_jump_us, state : for the kernel.
+
+    Raises
+    ------
+    ValueError : `max_jump_s` out of range.
 
     Example
     -------
-    >>> clock = ContinuousTime("t")
-    >>> packets = [np.array([(t,) for t in times], [("t", "<u8")]) for times in ([5_000_000, 5_000_009], [3, 7])]
-    >>> [clock(packet)["t"].tolist() for packet in packets], clock.restarts
-    ([[5000000, 5000009], [5000009, 5000013]], 1)
+    >>> clock = Clock(max_jump_s=1)
+    >>> def times_of(*times, arrival_us=0):
+    ...     return clock(np.array([(t,) for t in times], [("t", "<u8")]), "t", arrival_us)["t"].tolist()
+    >>> times_of(5_000_000, 5_000_009), times_of(5_000_020, 90_000_000, 5_000_030)  # one time is garbled
+    ([5000000, 5000009], [5000020, 5000030])
+    >>> times_of(4_000_000_000, arrival_us=4_000_000_000)  # an hour of silence is no jump
+    [4000000000]
+    >>> [times_of(10 * k, 10 * k + 5, arrival_us=4_000_000_000) for k in range(9)][6:]  # the camera starts again
+    [[], [4000000000, 4000000005], [4000000010, 4000000015]]
+    >>> clock.jumped, clock.restarts
+    (15, 1)
     """
 
-    def __init__(self, field: str) -> None:
-        self._field = field
-        self._offset_us = 0
-        self._newest_us = -1
-        self.restarts = 0
+    def __init__(self, max_jump_s: float | None) -> None:
+        if max_jump_s is not None and not 0 < max_jump_s < 1e9:
+            raise ValueError(f"`max_jump_s` must be a positive number of seconds, or None, got {max_jump_s}")
+        compile_only(repair_times, *ARGUMENTS)
+        self.max_jump_us = NO_LIMIT if max_jump_s is None else round(max_jump_s * 1e6)
+        self.state = np.array(INITIAL, np.int64)
+
+    def __call__(self, events: np.ndarray, field: str, arrival_us: int) -> np.ndarray:
+        """The events of a packet that are kept, in its own memory, which is changed.
+
+        Parameters
+        ----------
+        events : structured array, contiguous.
+        field : of its times, int64 or uint64.
+        arrival_us : of the packet, on the receiver's clock.
+        """
+        if events.dtype.fields is None or events.dtype.fields[field][0].itemsize != 8:
+            raise TypeError(f"the field `{field}` must be a time of 64 bits, got {events.dtype}")
+        time_at = events.dtype.fields[field][1]
+        records = events.view(np.uint8)
+        size = events.itemsize
+        kept = repair_times(records, 0, len(events), size, time_at, arrival_us, self.max_jump_us, self.state)
+        return events if kept == len(events) else events[:kept]
 
     @property
-    def newest_us(self) -> int | None:
-        """The newest time that a packet ended with, as the camera's clock counts now; None before the first."""
-        return None if self._newest_us < 0 else self._newest_us - self._offset_us
+    def jumped(self) -> int:
+        """Events dropped."""
+        return int(self.state[JUMPED])
 
-    def __call__(self, events: np.ndarray) -> np.ndarray:
-        """The same array, its times going on. It must not be empty."""
-        t = events[self._field]
-        if self._offset_us:
-            t += self._offset_us
-        newest = self._newest_us if self._newest_us >= 0 else int(t[0])
-        while int(t[-1]) < newest - RESTART_US:  # mostly at most once in the life of a camera
-            times = t.astype(np.int64)
-            falls = -np.diff(times, prepend=newest)
-            i = int(np.argmax(falls))
-            fall = int(falls[i])
-            t[i:] += fall
-            self._offset_us += fall
-            self.restarts += 1
-        self._newest_us = max(newest, int(t[-1]))
-        return events
+    @property
+    def late(self) -> int:
+        """Events kept that are older than one before them."""
+        return int(self.state[LATE])
+
+    @property
+    def restarts(self) -> int:
+        """How often the clock moved back."""
+        return int(self.state[RESTARTS])

@@ -1,4 +1,4 @@
-"""Events as bytes in datagrams, in the formats that others speak. All little endian; a datagram holds whole events.
+"""Events as bytes in datagrams, in the formats of other projects. Little-endian; a datagram holds whole events.
 
 | format            | bytes | one event                                                                         |
 | ----------------- | ----- | --------------------------------------------------------------------------------- |
@@ -20,22 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.kernels.datagrams import (
-    AHEAD,
-    ARGUMENTS,
-    INITIAL,
-    LATE,
-    MALFORMED,
-    NO_LIMIT,
-    OFF_SENSOR,
-    RESTARTS,
-    SPIF,
-    SPIF_T32,
-    T32,
-    T64,
-    decode_events,
-)
+from async_tnt.kernels.clock import NO_LIMIT
+from async_tnt.kernels.datagrams import ARGUMENTS, SPIF, SPIF_T32, T32, T64, decode_events
 from async_tnt.kernels.jit import compile_only
+from async_tnt.sources.clock import Clock
 
 EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32": 8}
 """Format -> bytes of one event."""
@@ -50,12 +38,12 @@ _MAX_SIDE = {"t64_x16_y16_on8": 1 << 16, "t32_x16_y15_on1": 1 << 15, "spif": 1 <
 
 
 class Decoded(NamedTuple):
-    """What some bytes held."""
+    """The events of a datagram."""
 
     events: np.ndarray
     """Structured array of `EVENT_DTYPE`, new memory."""
     malformed: int
-    """Events left out: cut off, off the sensor, a polarity beyond 1, a time before 0, beyond 2**62 us, or far ahead."""
+    """Events left out: cut off, off the sensor, a polarity beyond 1, a time outside [0, 2**62) us, or that jumps."""
 
 
 def checked_format(format: str) -> str:
@@ -75,7 +63,7 @@ def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
 
     Raises
     ------
-    ValueError : unknown format; a coordinate that it has no bits for.
+    ValueError : unknown format; a coordinate too large for it.
 
     Examples
     --------
@@ -109,16 +97,19 @@ class Decoder:
     """Bytes of one stream to events. Never raises, whatever the bytes.
 
     Times of 32 bits are unwrapped: each is taken to lie within 2**31 us (36 minutes) of the newest event before it, so
-    what comes out does not depend on how the stream was cut. `spif` has no time: its events get the time of arrival.
+    the result does not depend on how the stream was cut. `spif` has no time: its events get the time of arrival.
 
     Parameters
     ----------
     format : one of `EVENT_BYTES`.
-    sensor : (width, height) in pixels; events beyond it are malformed. None: whatever the format can say.
-    max_jump_s : how far ahead of the stream, in seconds, an event may be; beyond that it is malformed, unless the
-        datagrams after it agree: then the stream has moved. So it has where they agree that it fell back: from then on
-        times are shifted, so that they go on, see `async_tnt.kernels.datagrams`. None: as far as it likes, and
-        times stay what they are.
+    sensor : (width, height) in pixels; events beyond it are malformed. None: whatever the format can hold.
+    max_jump_s : of the stream's `Clock`. None: every time is believed.
+
+    Attributes
+    ----------
+    clock : counts the events that it drops; they are malformed, too.
+    malformed : events left out so far, those of `off_sensor` and `clock.jumped` among them.
+    off_sensor : events left out because they lie off the sensor.
     """
 
     def __init__(
@@ -128,59 +119,27 @@ class Decoder:
         max_jump_s: float | None = None,
     ) -> None:
         self.format = checked_format(format)
-        if max_jump_s is not None and not 0 < max_jump_s < 1e9:
-            raise ValueError(f"`max_jump_s` must be a positive number of seconds, or None, got {max_jump_s}")
+        self.clock = Clock(max_jump_s)
         compile_only(decode_events, *ARGUMENTS)
         self.event_bytes = EVENT_BYTES[format]
         self.sensor = sensor
-        self.max_jump_s = max_jump_s
+        self.malformed = self.off_sensor = 0
         self._kind = _KIND[format]
         self._width, self._height = sensor or (1 << 16, 1 << 16)
-        self._max_jump_us = NO_LIMIT if max_jump_s is None or format == "spif" else round(max_jump_s * 1e6)
-        self._state = np.array(INITIAL, np.int64)
+        self._max_jump_us = NO_LIMIT if format == "spif" else self.clock.max_jump_us
 
-    @property
-    def malformed(self) -> int:
-        """Events left out so far, those of `ahead` and of `off_sensor` among them."""
-        return int(self._state[MALFORMED])
-
-    @property
-    def ahead(self) -> int:
-        """Events left out because their time was too far ahead of the stream."""
-        return int(self._state[AHEAD])
-
-    @property
-    def restarts(self) -> int:
-        """How often the sender's clock started anew: since then, times are shifted, so that they go on."""
-        return int(self._state[RESTARTS])
-
-    @property
-    def off_sensor(self) -> int:
-        """Events left out because they lie off the sensor."""
-        return int(self._state[OFF_SENSOR])
-
-    @property
-    def late(self) -> int:
-        """Events older than one before them; they are not left out."""
-        return int(self._state[LATE])
-
-    def decode(self, data: bytes | bytearray | memoryview, arrival_us: int | np.ndarray = 0) -> Decoded:
-        """The events in `data`: a datagram, or several of whole events, end to end.
+    def decode(self, data: bytes | bytearray | memoryview, arrival_us: int = 0) -> Decoded:
+        """The events of a datagram.
 
         Parameters
         ----------
         data : bytes. What is left after the last whole event counts as one malformed event.
-        arrival_us : microseconds on the receiver's clock: for `spif` the time of its events. One number for all as one
-            datagram, or one for each event, as if each had come in its own.
+        arrival_us : microseconds on the receiver's clock: for `spif` the time of its events.
         """
         n, rest = divmod(len(data), self.event_bytes)
-        arrivals = np.array(arrival_us, np.int64, ndmin=1)
-        ends = np.arange(1, n + 1) if np.ndim(arrival_us) else np.array([n])
-        if len(arrivals) != len(ends):
-            raise ValueError(f"`arrival_us` must be one number or one for each of {n} events, got {len(arrivals)}")
-        self._state[MALFORMED] += rest > 0
-        before = self.malformed - (rest > 0)
-        events = self.decode_datagrams(np.frombuffer(data, np.uint8), ends, arrivals, len(ends))
+        before = self.malformed
+        self.malformed += rest > 0
+        events = self.decode_datagrams(np.frombuffer(data, np.uint8), np.array([n]), np.array([arrival_us]), 1)
         return Decoded(events, self.malformed - before)
 
     def decode_datagrams(self, raw: np.ndarray, ends: np.ndarray, arrivals: np.ndarray, n_datagrams: int) -> np.ndarray:
@@ -194,7 +153,7 @@ class Decoder:
         """
         n = int(ends[n_datagrams - 1]) if n_datagrams else 0
         events = np.empty(n, EVENT_DTYPE)
-        n_good = decode_events(
+        n_good, n_off_sensor = decode_events(
             raw,
             self._kind,
             ends,
@@ -203,9 +162,11 @@ class Decoder:
             self._width,
             self._height,
             self._max_jump_us,
-            self._state,
+            self.clock.state,
             np.frombuffer(events, np.uint8),
         )
+        self.malformed += n - n_good
+        self.off_sensor += n_off_sensor
         return events if n_good == n else events[:n_good]
 
 
@@ -215,7 +176,7 @@ def decode(
     sensor: tuple[int, int] | None = None,
     arrival_us: int = 0,
 ) -> Decoded:
-    """The events of one datagram by itself; see `Decoder`, which goes on from datagram to datagram.
+    """The events of one datagram by itself; `Decoder` goes on from datagram to datagram.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A filter of events by pixel: a region of interest, and a mask."""
+"""Drop events by pixel: outside a region of interest, or at masked pixels."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from async_tnt.sources.sizes import by
 
 @dataclass(frozen=True, slots=True)
 class PixelCounts:
-    """Events of a filter so far: received = kept + dropped_masked + dropped_outside."""
+    """Events so far: received = kept + dropped_masked + dropped_outside."""
 
     received: int = 0
     kept: int = 0
     dropped_masked: int = 0
-    """At masked pixels of the region of interest."""
+    """At masked pixels inside the region of interest."""
     dropped_outside: int = 0
-    """Outside of the region of interest, masked or not."""
+    """Outside the region of interest, masked or not."""
 
     def __add__(self, other: PixelCounts) -> PixelCounts:
         return PixelCounts(*(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__))
@@ -37,24 +37,24 @@ class PixelCounts:
 
 
 class PixelFilter:
-    """From any events to a packet without those of unwanted pixels, in their order.
+    """Keeps the events of a region of interest whose pixels are not masked, in their order.
 
     Parameters
     ----------
     sensor : (width, height) of the camera, in pixels.
     roi : region of interest (x, y, width, height), its upper left pixel and its size; None: the whole sensor.
-    mask : bool array, shape (H, W) of the whole sensor, True where a pixel's events are left out; or the path of such
-        a `.npy` file; None: no pixel is masked.
-    crop : shift coordinates to the region's upper left corner. Without it they stay as they are.
+    mask : bool array, shape (H, W) of the whole sensor, True where a pixel's events are dropped; or the path of such a
+        `.npy` file; None: no pixel is masked.
+    crop : shift coordinates to the region's upper left corner.
 
     Attributes
     ----------
-    sensor : (width, height) of the packets that come out: the region's size with `crop`, else the camera's.
+    sensor : (width, height) of the filtered packets: the region's size with `crop`, else the camera's.
 
     Raises
     ------
-    ValueError : a region that is not on the sensor, a mask of another type or shape, a damaged file.
-    OSError : the mask's file is missing or not readable.
+    ValueError : a region off the sensor, a mask of another type or shape, a damaged file.
+    OSError : the mask file is missing or not readable.
 
     Example
     -------
@@ -76,7 +76,9 @@ class PixelFilter:
         compile_only(keep_events, *COLUMN_TYPES, int64, uint8[:, ::1], int64, int64, uint8[::1])
         width, height = checked_sensor(sensor)
         check_crop(crop, roi)
-        left, top, roi_width, roi_height = (0, 0, width, height) if roi is None else _checked_roi(roi, width, height)
+        left, top, roi_width, roi_height = (
+            (0, 0, width, height) if roi is None else checked_region(roi, (width, height))
+        )
         if isinstance(mask, (str, os.PathLike)):
             mask = load_mask(mask, (width, height))
         elif mask is not None:
@@ -97,11 +99,11 @@ class PixelFilter:
 
         Returns
         -------
-        Structured array of `async_tnt.EVENT_DTYPE`, in memory of its own.
+        Structured array of `async_tnt.EVENT_DTYPE`, in new memory.
 
         Raises
         ------
-        ValueError, TypeError : as at the door of a Processor; nothing of such a packet counts.
+        ValueError, TypeError : invalid events, as for `Processor.push`; such a packet is not counted.
         """
         t, x, y, p, n = self._decoder.decode(events)
         records = np.empty(n * EVENT_DTYPE.itemsize, np.uint8)
@@ -128,22 +130,17 @@ class PixelFilter:
 
 
 def check_crop(crop: bool, roi: Any) -> None:
-    """Refuse `crop` where there is no region.
-
-    Raises
-    ------
-    ValueError.
-    """
+    """Refuse `crop` without a region."""
     if crop and roi is None:
         raise ValueError("--crop belongs to --roi (in Python, `crop` to `roi`): the region that is to be the sensor")
 
 
-def whole_region(roi: Any) -> tuple[int, int, int, int]:
+def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int, int, int, int]:
     """(x, y, width, height) as four Python integers.
 
     Raises
     ------
-    ValueError : not four whole numbers, or no region of any sensor.
+    ValueError : not four whole numbers, or off this sensor; without one, off any.
     """
     try:
         numbers = tuple(roi)
@@ -157,14 +154,9 @@ def whole_region(roi: Any) -> tuple[int, int, int, int]:
             "`roi` (x, y, width, height) must lie on the sensor, x and y at least 0, and hold at least one pixel, got "
             f"({left}, {top}, {width}, {height})"
         )
-    return left, top, width, height
-
-
-def _checked_roi(roi: Any, sensor_width: int, sensor_height: int) -> tuple[int, int, int, int]:
-    left, top, width, height = whole_region(roi)
-    if left + width > sensor_width or top + height > sensor_height:
+    if sensor is not None and (left + width > sensor[0] or top + height > sensor[1]):
         raise ValueError(
-            f"`roi` (x, y, width, height) must lie on the sensor of {by((sensor_width, sensor_height))} pixels, got "
+            f"`roi` (x, y, width, height) must lie on the sensor of {by(sensor)} pixels, got "
             f"({left}, {top}, {width}, {height})"
         )
     return left, top, width, height

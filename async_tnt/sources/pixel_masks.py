@@ -1,8 +1,11 @@
-"""Masks of pixels: their one form, and their files."""
+"""Masks of pixels: checked, in files, and packed so that they are small and comparable."""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import zlib
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +15,11 @@ from async_tnt.checks import is_whole, plain_array
 from async_tnt.config import MAX_SIDE
 from async_tnt.files import check_writable, replacing
 from async_tnt.sources.files.npy_arrays import map_npy
+from async_tnt.sources.files.source import Sensor
 from async_tnt.sources.sizes import by
 
 
-def checked_sensor(sensor: Any) -> tuple[int, int]:
+def checked_sensor(sensor: Any) -> Sensor:
     """(width, height) as two Python integers.
 
     Raises
@@ -33,23 +37,17 @@ def checked_sensor(sensor: Any) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def checked_mask(mask: Any, sensor: tuple[int, int] | None = None) -> np.ndarray:
-    """A mask of this sensor: bool, shape (H, W), True where a pixel's events are left out.
-
-    Parameters
-    ----------
-    sensor : (width, height) that it must be of; None: of any.
+def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
+    """A bool array of shape (H, W), True where a pixel's events are dropped; of this sensor, or of any if it is None.
 
     Raises
     ------
-    ValueError, TypeError : another type or another shape; says what came.
+    ValueError, TypeError : another type or another shape; the message says which.
     """
-    if sensor is None:
-        rule = f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]"
-    else:
-        rule = (
-            f"a mask of a {by(sensor)} sensor must be a bool array of shape ({sensor[1]}, {sensor[0]}), (height, width)"
-        )
+    rule = f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]"
+    if sensor is not None:
+        shape = f"({sensor[1]}, {sensor[0]}), (height, width)"
+        rule = f"a mask of a {by(sensor)} sensor must be a bool array of shape {shape}"
     if not isinstance(mask, np.ndarray):
         raise ValueError(f"{rule}; got {type(mask).__name__}")
     mask = plain_array("mask", mask)
@@ -57,25 +55,21 @@ def checked_mask(mask: Any, sensor: tuple[int, int] | None = None) -> np.ndarray
         raise ValueError(f"{rule}; got {mask.dtype} of shape {mask.shape}")
     fits = mask.ndim == 2 and min(mask.shape) >= 1 and max(mask.shape) <= MAX_SIDE
     if not fits or sensor not in (None, mask.shape[::-1]):
-        turned = "; turn it with .T" if mask.shape == sensor else ""
-        raise ValueError(f"{rule}; got shape {mask.shape}{turned}")
+        transposed = "; transpose it with .T" if mask.shape == sensor else ""
+        raise ValueError(f"{rule}; got shape {mask.shape}{transposed}")
     return mask
 
 
-def load_mask(path: str | os.PathLike[str], sensor: tuple[int, int] | None = None) -> np.ndarray:
-    """Read a mask that `save_mask` or `async-tnt mask` wrote.
+def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.ndarray:
+    """Read a mask that `save_mask` or `async-tnt mask` wrote: bool, shape (H, W), True where events are dropped.
 
     Parameters
     ----------
-    sensor : (width, height) that it must be of; None: the mask says.
-
-    Returns
-    -------
-    bool, shape (H, W), True where a pixel's events are left out.
+    sensor : (width, height) of the sensor; None: of any.
 
     Raises
     ------
-    ValueError : damaged, or no mask of this sensor.
+    ValueError : damaged, or not a mask of this sensor.
     OSError : missing or not readable.
     """
     mapped = map_npy(path)
@@ -86,23 +80,84 @@ def load_mask(path: str | os.PathLike[str], sensor: tuple[int, int] | None = Non
 
 
 def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
-    """Write a mask as a `.npy` file, whole or not at all.
+    """Write a mask as a `.npy` file, completely or not at all.
 
     Raises
     ------
-    ValueError : no bool array of two dimensions, or another suffix.
-    OSError : not writeable.
+    ValueError : not a bool array of two dimensions, or another suffix.
+    OSError : not writable.
     """
-    path = checked_out(path)
+    check_mask_path(path)
     mask = checked_mask(plain_array("mask", mask))
-    with replacing(path) as part, part.open("wb") as file:
+    with replacing(Path(path)) as part, part.open("wb") as file:
         np.save(file, mask, allow_pickle=False)
 
 
-def checked_out(path: str | os.PathLike[str]) -> Path:
-    """Where a mask can be written; an error before the work rather than after it."""
+def check_mask_path(path: str | os.PathLike[str]) -> None:
+    """Check that a mask can be written there, before the work of learning it.
+
+    Raises
+    ------
+    ValueError, OSError : as for `save_mask`.
+    """
     path = Path(path)
     if path.suffix.lower() != ".npy":
         raise ValueError(f"{path}: a mask is written as .npy, got the suffix {path.suffix!r}")
     check_writable(path)
-    return path
+
+
+@dataclass(frozen=True)
+class PackedMask:
+    """A mask in little memory: equal to any other of the same size and pixels, whatever file it is from.
+
+    Parameters
+    ----------
+    size : (width, height) of its sensor.
+    sha256 : `hashlib.sha256(mask.tobytes()).hexdigest()`.
+    n_pixels : how many are masked.
+    packed : the pixels as compressed bits. Every recording sent to a worker takes its mask along; hot pixels of a
+        1280x720 sensor pack into 1 to 3 kB instead of 900.
+    name : its file, for messages.
+    """
+
+    size: Sensor
+    sha256: str
+    n_pixels: int
+    packed: bytes = field(compare=False, repr=False)
+    name: str = field(default="mask", compare=False)
+
+    @classmethod
+    def of(cls, mask: Any, name: str = "mask") -> PackedMask:
+        """Pack a bool array of shape (H, W), True where a pixel's events are dropped, or the file of one.
+
+        Raises
+        ------
+        ValueError : another type or shape, empty, or a damaged file.
+        TypeError : neither an array nor a path. OSError : the file is missing or not readable.
+        """
+        if isinstance(mask, PackedMask):
+            return mask
+        if isinstance(mask, (str, os.PathLike)):
+            return cls.of(load_mask(mask), str(mask))
+        if not isinstance(mask, np.ndarray):
+            raise TypeError(
+                f"`mask` must be a bool array, a .npy file's path or a PackedMask, got {type(mask).__name__}"
+            )
+        height, width = checked_mask(mask).shape
+        packed = zlib.compress(np.packbits(mask).tobytes())
+        return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), int(mask.sum()), packed, name)
+
+    def pixels(self, sensor: Sensor) -> np.ndarray:
+        """The mask itself, for a camera of (width, height): bool, shape (H, W).
+
+        Raises
+        ------
+        ValueError : it is of another sensor.
+        """
+        width, height = self.size
+        bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
+        mask = np.unpackbits(bits, count=width * height).reshape(height, width).view(np.bool_)
+        try:
+            return checked_mask(mask, sensor)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None

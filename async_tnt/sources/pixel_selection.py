@@ -1,102 +1,38 @@
-"""What of a source's pixels a model is to see, as plain values that can be compared, sent and told."""
+"""Which pixels a model is to see, as plain values that can be compared, sent and stored."""
 
 from __future__ import annotations
 
-import hashlib
 import os
-import zlib
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from async_tnt.sources.files.source import Sensor
-from async_tnt.sources.pixel_filter import check_crop, whole_region
-from async_tnt.sources.pixel_masks import checked_mask, checked_sensor, load_mask
+from async_tnt.sources.pixel_filter import check_crop, checked_region
+from async_tnt.sources.pixel_masks import PackedMask, checked_sensor
 from async_tnt.sources.sizes import by
 
 Region = tuple[int, int, int, int]
 
 
-@dataclass(frozen=True)
-class PackedMask:
-    """A mask of pixels in little memory: equal to another of the same size and pixels, whatever file it is from.
-
-    Parameters
-    ----------
-    size : (width, height) of the sensor that it is of.
-    sha256 : of its pixels, row by row, one byte each, 1 where masked: `hashlib.sha256(mask.tobytes()).hexdigest()`.
-    n_pixels : how many are masked.
-    packed : the pixels as bits, compressed. A mask goes to a worker with every recording, and a packed one of a
-        1280x720 sensor, with hot pixels only, is 1 to 3 kB instead of 900.
-    name : where it is from, for messages.
-    """
-
-    size: Sensor
-    sha256: str
-    n_pixels: int
-    packed: bytes = field(compare=False, repr=False)
-    name: str = field(default="mask", compare=False)
-
-    @classmethod
-    def of(cls, mask: np.ndarray, name: str = "mask") -> PackedMask:
-        """From a bool array of shape (H, W), True where a pixel's events are left out.
-
-        Raises
-        ------
-        ValueError : another type, not of two dimensions, or empty.
-        """
-        try:
-            height, width = checked_mask(mask).shape
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-        sha256 = hashlib.sha256(mask.tobytes()).hexdigest()
-        packed = zlib.compress(np.packbits(mask).tobytes())
-        return cls((width, height), sha256, int(np.count_nonzero(mask)), packed, name)
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> PackedMask:
-        """From a file of `save_mask` or `async-tnt mask`.
-
-        Raises
-        ------
-        ValueError : damaged, or no mask. OSError : missing or not readable.
-        """
-        return cls.of(load_mask(path), str(path))
-
-    def pixels(self, sensor: Sensor) -> np.ndarray:
-        """The mask itself, for a camera of (width, height): bool, shape (H, W).
-
-        Raises
-        ------
-        ValueError : it is of another sensor.
-        """
-        width, height = self.size
-        bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
-        mask = np.unpackbits(bits, count=width * height).reshape(height, width).view(np.bool_)
-        try:
-            return checked_mask(mask, sensor)
-        except ValueError as error:
-            raise ValueError(f"{self.name}: {error}") from None
-
-
 @dataclass(frozen=True, init=False)
 class PixelSelection:
-    """What of a source's pixels a model is to see: frozen and picklable, without any state; `PixelSelector` applies it.
+    """The pixels that a model is to see: frozen, picklable and without state; `PixelSelector` applies it.
 
     Parameters
     ----------
     roi : region of interest (x, y, width, height); None: the whole sensor.
     crop : the region is the model's sensor: coordinates are shifted to its upper left corner.
-    mask : pixels whose events are left out, of the whole camera: a bool array of shape (H, W), the path of such a
-        `.npy` file, or one packed already; None: no pixel. It is packed here, and its file is not read again.
-    sensor : (width, height) of the camera as somebody says it, where sources may be silent.
+    mask : pixels of the whole camera whose events are dropped: whatever `PackedMask.of` accepts; None: no pixel.
+    sensor : (width, height) of the camera, for sources that do not say it.
 
     Raises
     ------
-    ValueError : `crop` without `roi`, a mask of another size than `sensor`, an empty or damaged one, or what is no
-        region or no sensor at all.
-    TypeError : a mask of another kind. OSError : its file is missing or not readable.
+    ValueError : `crop` without `roi`; an impossible region or sensor; a mask that is empty, damaged, or of another size
+        than `sensor`.
+    TypeError : a mask of another type. OSError : its file is missing or not readable.
 
     Example
     -------
@@ -121,10 +57,10 @@ class PixelSelection:
         check_crop(crop, roi)
         # As tuples of integers, so that equal ones are equal. The mask comes last: it may be a large file.
         values = {
-            "roi": None if roi is None else whole_region(roi),
+            "roi": None if roi is None else checked_region(roi),
             "crop": bool(crop),
             "sensor": None if sensor is None else checked_sensor(sensor),
-            "mask": None if mask is None else _packed(mask),
+            "mask": None if mask is None else PackedMask.of(mask),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -136,7 +72,7 @@ class PixelSelection:
 
     @property
     def camera(self) -> Sensor | None:
-        """(width, height) of the camera as far as the selection itself says: it is given, or the mask's size."""
+        """(width, height) of the camera, from `sensor` or the mask's size; None where the source must say."""
         return self.sensor if self.mask is None else self.mask.size
 
     @property
@@ -146,44 +82,82 @@ class PixelSelection:
 
     @property
     def leaves_out(self) -> bool:
-        """Whether there is anything that could be left out."""
+        """Whether any event could be dropped."""
         return self.roi is not None or self.mask is not None
 
     @property
     def about(self) -> dict[str, Any]:
-        """Option -> value of all that decides which events are seen, short and as JSON takes it; {} for all events.
+        """Option -> value, short and for JSON, of all that decides which events are seen; {} for all events.
 
-        A mask is told by its size and the first 16 digits of its SHA-256. With it, `sensor` can only repeat its size,
-        and is not told. Without a mask, `sensor` decides which recordings are of this camera, and so of which there is
-        a result at all and of which an error: two results of different ones are not to be mixed.
+        A mask is described by its size and the first 16 digits of its SHA-256; `sensor` could only repeat that size.
+        Without a mask, `sensor` decides which recordings are of this camera, and so which have results and which
+        errors: results of different sensors must not be mixed.
         """
-        told: dict[str, Any] = {}
+        options: dict[str, Any] = {}
         if self.roi is not None:
-            told["roi"] = ",".join(map(str, self.roi))
+            options["roi"] = ",".join(map(str, self.roi))
         if self.crop:
-            told["crop"] = True
+            options["crop"] = True
         if self.mask is not None:
-            told["mask"] = f"{by(self.mask.size)} {self.mask.sha256[:16]}"
+            options["mask"] = f"{by(self.mask.size)} {self.mask.sha256[:16]}"
         elif self.sensor is not None:
-            told["sensor"] = by(self.sensor)
-        return told
+            options["sensor"] = by(self.sensor)
+        return options
 
     @property
     def record(self) -> dict[str, Any]:
         """For a model's training record: which events it has learned from; {} for all events."""
-        told: dict[str, Any] = {}
+        record: dict[str, Any] = {}
         if self.roi is not None:
-            told |= {"roi": list(self.roi), "crop": self.crop}
+            record |= {"roi": list(self.roi), "crop": self.crop}
         if self.mask is not None:
-            told |= {"masked_pixels": self.mask.n_pixels, "mask_sha256": self.mask.sha256}
-        return told
+            record |= {"masked_pixels": self.mask.n_pixels, "mask_sha256": self.mask.sha256}
+        return record
 
 
-def _packed(mask: Any) -> PackedMask:
-    if isinstance(mask, PackedMask):
-        return mask
-    if isinstance(mask, np.ndarray):
-        return PackedMask.of(mask)
-    if isinstance(mask, (str, os.PathLike)):
-        return PackedMask.read(mask)
-    raise TypeError(f"`mask` must be a bool array, a .npy file's path or a PackedMask, got {type(mask).__name__}")
+def difference(record: Mapping[str, Any], selection: PixelSelection) -> str:
+    """How a selection differs from the one that a model was trained with, in one line; "" where it does not.
+
+    Parameters
+    ----------
+    record : `Model.record`; `async-tnt train` stores its selection in `record["data"]["pixels"]`. Without one, nothing
+        differs.
+    selection : what the model is to see now. Cameras are compared where it names one.
+
+    Example
+    -------
+    >>> record = {"data": {"pixels": {"roi": [10, 4, 40, 40], "crop": True, "camera": [60, 48]}}}
+    >>> difference(record, PixelSelection((0, 0, 40, 40), crop=True))
+    'trained with --roi 10,4,40,40 --crop, but now it is --roi 0,0,40,40 --crop'
+    >>> difference(record, PixelSelection((10, 4, 40, 40), crop=True))
+    ''
+    """
+    data = record.get("data")
+    pixels = data.get("pixels") if isinstance(data, Mapping) else None
+    if not isinstance(pixels, Mapping):
+        return ""
+    then, now = _options(pixels), _options(selection.record)
+    camera = _numbers(pixels.get("camera"))
+    if len(camera) == 2 and selection.camera is not None and selection.camera != tuple(camera):
+        then.append(f"of a {camera[0]}x{camera[1]} camera")
+        now.append(f"of a {by(selection.camera)} camera")
+    if then == now:
+        return ""
+    return f"trained with {' '.join(then) or 'all pixels'}, but now it is {' '.join(now) or 'all pixels'}"
+
+
+def _options(pixels: Mapping[str, Any]) -> list[str]:
+    """As on the command line. A record comes from a file, and may hold anything."""
+    options = []
+    roi = _numbers(pixels.get("roi"))
+    if roi:
+        options.append("--roi " + ",".join(map(str, roi)))
+        if pixels.get("crop") is True:
+            options.append("--crop")
+    if pixels.get("mask_sha256") is not None:
+        options.append(f"--mask of {pixels.get('masked_pixels')} pixels ({str(pixels['mask_sha256'])[:16]})")
+    return options
+
+
+def _numbers(value: Any) -> list[Any]:
+    return list(value) if isinstance(value, (list, tuple)) else []

@@ -1,4 +1,4 @@
-"""A selection of pixels, applied to sources: recordings are opened here, and what is left out is counted."""
+"""Apply a selection of pixels to sources: recordings are opened here, and dropped events are counted."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.sources.files.fitting import TRAIN_ONE, check_events, check_sensor, open_for, open_of_known
-from async_tnt.sources.files.recording import Recording, open_recording
+from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.files.source import Sensor
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
@@ -15,17 +15,17 @@ from async_tnt.sources.sizes import by
 
 
 class PixelSelector:
-    """Leaves out of sources what a model is not to see, and counts it.
+    """Drops the events of sources that a model is not to see, and counts them.
 
     Parameters
     ----------
     selection : what the model is to see.
-    model : (width, height) in pixels that the model is for; None where it is to be trained on the sources.
+    model : (width, height) in pixels that the model is for; None if it is to be trained on the sources.
 
     Raises
     ------
-    ValueError : a region of another size than the model's sensor; without `crop`, a camera of another size, as the
-        selection names it; or, as far as the camera is known by now, a region that is not on it.
+    ValueError : a region of another size than the model's sensor; without `crop`, a camera of another size, if the
+        selection names one; a region off the camera, if that is known.
     """
 
     def __init__(self, selection: PixelSelection, model: Sensor | None) -> None:
@@ -41,14 +41,14 @@ class PixelSelector:
 
     @property
     def expected(self) -> Sensor | None:
-        """The pixels of a source's events, before any is left out; None: the source must say."""
+        """(width, height) of the cameras, before any event is dropped; None: the source must say."""
         if self.selection.crop or self._model is None:
             return self.selection.camera
         return self._model
 
     @property
     def said_by(self) -> tuple[str, str]:
-        """Words for a refusal, where there is an `expected`: who says it, and what to do with another camera."""
+        """Where `expected` comes from, and what to do with another camera, for messages."""
         if not self.selection.crop and self._model is not None:
             return "the model is for", self._advice(None)
         if self.selection.sensor is None and self.selection.mask is not None:
@@ -56,7 +56,7 @@ class PixelSelector:
         return "--sensor says", ""
 
     def sensor_of(self, name: Any, found: Sensor | None) -> Sensor:
-        """The pixels of a source's events, before any is left out.
+        """(width, height) of a source's camera, before any event is dropped.
 
         Parameters
         ----------
@@ -65,22 +65,21 @@ class PixelSelector:
 
         Raises
         ------
-        ValueError : not those that the model is for, or unknown where they are needed.
+        ValueError : another one than expected, or unknown.
         """
         wanted = self.expected
-        if wanted is None:
-            if found is None:
-                needs = "--crop" if self.selection.crop else "--roi"
-                raise ValueError(f"{name}: does not say the camera's pixels, which {needs} needs: give --sensor WxH")
-            return found[0], found[1]
-        check_sensor(name, found, wanted, self.said_by[0], self._advice(found))
-        return wanted
+        if wanted is not None:
+            check_sensor(name, found, wanted, self.said_by[0], self._advice(found))
+            return wanted
+        if found is None:
+            option = "--crop" if self.selection.crop else "--roi"
+            raise ValueError(f"{name}: does not say the camera's pixels, which {option} needs: give --sensor WxH")
+        return found[0], found[1]
 
     def open(self, path: Path, *, name: str | None = None, strict: bool = False) -> tuple[Recording, Sensor]:
-        """A recording, and the pixels of its events, for `filter_of`.
+        """A recording, and the sensor of its events, for `filter_of`.
 
-        A `.bin` does not say its sensor. Where the selection names the camera, it is of that; else `open_for` looks
-        at its events.
+        A `.bin` does not say its sensor: the selection does, or `open_for` looks at its events.
 
         Parameters
         ----------
@@ -89,7 +88,7 @@ class PixelSelector:
 
         Raises
         ------
-        ValueError, OSError : unreadable, or of another sensor than the model is for.
+        ValueError, OSError : unreadable, or of another sensor than expected.
         """
         if self.selection.camera is None:
             recording = open_for(path, self.expected, strict=strict)
@@ -97,25 +96,17 @@ class PixelSelector:
             recording = open_of_known(path, strict=strict)
         return recording, self.sensor_of(path if name is None else name, recording.sensor)
 
-    def open_to_learn(self, path: Path, *, strict: bool = False) -> Recording:
-        """A recording that a model is to be trained on; its `sensor`, None where unknown so far, makes the model's.
-
-        Sensors are not compared here, as others may say what this one does not. That of the selection is somebody's
-        word on this very camera, not what a model would need: a `.bin` is of it, wherever its events lie.
-        """
-        return open_recording(path, strict=strict, sensor=self.selection.camera)
-
     def check_silent(self, packets: Iterable[Any], name: Any, sensor: Sensor) -> None:
         """Refuse packets of a source that does not say its sensor, if an event is off this one.
 
         Raises
         ------
-        ValueError : says who says the sensor, and what to do.
+        ValueError : with the origin of the sensor, and what to do.
         """
         check_events(packets, sensor, name, *self.said_by)
 
     def filter_of(self, name: Any, sensor: Sensor | None) -> Callable[[Any], Any]:
-        """What makes of a packet of such a sensor one without the events that are to be left out.
+        """The filter for packets of a source with this sensor.
 
         Parameters
         ----------
@@ -123,14 +114,14 @@ class PixelSelector:
 
         Raises
         ------
-        ValueError : the region or the mask does not suit that sensor, or it is None where it must be known.
+        ValueError : the region or the mask does not fit that sensor, or it is None where it must be known.
         """
-        if not self.selection.leaves_out:
-            return _as_it_is
+        chosen = self.selection
+        if not chosen.leaves_out:
+            return _unchanged
         if sensor is None:
             sensor = self.sensor_of(name, None)
         if sensor not in self._filters:
-            chosen = self.selection
             try:
                 mask = None if chosen.mask is None else chosen.mask.pixels(sensor)
                 self._filters[sensor] = PixelFilter(sensor, chosen.roi, mask, crop=chosen.crop)
@@ -140,31 +131,29 @@ class PixelSelector:
 
     @property
     def counts(self) -> PixelCounts:
-        """Events so far, of all sources; none where nothing can be left out."""
+        """Events so far, of all sources; all zero where nothing can be dropped."""
         return sum((pixel_filter.counts for pixel_filter in self._filters.values()), PixelCounts())
 
     def summary(self, since: PixelCounts | None = None) -> str:
-        """What was left out, in words; "" where nothing came, or nothing could be.
+        """What was dropped, in words; "" where nothing came, or nothing can be dropped.
 
         Parameters
         ----------
-        since : `counts` as they were at the start of what is told; None: of all sources.
+        since : earlier `counts`; None: from the start.
         """
         counts = self.counts if since is None else self.counts - since
-        if not counts.received:
-            return ""
-        told = []
-        if self.selection.roi is not None:
-            told.append(f"{counts.dropped_outside:,} outside of the region")
-        if self.selection.mask is not None:
-            told.append(f"{counts.dropped_masked:,} of masked pixels")
-        return ", ".join(told)
+        parts = []
+        if counts.received and self.selection.roi is not None:
+            parts.append(f"{counts.dropped_outside:,} outside of the region")
+        if counts.received and self.selection.mask is not None:
+            parts.append(f"{counts.dropped_masked:,} of masked pixels")
+        return ", ".join(parts)
 
     def nothing_left(self, since: PixelCounts | None = None) -> str:
-        """Why a model has seen nothing of what came, in words; "" where something was left, or nothing came."""
-        left_out = self.summary(since)
+        """Why a model has seen no event, in words; "" where it has seen one, or nothing came."""
+        dropped = self.summary(since)
         kept = (self.counts if since is None else self.counts - since).kept
-        return f"no events are left: {left_out}" if left_out and not kept else ""
+        return f"no events are left: {dropped}" if dropped and not kept else ""
 
     def _advice(self, found: Sensor | None) -> str:
         """What to do with a camera of another size, (width, height), than the model is for; None: of an unknown one."""
@@ -172,13 +161,12 @@ class PixelSelector:
             return ""
         if found is None:
             return f"; {TRAIN_ONE}, or cut out a part: {_cut_out(self._model)} --sensor WxH"
-        if _is_part(self._model, found):
-            return f"; {TRAIN_ONE}, or cut out a part: {_cut_out(self._model)}"
-        return f"; {TRAIN_ONE}"
+        part = f", or cut out a part: {_cut_out(self._model)}" if _is_part(self._model, found) else ""
+        return f"; {TRAIN_ONE}{part}"
 
 
 def check_region(selection: PixelSelection, model: Sensor) -> None:
-    """Refuse a region that is to be the sensor of a model for another size (width, height)."""
+    """Refuse a cropped region of another size, (width, height), than the model is for."""
     region = selection.region
     if region is not None and region != model:
         raise ValueError(
@@ -188,17 +176,17 @@ def check_region(selection: PixelSelection, model: Sensor) -> None:
 
 
 def _check_camera(selection: PixelSelection, model: Sensor) -> None:
-    """Refuse a camera that the selection names, of another size than the model is for."""
+    """Refuse a selection's camera of another size than the model is for."""
     camera = selection.camera
     if camera is None or camera == model:
         return
     part = f"give {_cut_out(model)} too, or " if _is_part(model, camera) else ""
     if selection.mask is None:
         raise ValueError(f"--sensor says {by(camera)} pixels, but the model is for {by(model)}: {part}{TRAIN_ONE}")
-    turned = "; or turn it with .T" if camera == model[::-1] else ""
+    transposed = "; or transpose it with .T" if camera == model[::-1] else ""
     raise ValueError(
         f"{selection.mask.name}: a mask of a {by(camera)} camera, but the model is for {by(model)} pixels: {part}"
-        f"give the mask of a {by(model)} camera{turned}"
+        f"give the mask of a {by(model)} camera{transposed}"
     )
 
 
@@ -210,5 +198,5 @@ def _cut_out(model: Sensor) -> str:
     return f"--roi X,Y,{model[0]},{model[1]} --crop"
 
 
-def _as_it_is(packet: Any) -> Any:
+def _unchanged(packet: Any) -> Any:
     return packet

@@ -1,4 +1,4 @@
-"""A bounded queue of packets, from whoever brings them to one who reads them, in a loop or in asyncio."""
+"""A bounded queue of packets between threads that put them and a reader, in a loop or in asyncio."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from async_tnt.checks import positive_int
-from async_tnt.sources.own_packets import n_events_of, own_packet
+import numpy as np
 
-LOOP_TURN_S = 1e-3  # asyncio's other tasks wait no longer than this for a queue that never runs empty
+from async_tnt.checks import positive_int
+from async_tnt.event_forms import named_columns
+
+YIELD_AFTER_S = 1e-3  # a queue that never runs empty lets asyncio's other tasks run this often
 
 
 @dataclass(frozen=True, slots=True)
 class QueueCounters:
-    """What a queue has seen so far, all of one moment: received = handed_out + skipped + backlog."""
+    """Counts of a queue at one moment: received = handed_out + skipped + backlog."""
 
     received: int
-    """Events that came in."""
+    """Events put in."""
     handed_out: int
-    """Events that the reader got."""
+    """Events that the reader received."""
     skipped: int
-    """Events thrown away: too old for `latest=True`, or still waiting when the queue was closed."""
+    """Events discarded: too old for `latest=True`, or still waiting when the queue was closed."""
     backlog: int
     """Events that wait."""
     packets_received: int
@@ -47,16 +49,15 @@ class PacketQueue:
     Parameters
     ----------
     max_packets : packets that wait at most.
-    latest : what happens to a packet that finds the queue full. False: `put` waits until there is room. True: `put`
-        never waits; the oldest packets are thrown away and their events counted, so that the reader skips ahead.
-    max_events : events that wait at most, where packets differ much in size. A packet that is larger by itself
-        passes alone.
-    copy : whether `put` copies packets: drivers often reuse the memory of a packet for the next one, while in the
-        queue it has to outlive that. False hands over what came, for sources that make each packet anew.
+    latest : what happens to a packet when the queue is full. False: `put` waits until there is room. True: `put` never
+        waits; the oldest packets are discarded and their events counted, so that the reader skips ahead.
+    max_events : events that wait at most, where packets differ much in size. A single larger packet still passes.
+    copy : whether `put` copies packets: drivers often reuse the memory of a packet for the next one. False is for
+        sources that put each packet in new memory.
 
     Raises
     ------
-    TypeError, ValueError : a limit is no whole number or below 1.
+    TypeError, ValueError : a limit that is not a whole number, or below 1.
 
     Example
     -------
@@ -75,7 +76,7 @@ class PacketQueue:
         self.max_events = None if max_events is None else positive_int("max_events", max_events)
         self.latest = bool(latest)
         self.copy = bool(copy)
-        # One lock, re-entrant: garbage collection, which may set in anywhere, closes the queue of a forgotten reader.
+        # One lock, re-entrant: garbage collection, which may run at any moment, closes the queue of a forgotten reader.
         lock = threading.RLock()
         self._came = threading.Condition(lock)  # a packet, or the end
         self._room = threading.Condition(lock)
@@ -87,7 +88,7 @@ class PacketQueue:
         self._packets_received = self._packets_handed_out = self._packets_skipped = 0
         self._newest_ns: int | None = None  # arrival of the newest packet handed out
         self._wait_ns = self._longest_wait_ns = 0
-        self._turn_s = 0.0  # when asyncio's other tasks last had their turn
+        self._yielded_s = 0.0  # when asyncio's other tasks could last run
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else "ended" if self._ended else "open"
@@ -100,14 +101,14 @@ class PacketQueue:
 
         Returns
         -------
-        False if the queue is closed: nobody will read the packet, and its events count as skipped.
+        False if the queue is closed: the packet is discarded, and its events count as skipped.
 
         Raises
         ------
         ValueError : after `end`.
         """
         arrived_ns = time.monotonic_ns()
-        packet, n = own_packet(packet) if self.copy else (packet, n_events_of(packet))
+        packet, n = copied(packet) if self.copy else (packet, n_events_of(packet))
         with self._came:
             if not self.latest:
                 self.wait_for_room()
@@ -127,22 +128,22 @@ class PacketQueue:
         return True
 
     def wait_for_room(self) -> bool:
-        """Wait until a packet may come in; with `latest` that is always. Returns False if the queue is closed."""
+        """Wait until there is room; with `latest` there always is. Returns False if the queue is closed."""
         with self._room:
             while not (self._closed or self._ended or self.latest) and self._is_full():
                 self._room.wait()
             return not self._closed
 
     def end(self, error: BaseException | None = None) -> None:
-        """No packets come any more: the reader's loop ends after the last one, or raises `error` there."""
+        """No more packets follow: the reader's loop ends after the last one, or raises `error` there."""
         with self._came:
             if not self._ended:
                 self._ended = True
-                self._error = None if self._closed else error  # a source that fails since it was closed did right
+                self._error = None if self._closed else error  # closing a source may make it fail
             self._wake_all()
 
     def close(self) -> None:
-        """Stop at once: what waits is thrown away, `put` takes nothing more, and the reader's loop ends."""
+        """Stop now: waiting packets are discarded, `put` accepts no more, and the reader's loop ends."""
         with self._came:
             self._closed = True
             self._error = None
@@ -156,7 +157,7 @@ class PacketQueue:
 
     def __next__(self) -> Any:
         with self._came:
-            while not self._is_due():
+            while not self._is_ready():
                 self._came.wait()
             if self._waiting:
                 return self._hand_out()
@@ -168,12 +169,12 @@ class PacketQueue:
 
     async def __anext__(self) -> Any:
         loop = asyncio.get_running_loop()
-        if loop.time() - self._turn_s > LOOP_TURN_S:
+        if loop.time() - self._yielded_s > YIELD_AFTER_S:
             await asyncio.sleep(0)
-            self._turn_s = loop.time()
+            self._yielded_s = loop.time()
         while True:
             with self._came:
-                if self._is_due():
+                if self._is_ready():
                     if self._waiting:
                         return self._hand_out()
                     self._raise_error()
@@ -181,8 +182,8 @@ class PacketQueue:
                 sleeper = (loop, loop.create_future())
                 self._sleepers.append(sleeper)
             try:
-                await sleeper[1]  # another task may be quicker: hence the loop
-                self._turn_s = loop.time()
+                await sleeper[1]  # another task may be faster: hence the loop
+                self._yielded_s = loop.time()
             finally:
                 with self._came:
                     if sleeper in self._sleepers:  # cancelled
@@ -197,7 +198,7 @@ class PacketQueue:
 
     @property
     def n_skipped(self) -> int:
-        """Events thrown away."""
+        """Events discarded."""
         return self._skipped
 
     @property
@@ -208,7 +209,7 @@ class PacketQueue:
 
     @property
     def counters(self) -> QueueCounters:
-        """All counts, of one moment."""
+        """All counts, at one moment."""
         with self._came:
             return QueueCounters(
                 received=self._received,
@@ -225,7 +226,7 @@ class PacketQueue:
 
     # -- with the lock held ------------------------------------------------------------------------------
 
-    def _is_due(self) -> bool:
+    def _is_ready(self) -> bool:
         return bool(self._waiting) or self._ended or self._closed
 
     def _is_full(self) -> bool:
@@ -234,7 +235,7 @@ class PacketQueue:
         return self.max_events is not None and bool(self._waiting) and self._backlog >= self.max_events
 
     def _is_over(self) -> bool:
-        """More than may wait: only with `latest`, since otherwise there was room."""
+        """Whether too much waits; only with `latest`, as `put` waits for room otherwise."""
         if not self.latest:
             return False
         most_events = self._backlog if self.max_events is None else self.max_events
@@ -262,7 +263,7 @@ class PacketQueue:
             self._skip_oldest()
 
     def _raise_error(self) -> None:
-        error, self._error = self._error, None  # once: after it, the end
+        error, self._error = self._error, None  # raised once; then the loop ends
         if error is not None:
             raise error
 
@@ -276,10 +277,47 @@ class PacketQueue:
         for loop, future in sleepers:
             try:
                 loop.call_soon_threadsafe(_resolve, future)
-            except RuntimeError:  # that loop is closed, and who slept in it is gone
+            except RuntimeError:  # that loop is closed, and its tasks are gone
                 continue
 
 
 def _resolve(future: asyncio.Future[None]) -> None:
     if not future.done():
         future.set_result(None)
+
+
+def n_events_of(packet: Any) -> int:
+    """Events in a packet of any form that `async_tnt.event_forms` lists; 0 for anything else."""
+    if isinstance(packet, np.ndarray) and packet.dtype.names is not None and packet.ndim == 1:
+        return len(packet)
+    columns = _columns_of(packet)
+    return 0 if columns is None else columns[0].size
+
+
+def copied(packet: Any) -> tuple[Any, int]:
+    """A copy of a packet that nobody else writes to, and how many events it holds.
+
+    A structured array and a tuple of four columns keep their form. Another object that holds events becomes a tuple of
+    four columns (t, x, y, p). None, four plain numbers and anything that is no packet of events are not copied.
+    """
+    if isinstance(packet, np.ndarray):
+        return _copied_array(packet), n_events_of(packet)
+    if packet is None or (isinstance(packet, tuple) and all(type(value) is int for value in packet)):
+        return packet, n_events_of(packet)
+    columns = _columns_of(packet)
+    return (packet, 0) if columns is None else (tuple(column.copy() for column in columns), columns[0].size)
+
+
+def _columns_of(packet: Any) -> Any:
+    try:
+        return named_columns(packet)
+    except (TypeError, ValueError):  # the reader of the packet reports what is wrong with it
+        return None
+
+
+def _copied_array(packet: np.ndarray) -> np.ndarray:
+    if type(packet) is not np.ndarray or not packet.flags.c_contiguous or packet.ndim != 1 or packet.dtype.hasobject:
+        return packet.copy()
+    copy = np.empty(packet.shape, packet.dtype)
+    copy.view(np.uint8)[:] = packet.view(np.uint8)  # as plain bytes: NumPy copies records field by field, 5x slower
+    return copy

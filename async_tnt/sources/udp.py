@@ -1,4 +1,4 @@
-"""Events from the network as a source of packets, for `stream` and for `astream`."""
+"""Events from the network: `open_udp` and `UdpSource` listen, `UdpSender` in `udp_sender` sends."""
 
 from __future__ import annotations
 
@@ -10,22 +10,67 @@ import threading
 import time
 from array import array
 from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from async_tnt.sources.datagrams import Decoder
-from async_tnt.sources.udp_buffer import LostDatagrams, ask_for_buffer, buffer_advice
-from async_tnt.sources.udp_counts import NetworkCounts
-from async_tnt.sources.udp_url import checked_timeout, parse_udp_url, resolve
-from async_tnt.sources.udp_waiting import Waiter
+from async_tnt.sources.udp_socket import (
+    LostDatagrams,
+    Waiter,
+    ask_for_buffer,
+    buffer_advice,
+    checked_timeout,
+    parse_udp_url,
+    resolve,
+)
 
 ROOM = 1 << 16  # more than any datagram: none is ever cut off
 BATCH_BYTES = 1 << 18
-DOUBTFUL = 1000  # events of which none is one: who listens is told what may be wrong
+WARN_AFTER = 1000  # malformed events without a single good one: a warning says what may be wrong
 MOST_DATAGRAMS = 1 << 14  # of one packet, as these may be empty
 
 log = logging.getLogger("async_tnt.sources")
+
+
+@dataclass(frozen=True)
+class NetworkCounts:
+    """What a `UdpSource` has received so far."""
+
+    datagrams: int
+    bytes: int
+    events: int
+    """Handed on."""
+    malformed: int
+    """Left out: cut off, off the sensor, an impossible polarity or time, a time that jumps."""
+    late: int
+    """Handed on, but older than one before: the network or the sender changed their order."""
+    lost: int | None
+    """Datagrams that the system dropped, mostly because its buffer was full; None where it does not report it."""
+    jumped: int = 0
+    """How many of `malformed` have a time that jumps, see `Clock`."""
+    off_sensor: int = 0
+    """How many of `malformed` lie off the sensor."""
+    clock_restarts: int = 0
+    """How often the sender's clock moved back; times go on, see `Clock`."""
+
+    def summary(self) -> str:
+        """One line for people.
+
+        Examples
+        --------
+        >>> NetworkCounts(12, 15_600, 1_199, malformed=1, late=0, lost=None, jumped=1).summary()
+        '12 datagrams, 1,199 events (1 malformed, 1 of them time jumps, 0 out of order, datagrams lost: unknown)'
+        """
+        lost = "unknown" if self.lost is None else f"{self.lost:,}"
+        of_them = f"{self.jumped:,} of them time jumps, " if self.jumped else ""
+        of_them += f"{self.off_sensor:,} of them off the sensor, " if self.off_sensor else ""
+        restarts = f", clock restarts: {self.clock_restarts:,}" if self.clock_restarts else ""
+        return (
+            f"{self.datagrams:,} datagrams, {self.events:,} events ({self.malformed:,} malformed, {of_them}"
+            f"{self.late:,} out of order, datagrams lost: {lost}{restarts})"
+        )
 
 
 class UdpSource:
@@ -33,26 +78,22 @@ class UdpSource:
 
     Iterating (`for` or `async for`) yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of all
     datagrams that were waiting, or of the one that ended a wait. It ends when `close` is called, from any thread, or
-    after `timeout_s` of silence. Outside data never raises: what is no event is counted, see `counts`. One thread, or
-    one task, iterates at a time.
+    after `timeout_s` of silence. Received data never raises: invalid events are dropped and counted, see `counts`. One
+    thread or one task iterates at a time.
 
     Parameters
     ----------
-    address, port : what to listen at; this machine alone by default. Anybody who reaches the port can send. Port 0
-        takes a free one: read `port`.
+    address, port : where to listen; by default only this machine can send. Port 0 picks a free one: read `port`.
     format : one of `async_tnt.sources.EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
-    buffer_bytes : asked of the system for datagrams that wait. If it gives less, `advice` says so, and so does the
-        log `async_tnt.sources`.
-    timeout_s : silence, in seconds, after which iterating ends; None waits for ever.
-    max_datagrams : of one packet.
-    max_jump_s : an event this many seconds ahead of where the stream should be by now is malformed, so that one forged
-        or damaged time does not close all windows; where the datagrams after it agree, the stream has moved, and is
-        followed. Where eight datagrams in a row are more than a second behind, the sender has started anew: from then
-        on its times are shifted, so that they go on, counted as `clock_restarts`. None: every time is believed, and
-        stays what it is.
-    spin_us : how long to ask again and again before sleeping, microseconds. A thread that does not sleep need not be
-        woken, which is most of the latency; it keeps a core busy meanwhile.
+    buffer_bytes : receive buffer to ask the system for. If it is smaller, `advice` and the log `async_tnt.sources` say
+        so.
+    timeout_s : silence, in seconds, after which iterating ends; None waits forever.
+    max_datagrams : in one packet, at most.
+    max_jump_s : of the stream's `Clock`, which drops events whose time jumps until the next datagrams agree, and shifts
+        the times of a sender that starts again. None: every time is believed and stays what it is.
+    spin_us : how long to poll before sleeping, in microseconds. Waking up a thread is most of the latency; polling
+        avoids it and keeps a core busy.
 
     Raises
     ------
@@ -97,17 +138,15 @@ class UdpSource:
         self._memory = memoryview(bytearray(BATCH_BYTES))
         room = bytes(8 * min(max_datagrams, MOST_DATAGRAMS))
         self._ends, self._arrivals = array("q", room), array("q", room)
-        # what the decoder sees of the three; to write a number through NumPy takes four times as long
+        # the decoder's views of the three; writing a number through NumPy takes four times as long
         self._raw = np.frombuffer(self._memory, np.uint8)
-        self._ends_seen, self._arrivals_seen = (
-            np.frombuffer(self._ends, np.int64),
-            np.frombuffer(self._arrivals, np.int64),
-        )
+        self._ends_seen = np.frombuffer(self._ends, np.int64)
+        self._arrivals_seen = np.frombuffer(self._arrivals, np.int64)
         self._datagrams = self._bytes = self._events = self._cut = 0
         self._started_ns = time.monotonic_ns()
-        self._closed = self._has_doubted = False
-        # Held while a thread reads or waits, so that `close` does not take the socket's number away under it:
-        # the system may give that to another one. Re-entrant: a signal's handler may close, too.
+        self._closed = self._has_warned = False
+        # Held while a thread reads or waits, so that `close` does not free the socket's number meanwhile: the system
+        # may give it to another socket. Re-entrant: a signal handler may close, too.
         self._reading = threading.RLock()
         family, where = resolve(address, port)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -139,22 +178,22 @@ class UdpSource:
 
     @property
     def counts(self) -> NetworkCounts:
-        """Counts up to now; `lost` is asked of the system at this moment."""
-        decoder = self._decoder
+        """Counts up to now; the system is asked for `lost` at this moment."""
+        decoder, clock = self._decoder, self._decoder.clock
         return NetworkCounts(
             self._datagrams,
             self._bytes,
             self._events,
             self._cut + decoder.malformed,
-            decoder.late,
+            clock.late,
             self._lost.read(),
-            decoder.ahead,
+            clock.jumped,
             decoder.off_sensor,
-            decoder.restarts,
+            clock.restarts,
         )
 
     def summary(self) -> str:
-        """What was counted so far, in one line for people."""
+        """The counts so far, in one line for people."""
         return self.counts.summary()
 
     def __repr__(self) -> str:
@@ -164,7 +203,7 @@ class UdpSource:
     # -- packets -----------------------------------------------------------------------------------------
 
     def receive(self, timeout_s: float | None = None) -> np.ndarray | None:
-        """The next packet; None if none came within `timeout_s` (None: wait for ever) or the source was closed."""
+        """The next packet; None if none came within `timeout_s` (None: wait forever) or the source was closed."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         spin_ns = round(self.spin_us * 1000)
         most = MOST_DATAGRAMS
@@ -182,8 +221,8 @@ class UdpSource:
                 if left is not None and left <= 0:
                     return None
                 self._waiter.wait(left)
-                # The datagram that ended the sleep is handed over by itself: to ask for more takes as long as plain
-                # `recv` does, when what it needs has left the processor's caches. The next call takes all the others.
+                # The datagram that ended the sleep is handed over alone: asking for more takes as long as a plain
+                # `recv`, once its data have left the processor's caches. The next call reads all the others.
                 most = 1
         return None
 
@@ -216,7 +255,7 @@ class UdpSource:
                 self._waiter.wait(timeout_s)
 
     def _drain(self, most: int) -> np.ndarray | None:
-        """All that waits, up to the limits, as one packet; None if there is no event in it."""
+        """All waiting datagrams, up to the limits, as one packet; None if there is no event in it."""
         size = self._decoder.event_bytes
         memory, filled, n_datagrams, started_ns = self._memory, 0, 0, self._started_ns
         ends, arrivals, most = self._ends, self._arrivals, min(most, self.max_datagrams, len(self._ends))
@@ -236,20 +275,20 @@ class UdpSource:
         except OSError as error:
             if self._socket.fileno() == -1 or error.errno == errno.EBADF:
                 return None
-            # Windows tells here of a datagram too long, or of an answer of ours that was refused: none of ours
+            # Windows reports a datagram that was too long, or an earlier answer that was refused: not our concern
         if not filled:
             self._datagrams += n_datagrams
             return None
         events = self._decoder.decode_datagrams(self._raw, self._ends_seen, self._arrivals_seen, n_datagrams)
         self._datagrams += n_datagrams
         self._events += len(events)
-        if not self._events and not self._has_doubted and self._decoder.malformed >= DOUBTFUL:
-            self._has_doubted = True
-            log.warning("udp://%s:%s: %s", self.address, self.port, self._doubt())
+        if not self._events and not self._has_warned and self._decoder.malformed >= WARN_AFTER:
+            self._has_warned = True
+            log.warning("udp://%s:%s: %s", self.address, self.port, self._why_no_events())
         return events if len(events) else None
 
-    def _doubt(self) -> str:
-        """What may be wrong where nothing that came is an event."""
+    def _why_no_events(self) -> str:
+        """What may be wrong if all events so far are malformed."""
         decoder = self._decoder
         others = decoder.malformed - decoder.off_sensor
         reasons = []
@@ -257,13 +296,13 @@ class UdpSource:
             width, height = decoder.sensor
             reasons.append(f"{decoder.off_sensor:,} lie off {width}x{height} pixels: is the camera larger?")
         if others:
-            reasons.append(f"{others:,} are none of {decoder.format}: does the sender use another (?format=...)?")
+            reasons.append(f"{others:,} are not valid {decoder.format}: does the sender use another (?format=...)?")
         return f"none of the first {decoder.malformed:,} events can be used; {' '.join(reasons)}"
 
     # -- the end -----------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Stop listening and end every iteration, from any thread; counts stay. Twice does no harm."""
+        """Stop listening and end every iteration, from any thread; counts stay. May be called again."""
         if self._closed:
             return
         self._lost.read()

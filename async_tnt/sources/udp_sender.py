@@ -1,4 +1,4 @@
-"""Events out of this process: packets cut into datagrams."""
+"""Send events over UDP: packets cut into datagrams."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from async_tnt.sources.datagrams import EVENT_BYTES, MAX_DATAGRAM_BYTES, checked_format, encode
-from async_tnt.sources.udp_url import resolve
+from async_tnt.sources.udp_socket import resolve
 
 PACKET_EVENTS = 100  # 1300 bytes of the longest format: fits Ethernet's 1500 with all headers
 
 
 class UdpSender:
-    """Sends events to one address, without waiting for anybody to listen.
+    """Sends events to one address, whether or not anybody listens.
 
     Parameters
     ----------
-    address, port : where to.
+    address, port : of the receiver.
     format : one of `async_tnt.sources.EVENT_BYTES`.
     packet_events : events of one datagram, at most.
 
@@ -43,16 +43,14 @@ class UdpSender:
             raise ValueError(f"`port` must be in [1, 65535] to send to, got {port}")
         self.format = format
         self.packet_events = packet_events
-        self.events = 0
-        """Handed to the network so far; so are:"""
-        self.datagrams = 0
-        self.bytes = 0
+        self.events = self.datagrams = self.bytes = 0
+        """Sent so far."""
         self.refused = 0
-        """Times the other machine answered that nobody listens, or this one did not take a datagram."""
+        """Datagrams that the other machine or this one refused: mostly nobody listens."""
         family, where = resolve(address, port)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
-            self._socket.connect(where)  # so that a refusal is told
+            self._socket.connect(where)  # so that a refusal is reported
         except OSError as error:
             self._socket.close()
             raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
@@ -62,31 +60,32 @@ class UdpSender:
 
         Raises
         ------
-        ValueError : a coordinate that the format has no bits for.
+        ValueError : a coordinate too large for the format.
         """
         data = memoryview(encode(events, self.format))
         size = EVENT_BYTES[self.format]
         step = self.packet_events * size
         for first in range(0, len(data), step):
             datagram = data[first : first + step]
+            if self._try_to_send(datagram):
+                self.datagrams += 1
+                self.bytes += len(datagram)
+                self.events += len(datagram) // size
+
+    def _try_to_send(self, datagram: memoryview) -> bool:
+        for _ in range(2):
             try:
                 self._socket.send(datagram)
-            except ConnectionRefusedError:  # an earlier one was; this one has not gone out yet
+                return True
+            except ConnectionRefusedError:  # an earlier one was; this one has not gone out yet: try again
                 self.refused += 1
-                try:
-                    self._socket.send(datagram)
-                except OSError:
-                    self.refused += 1
-                    continue
             except OSError:  # the network is down, or its queue is full
                 self.refused += 1
-                continue
-            self.datagrams += 1
-            self.bytes += len(datagram)
-            self.events += len(datagram) // size
+                break
+        return False
 
     def close(self) -> None:
-        """Close the socket; more than once does no harm."""
+        """Close the socket. May be called again."""
         self._socket.close()
 
     def __enter__(self) -> UdpSender:

@@ -12,8 +12,8 @@ from async_tnt.archive.records import run_recording
 from async_tnt.networks.engines import choose_engine
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
-from async_tnt.sources.pixel_masks import save_mask
-from async_tnt.sources.pixel_selection import PackedMask, PixelSelection
+from async_tnt.sources.pixel_masks import PackedMask, save_mask
+from async_tnt.sources.pixel_selection import PixelSelection
 
 TIMES = {"seconds", "decisions_per_second", "events_per_second"}
 HOT = [(3, 4), (30, 29), (4, 30)]

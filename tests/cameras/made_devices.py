@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 
-from async_tnt.sources.camera_device import FoundCamera, Losses
+from async_tnt.sources.camera_drivers import FoundCamera, Losses
 
 RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as neuromorphic-drivers has it
 
@@ -19,7 +19,7 @@ def made_events(times, sensor=(34, 34), seed=0):
 
 
 class PlayedDevice:
-    """Hands out packets; raises those that are exceptions; then has nothing more, for ever.
+    """Hands out packets; raises those that are exceptions; then has nothing more.
 
     Like the real ones it breaks when two threads use it at a time.
     """

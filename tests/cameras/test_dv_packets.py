@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 import async_tnt
 from async_tnt.events import as_events
-from async_tnt.sources.camera_dv import KINDS, DvProcessing, dv_processing
-from async_tnt.sources.camera_opening import open_camera
+from async_tnt.sources.camera_drivers import DV_KINDS, DvProcessing
+from async_tnt.sources.cameras import open_camera
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 dv = pytest.importorskip("dv_processing", reason="dv-processing is not installed (extra `cameras`)")
@@ -53,7 +53,8 @@ class PlayedInput:
 
 def opened(device, model=dv.io.camera.CameraModel.DAVIS, name="camera"):
     descriptor = SimpleNamespace(cameraModel=model, serialNumber="00000042")  # the library's has no constructor
-    driver = DvProcessing(lambda: [descriptor], lambda asked: device if asked is descriptor else None)
+    library = SimpleNamespace(discover=lambda: [descriptor], open=lambda asked: device if asked is descriptor else None)
+    driver = DvProcessing(library)
     return open_camera(name, drivers={"dv": lambda: driver})
 
 
@@ -115,7 +116,7 @@ def test_a_silent_camera_is_asked_now_and_then():
 @pytest.mark.parametrize("model", list(dv.io.camera.CameraModel.__members__))
 def test_every_model_of_the_library(model):
     member = dv.io.camera.CameraModel.__members__[model]
-    for kind in KINDS[model]:
+    for kind in DV_KINDS[model]:
         camera = opened(PlayedInput([]), member, f"camera:{kind}:00000042")
         assert camera.name.startswith(f"{model} 00000042 by dv-processing") and camera.sensor == (346, 260)
 
@@ -126,9 +127,9 @@ def test_a_camera_of_frames_alone():
 
 
 def test_what_the_library_says_fits_a_line():
-    with pytest.raises(RuntimeError) as told:
+    with pytest.raises(RuntimeError) as caught:
         dv.io.camera.open("no such serial")
-    broken = PlayedInput([store_of(np.array([(EPOCH_US, 1, 2, 1)], async_tnt.EVENT_DTYPE)), told.value])
+    broken = PlayedInput([store_of(np.array([(EPOCH_US, 1, 2, 1)], async_tnt.EVENT_DTYPE)), caught.value])
     came = []
     with pytest.raises(OSError, match=r"is gone after 1 events \(Could not find device with given serial number\); "):
         came.extend(opened(broken))
@@ -156,6 +157,6 @@ def test_a_file_of_the_library_read_as_a_camera(tmp_path):
 
 
 def test_the_installed_library_looks():
-    driver = dv_processing()
+    driver = DvProcessing()
     assert driver.name.startswith("dv-processing 2.")
-    assert all(camera.model in KINDS for camera in driver.find())
+    assert all(camera.model in DV_KINDS for camera in driver.find())

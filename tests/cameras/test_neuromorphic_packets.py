@@ -5,6 +5,7 @@ the same names and fields stand for them, with arrays of the library's dtypes.
 """
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from hypothesis import strategies as st
 
 import async_tnt
 from async_tnt.events import as_events
-from async_tnt.sources.camera_neuromorphic import WAIT_S, NeuromorphicDrivers
-from async_tnt.sources.camera_opening import open_camera
+from async_tnt.sources.camera_drivers import NEUROMORPHIC_KINDS, WAIT_S, NeuromorphicDrivers
+from async_tnt.sources.cameras import open_camera
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 nd = pytest.importorskip("neuromorphic_drivers", reason="neuromorphic-drivers is not installed (extra `cameras`)")
@@ -88,7 +89,9 @@ def opened(packets, model=nd.Name.PROPHESEE_EVK4, name="camera"):
         return handles[-1]
 
     listed = [nd.ListedDevice(model, nd.Connection.USB_SUPER, "1:2", "00050423", None)]
-    camera = open_camera(name, drivers={"nd": lambda: NeuromorphicDrivers(lambda: listed, open_it)})
+    camera = open_camera(
+        name, drivers={"nd": lambda: NeuromorphicDrivers(SimpleNamespace(list_devices=lambda: listed, open=open_it))}
+    )
     return camera, handles[0]
 
 
@@ -134,7 +137,7 @@ def test_every_camera_of_the_library(model):
         frame = nd.Frame()
         frame.start_t, frame.t, frame.pixels = 1, 2, np.zeros((260, 346), np.uint16)
         others = {"frames": [frame], "imu_events": np.zeros(2, IMU_EVENTS)}
-    for kind in async_tnt.sources.camera_neuromorphic.KINDS[model.value]:
+    for kind in NEUROMORPHIC_KINDS[model.value]:
         packets = [packet_of(events, model, **others), packet_of([], model, **others), UNPLUGGED]
         camera, handle = opened(packets, model, f"camera:{kind}:00050423")
         assert camera.sensor == (properties.width, properties.height)
@@ -145,7 +148,7 @@ def test_every_camera_of_the_library(model):
 
 
 def test_every_name_of_the_library_is_known():
-    assert set(async_tnt.sources.camera_neuromorphic.KINDS) == {name.value for name in nd.Name}
+    assert set(NEUROMORPHIC_KINDS) == {name.value for name in nd.Name}
 
 
 def test_events_are_handed_on_uncopied():
@@ -199,16 +202,19 @@ def test_a_camera_without_permission():
         raise RuntimeError('"1:2" is not a valid IPv4 address')
 
     with pytest.raises(OSError, match=r"cannot be opened; .* found Prophesee EVK4 but cannot open it: Access denied"):
-        open_camera("camera:evk4", drivers={"nd": lambda: NeuromorphicDrivers(lambda: listed, open_it)})
+        open_camera(
+            "camera:evk4",
+            drivers={"nd": lambda: NeuromorphicDrivers(SimpleNamespace(list_devices=lambda: listed, open=open_it))},
+        )
     assert asked == [{"iterator_timeout": WAIT_S, "address": "1:2"}]
 
 
 def test_the_installed_library_looks():
-    driver = async_tnt.sources.camera_neuromorphic.neuromorphic_drivers()
+    driver = NeuromorphicDrivers()
     assert driver.name.startswith("neuromorphic-drivers 0.")
     try:
         found = driver.find()
     except RuntimeError as error:  # no USB on this machine
         assert str(error)
     else:
-        assert all(camera.model in async_tnt.sources.camera_neuromorphic.KINDS for camera in found)
+        assert all(camera.model in NEUROMORPHIC_KINDS for camera in found)

@@ -6,9 +6,9 @@ import sys
 import pytest
 from cameras.made_devices import PlayedDevice, PlayedDriver, drivers, found
 
-from async_tnt.sources import camera_opening as opening
-from async_tnt.sources.camera_opening import DRIVERS, open_camera
-from async_tnt.sources.live import open_live
+from async_tnt.sources.camera_drivers import ALL_KINDS
+from async_tnt.sources.cameras import DRIVERS, open_camera
+from async_tnt.sources.opening import open_source
 
 HAVE_ND = importlib.util.find_spec("neuromorphic_drivers") is not None
 HAVE_DV = importlib.util.find_spec("dv_processing") is not None
@@ -92,9 +92,9 @@ def test_a_library_that_does_not_load_says_why():
 def test_no_camera(monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     table = {"a": missing(), **drivers(name="b"), "c": lambda: PlayedDriver(RuntimeError("Other error"), "c 2")}
-    with pytest.raises(OSError) as told:
+    with pytest.raises(OSError) as caught:
         open_camera("camera", drivers=table)
-    assert str(told.value) == (
+    assert str(caught.value) == (
         "camera: no camera found; b 1.0 looked; c 2 cannot look: Other error (no USB here?); a: not installed. "
         "Is it plugged in, and used by no other program? Does lsusb show it, and do udev rules let users read it "
         "(neuromorphic-drivers-install-udev-rules)?"
@@ -106,7 +106,7 @@ def test_no_camera(monkeypatch):
 
 def test_another_camera_than_the_one_meant():
     with pytest.raises(
-        OSError, match=r"camera:evk4:1: no camera found; .* found Prophesee EVK4 00050423, which is not"
+        OSError, match=r"camera:evk4:1: no camera found; .* found Prophesee EVK4 00050423, which is another"
     ):
         open_camera("camera:evk4:1", drivers=drivers(evk4()))
 
@@ -142,20 +142,20 @@ def test_no_such_kind():
 
 
 def test_each_library_answers_to_its_kinds():
-    assert {"evk3", "evk4", "davis346", "dvxplorer", "dvs128"} <= set(opening.ALL_KINDS)
+    assert {"evk3", "evk4", "davis346", "dvxplorer", "dvs128"} <= set(ALL_KINDS)
     assert list(DRIVERS) == ["neuromorphic-drivers", "dv-processing"]
 
 
 @pytest.mark.skipif(HAVE_ND or HAVE_DV, reason="a library of the extra `cameras` is installed")
 def test_camera_without_the_extra():
     with pytest.raises(ImportError, match=r"by neuromorphic-drivers or dv-processing, .*: pip install '\.\[cameras\]'"):
-        open_live("camera")
+        open_source("camera")
 
 
 @pytest.mark.skipif(not (HAVE_ND or HAVE_DV), reason="no library of the extra `cameras` is installed")
 def test_camera_with_the_extra_and_no_camera():
     try:
-        source = open_live("camera:evk3:no such serial")
+        source = open_source("camera:evk3:no such serial")
     except OSError as error:
         line = str(error)
     else:
@@ -166,11 +166,11 @@ def test_camera_with_the_extra_and_no_camera():
 
 
 def test_one_library_is_enough(monkeypatch):
-    """Whatever is installed: the other one is looked for in vain."""
+    """Whatever is installed: the other one is not found."""
     monkeypatch.setitem(sys.modules, "neuromorphic_drivers", None)
-    with pytest.raises((OSError, ImportError)) as told:
-        open_live("camera:evk3:no such serial")
+    with pytest.raises((OSError, ImportError)) as caught:
+        open_source("camera:evk3:no such serial")
     if HAVE_DV:
-        assert told.type is OSError and "neuromorphic-drivers: not installed" in str(told.value)
+        assert caught.type is OSError and "neuromorphic-drivers: not installed" in str(caught.value)
     else:
-        assert told.type is ImportError
+        assert caught.type is ImportError

@@ -6,7 +6,7 @@ import pytest
 from cameras.made_devices import PlayedDevice, drivers, found
 
 from async_tnt.cli import main
-from async_tnt.sources.camera_opening import DRIVERS
+from async_tnt.sources.cameras import DRIVERS
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 

@@ -1,4 +1,4 @@
-"""The queue by itself: many who put, every form of packet, asyncio, the end."""
+"""The queue alone: several producers, every form of packet, asyncio, the end."""
 
 import asyncio
 import threading

@@ -32,7 +32,9 @@ def test_what_is_encoded_is_decoded(format):
     events = random_events(500, sensor=(1 << 15, 1 << 15))
     data = encode(events, format)
     assert len(data) == 500 * EVENT_BYTES[format]
-    decoded, malformed = decode(data, format, arrival_us=events["t"])
+    if format == "spif":
+        events["t"] = 77  # it has no time
+    decoded, malformed = decode(data, format, arrival_us=77)
     assert decoded.dtype == EVENT_DTYPE and decoded.tobytes() == events.tobytes() and malformed == 0
 
 

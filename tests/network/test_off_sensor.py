@@ -1,4 +1,4 @@
-"""Events off the sensor are counted, and who listens to nothing else is told why."""
+"""Events off the sensor are counted, and a listener that receives nothing else is warned."""
 
 import logging
 import subprocess
@@ -12,7 +12,7 @@ from listening import free_port, wait_for_listener
 from made import events_of, random_events
 
 from async_tnt.sources.datagrams import Decoder, encode
-from async_tnt.sources.udp import DOUBTFUL, UdpSource
+from async_tnt.sources.udp import WARN_AFTER, UdpSource
 from async_tnt.sources.udp_sender import UdpSender
 
 SENSOR = (34, 20)
@@ -53,8 +53,8 @@ def test_the_counts_add_up(kinds, cut):
     n_events = sum(len(decoder.decode(encode(part)).events) for part in (events[: 1 + cut], events[1 + cut :]))
     assert n_events == 1 + kinds.count("good")
     assert decoder.off_sensor == kinds.count("off") + kinds.count("off and ahead")
-    assert decoder.ahead == kinds.count("ahead")
-    assert decoder.malformed == decoder.off_sensor + decoder.ahead + kinds.count("polarity")
+    assert decoder.clock.jumped == kinds.count("ahead")
+    assert decoder.malformed == decoder.off_sensor + decoder.clock.jumped + kinds.count("polarity")
 
 
 def test_the_summary_says_how_many_lie_off_the_sensor():
@@ -83,39 +83,39 @@ def listen_to(*parts, format="t64_x16_y16_on8", sensor=SENSOR, sent_as=None):
         return source
 
 
-def test_a_camera_that_is_larger_is_told_once(caplog):
-    source = listen_to(at_pixel(34, 0, DOUBTFUL - 1))
+def test_a_camera_that_is_larger_is_reported_once(caplog):
+    source = listen_to(at_pixel(34, 0, WARN_AFTER - 1))
     assert warnings_of(caplog) == []  # one too few
-    source = listen_to(at_pixel(34, 0, 3 * DOUBTFUL))
+    source = listen_to(at_pixel(34, 0, 3 * WARN_AFTER))
     assert warnings_of(caplog) == [
         f"udp://127.0.0.1:{source.port}: none of the first 1,000 events can be used; "
         "1,000 lie off 34x20 pixels: is the camera larger?"
     ]
-    assert source.counts.off_sensor == 3 * DOUBTFUL
+    assert source.counts.off_sensor == 3 * WARN_AFTER
 
 
-def test_another_format_is_told_once(caplog):
+def test_another_format_is_reported_once(caplog):
     events = at_pixel(3, 4, 2500)
     listen_to(events, format="spif", sensor=None, sent_as="spif_t32")
     (warning,) = warnings_of(caplog)
     assert "events can be used; " in warning and "pixels" not in warning
-    assert warning.endswith(" are none of spif: does the sender use another (?format=...)?")
+    assert warning.endswith(" are not valid spif: does the sender use another (?format=...)?")
 
 
-def test_both_reasons_are_told(caplog):
-    broken = at_pixel(3, 4, DOUBTFUL // 2)
+def test_both_reasons_are_reported(caplog):
+    broken = at_pixel(3, 4, WARN_AFTER // 2)
     broken["p"] = 2
-    listen_to(broken, at_pixel(0, 20, DOUBTFUL // 2))
+    listen_to(broken, at_pixel(0, 20, WARN_AFTER // 2))
     (warning,) = warnings_of(caplog)
-    assert "500 lie off 34x20 pixels: is the camera larger? 500 are none of t64_x16_y16_on8: does" in warning
+    assert "500 lie off 34x20 pixels: is the camera larger? 500 are not valid t64_x16_y16_on8: does" in warning
 
 
 def test_one_good_event_before_is_enough_to_say_nothing(caplog):
-    source = listen_to(at_pixel(33, 19, 1), at_pixel(34, 0, 2 * DOUBTFUL))
-    assert warnings_of(caplog) == [] and source.counts.off_sensor == 2 * DOUBTFUL
+    source = listen_to(at_pixel(33, 19, 1), at_pixel(34, 0, 2 * WARN_AFTER))
+    assert warnings_of(caplog) == [] and source.counts.off_sensor == 2 * WARN_AFTER
 
 
-def test_the_program_tells_it_on_stderr():
+def test_the_program_reports_it_on_stderr():
     port = free_port()
     argv = [sys.executable, "-m", "async_tnt.cli", "run", f"udp://127.0.0.1:{port}?timeout_s=1"]
     process = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -128,7 +128,7 @@ def test_the_program_tells_it_on_stderr():
         out, err = process.communicate(timeout=60)
     finally:
         process.kill()
-    told = [line for line in err.splitlines() if "can be used" in line]
-    assert len(told) == 1 and "lie off 34x34 pixels: is the camera larger?" in told[0]
+    warnings = [line for line in err.splitlines() if "can be used" in line]
+    assert len(warnings) == 1 and "lie off 34x34 pixels: is the camera larger?" in warnings[0]
     assert "0 events (3,000 malformed, 3,000 of them off the sensor" in err and "Traceback" not in err
     assert process.returncode == 0 and out == ""

@@ -13,9 +13,9 @@ from made import events_of, random_events
 
 from async_tnt.cli import main, send
 from async_tnt.cli.send import even, one_stream
-from async_tnt.sources import replay as sources
+from async_tnt.sources import playback as sources
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.replay import replay
+from async_tnt.sources.playback import replay
 from async_tnt.sources.udp import UdpSource
 
 EVENTS = random_events(2500, duration_us=50_000, start_us=7_000_000)

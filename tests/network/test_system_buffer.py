@@ -1,12 +1,12 @@
-"""What the system threw away: its counter as it tells it."""
+"""What the system threw away: its counter as it reports it."""
 
 import struct
 from types import SimpleNamespace
 
 import pytest
 
-from async_tnt.sources import udp_buffer as system_buffer
-from async_tnt.sources.udp_buffer import LostDatagrams
+from async_tnt.sources import udp_socket
+from async_tnt.sources.udp_socket import LostDatagrams
 
 
 class Socket:
@@ -27,16 +27,16 @@ def meminfo(dropped):
 
 @pytest.fixture(autouse=True)
 def linux(monkeypatch):
-    monkeypatch.setattr(system_buffer, "sys", SimpleNamespace(platform="linux"))
+    monkeypatch.setattr(udp_socket, "sys", SimpleNamespace(platform="linux"))
 
 
 def test_a_counter_of_32_bits_goes_on_where_it_wraps():
-    told = [0, 5, 2**32 - 1, 3, 3, 2**32 - 1, 0]
-    lost = LostDatagrams(Socket(*map(meminfo, told)))
-    assert [lost.read() for _ in told] == [0, 5, 2**32 - 1, 2**32 + 3, 2**32 + 3, 2 * 2**32 - 1, 2 * 2**32]
+    reported = [0, 5, 2**32 - 1, 3, 3, 2**32 - 1, 0]
+    lost = LostDatagrams(Socket(*map(meminfo, reported)))
+    assert [lost.read() for _ in reported] == [0, 5, 2**32 - 1, 2**32 + 3, 2**32 + 3, 2 * 2**32 - 1, 2 * 2**32]
 
 
-def test_of_a_closed_socket_what_it_said_last():
+def test_a_closed_socket_keeps_its_last_answer():
     lost = LostDatagrams(Socket(meminfo(7)))
     assert [lost.read(), lost.read()] == [7, 7]
 
@@ -44,5 +44,5 @@ def test_of_a_closed_socket_what_it_said_last():
 def test_a_system_that_does_not_say(monkeypatch):
     assert LostDatagrams(Socket()).read() is None
     assert LostDatagrams(Socket(bytes(32))).read() is None  # before Linux 4.12: eight numbers
-    monkeypatch.setattr(system_buffer, "sys", SimpleNamespace(platform="darwin"))
+    monkeypatch.setattr(udp_socket, "sys", SimpleNamespace(platform="darwin"))
     assert LostDatagrams(Socket(meminfo(7))).read() is None

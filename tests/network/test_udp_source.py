@@ -15,6 +15,8 @@ from made import events_of, random_events
 from async_tnt import Processor, TNTConfig, astream, stream
 from async_tnt.sources.background_reader import BackgroundReader
 from async_tnt.sources.datagrams import encode
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.opening import open_source
 from async_tnt.sources.udp import UdpSource, open_udp
 from async_tnt.sources.udp_sender import UdpSender
 
@@ -78,10 +80,10 @@ def test_spif_events_carry_the_time_of_arrival():
         sender.send(EVENTS[150:200])
         second = source.receive(1)
     assert np.concatenate([first["x"], second["x"]]).tolist() == EVENTS["x"][:200].tolist()
-    assert (np.diff(first["t"]) >= 0).all() and 20_000 <= second["t"][0] - first["t"][-1] < 5_000_000
+    assert (np.diff(first["t"]) >= 0).all() and second["t"][0] - first["t"][-1] >= 20_000
 
 
-def test_what_is_no_event_is_counted_and_the_rest_handed_on():
+def test_invalid_events_are_counted_and_the_rest_handed_on():
     good = encode(EVENTS[:3])
     off = encode(events_of([1, 2], [40, 1], [1, 34], [0, 0]))
     with listening(sensor=(34, 34)) as source:
@@ -116,7 +118,7 @@ def test_lost_datagrams_are_counted():
     assert source.counts == counts  # closed: they stay
 
 
-def test_a_smaller_buffer_is_said(caplog):
+def test_a_smaller_buffer_is_reported(caplog):
     with listening(buffer_bytes=(1 << 30) - 1) as source:
         assert source.buffer_bytes < (1 << 30) - 1
         assert "bursts may be lost" in source.advice and source.advice in caplog.text
@@ -182,26 +184,6 @@ def test_cancelling_the_task_closes_the_socket():
     source = asyncio.run(run())
     assert source.closed and source._socket.fileno() == -1
     UdpSource(port=source.port).close()  # the port is free
-
-
-@pytest.mark.parametrize("from_thread", [False, True])
-def test_close_ends_a_waiting_async_for(from_thread):
-    async def run():
-        source = listening(timeout_s=None)
-
-        async def read():
-            return [packet async for packet in source]
-
-        task = asyncio.ensure_future(read())
-        await asyncio.sleep(0.01)
-        if from_thread:
-            await asyncio.to_thread(source.close)
-        else:
-            source.close()
-        assert await asyncio.wait_for(task, 5) == []
-        assert source._socket.fileno() == -1
-
-    asyncio.run(run())
 
 
 def test_other_tasks_run_while_datagrams_never_pause():
@@ -296,16 +278,21 @@ def test_close_in_a_signal_handler_ends_the_wait_it_interrupts():
         signal.signal(signal.SIGALRM, before)
 
 
-def test_spinning_hands_over_the_same_and_keeps_the_time():
-    with listening(spin_us=2000) as source, UdpSender(port=source.port) as sender:
+@pytest.mark.parametrize("spin_us", [0, 2000])
+def test_spinning_hands_over_the_same_and_nothing_within_the_time_is_none(spin_us):
+    with listening(spin_us=spin_us) as source, UdpSender(port=source.port) as sender:
         sender.send(EVENTS)
         assert np.concatenate(list(source)).tobytes() == EVENTS.tobytes()
+        assert source.receive(0) is None
         started = time.monotonic()
         assert source.receive(0.03) is None
-        assert 0.025 < time.monotonic() - started < 5
-    for spin_us in (-1, 1e7, float("nan")):
-        with pytest.raises(ValueError, match=r"`spin_us` must be in \[0, 1,000,000\] microseconds"):
-            UdpSource(port=0, spin_us=spin_us)
+        assert time.monotonic() - started > 0.025
+
+
+@pytest.mark.parametrize("spin_us", [-1, 1e7, float("nan")])
+def test_a_wrong_time_to_spin(spin_us):
+    with pytest.raises(ValueError, match=r"`spin_us` must be in \[0, 1,000,000\] microseconds"):
+        UdpSource(port=0, spin_us=spin_us)
 
 
 def test_the_summary_is_one_line_of_what_was_counted():
@@ -313,19 +300,9 @@ def test_the_summary_is_one_line_of_what_was_counted():
         raw(source, encode(EVENTS[:3]) + b"cut", encode(events_of([2**62 - 1], [0], [0], [0])))
         assert len(list(source)) == 1
         lost = "0" if sys.platform.startswith("linux") else "unknown"
-        expected = (
-            f"2 datagrams, 3 events (2 malformed, 1 of them too far ahead, 0 out of order, datagrams lost: {lost})"
-        )
+        expected = f"2 datagrams, 3 events (2 malformed, 1 of them time jumps, 0 out of order, datagrams lost: {lost})"
         assert source.summary() == expected
     assert source.summary() == expected  # closed: it stays
-
-
-def test_nothing_within_the_time_is_none():
-    with listening() as source:
-        assert source.receive(0) is None
-        started = time.monotonic()
-        assert source.receive(0.03) is None
-        assert 0.025 < time.monotonic() - started < 5
 
 
 def test_a_sender_killed_in_the_middle():
@@ -372,6 +349,19 @@ def test_open_udp_takes_format_and_timeout():
             open_udp(f"udp://127.0.0.1:{source.port}")  # taken
     with pytest.raises(OSError, match="no such host or port"):
         open_udp("udp://no.such.host.invalid:3333")
+
+
+def test_any_source_by_name():
+    """A URL, a path, an array; cameras are in tests/cameras."""
+    with open_source("udp://127.0.0.1:0?format=spif", (34, 20)) as source:
+        assert isinstance(source, UdpSource) and (source.format, source.sensor) == ("spif", (34, 20))
+    path = sample_recordings()[3]
+    recorded = open_recording(path).read().tobytes()
+    for name in (path, str(path), open_recording(path).read()):
+        assert b"".join(packet.tobytes() for packet in open_source(name)) == recorded
+    assert open_source(path, (60, 48)).sensor == (60, 48)
+    with pytest.raises(FileNotFoundError):
+        open_source("gone.npy")
 
 
 def test_nobody_listening_is_counted_not_raised():

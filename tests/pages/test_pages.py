@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made import random_model
 from dataset.gestures import bar, write
+from made import random_model
 from small_sets import write_small_mnist
 
 from async_tnt import Counts, Model, TNTConfig, networks, representations
@@ -223,8 +223,7 @@ def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path):
 
 def test_the_committed_table_is_that_of_the_code():
     pytest.importorskip("torch")
-    from async_tnt.training.table import aggregate
-    from async_tnt.training.table import COLUMNS, ROWS
+    from async_tnt.training.table import COLUMNS, ROWS, aggregate
 
     record = json.loads((ROOT / "benchmarks" / "results" / "table.json").read_text(encoding="utf-8"))
     assert {name: row.config.to_dict() for name, row in ROWS.items()} == {

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from made import events_of, random_events
 
-from async_tnt.sources import hot_pixels
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.hot_pixels import _neighbours, count_pixels, learn_mask
+from async_tnt.sources.mask_learning import _neighbours, count_pixels, hot_pixels, learn_mask
 
 SENSOR = (34, 34)
 SAMPLES = sample_recordings()

@@ -1,4 +1,4 @@
-"""async-tnt mask: what it finds, writes and says; damaged masks."""
+"""async-tnt mask: what it finds, writes and prints; damaged masks."""
 
 import json
 import subprocess
@@ -44,12 +44,12 @@ def test_it_finds_what_was_planted(tmp_path, capsys):
     assert len(PixelFilter((34, 34), mask=out)(events)) == n - sum(at)
 
 
-def test_it_says_so_where_there_are_none(tmp_path, capsys, monkeypatch):
+def test_no_hot_pixels(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["mask", str(SAMPLE)]) == 0
     n = open_recording(SAMPLE).n_events
-    said = f"no hot pixels: none of 34x34 stands out in {n} events; wrote mask.npy, which masks nothing\n"
-    assert capsys.readouterr().out == said
+    printed = f"no hot pixels: none of 34x34 stands out in {n} events; wrote mask.npy, which masks nothing\n"
+    assert capsys.readouterr().out == printed
     assert not np.load("mask.npy").any()
 
 
@@ -57,8 +57,8 @@ def test_only_a_named_file_is_overwritten(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mask.npy").write_bytes(b"precious")
     assert main(["mask", str(SAMPLE)]) == 2
-    told = capsys.readouterr()
-    assert told.out == "" and told.err == (
+    output = capsys.readouterr()
+    assert output.out == "" and output.err == (
         "async-tnt: mask.npy is there already: --out mask.npy overwrites it, --out FILE writes another\n"
     )
     assert (tmp_path / "mask.npy").read_bytes() == b"precious"
@@ -66,7 +66,7 @@ def test_only_a_named_file_is_overwritten(tmp_path, capsys, monkeypatch):
     assert not np.load("mask.npy").any()
 
 
-def test_a_bin_is_of_the_sensor_that_the_option_says(tmp_path, capsys):
+def test_a_bin_is_of_the_sensor_of_the_option(tmp_path, capsys):
     rng = np.random.default_rng(0)
     n = 20_000
     events = events_of(np.arange(n), rng.integers(0, 240, n), rng.integers(0, 180, n), rng.integers(0, 2, n))
@@ -95,10 +95,12 @@ def test_json_and_factor(tmp_path, capsys):
     path = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200))
     out = str(tmp_path / "mask.npy")
     assert main(["mask", str(path), "--sensor", "34x34", "--json", "--out", out]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert [(p["x"], p["y"]) for p in said["hot_pixels"]] == [(30, 2), (3, 31)]
-    assert said["sensor"] == [34, 34] and said["out"] == out and said["events"] == open_recording(path).n_events
-    assert said["share"] == sum(p["events"] for p in said["hot_pixels"]) / said["events"]
+    printed = json.loads(capsys.readouterr().out)
+    assert [(p["x"], p["y"]) for p in printed["hot_pixels"]] == [(30, 2), (3, 31)]
+    assert (
+        printed["sensor"] == [34, 34] and printed["out"] == out and printed["events"] == open_recording(path).n_events
+    )
+    assert printed["share"] == sum(p["events"] for p in printed["hot_pixels"]) / printed["events"]
     assert main(["mask", str(path), "--sensor", "34x34", "--json", "--out", out, "--factor", "60"]) == 0
     assert [(p["x"], p["y"]) for p in json.loads(capsys.readouterr().out)["hot_pixels"]] == [(30, 2)]
 
@@ -129,79 +131,40 @@ def test_picture_without_matplotlib(tmp_path, capsys, monkeypatch):
     assert "--picture draws with matplotlib: pip install '.[plot]'" in capsys.readouterr().err and not out.exists()
 
 
-def _missing(folder):
-    return [str(folder / "gone.npy")], "gone.npy: No such file"
-
-
-def _damaged(folder):
-    (folder / "bad.npy").write_bytes(b"hello")
-    return [str(folder / "bad.npy")], "bad.npy: not a readable NumPy file"
-
-
-def _no_sensor(folder):
-    path = with_hot_pixels(folder / "a.npy")
-    return [str(path)], "a.npy: the file does not say the camera's sensor; --sensor WxH does"
-
-
-def _off_sensor(folder):
-    path = with_hot_pixels(folder / "a.npy", (33, 33, 5))
-    return [str(path), "--sensor", "34x33"], "a.npy: `y` must be in [0, 33), got 33 at event"
-
-
-def _other_sensor(folder):
-    np.savez(folder / "b.npz", events=random_events(9), sensor=np.array([34, 34]))
-    return [str(folder / "b.npz"), "--sensor", "40x40"], "34x34 pixels, but --sensor or an earlier recording says 40x40"
-
-
-def _bin_off_sensor(folder):
-    write_nmnist(folder / "a.bin", events_of([5, 6], [200, 3], [2, 3], [0, 1]), sensor=None)
-    return [
-        str(folder / "a.bin")
-    ], "on the 34 x 34 sensor, got x = 200, y = 2 at event 0 (byte 0). Fetch the file again, or say"
-
-
-def _two_sensors(folder):
-    np.savez(folder / "b.npz", events=random_events(9), sensor=np.array([50, 50]))
-    return [str(SAMPLE), str(folder / "b.npz")], "b.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"
-
-
-def _empty(folder):
-    np.savez(folder / "e.npz", events=random_events(0), sensor=np.array([34, 34]))
-    return [str(folder / "e.npz")], "e.npz: no events, nothing to learn from"
-
-
-def _wrong_suffix(folder):
-    return [str(SAMPLE), "--out", str(folder / "m.png")], "m.png: a mask is written as .npy, got the suffix '.png'"
-
-
-def _no_folder(folder):
-    return [str(SAMPLE), "--out", str(folder / "no" / "m.npy")], "no to write m.npy to"
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Recordings of every kind of trouble, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.npy").write_bytes(b"hello")
+    with_hot_pixels(tmp_path / "a.npy", (33, 33, 5))
+    for side in (34, 50):
+        np.savez(tmp_path / f"{side}.npz", events=random_events(9), sensor=np.array([side, side]))
+    np.savez(tmp_path / "e.npz", events=random_events(0), sensor=np.array([34, 34]))
+    write_nmnist(tmp_path / "a.bin", events_of([5, 6], [200, 3], [2, 3], [0, 1]), sensor=None)
+    return tmp_path
 
 
 @pytest.mark.parametrize(
-    "make",
+    ("words", "message"),
     [
-        _missing,
-        _damaged,
-        _no_sensor,
-        _off_sensor,
-        _other_sensor,
-        _bin_off_sensor,
-        _two_sensors,
-        _empty,
-        _wrong_suffix,
-        _no_folder,
+        ("gone.npy", "gone.npy: No such file"),
+        ("bad.npy", "bad.npy: not a readable NumPy file"),
+        ("a.npy", "a.npy: the file does not say the camera's sensor; --sensor WxH does"),
+        ("a.npy --sensor 34x33", "a.npy: `y` must be in [0, 33), got 33 at event"),
+        ("34.npz --sensor 40x40", "34x34 pixels, but --sensor or an earlier recording says 40x40"),
+        ("34.npz 50.npz", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
+        ("a.bin", "on the 34 x 34 sensor, got x = 200, y = 2 at event 0 (byte 0). Fetch the file again, or say"),
+        ("e.npz", "e.npz: no events, nothing to learn from"),
+        ("34.npz --out m.png", "m.png: a mask is written as .npy, got the suffix '.png'"),
+        ("34.npz --out no/m.npy", "no to write m.npy to"),
     ],
-    ids=lambda make: make.__name__.strip("_"),
 )
-def test_what_is_wrong_in_one_line(make, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    arguments, message = make(tmp_path)
-    assert main(["mask", *arguments]) == 2
+def test_an_error_is_one_line(words, message, folder, capsys):
+    assert main(["mask", *words.split()]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.startswith("async-tnt: ") and len(captured.err.splitlines()) == 1
     assert message in captured.err
-    assert not (tmp_path / "mask.npy").exists()
+    assert not (folder / "mask.npy").exists()
 
 
 @pytest.mark.parametrize(
@@ -255,7 +218,7 @@ def test_every_damaged_byte_is_one_clear_error(tmp_path):
             load_mask(path, (6, 4))
 
 
-def test_files_that_are_no_masks(tmp_path):
+def test_files_that_are_not_masks(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros((4, 6)))
     with pytest.raises(ValueError, match=r"a.npy: a mask of a 6x4 sensor must be a bool array.*got float64 of shape"):
         load_mask(tmp_path / "a.npy", (6, 4))
@@ -265,7 +228,7 @@ def test_files_that_are_no_masks(tmp_path):
     np.save(tmp_path / "o.npy", np.array([[None]]), allow_pickle=True)
     with pytest.raises(ValueError, match=r"o.npy: not a readable NumPy file: it holds Python objects, which"):
         load_mask(tmp_path / "o.npy", (1, 1))
-    (tmp_path / "t.npy").write_text("x,y\n1,2\n")  # of which NumPy says that it may be loaded unsafely
+    (tmp_path / "t.npy").write_text("x,y\n1,2\n")  # NumPy would advise to load it unsafely
     with pytest.raises(ValueError, match=r"t.npy: not a readable NumPy file: it must begin with") as caught:
         load_mask(tmp_path / "t.npy")
     assert "pickle" not in str(caught.value)
@@ -274,7 +237,7 @@ def test_files_that_are_no_masks(tmp_path):
 
 
 @pytest.mark.parametrize("mask", [np.zeros((3, 4)), np.zeros(4, bool), [[1, 0]], np.zeros((0, 3), bool)])
-def test_what_is_no_mask_is_not_saved(mask, tmp_path):
+def test_invalid_masks_are_not_saved(mask, tmp_path):
     with pytest.raises(
         ValueError, match=r"a mask must be a bool array of shape \(height, width\), sides in .1, 32768.; got "
     ):

@@ -201,7 +201,7 @@ NO_ROI = r"`roi` \(x, y, width, height\) must lie on the sensor, x and y at leas
             {"crop": True},
             r"--crop belongs to --roi \(in Python, `crop` to `roi`\): the region that is to be the sensor",
         ),
-        ({"mask": np.zeros((30, 20), bool)}, MASK_RULE + r"shape \(30, 20\); turn it with .T"),
+        ({"mask": np.zeros((30, 20), bool)}, MASK_RULE + r"shape \(30, 20\); transpose it with .T"),
         ({"mask": np.zeros((20, 31), bool)}, MASK_RULE + r"shape \(20, 31\)"),
         ({"mask": np.zeros((20, 30), np.uint8)}, MASK_RULE + r"uint8 of shape \(20, 30\)"),
         ({"mask": [[True]]}, MASK_RULE + "list"),

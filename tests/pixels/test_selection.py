@@ -10,8 +10,8 @@ import pytest
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
-from async_tnt.sources.pixel_masks import load_mask, save_mask
-from async_tnt.sources.pixel_selection import PackedMask, PixelSelection
+from async_tnt.sources.pixel_masks import PackedMask, load_mask, save_mask
+from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.pixel_selector import PixelSelector
 
 SAMPLE = sample_recordings()[3]
@@ -60,7 +60,7 @@ def test_a_mask_of_a_large_sensor_is_small_to_send():
     assert len(pickle.dumps(PackedMask.of(random_mask((1280, 720), 1e-4)))) < 3000
 
 
-def test_about_and_record_tell_one_selection_from_another():
+def test_about_and_record_distinguish_selections():
     mask, other = (PackedMask.of(mask_of((34, 34), pixel)) for pixel in ((1, 2), (2, 1)))
     selections = [
         PixelSelection(),
@@ -72,14 +72,14 @@ def test_about_and_record_tell_one_selection_from_another():
         PixelSelection((0, 0, 20, 20), mask=mask),
     ]
     assert selections[0].about == selections[0].record == {}
-    for told in ("about", "record"):
-        assert len({repr(getattr(selection, told)) for selection in selections}) == len(selections)
+    for form in ("about", "record"):
+        assert len({repr(getattr(selection, form)) for selection in selections}) == len(selections)
     assert selections[4].record == {"masked_pixels": 1, "mask_sha256": mask.sha256}
     assert selections[4].about == {"mask": f"34x34 {mask.sha256[:16]}"}
     assert "sensor" in PixelSelection((0, 0, 2, 2), crop=True, sensor=(34, 34)).about
 
 
-def test_a_sensor_that_repeats_what_the_mask_says_decides_nothing():
+def test_a_sensor_that_repeats_the_size_of_the_mask_decides_nothing():
     mask = PackedMask.of(mask_of((60, 48), (1, 2)))
     alone, repeated = (PixelSelection((0, 0, 9, 9), True, mask, sensor) for sensor in (None, (60, 48)))
     assert alone.about == repeated.about and "sensor" not in alone.about
@@ -120,8 +120,8 @@ def test_a_recording_is_opened_and_selected_as_by_a_filter():
     np.testing.assert_array_equal(got, expected(EVENTS))
     assert 0 < len(got) < len(EVENTS)
     counts = expected.counts
-    told = f"{counts.dropped_outside:,} outside of the region, {counts.dropped_masked:,} of masked pixels"
-    assert selector.summary() == told
+    summary = f"{counts.dropped_outside:,} outside of the region, {counts.dropped_masked:,} of masked pixels"
+    assert selector.summary() == summary
 
 
 def test_nothing_to_leave_out_is_every_packet_as_it_is():
@@ -131,7 +131,7 @@ def test_nothing_to_leave_out_is_every_packet_as_it_is():
     assert selector.summary() == selector.nothing_left() == ""
 
 
-def test_a_masks_size_says_the_camera_where_nobody_does(tmp_path):
+def test_the_size_of_a_mask_names_the_camera(tmp_path):
     np.save(tmp_path / "large.npy", EVENTS)
     mask = PackedMask.of(mask_of((100, 80), (0, 0)), "hot.npy")
     selector = PixelSelector(PixelSelection((3, 4, 34, 34), True, mask), (34, 34))
@@ -140,14 +140,10 @@ def test_a_masks_size_says_the_camera_where_nobody_does(tmp_path):
         selector.sensor_of("a", (50, 50))
 
 
-def test_to_be_trained_any_sensor_is_right_and_a_bin_is_of_the_one_given(tmp_path):
-    assert PixelSelector(PixelSelection(), None).open_to_learn(SAMPLE).sensor == (34, 34)
-    assert PixelSelector(PixelSelection(sensor=(304, 240)), None).open_to_learn(SAMPLE).sensor == (304, 240)
-    np.save(tmp_path / "a.npy", EVENTS)
-    assert PixelSelector(PixelSelection(), None).open_to_learn(tmp_path / "a.npy").sensor is None
+def test_where_nobody_says_the_sensor_the_option_that_needs_it_is_named():
     selector = PixelSelector(PixelSelection((0, 0, 20, 20)), None)
     with pytest.raises(ValueError, match=r"^a.npy: does not say the camera's pixels, which --roi needs: give --sensor"):
-        selector.filter_of("a.npy", selector.open_to_learn(tmp_path / "a.npy").sensor)
+        selector.filter_of("a.npy", None)
 
 
 @pytest.mark.parametrize(
@@ -155,14 +151,9 @@ def test_to_be_trained_any_sensor_is_right_and_a_bin_is_of_the_one_given(tmp_pat
     [
         ({"crop": True}, (34, 34), "--crop belongs to --roi"),
         ({"roi": (0, 0, 20, 20), "crop": True}, (34, 34), "got a region of 20x20; give --roi X,Y,34,34"),
-        ({"roi": (0, 0, 20)}, (34, 34), "must be .x, y, width, height. in whole pixels, got"),
-        ({"roi": (0, 0, 20.5, 3)}, None, "must be .x, y, width, height. in whole pixels, got"),
         ({"sensor": (0, 20)}, None, "`sensor` must have sides in"),
         ({"roi": (20, 0, 20, 20)}, (34, 34), "must lie on the sensor of 34x34 pixels"),
         ({"roi": (-1, 0, 20, 20)}, None, "must lie on the sensor, x and y at least 0"),
-        ({"roi": (0, 0, 0, 0)}, None, "and hold at least one pixel, got .0, 0, 0, 0.$"),
-        ({"roi": (0, 0, True, 5)}, None, "must be .x, y, width, height. in whole pixels, got"),
-        ({"sensor": (34, True)}, None, "`sensor` must be .width, height. in whole pixels, got"),
         (
             {"sensor": (60, 48)},
             (40, 40),
@@ -178,24 +169,24 @@ def test_to_be_trained_any_sensor_is_right_and_a_bin_is_of_the_one_given(tmp_pat
         ({"mask": (30, 48)}, (40, 40), "^hot.npy: a mask of a 30x48 .* 40x40 pixels: give the mask of a 40x40 camera$"),
         ({"roi": (60, 60, 34, 34), "crop": True, "mask": (80, 80)}, (34, 34), "must lie on the sensor of 80x80 pixels"),
         ({"mask": (20, 34)}, (34, 34), "^hot.npy: a mask of a 20x34 camera, but the model is for 34x34 pixels"),
-        ({"mask": (20, 34)}, (34, 20), "the mask of a 34x20 camera; or turn it with .T$"),
+        ({"mask": (20, 34)}, (34, 20), "the mask of a 34x20 camera; or transpose it with .T$"),
         ({"mask": (20, 34), "sensor": (34, 34)}, None, "a mask of 20x34 pixels, but the camera's are given as 34x34"),
     ],
 )
-def test_what_cannot_be_is_refused_before_the_first_event(settings, model, message):
+def test_a_wrong_selection_is_refused_before_the_first_event(settings, model, message):
     if "mask" in settings:
         settings = {**settings, "mask": PackedMask.of(mask_of(settings["mask"]), "hot.npy")}
     with pytest.raises(ValueError, match=message):
         PixelSelector(PixelSelection(**settings), model)
 
 
-@pytest.mark.parametrize("wrong", [np.zeros((3, 4)), np.zeros(4, bool), [[True]], np.zeros((4, 0), bool)])
+@pytest.mark.parametrize("wrong", [np.zeros((3, 4)), np.zeros(4, bool), np.zeros((4, 0), bool)])
 def test_what_is_no_mask_is_refused(wrong, tmp_path):
     with pytest.raises(ValueError, match="must be a bool array of shape"):
         PackedMask.of(wrong)
     np.save(tmp_path / "m.npy", np.array(wrong, float))
     with pytest.raises(ValueError, match=r"m.npy: a mask .*must be a bool array of shape"):
-        PackedMask.read(tmp_path / "m.npy")
+        PackedMask.of(tmp_path / "m.npy")
 
 
 def bin_within_34(folder):
@@ -203,10 +194,10 @@ def bin_within_34(folder):
     return folder / "inside.bin"
 
 
-@pytest.mark.parametrize("said_by", ["sensor", "mask"])
-def test_a_bin_is_of_the_camera_that_somebody_names(said_by, tmp_path):
+@pytest.mark.parametrize("named_by", ["sensor", "mask"])
+def test_a_bin_is_of_the_camera_that_is_named(named_by, tmp_path):
     path = bin_within_34(tmp_path)
-    named = {"sensor": {"sensor": (60, 48)}, "mask": {"mask": mask_of((60, 48), (59, 47))}}[said_by]
+    named = {"sensor": {"sensor": (60, 48)}, "mask": {"mask": mask_of((60, 48), (59, 47))}}[named_by]
     for settings, model in (({"roi": (2, 1, 20, 20), "crop": True}, (20, 20)), ({}, (60, 48))):
         selector = PixelSelector(PixelSelection(**settings, **named), model)
         recording, sensor = selector.open(path, strict=True)
@@ -215,10 +206,10 @@ def test_a_bin_is_of_the_camera_that_somebody_names(said_by, tmp_path):
         roi = settings.get("roi")
         np.testing.assert_array_equal(kept, PixelFilter((60, 48), roi, crop=roi is not None)(EVENTS))
     with pytest.raises(ValueError, match="a sensor of 34x34 pixels, but the model is for 60x48"):
-        PixelSelector(PixelSelection(), (60, 48)).open(path)  # nobody says it, and all its events are on N-MNIST's
+        PixelSelector(PixelSelection(), (60, 48)).open(path)  # nothing names it, and all its events are on N-MNIST's
 
 
-def test_an_event_off_the_named_camera_is_told_by_who_named_it(tmp_path):
+def test_an_event_off_the_named_camera_names_the_origin_of_its_size(tmp_path):
     write_nmnist(tmp_path / "a.bin", np.array([(1, 200, 3, 1)], EVENTS.dtype), sensor=None)
     selection = PixelSelection((0, 0, 34, 34), True, PackedMask.of(mask_of((45, 45)), "m45.npy"))
     selector = PixelSelector(selection, (34, 34))
@@ -241,7 +232,7 @@ def test_a_part_is_offered_of_a_camera_that_has_one(camera, part):
     assert ("or cut out a part: --roi X,Y,40,40 --crop" in str(caught.value)) == part
 
 
-def test_nothing_left_is_counted_from_where_one_asks():
+def test_nothing_left_counts_from_a_given_moment():
     selector = PixelSelector(PixelSelection((0, 0, 4, 4), mask=np.ones((34, 34), bool)), (34, 34))
     select = selector.filter_of("", (34, 34))
     assert selector.nothing_left() == ""  # nothing came

@@ -5,8 +5,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from async_tnt.sources.model_pixels import difference
-from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixel_selection import PixelSelection, difference
 
 MASK = np.zeros((48, 60), bool)
 MASK[3, 4] = True
@@ -31,13 +30,13 @@ SELECTIONS = [
 
 
 @pytest.mark.parametrize("trained", SELECTIONS[:-1])
-def test_the_same_selection_is_silent_and_every_other_one_is_told(trained):
+def test_the_same_selection_is_silent_and_every_other_one_is_reported(trained):
     for given in [*SELECTIONS, PixelSelection()]:
         assert (difference(record_of(trained), given) == "") == (given == trained)
     assert difference(record_of(trained), PixelSelection(trained.roi, trained.crop, trained.mask, (60, 48))) == ""
 
 
-def test_it_says_what_was_and_what_is():
+def test_the_message_names_both_selections():
     trained = record_of(PixelSelection(ROI, True, MASK))
     was = f"trained with --roi 10,4,40,40 --crop --mask of 1 pixels ({SHA[:16]})"
     assert difference(trained, PixelSelection()) == f"{was}, but now it is all pixels"

@@ -1,28 +1,28 @@
-"""Hot pixels: those that send far more events than what moves in front of them can explain.
+"""Learn a mask of hot pixels: those with far more events than what moves in front of them can explain.
 
-The rule. Let n be a pixel's count of events in a recording. What is plausible for it is
+Let n be a pixel's count of events in a recording. A plausible count for it is
 
     plausible = max(neighbours, mean, 1)
 
-    neighbours   the 4th largest count among the other pixels of the 5x5 block about it (at the sensor's border the
-                 block is shifted inwards): an edge that moves, even a line one pixel wide that moves along itself,
-                 passes at least four of them. A median, as in image filters, would take such lines for hot.
+    neighbours   the 4th largest count among the other pixels of the 5x5 block around it (at the sensor's border the
+                 block is shifted inwards): a moving edge, even a line one pixel wide that moves along itself, passes at
+                 least four of them. A median, as in image filters, would mistake such lines for hot pixels.
     mean         the mean count of all pixels: in a still scene neighbours say nothing
     1            a single event is no evidence
 
 and the pixel is hot if both hold:
 
-    n > factor * plausible                                        far above
+    n > factor * plausible                                           far above
     n log(n / plausible) - (n - plausible) > log(N / false_alarms)   and not by chance
 
 The second is Chernoff's bound on a Poisson count, P(count >= n) <= exp(n - plausible) (plausible / n)^n, so that among
-the N pixels of the sensor fewer than `false_alarms` pass it by chance. Pixels found get the count of `neighbours`
-instead of their own, and the search is done again until it finds no more, since hot pixels raise the mean and hide
-weaker ones nearby. (Zero would break a line in two, and what is left would be found next, pixel by pixel.)
+the N pixels of the sensor fewer than `false_alarms` pass it by chance. Hot pixels raise the mean and hide weaker ones
+nearby: the search is repeated, with the count `neighbours` for those found, until it finds no more. (A count of zero
+would break a line in two, and the rest would be found next, pixel by pixel.)
 
-Five or more equally hot pixels in one 5x5 block explain one another and are not found: a lamp that flickers looks the
-same. So does, for the rule, a pixel that something small and bright visits all the time: learn from recordings in which
-things move, or of a still scene, and with some thousand events at least.
+Five or more equally hot pixels in one 5x5 block explain one another and are not found: a flickering lamp looks the
+same. Conversely, something small and bright that visits one pixel all the time looks like a hot pixel: learn from
+recordings in which things move, or of a still scene, with some thousand events at least.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ FALSE_ALARMS = 0.01
 def learn_mask(
     source: Iterable[Any], sensor: tuple[int, int], *, factor: float = FACTOR, false_alarms: float = FALSE_ALARMS
 ) -> np.ndarray:
-    """Find the hot pixels of a recording; the module's text says by which rule.
+    """Find the hot pixels of a recording, by the rule above.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def learn_mask(
 
     Raises
     ------
-    ValueError, TypeError : wrong settings, or a packet that breaks a rule of the decoder.
+    ValueError, TypeError : wrong settings, or invalid events.
 
     Example
     -------
@@ -115,10 +115,10 @@ def hot_pixels(counts: np.ndarray, *, factor: float = FACTOR, false_alarms: floa
 
 
 def _neighbours(counts: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The 4th largest count in the 5x5 block about each pixel, itself not counted.
+    """The 4th largest count in the 5x5 block around each pixel, itself not counted.
 
-    The pixel is not taken out of its block. Where it is larger than its 4th largest neighbour, that is the 5th largest
-    count of the block; and where it is not, the 5th largest of the block is no smaller than it, and it is not hot.
+    The pixel stays in its block: if it is larger than its 4th largest neighbour, that is the 5th largest count of the
+    block; if not, the 5th largest of the block is no smaller than the pixel, which is then not hot.
     """
     height, width = (min(BLOCK, side) for side in counts.shape)
     blocks = sliding_window_view(counts, (height, width))

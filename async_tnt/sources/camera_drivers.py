@@ -1,0 +1,237 @@
+"""The camera libraries behind one interface: a driver finds cameras, a device is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import version
+from typing import Any, Protocol
+
+import numpy as np
+
+WAIT_S = 0.1  # neuromorphic-drivers waits for events outside of Python; this bounds how long `close` takes
+PAUSE_S = 0.001  # dv-processing never waits: it is polled this often, which takes 3 % of a core
+
+NEUROMORPHIC_KINDS = {  # KIND of `camera:KIND`, by neuromorphic-drivers' names of models
+    "Prophesee EVK4": ("evk4",),
+    "Prophesee EVK3 HD": ("evk3",),
+    "iniVation DAVIS 346": ("davis346", "davis"),
+    "iniVation DVXplorer": ("dvxplorer",),
+    "CenturyArks VGA": ("silkyevcam",),
+    "Lucid Triton": ("triton",),
+}
+DV_KINDS = {  # the same by dv-processing's names
+    "DVS128": ("dvs128",),
+    "DAVIS": ("davis", "davis346"),
+    "DAVIS_GEN2": ("davis", "davis346"),
+    "DVXPLORER": ("dvxplorer",),
+    "DVXPLORER_GEN2": ("dvxplorer",),
+    "DVXPLORER_M": ("dvxplorer", "dvxplorer-m"),
+    "DVXPLORER_S": ("dvxplorer", "dvxplorer-s"),
+}
+ALL_KINDS = sorted({kind for kinds in (*NEUROMORPHIC_KINDS.values(), *DV_KINDS.values()) for kind in kinds})
+
+
+@dataclass
+class Losses:
+    """What a library reports as lost; None where it does not. A device updates its own while it is read."""
+
+    overflows: int | None = None
+    """Gaps in the stream of events: they were not read in time."""
+    dropped: int | None = None
+    """Raw packets of the cable that were dropped."""
+    most_waiting: int | None = None
+    """Raw packets that waited in the library's ring, at the worst moment."""
+
+
+class Device(Protocol):
+    """An opened camera of one of the libraries. `Camera` calls one method at a time."""
+
+    sensor: tuple[int, int]
+    pause_s: float
+    """How long to wait after `read` returned None; 0 where `read` itself waits."""
+    time_field: str
+    """Of its packets."""
+    losses: Losses
+    handle: Any
+    """The library's own object."""
+
+    def read(self) -> np.ndarray | None:
+        """The next packet, a structured array in new memory; None if there is none now.
+
+        Returns after 0.2 s at most. If the camera is gone, raises what the library raises, see `is_failure`.
+        """
+
+    def close(self) -> None:
+        """Release the camera."""
+
+
+@dataclass(frozen=True)
+class FoundCamera:
+    """A connected camera."""
+
+    model: str
+    """The library's name."""
+    kinds: tuple[str, ...]
+    """Every KIND of `camera:KIND` that matches it."""
+    serial: str | None
+    open: Callable[[], Device]
+    problem: str | None = None
+    """Why it may not open, if the library says so."""
+
+    def __str__(self) -> str:
+        return self.model if not self.serial else f"{self.model} {self.serial}"
+
+
+class Driver(Protocol):
+    """A camera library."""
+
+    name: str
+    """With its version."""
+
+    def find(self) -> Sequence[FoundCamera]:
+        """The connected cameras. If it cannot look, raises what the library raises."""
+
+
+def is_failure(error: BaseException) -> bool:
+    """Whether a library failed, rather than that the program is being stopped.
+
+    Libraries in Rust panic with an exception that `except Exception` does not catch.
+    """
+    return isinstance(error, Exception) or type(error).__name__ == "PanicException"
+
+
+def first_line(error: BaseException) -> str:
+    """A library's error in one line.
+
+    dv-processing's messages hold a place in its source, the sentence, and a C++ stack.
+
+    Examples
+    --------
+    >>> first_line(RuntimeError("/a/b.hpp(88): dv::open()\\nRuntimeError: no such device\\nStacktrace:\\n 0# x"))
+    'no such device'
+    >>> first_line(ValueError())
+    'ValueError'
+    """
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    for line in lines[1:]:
+        kind, colon, sentence = line.partition(": ")
+        if colon and kind.endswith(("Error", "Exception")):
+            return sentence
+    return lines[0] if lines else type(error).__name__
+
+
+class NeuromorphicDrivers:
+    """neuromorphic-drivers: Prophesee EVK3 HD and EVK4, DAVIS346, DVXplorer and others. ImportError without it.
+
+    Parameters
+    ----------
+    library : what has its `list_devices` and `open`; by default the module itself.
+    """
+
+    def __init__(self, library: Any = None) -> None:
+        if library is None:
+            import neuromorphic_drivers
+
+            library = neuromorphic_drivers
+        self.name = f"neuromorphic-drivers {version('neuromorphic-drivers')}"
+        self._library = library
+
+    def find(self) -> list[FoundCamera]:
+        found = []
+        for listed in self._library.list_devices():
+            model = listed.name.value
+            # by its address if it is in a network and its serial number is unknown
+            which = {"serial": listed.serial} if listed.serial else {"address": listed.address}
+            open_this = partial(NeuromorphicDevice, self._library.open, which)
+            found.append(FoundCamera(model, NEUROMORPHIC_KINDS.get(model, ()), listed.serial, open_this, listed.error))
+        return found
+
+
+class NeuromorphicDevice:
+    """One camera. The library puts each packet in new memory and keeps no reference: it is not copied."""
+
+    pause_s = 0.0
+    time_field = "t"
+
+    def __init__(self, open: Callable[..., Any], which: dict[str, str]) -> None:
+        self.handle = open(iterator_timeout=WAIT_S, **which)
+        self.losses = Losses(overflows=0)
+        properties = self.handle.properties()
+        self.sensor = int(properties.width), int(properties.height)
+
+    def read(self) -> np.ndarray | None:
+        status, packet = next(self.handle)
+        if (ring := status.ring) is not None:  # None: nothing came within WAIT_S
+            self.losses.dropped = ring.dropped_packets
+            self.losses.most_waiting = max(ring.backlog, self.losses.most_waiting or 0)
+        if packet is None or (events := packet.polarity_events) is None:
+            return None
+        gaps = packet.polarity_events_overflow_indices
+        if gaps is not None:
+            self.losses.overflows = (self.losses.overflows or 0) + len(gaps)
+        return events
+
+    def close(self) -> None:
+        self.handle.close()
+
+
+class DvProcessing:
+    """dv-processing, iniVation's own library: the DAVIS, DVXplorer and DVS128 families. ImportError without it.
+
+    Parameters
+    ----------
+    library : what has its `discover` and `open`; by default `dv_processing.io.camera`.
+    """
+
+    def __init__(self, library: Any = None) -> None:
+        if library is None:
+            import dv_processing
+
+            library = dv_processing.io.camera
+        self.name = f"dv-processing {version('dv-processing')}"
+        self._library = library
+
+    def find(self) -> list[FoundCamera]:
+        found = []
+        for descriptor in self._library.discover():
+            model = descriptor.cameraModel.name
+            open_this = partial(DvDevice, self._library.open, descriptor)
+            found.append(FoundCamera(model, DV_KINDS.get(model, ()), descriptor.serialNumber or None, open_this))
+        return found
+
+
+class DvDevice:
+    """One camera, or anything else of `dv_processing.io.InputBase`: recordings and network streams are read alike."""
+
+    pause_s = PAUSE_S
+    time_field = "timestamp"
+
+    def __init__(self, open: Callable[[Any], Any], descriptor: Any) -> None:
+        self.handle = open(descriptor)
+        self.losses = Losses()  # the library reports none
+        resolution = self.handle.getEventResolution()
+        if resolution is None:
+            raise RuntimeError("it sends no events")
+        self.sensor = int(resolution[0]), int(resolution[1])
+
+    def read(self) -> np.ndarray | None:
+        running = self.handle.isRunning()  # asked first: events from before the end can be read after it
+        store = self.handle.getNextEventBatch()
+        if store is not None:
+            return store.numpy()  # a copy: a store is a list of the driver's own packets
+        if not running:
+            raise RuntimeError("it stopped running")
+        return None
+
+    def close(self) -> None:
+        self.handle = None  # the library has no other way
+
+
+DRIVERS: Mapping[str, Callable[[], Driver]] = {
+    "neuromorphic-drivers": NeuromorphicDrivers,
+    "dv-processing": DvProcessing,
+}
+"""Library -> its `Driver`. They are asked in this order: the first one waits for events without polling, and counts
+losses."""

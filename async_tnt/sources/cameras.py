@@ -1,0 +1,285 @@
+"""Cameras: `open_camera` opens one by name, `Camera` yields its packets until it is closed or unplugged."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, Device, Driver, FoundCamera, first_line, is_failure
+from async_tnt.sources.clock import Clock
+from async_tnt.sources.sizes import by
+
+MAX_JUMP_S = 1.0  # a camera's events come in order, and soon
+DAVIS346 = (346, 260)  # dv-processing tells DAVIS cameras apart only when they are open
+
+log = logging.getLogger("async_tnt.sources")
+
+
+@dataclass(frozen=True)
+class CameraCounts:
+    """What a camera has sent so far. None: the library does not report it."""
+
+    packets: int
+    """With events in them; others are skipped."""
+    events: int
+    overflows: int | None
+    """Gaps in the stream of events: they were not read in time."""
+    dropped: int | None
+    """Raw packets of the cable that were dropped, as the library counts them."""
+    most_waiting: int | None
+    """Raw packets that waited in the library, at the worst moment."""
+    clock_restarts: int
+    """How often the camera's clock moved back; times go on, see `Clock`."""
+    off_sensor: int
+    """Events left out: they lie off the sensor, so the cable or the driver garbled them."""
+    jumped: int
+    """Events left out: their time jumps, see `Clock`."""
+
+
+class Camera:
+    """Events of a camera, see `open_camera`.
+
+    Iterating yields packets: structured arrays with the library's own fields, never empty, each in new memory, in a
+    form that `as_events` and `Processor.push` accept. Frames, IMU samples and triggers are left out. Iterating ends
+    when `close` is called, from any thread, and may be resumed after a `break`. One thread reads at a time.
+
+    If the camera is unplugged, OSError is raised after the packets before it, and the camera is closed.
+
+    Attributes
+    ----------
+    name : the camera's model and serial number, and the library that reads it.
+    device : the library's own object, for biases and the like; None once the camera is closed.
+    """
+
+    def __init__(self, device: Device, name: str) -> None:
+        self.name = name
+        self._device = device
+        self._sensor = device.sensor
+        self._losses = device.losses
+        self._clock = Clock(MAX_JUMP_S)
+        self._packets = self._events = self._off_sensor = self._jumped = 0
+        self._closing = threading.Event()
+        # Held while the device is used. Re-entrant: a signal handler may close, on the thread that reads.
+        self._using = threading.RLock()
+        self._is_open = True
+
+    @property
+    def sensor(self) -> tuple[int, int]:
+        """(width, height) in pixels, as the library reports it."""
+        return self._sensor
+
+    @property
+    def device(self) -> Any:
+        return self._device.handle if self._is_open else None
+
+    @property
+    def closed(self) -> bool:
+        return self._closing.is_set()
+
+    @property
+    def counts(self) -> CameraCounts:
+        losses = self._losses
+        return CameraCounts(
+            self._packets,
+            self._events,
+            losses.overflows,
+            losses.dropped,
+            losses.most_waiting,
+            self._clock.restarts,
+            self._off_sensor,
+            self._jumped,
+        )
+
+    def __repr__(self) -> str:
+        return f"Camera({self.name}, {'closed' if self.closed else 'open'}, {self.counts})"
+
+    def summary(self) -> str:
+        """The counts so far, in one line for people."""
+        counts = self.counts
+        numbers = {
+            "gaps: {:,}": counts.overflows,
+            "raw packets dropped: {:,}": counts.dropped,
+            "at most {:,} waiting": counts.most_waiting,
+            "clock restarts: {:,}": counts.clock_restarts or None,
+            "off the sensor: {:,}": counts.off_sensor or None,
+            "jumps in time: {:,}": counts.jumped or None,
+        }
+        lost = [text.format(number) for text, number in numbers.items() if number is not None]
+        if counts.overflows is None and counts.dropped is None:
+            lost.append("lost: unknown")
+        return f"{counts.packets:,} packets, {counts.events:,} events ({', '.join(lost)})"
+
+    # -- packets -----------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        while not self._closing.is_set():
+            events = self._read()
+            if events is not None:
+                yield events
+            elif self._device.pause_s:
+                self._closing.wait(self._device.pause_s)  # ends at once when the camera is closed
+
+    def _read(self) -> np.ndarray | None:
+        """The next packet; None if there is none now."""
+        with self._using:
+            if not self._is_open:
+                return None
+            try:
+                events = self._device.read()
+            except BaseException as error:
+                if not is_failure(error):
+                    raise
+                self.close()
+                raise OSError(
+                    f"{self.name}: the camera is gone after {self._events:,} events ({first_line(error)}); "
+                    "check its cable and power, and open it again"
+                ) from error
+            if events is not None and len(events):
+                events = self._valid(events)
+            if events is None or len(events) == 0:
+                return None
+            self._packets += 1
+            self._events += len(events)
+            return events
+
+    def _valid(self, events: np.ndarray) -> np.ndarray:
+        """The same array without events that a cable or a driver garbled; one would make a processor refuse it."""
+        width, height = self._sensor
+        x, y = events["x"].view(np.uint16), events["y"].view(np.uint16)  # below 0 is beyond any sensor
+        n = len(events)
+        if x.max() >= width or y.max() >= height:
+            events = events[(x < width) & (y < height)]
+            self._off_sensor += n - len(events)
+            n = len(events)
+        events = self._clock(events, self._device.time_field, time.monotonic_ns() // 1000)
+        self._jumped += n - len(events)  # also times that no clock shows, which `Clock.jumped` leaves out
+        return events
+
+    # -- the end -----------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Stop, end every iteration and release the camera, from any thread; counts stay. May be called again.
+
+        Waits for a read in progress, 0.1 s or so: when it returns, the camera may be opened again.
+        """
+        self._closing.set()
+        with self._using:
+            if self._is_open:
+                self._is_open = False
+                try:
+                    self._device.close()
+                except BaseException as error:
+                    if not is_failure(error):
+                        raise
+                    log.warning("%s: closing it failed: %s", self.name, first_line(error))  # it is gone already
+
+    def __enter__(self) -> Camera:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driver]] = DRIVERS) -> Camera:
+    """Open a camera.
+
+    Parameters
+    ----------
+    name : `camera` (the first one found), `camera:KIND` (evk4, evk3, davis346, dvxplorer, ...) or
+        `camera:KIND:SERIAL`.
+    drivers : the libraries to ask, in this order, by name.
+
+    Returns
+    -------
+    Camera, which is running: read it, or its driver's buffer overflows.
+
+    Raises
+    ------
+    ValueError : no such kind of camera.
+    OSError : no such camera is connected, or it cannot be opened; the message says which libraries looked, and what to
+        check.
+    ImportError : no library is installed.
+    """
+    kind, serial = parse_camera_name(name)
+    missing, absent, searched, problems = [], [], [], []
+    was_found = False
+    for package, make_driver in drivers.items():
+        try:
+            driver = make_driver()
+        except ImportError as error:
+            missing.append(package)
+            if isinstance(error, ModuleNotFoundError):
+                absent.append(package)
+            else:  # it is installed, but does not load
+                problems.append(f"{package} does not load: {first_line(error)}")
+            continue
+        try:
+            found = driver.find()
+        except BaseException as error:
+            if not is_failure(error):
+                raise
+            problems.append(f"{driver.name} cannot look: {first_line(error)} (no USB here?)")
+            continue
+        if not found:
+            searched.append(driver.name)
+        for camera in found:
+            if not _matches(camera, kind, serial):
+                problems.append(f"{driver.name} found {camera}, which is another camera")
+                continue
+            try:
+                opened = Camera(camera.open(), f"{camera} by {driver.name}")
+            except BaseException as error:
+                if not is_failure(error):
+                    raise
+                was_found = True
+                problem = camera.problem or first_line(error)
+                problems.append(f"{driver.name} found {camera} but cannot open it: {problem}")
+                continue
+            if kind != "davis346" or opened.sensor == DAVIS346:
+                return opened
+            opened.close()
+            problems.append(f"{driver.name} found {camera}, which has {by(opened.sensor)} pixels")
+    if len(missing) == len(drivers):
+        detail = f" ({'; '.join(problems)})" if problems else ""
+        raise ImportError(
+            f"{name}: cameras are read by {' or '.join(missing)}, which are missing: pip install '.[cameras]'{detail}"
+        )
+    message = ["cannot be opened" if was_found else "no camera found"]
+    if searched:
+        message.append(f"{' and '.join(searched)} looked")
+    message += problems
+    if absent:
+        message.append(f"{', '.join(absent)}: not installed")
+    advice = "Is it plugged in, and used by no other program?"
+    if sys.platform.startswith("linux"):
+        advice += " Does lsusb show it, and do udev rules let users read it (neuromorphic-drivers-install-udev-rules)?"
+    raise OSError(f"{name}: {'; '.join(message)}. {advice}")
+
+
+def parse_camera_name(name: str) -> tuple[str | None, str | None]:
+    """(kind, serial), None for any.
+
+    Examples
+    --------
+    >>> parse_camera_name("camera"), parse_camera_name("camera:EVK4"), parse_camera_name("camera:davis346:00000042")
+    ((None, None), ('evk4', None), ('davis346', '00000042'))
+    """
+    word, *rest = name.split(":", 2)
+    if word != "camera" or "" in rest:
+        raise ValueError(f"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got {name!r}")
+    kind = rest[0].lower() if rest else None
+    if kind is not None and kind not in ALL_KINDS:
+        raise ValueError(f"{name}: no such kind of camera; known are {', '.join(ALL_KINDS)}")
+    return kind, rest[1] if len(rest) == 2 else None
+
+
+def _matches(camera: FoundCamera, kind: str | None, serial: str | None) -> bool:
+    # one that hides its serial number may be the one: opening it says why
+    return (kind is None or kind in camera.kinds) and (serial is None or camera.serial in (serial, None))

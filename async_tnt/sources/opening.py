@@ -1,0 +1,78 @@
+"""Open any source by name: a recording, a camera, a stream from the network, or events in memory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+import numpy as np
+
+
+class LiveSource(Protocol):
+    """A camera or a network stream: packets until it is closed, and counts."""
+
+    @property
+    def sensor(self) -> tuple[int, int] | None:
+        """(width, height) in pixels, where it is known."""
+
+    def __iter__(self) -> Iterator[Any]:
+        """Packets of events, in any form that `as_events` accepts; ends after `close`."""
+
+    def close(self) -> None:
+        """Stop, from any thread; counts stay. May be called again."""
+
+    def summary(self) -> str:
+        """The counts so far, in one line for people."""
+
+
+def is_live(name: str) -> bool:
+    """Whether `name` is a camera or a network stream rather than a file.
+
+    Examples
+    --------
+    >>> is_live("udp://127.0.0.1:3333"), is_live("camera"), is_live("camera:davis346"), is_live("a.bin")
+    (True, True, True, False)
+    """
+    return "://" in name or name == "camera" or name.startswith("camera:")
+
+
+def open_source(source: str | os.PathLike[str] | np.ndarray, sensor: tuple[int, int] | None = None) -> Any:
+    """Packets of events from a file, a camera, the network or memory: what `stream` and `Processor.push` read.
+
+    Parameters
+    ----------
+    source : path of a recording (see docs/formats.md), `camera[:KIND[:SERIAL]]` (docs/cameras.md),
+        `udp://HOST:PORT[?format=...]` (docs/network.md), or a structured array of events.
+    sensor : (width, height) that is expected, where the source does not say it. Events off it are dropped and counted
+        by a network stream, and an error in a file.
+
+    Returns
+    -------
+    Iterable of packets: a `Recording`, a `Camera` or `UdpSource`, which are to be closed, or a list of the one array.
+
+    Raises
+    ------
+    ValueError : not the name of a source, or a damaged file; the message says what is wrong.
+    OSError : the file is missing, the address is taken, or no camera is connected.
+    ImportError : a camera without the extra `cameras`.
+
+    Example
+    -------
+    >>> from async_tnt import EVENT_DTYPE
+    >>> open_source(np.array([(5, 3, 4, 1)], EVENT_DTYPE))[0].tolist()
+    [(5, 3, 4, 1)]
+    """
+    if isinstance(source, np.ndarray):
+        return [source]
+    if not isinstance(source, str) or not is_live(source):
+        from async_tnt.sources.files.recording import open_recording
+
+        return open_recording(source, sensor=sensor)
+    if source.startswith("camera"):
+        from async_tnt.sources.cameras import open_camera
+
+        return open_camera(source)
+    from async_tnt.sources.udp import open_udp
+
+    return open_udp(source, sensor)
