@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.archive.workers import run_all
+from async_tnt.archive.executor import run_all
 from async_tnt.progress import progress
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.table_data import RealFolder
