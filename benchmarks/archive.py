@@ -2,13 +2,13 @@
 
     python benchmarks/archive.py [--recordings N] [--length K] [--folder FOLDER] [--workers 1 2] [--rounds R]
 
-Evaluates the same recordings in each way, in turns, `--rounds` times, into a JSON-lines file: in this process, in N
-processes, and on a Dask cluster (extra `cluster`; left out where it is missing) of N workers on this machine, each a
-process of one thread. The recordings are the ten bundled samples in a temporary folder, each `--length` times one after
-the other, or those of FOLDER, <class>/<recording>. A time is that of the whole evaluation, from the list of files to
-the finished result file: the processes' start and their compiler are in it; the clusters run, warmed up, before.
-`first_s` is the time to the first record, `steady` the rate from there on. Exit code 1 if two ways do not write the
-same bytes.
+Evaluates the same recordings with each executor, interleaved, `--rounds` times, into a JSON-lines file: in this
+process, in N processes, and on a Dask cluster (extra `cluster`; left out if missing) of N workers on this machine, each
+a process of one thread. The recordings are the ten bundled samples in a temporary folder, each repeated `--length`
+times, or those of FOLDER, <class>/<recording>. A time is that of the whole evaluation, from the list of files to the
+finished result file. It includes the start of processes and their compilation; the clusters are started and warmed up
+before. `first_s` is the time to the first record, `steady` the rate from there on. Exit code 1 if two executors do not
+write the same bytes.
 """
 
 from __future__ import annotations
@@ -27,11 +27,10 @@ from typing import Any
 import numpy as np
 
 from async_tnt import load_model, warmup
-from async_tnt.archive.collect import Collected, collect_to_file
-from async_tnt.archive.executor import Place
+from async_tnt.archive.collect import Progress, collect_to_file
+from async_tnt.archive.executor import Executor, executor_of
 from async_tnt.archive.job import Task, job_of, task_of
-from async_tnt.archive.records import evaluate_recording
-from async_tnt.archive.streamed import evaluation_settings
+from async_tnt.archive.records import evaluate_recording, moments
 from async_tnt.checking.timing import machine
 from async_tnt.cli.arguments import writable_file
 from async_tnt.files import write_text
@@ -45,7 +44,7 @@ REPEAT_US = 315_000  # three windows
 
 
 def make_archive(folder: Path, n: int, length: int) -> None:
-    """`n` recordings, the digits by turns, each of them `length` times one after the other."""
+    """`n` recordings, the digits in turn, each of them repeated `length` times."""
     samples = [(digit, open_recording(path).read()) for digit, path in sample_recordings().items()]
     for k in range(n):
         digit, events = samples[k % len(samples)]
@@ -56,60 +55,61 @@ def make_archive(folder: Path, n: int, length: int) -> None:
 
 
 def tasks_of(folder: Path, n: int | None) -> list[Task]:
-    """Tasks of the folder's recordings, or of the first `n` of them, the classes by turns."""
+    """Tasks of the folder's recordings, or of the first `n` of them, the classes in turn."""
     engine = choose_engine("digits")
-    job = job_of("evaluate", "digits", engine, **evaluation_settings(engine.config))
+    job = job_of("evaluate", "digits", engine, every_us=moments(engine.config.window_us)[0])
     found = find_recordings(folder, "Test").values()
     paths = sorted((path for paths in found for path in paths), key=lambda path: (path.name, path.parent.name))
     return [task_of(path.relative_to(folder).as_posix(), path, job) for path in paths[:n]]
 
 
 @contextlib.contextmanager
-def clusters(workers: list[int]) -> Iterator[dict[str, Place]]:
-    """A cluster on this machine for each number of workers; none where Dask is missing."""
+def clusters(workers: list[int]) -> Iterator[dict[str, Executor]]:
+    """A cluster on this machine for each number of workers; none if Dask is missing."""
     with contextlib.ExitStack() as stack:
-        places = {}
+        executors = {}
         if importlib.util.find_spec("distributed") is not None:
             from distributed import LocalCluster
 
             for n in workers:
-                made = stack.enter_context(
+                cluster = stack.enter_context(
                     LocalCluster(
                         n_workers=n, threads_per_worker=1, protocol="tcp", host="127.0.0.1", dashboard_address=":0"
                     )
                 )
-                places[f"dask, {n} worker{'s' if n > 1 else ''}"] = Place(dask=made.scheduler_address)
-        yield places
+                executors[f"dask, {n} worker{'s' if n > 1 else ''}"] = executor_of(dask=cluster.scheduler_address)
+        yield executors
 
 
-def measure(tasks: list[Task], place: Place, out: Path) -> dict[str, float]:
+def measure(tasks: list[Task], executor: Executor, out: Path) -> dict[str, float]:
     """One evaluation: seconds in all, to the first record, and the rate of the others."""
     times = []
     started = time.perf_counter()
     records = collect_to_file(
-        evaluate_recording, tasks, place, out, Collected(), each=lambda: times.append(time.perf_counter() - started)
+        evaluate_recording, tasks, executor, out, Progress(), watch=lambda: times.append(time.perf_counter() - started)
     )
     took = time.perf_counter() - started
     failed = [record["error"] for record in records if record["error"]]
     if failed:
         raise ValueError(f"{len(failed)} recordings cannot be evaluated; {failed[0]}")
-    return {"seconds": took, "first_s": times[0], "steady": (len(times) - 1) / max(times[-1] - times[0], 1e-9)}
+    _, first, *_, last = times  # before that, the start
+    return {"seconds": took, "first_s": first, "steady": (len(tasks) - 1) / max(last - first, 1e-9)}
 
 
 def measure_all(tasks: list[Task], workers: list[int], rounds: int, folder: Path) -> dict[str, Any]:
-    """Every way in turns; medians and quartiles over the rounds, and speed-ups against one worker of the same kind."""
-    with clusters(workers) as places:
-        ways = {f"processes, {n} worker{'s' if n > 1 else ''}": Place(n) for n in workers} | places
-        found: dict[str, list[dict[str, float]]] = {name: [] for name in ways}
+    """Medians and quartiles of every executor over the rounds, and speed-ups against one worker of the same kind."""
+    with clusters(workers) as of_dask:
+        executors = {f"processes, {n} worker{'s' if n > 1 else ''}": executor_of(n) for n in workers} | of_dask
+        found: dict[str, list[dict[str, float]]] = {name: [] for name in executors}
         first: bytes | None = None
-        for name in places:
-            measure(tasks[:50], places[name], folder / "warm.jsonl")
+        for executor in of_dask.values():
+            measure(tasks[:50], executor, folder / "warm.jsonl")
             (folder / "warm.jsonl").unlink()
-        with progress(rounds * len(ways), "evaluating") as bar:
+        with progress(rounds * len(executors), "evaluating") as bar:
             for _ in range(rounds):
-                for name, place in ways.items():
+                for name, executor in executors.items():
                     out = folder / "r.jsonl"
-                    found[name].append(measure(tasks, place, out))
+                    found[name].append(measure(tasks, executor, out))
                     content = out.read_bytes()
                     out.unlink()
                     first = first or content
@@ -122,7 +122,7 @@ def measure_all(tasks: list[Task], workers: list[int], rounds: int, folder: Path
         row: dict[str, Any] = {key: spread([run[key] for run in runs]) for key in ("seconds", "first_s", "steady")}
         row["recordings_per_s"] = len(tasks) / row["seconds"]["median"]
         alone = found[f"{name.split(',')[0]}, 1 worker"] if 1 in workers else None
-        if alone is not None:  # of the same round: what else the machine did weighs on both
+        if alone is not None:  # within a round: other load slows both
             pairs = list(zip(alone, runs, strict=True))
             row["speedup"] = spread([one["seconds"] / run["seconds"] for one, run in pairs])
             row["steady_speedup"] = spread([run["steady"] / one["steady"] for one, run in pairs])
@@ -141,14 +141,14 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
     yield f"{size}, medians of {report['rounds']} rounds (quartiles)"
     yield f"{'':22}{'seconds':>20}{'recordings/s':>14}{'first after s':>15}{'speed-up':>20}{'steady':>20}"
     for name, row in report["ways"].items():
-        told = [_told(row[key]) if key in row else "" for key in ("speedup", "steady_speedup")]
+        speedups = [_median(row[key]) if key in row else "" for key in ("speedup", "steady_speedup")]
         yield (
-            f"{name:22}{_told(row['seconds']):>20}{row['recordings_per_s']:>14,.0f}"
-            f"{row['first_s']['median']:>15.2f}{told[0]:>20}{told[1]:>20}"
+            f"{name:22}{_median(row['seconds']):>20}{row['recordings_per_s']:>14,.0f}"
+            f"{row['first_s']['median']:>15.2f}{speedups[0]:>20}{speedups[1]:>20}"
         )
 
 
-def _told(found: dict[str, float]) -> str:
+def _median(found: dict[str, float]) -> str:
     return f"{found['median']:.2f} ({found['p25']:.2f}-{found['p75']:.2f})"
 
 

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from async_tnt.archive.workers import available_cores
+from async_tnt.archive.executor import available_cores
 from async_tnt.checking.bench_early import measure_early, n_settings
 from async_tnt.cli.arguments import writable_file
 from async_tnt.files import write_text

@@ -1,43 +1,224 @@
-"""Place: where the recordings of an archive are streamed."""
+"""Executors: run a function over many tasks, in this process or in several.
+
+The third one, `DaskExecutor`, is in `dask_executor.py`, as it needs another library.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+import contextlib
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, NamedTuple, Protocol, TypeVar
 
-from async_tnt.archive.job import Task
-from async_tnt.archive.workers import run_all
+from async_tnt.signals import handled_by
 
+Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+Lost = Callable[[Task], Result] | None
+"""Makes the result of a task that ended two workers; None: such a task is an error."""
 
-@dataclass(frozen=True)
-class Place:
-    """This process, or several processes of this machine, or a Dask cluster.
+ENDED = (
+    "a worker process ended without an answer: killed, out of memory, or started from a script without the line "
+    '`if __name__ == "__main__":`'
+)
 
-    Parameters
-    ----------
-    workers : processes; 1 is this one.
-    dask : address of a cluster's scheduler, such as "tcp://10.0.0.1:8786"; then `workers` has no meaning.
-    """
 
-    workers: int = 1
-    dask: str | None = None
+class Executor(Protocol):
+    """Runs a function over many tasks."""
 
     def run(
-        self, function: Callable[[Task], Result], tasks: Sequence[Task], lost: Callable[[Task], Result]
+        self, function: Callable[[Task], Result], tasks: Sequence[Task], lost: Lost[Task, Result] = None
     ) -> Generator[Result]:
-        """`function(task)` of each task, once each, in the order they are done; `lost(task)` of those that ended two
-        workers.
+        """Yield `function(task)` of each task, once each, in the order they are done.
+
+        `function` must be importable, and tasks and results must be picklable. An error in a task, Ctrl-C or closing
+        the generator stops the workers at once. The tasks of a worker that ends without an answer (killed, out of
+        memory, crashed) are repeated; `lost` gives the result of a task that ended two workers.
+        """
+        ...
+
+
+def available_cores() -> int:
+    """Cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def executor_of(workers: int = 1, dask: str | None = None) -> Executor:
+    """An executor with so many processes, or on the Dask cluster whose scheduler is at this address."""
+    if dask is None:
+        return SerialExecutor() if workers == 1 else ProcessExecutor(workers)
+    from async_tnt.archive.dask_executor import DaskExecutor
+
+    return DaskExecutor(dask)
+
+
+def run_all(
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int, lost: Lost[Task, Result] = None
+) -> Generator[Result]:
+    """Yield `function(task)` of each task from so many processes, see `Executor.run`."""
+    return executor_of(min(workers, max(1, len(tasks)))).run(function, tasks, lost)
+
+
+class SerialExecutor:
+    """This process: what ends a task ends the program."""
+
+    def run(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task], lost: Lost[Task, Result] = None
+    ) -> Generator[Result]:
+        yield from map(function, tasks)
+
+
+class ProcessExecutor:
+    """Processes of this machine. They end with the calling process, even if it is ended by `kill -9`."""
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+
+    def run(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task], lost: Lost[Task, Result] = None
+    ) -> Generator[Result]:
+        """See `Executor.run`.
 
         Raises
         ------
-        OSError, ValueError, ImportError : the cluster cannot be reached, or cannot do the work.
+        ChildProcessError : a task ended two workers and there is no `lost`, or a worker could not start.
+        RuntimeError : in place of a task's error that cannot be pickled.
         """
-        if self.dask is None:
-            yield from run_all(function, tasks, self.workers, lost=lost)
-            return
-        from async_tnt.archive.dask_cluster import run_on_dask
+        waiting = deque((task, 0) for task in tasks)
+        team = [_Worker(function) for _ in range(min(self.workers, len(tasks)))]
+        try:
+            while waiting or any(worker.calls for worker in team):
+                queued = 1 if len(waiting) <= 2 * len(team) else 2  # the second, so that no worker waits for us
+                for n in range(queued):
+                    for worker in team:
+                        if waiting and len(worker.calls) == n:
+                            worker.submit(*waiting.popleft())
+                wait([worker.calls[0].future for worker in team if worker.calls], return_when=FIRST_COMPLETED)
+                for worker in team:
+                    while worker.calls and worker.calls[0].future.done():
+                        call = worker.calls.popleft()
+                        try:
+                            result = call.future.result()
+                        except BrokenProcessPool:
+                            if not worker.has_started():
+                                raise ChildProcessError(ENDED) from None
+                            waiting.extendleft((other.task, other.n_lost) for other in reversed(worker.calls))
+                            worker.stop()
+                            if not call.n_lost:
+                                waiting.appendleft((call.task, 1))
+                                continue
+                            if lost is None:
+                                raise ChildProcessError(ENDED) from None
+                            result = lost(call.task)
+                        yield result
+        finally:
+            for worker in team:
+                worker.kill()
+            for worker in team:
+                worker.stop()
 
-        yield from run_on_dask(function, tasks, self.dask, lost=lost)
+
+class _Call(NamedTuple):
+    future: Future[Any]
+    task: Any
+    n_lost: int
+    """Workers that the task has ended."""
+
+
+class _Worker:
+    """A pool of one process: when it breaks, it is known at which task, and the other workers go on."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self._function = function
+        self._pool: ProcessPoolExecutor | None = None
+        self.calls: deque[_Call] = deque()
+        """The process is at the first of them."""
+
+    def submit(self, task: Any, n_lost: int) -> None:
+        pool = self._pool or self._start()
+        try:
+            future = pool.submit(_call, self._function, task)
+        except BrokenProcessPool as error:  # the process has just ended
+            future = Future()
+            future.set_exception(error)
+        self.calls.append(_Call(future, task, n_lost))
+
+    def _start(self) -> ProcessPoolExecutor:
+        with _deferred_signals():
+            # spawned: threads of Numba and of the caller do not survive a fork
+            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _initialize_worker)
+            self._pid = self._pool.submit(os.getpid)
+            # Only the worker writes results. While we held the pipe open, too, the pool would wait forever for the
+            # second half of a result whose worker is killed.
+            self._pool._result_queue._writer.close()  # type: ignore[attr-defined]
+        return self._pool
+
+    def has_started(self) -> bool:
+        return self._pid.done() and self._pid.exception() is None
+
+    def kill(self) -> None:
+        """Stop it in the middle of its task."""
+        if self._pool is not None:
+            for process in list(self._pool._processes.values()):  # `kill_workers` of Python 3.14
+                process.kill()
+
+    def stop(self) -> None:
+        """Wait until the process has ended. `submit` starts another."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+        self.calls.clear()
+
+
+def _initialize_worker() -> None:
+    """In a worker: leave Ctrl-C to the parent, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _call(function: Callable[[Task], Result], task: Task) -> Result:
+    """In a worker: an error that cannot be pickled would look like the worker's end."""
+    try:
+        return function(task)
+    except Exception as error:
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:
+            raise RuntimeError(f"{type(error).__name__}: {error}") from error
+        raise
+
+
+@contextlib.contextmanager
+def _deferred_signals() -> Iterator[None]:
+    """Handle signals after the block, in which a process is spawned that ignores Ctrl-C from its start.
+
+    A process that is spawned by halves prints a traceback, as its task was never written into its pipe.
+    """
+    received: list[int] = []
+    with handled_by(lambda number, frame: received.append(number)):
+        # a spawned process inherits the mask before it can run our code
+        unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if os.name == "posix" else []
+        try:
+            yield
+        finally:
+            if os.name == "posix":
+                signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
+    for number in received:
+        signal.raise_signal(number)

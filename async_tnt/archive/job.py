@@ -1,6 +1,6 @@
-"""Job and Task: what is done with every recording of an archive, and one recording to do it with.
+"""What is done with every recording of an archive (Job), one recording of it (Task), and how recordings are found.
 
-Both are plain and picklable, so that a process of another machine can take them.
+Jobs and tasks are plain data and picklable, for processes of other machines.
 """
 
 from __future__ import annotations
@@ -8,19 +8,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import threading
-import warnings
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
 
 from async_tnt import __version__
-from async_tnt.compile_ahead import warmup
-from async_tnt.networks.engines import Engine, choose_engine, is_onnx, regressor_path
-from async_tnt.networks.model import Model, UncheckedModelWarning, bundled_models
-from async_tnt.processor import Processor
+from async_tnt.networks.engines import Engine, is_onnx, regressor_path
+from async_tnt.networks.model import Model, bundled_models
+from async_tnt.sources.class_folders import is_recording
+from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.pixel_selector import PixelSelector
 
 
 @dataclass(frozen=True)
@@ -32,10 +30,10 @@ class Job:
     kind : "evaluate" or "run".
     model : a bundled name, or an absolute path.
     engine : as for `choose_engine`.
-    settings : those of `Processor`.
-    model_sha256 : of the model's content; the training record does not count.
+    settings : arguments of `Processor`.
+    model_sha256 : of the model's content, without its training record.
     version : of this package.
-    pixels : what of a recording the model is to see; with the mask itself, so that a worker needs no file of it.
+    pixels : what the model sees of a recording; with the mask itself, so that workers need no file of it.
     """
 
     kind: str
@@ -47,22 +45,22 @@ class Job:
     pixels: PixelSelection = field(default_factory=PixelSelection)
 
     @property
-    def about(self) -> dict[str, Any]:
-        """Name -> value of everything that the records depend on, as JSON takes it."""
+    def metadata(self) -> dict[str, Any]:
+        """Everything that the records depend on, by name, as plain values for JSON."""
         settings = {name: asdict(v) if is_dataclass(v) else v for name, v in sorted(self.settings.items())}  # type: ignore[arg-type]
         return {
             "command": self.kind,
             "version": self.version,
             "engine": self.engine,
             **settings,
-            **self.pixels.about,  # {} where all events are seen: older results, which know of none, go on
+            **self.pixels.about,  # {} where all events are seen, as in results of before there were selections
             "model_sha256": self.model_sha256,
         }
 
     @property
     def id(self) -> str:
-        """12 hexadecimal digits that differ where `about` does."""
-        return hashlib.sha256(json.dumps(self.about, sort_keys=True).encode()).hexdigest()[:12]
+        """12 hexadecimal digits that stand for `metadata`."""
+        return hashlib.sha256(json.dumps(self.metadata, sort_keys=True).encode()).hexdigest()[:12]
 
 
 @dataclass(frozen=True)
@@ -72,10 +70,10 @@ class Task:
     Parameters
     ----------
     recording : its name in the results.
-    path : where it lies; absolute, as the folder may differ from worker to worker.
-    job : what is done.
+    path : absolute, as workers may have another working folder.
+    job : what is done with it.
     settings : `job.id`.
-    bytes, modified_ns : size, and time of the last change; None where the file cannot be seen.
+    bytes, modified_ns : size, and time of the last change; None if the file cannot be accessed.
     """
 
     recording: str
@@ -87,67 +85,74 @@ class Task:
 
 
 def job_of(kind: str, name_or_path: str, engine: Engine, pixels: PixelSelection | None = None, **settings: Any) -> Job:
-    """The job of a model as `choose_engine` has loaded it; `settings` : those of `Processor`."""
+    """The job of a model that `choose_engine` has loaded; `settings` are arguments of `Processor`."""
     model = name_or_path if name_or_path in bundled_models() else os.path.abspath(name_or_path)
-    seen = PixelSelection() if pixels is None else pixels
-    return Job(kind, model, engine.name, settings, sha256_of(engine, model), pixels=seen)
+    return Job(kind, model, engine.name, settings, sha256_of(engine, model), pixels=pixels or PixelSelection())
 
 
 def task_of(recording: str, path: Path, job: Job) -> Task:
-    """The task of a file, with its size and time as they are now."""
+    """The task of a file, with its current size and time."""
     name = recording.encode("utf-8", "backslashreplace").decode()  # file names need not be valid text
     absolute = Path(os.path.abspath(path))
     try:
-        seen = path.stat()
-    except OSError:  # whoever opens it will say why
+        status = path.stat()
+    except OSError:  # opening it will say why
         return Task(name, absolute, job, job.id)
-    return Task(name, absolute, job, job.id, seen.st_size, seen.st_mtime_ns)
+    return Task(name, absolute, job, job.id, status.st_size, status.st_mtime_ns)
 
 
 def sha256_of(engine: Engine, path: str) -> str:
     """Of what the decisions depend on: configuration, classes and weights; of an .onnx model, its files."""
-    found = hashlib.sha256()
+    sha256 = hashlib.sha256()
     if isinstance(engine.model, Model):
-        found.update(json.dumps([engine.config.to_dict(), list(engine.classes)], sort_keys=True).encode())
+        sha256.update(json.dumps([engine.config.to_dict(), list(engine.classes)], sort_keys=True).encode())
         for name, weights in sorted(engine.model.weights.items()):
-            found.update(f"{name} {weights.shape} {weights.dtype}".encode())
-            found.update(weights.tobytes())
-        return found.hexdigest()
-    found.update(Path(path).read_bytes())
+            sha256.update(f"{name} {weights.shape} {weights.dtype}".encode())
+            sha256.update(weights.tobytes())
+        return sha256.hexdigest()
+    sha256.update(Path(path).read_bytes())
     if is_onnx(path) and engine.config.needs_regressor:
-        found.update(regressor_path(Path(path)).read_bytes())
-    return found.hexdigest()
+        sha256.update(regressor_path(Path(path)).read_bytes())
+    return sha256.hexdigest()
 
 
-_of_thread = threading.local()  # a Processor is one stream's; workers of a cluster may have several threads
+def recordings_under(paths: Iterable[Path]) -> list[Path]:
+    """The files, and all recordings below the folders, by suffix (`READERS`); each once.
 
-
-def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
-    """The Processor of a job, and what selects its pixels: for all recordings that a thread streams.
-
-    The Processor is compiled, and reset. The selector is not: its counts go on, and a mask is unpacked once.
+    Hidden files and folders are left out, and links to folders are not followed.
 
     Raises
     ------
-    ValueError : the model or this package are not those that the job was made for, or its pixels do not suit the model.
+    FileNotFoundError : no such file or folder. ValueError : a folder without recordings.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     for name in ("b.npz", "a/c.npy", "a/notes.md", ".cache/d.npy"):
+    ...         Path(folder, name).parent.mkdir(exist_ok=True)
+    ...         Path(folder, name).touch()
+    ...     found = recordings_under([Path(folder), Path(folder, "a/c.npy")])
+    >>> [path.name for path in found]
+    ['c.npy', 'b.npz']
     """
-    kept: tuple[Job, Processor, Engine, PixelSelector] | None = getattr(_of_thread, "kept", None)
-    if kept is None or kept[0] != job:
-        if job.version != __version__:
-            raise ValueError(
-                f"a worker has async_tnt {__version__}, but this program is {job.version}: install the same"
-            )
-        with warnings.catch_warnings():  # whoever made the job has seen it, and each worker would repeat it
-            warnings.simplefilter("ignore", UncheckedModelWarning)
-            engine = choose_engine(job.model, job.engine)
-        if sha256_of(engine, job.model) != job.model_sha256:
-            raise ValueError(
-                f"{job.model}: not the model that the work was begun with; it has changed, or a worker sees another"
-            )
-        processor = engine.processor(**job.settings)
-        warmup(engine.model)
-        processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
-        kept = _of_thread.kept = job, processor, engine, PixelSelector(job.pixels, engine.config.sensor)
-    _, processor, engine, pixels = kept
-    processor.reset()
-    return processor, engine, pixels
+    found: dict[str, Path] = {}  # by absolute path
+    for path in paths:
+        if not path.is_dir():
+            if not path.exists():
+                raise FileNotFoundError(f"no file or folder {path}")
+            found.setdefault(os.path.abspath(path), path)
+            continue
+        inside = []
+        for folder, names, files in os.walk(path, onerror=_raise):
+            names[:] = sorted(name for name in names if not name.startswith("."))
+            inside += [Path(folder, name) for name in files if is_recording(Path(name))]
+        if not inside:
+            raise ValueError(f"{path}: no recordings in this folder; expected files in {', '.join(sorted(READERS))}")
+        for file in sorted(inside):
+            found.setdefault(os.path.abspath(file), file)
+    return list(found.values())
+
+
+def _raise(error: OSError) -> None:
+    raise error  # os.walk alone would silently skip what it may not read

@@ -7,12 +7,17 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from async_tnt.archive.journal import other_settings
+from async_tnt.archive.job import Job
 from async_tnt.archive.records import Record
 
 KEY = b"async_tnt"  # of the metadata
 GROUP_ROWS = 512
 GROUP_ITEMS = 50_000  # windows or decisions: long recordings come in smaller groups
+
+
+def not_ours(path: Path, more: str = "") -> str:
+    """For a refusal."""
+    return f"{path} is not a result of async-tnt{more}: move it away, or give another --out"
 
 
 def import_pyarrow() -> Any:
@@ -25,12 +30,12 @@ def import_pyarrow() -> Any:
     return pyarrow
 
 
-def schema_of(kind: str, about: dict[str, Any]) -> Any:
-    """Columns of the file, in their order; with an `error` only `recording`, `class` and `about_file` are filled."""
+def schema_of(job: Job) -> Any:
+    """Columns of the file, in their order; with an `error` only `recording`, `class` and the last four are filled."""
     pa = import_pyarrow()
     floats, int64 = pa.list_(pa.float64()), pa.int64()
-    if kind == "evaluate":
-        own = {
+    if job.kind == "evaluate":
+        columns = {
             "class": pa.string(),
             "label": pa.string(),
             "probabilities": floats,
@@ -54,7 +59,7 @@ def schema_of(kind: str, about: dict[str, Any]) -> Any:
                 "trigger": pa.string(),
             }
         )
-        own = {
+        columns = {
             "label": pa.string(),
             "probability": pa.float64(),
             "probabilities": floats,
@@ -63,22 +68,21 @@ def schema_of(kind: str, about: dict[str, Any]) -> Any:
             "late": int64,
             "decisions": pa.list_(decision),
         }
-    about_file = {"error": pa.string(), "bytes": int64, "modified_ns": int64, "settings": pa.string()}
-    columns = {"recording": pa.string(), **own, **about_file}
-    return pa.schema(columns, {KEY: json.dumps({"kind": kind, "about": about}, sort_keys=True).encode()})
+    of_file = {"error": pa.string(), "bytes": int64, "modified_ns": int64, "settings": pa.string()}
+    metadata = json.dumps({"kind": job.kind, "about": job.metadata}, sort_keys=True)
+    return pa.schema({"recording": pa.string(), **columns, **of_file}, {KEY: metadata.encode()})
 
 
-def write_parquet(path: Path, kind: str, about: dict[str, Any], records: Iterable[Record]) -> None:
+def write_parquet(path: Path, job: Job, records: Iterable[Record]) -> None:
     """Write records, with no more than a row group of them in memory."""
     pa = import_pyarrow()
-    schema = schema_of(kind, about)
+    schema = schema_of(job)
     with pa.parquet.ParquetWriter(path, schema, compression="zstd") as writer:
         group: list[Record] = []
         items = 0
         for record in records:
             group.append(record)
-            many = record["decisions"] if kind == "run" else record["window_start_us"]
-            items += len(many or ())
+            items += len(record["decisions" if job.kind == "run" else "window_start_us"] or ())
             if len(group) >= GROUP_ROWS or items >= GROUP_ITEMS:
                 writer.write_table(pa.Table.from_pylist(group, schema))
                 group, items = [], 0
@@ -86,32 +90,29 @@ def write_parquet(path: Path, kind: str, about: dict[str, Any], records: Iterabl
             writer.write_table(pa.Table.from_pylist(group, schema))
 
 
-def is_our_parquet(path: Path) -> bool:
-    """Whether a file is a result of this package, of whatever settings."""
-    pa = import_pyarrow()
-    try:
-        return KEY in (pa.parquet.read_schema(path).metadata or {})
-    except pa.ArrowException:
-        return False
-
-
-def read_parquet(path: Path, about: dict[str, Any]) -> Iterator[Record]:
-    """The rows, one by one.
+def read_metadata(path: Path) -> dict[str, Any]:
+    """The `Job.metadata` that a result was made with.
 
     Raises
     ------
-    ValueError : no Parquet file, another program's, or one of other settings.
+    ValueError : the file is not Parquet, or another program's.
     """
     pa = import_pyarrow()
     try:
+        metadata = pa.parquet.read_schema(path).metadata or {}
+    except pa.ArrowException:
+        metadata = {}
+    if KEY not in metadata:
+        raise ValueError(not_ours(path))
+    return json.loads(metadata[KEY])["about"]
+
+
+def read_parquet(path: Path) -> Iterator[Record]:
+    """The rows, one by one."""
+    pa = import_pyarrow()
+    try:
         with pa.parquet.ParquetFile(path) as file:
-            metadata = file.schema_arrow.metadata or {}
-            if KEY not in metadata:
-                raise ValueError(f"{path} is no result of async-tnt: move it away, or give another --out")
-            before = json.loads(metadata[KEY])["about"]
-            if before != about:
-                raise ValueError(other_settings(path, before, about))
             for group in range(file.num_row_groups):
                 yield from file.read_row_group(group).to_pylist()
     except pa.ArrowException as error:
-        raise ValueError(f"{path} is no readable Parquet file: {error}; move it away, or give another --out") from None
+        raise ValueError(not_ours(path, f" that can be read ({error})")) from None

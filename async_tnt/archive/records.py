@@ -1,20 +1,31 @@
-"""A recording's record: what the result file holds of it, one line of JSON or one row of Parquet.
+"""Stream a recording of an archive through a Processor, and make a record of it for the result file.
 
-Every record has `FIELDS` and those of its kind. `seconds`, the only thing that no two runs share, stays in the journal
-and is no part of the result.
+`seconds`, which no two runs share, is in the record but not in the file.
 """
 
 from __future__ import annotations
 
+import threading
+import time
+import warnings
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from async_tnt.archive.job import Task, processor_of
-from async_tnt.archive.streamed import Outcome, decisions_of, stream_recording, told
+from async_tnt import __version__
+from async_tnt.archive.job import Job, Task, sha256_of
+from async_tnt.compile_ahead import warmup
+from async_tnt.decision import Decision
+from async_tnt.networks.engines import Engine, choose_engine
+from async_tnt.networks.model import UncheckedModelWarning
+from async_tnt.processor import Processor
+from async_tnt.sources.pixel_selector import PixelSelector
+
+Record = dict[str, Any]
 
 FIELDS = ("recording", "error", "bytes", "modified_ns", "settings")
-OF_KIND = {
+FIELDS_OF = {
     "evaluate": (
         "class",
         "label",
@@ -29,92 +40,63 @@ OF_KIND = {
     "run": ("label", "probability", "probabilities", "windows", "events", "late", "decisions"),
 }
 TIMED = "seconds"
-
-Record = dict[str, Any]
-
-
-def fields_of(kind: str) -> frozenset[str]:
-    """Names that a record of that kind has in the result file."""
-    return frozenset(FIELDS + OF_KIND[kind])
-
-
-def evaluate_recording(task: Task) -> Record:
-    """Stream one labelled recording, its class being the folder it lies in.
-
-    Raises
-    ------
-    ImportError, ValueError : as `stream_recording`.
-    """
-    outcome = stream_recording(task)
-    if outcome.error:
-        return failed(task, outcome.error)
-    mean = outcome.probabilities.mean(axis=0)
-    _, engine, _ = processor_of(task.job)
-    return {
-        "recording": task.recording,
-        "class": task.path.parent.name,
-        "label": engine.classes[int(mean.argmax())],
-        "probabilities": mean.tolist(),
-        "window_start_us": outcome.starts_us,
-        "window_probabilities": outcome.probabilities.tolist(),
-        "decided_at": outcome.early.tolist(),
-        "decisions": outcome.n_decisions,
-        "events": outcome.n_events,
-        "late": outcome.n_late,
-        **_about_file(task, None, outcome.seconds),
-    }
-
-
-def outcome_of(record: Record) -> Outcome:
-    """Back from a record to what the report is counted from; its seconds are 0 where they are not known."""
-    if record["error"] is not None:
-        return Outcome(np.empty((0, 0)), np.empty((0, 0), np.int64), error=record["error"])
-    return Outcome(
-        np.array(record["window_probabilities"]),
-        np.array(record["decided_at"], np.int64),
-        record["window_start_us"],
-        record["decisions"],
-        record["events"],
-        record["late"],
-        record.get(TIMED) or 0.0,
-    )
+N_MOMENTS = 10
 
 
 def run_recording(task: Task) -> Record:
     """All decisions of one recording, as `async-tnt run --json` prints them, and the class of the mean probability.
+
+    Whatever is wrong with the file becomes the record's `error`.
 
     Raises
     ------
     ImportError : its format needs a library that is not installed.
     ValueError : the model is not the one that the task was made for.
     """
-    processor, engine, pixels = processor_of(task.job)
-    try:
-        decisions, n_events, seconds = decisions_of(task, processor, pixels)
-    except (ValueError, TypeError, OSError, MemoryError) as error:
-        return failed(task, told(error, task))
-    closed = [d.probabilities for d in decisions if d.complete or d.trigger == "end"]
-    mean = np.mean(closed, axis=0)
-    best = int(mean.argmax())
-    return {
-        "recording": task.recording,
-        "label": engine.classes[best],
-        "probability": round(float(mean[best]), 6),
-        "probabilities": [round(float(p), 6) for p in mean],
-        "windows": len(closed),
-        "events": n_events,
-        "late": processor.counts.dropped_late,
-        "decisions": [decision.to_dict() for decision in decisions],
-        **_about_file(task, None, seconds),
-    }
+
+    def fields_of(decisions: list[Decision], engine: Engine) -> Record:
+        closed = [d.probabilities for d in decisions if d.complete or d.trigger == "end"]
+        mean = np.mean(closed, axis=0)
+        best = int(mean.argmax())
+        return {
+            "label": engine.classes[best],
+            "probability": round(float(mean[best]), 6),
+            "probabilities": [round(float(p), 6) for p in mean],
+            "windows": len(closed),
+            "decisions": [decision.to_dict() for decision in decisions],
+        }
+
+    return _stream(task, fields_of)
+
+
+def evaluate_recording(task: Task) -> Record:
+    """What is decided in each window of one labelled recording, at each of `moments`; its folder is its class.
+
+    The job's Processor must decide `every_us=moments(window_us)[0]`. Errors are those of `run_recording`.
+    """
+
+    def fields_of(decisions: list[Decision], engine: Engine) -> Record:
+        windows: dict[int, list[Decision]] = {}
+        for decision in decisions:
+            windows.setdefault(decision.window_start_us, []).append(decision)
+        probabilities = np.array([window[-1].probabilities for window in windows.values()])  # (W, K), of whole windows
+        mean = probabilities.mean(axis=0)
+        after_us = moments(engine.config.window_us)
+        return {
+            "label": engine.classes[int(mean.argmax())],
+            "probabilities": mean.tolist(),
+            "window_start_us": list(windows),
+            "window_probabilities": probabilities.tolist(),
+            "decided_at": [decided_at(window, after_us) for window in windows.values()],
+            "decisions": len(decisions),
+        }
+
+    return _stream(task, fields_of)
 
 
 def failed(task: Task, error: str) -> Record:
-    """The record of a recording of which there is nothing but the reason."""
-    record = dict.fromkeys(OF_KIND[task.job.kind])
-    if task.job.kind == "evaluate":
-        record["class"] = task.path.parent.name
-    return {"recording": task.recording, **record, **_about_file(task, error, None)}
+    """The record of a recording of which there is nothing but an error."""
+    return _record(task, {}, error, None)
 
 
 def lost(task: Task) -> Record:
@@ -124,11 +106,117 @@ def lost(task: Task) -> Record:
     )
 
 
-def _about_file(task: Task, error: str | None, seconds: float | None) -> Record:
-    return {
-        "error": error,
-        "bytes": task.bytes,
-        "modified_ns": task.modified_ns,
-        "settings": task.settings,
-        TIMED: seconds,
-    }
+def _stream(task: Task, fields_of: Callable[[list[Decision], Engine], Record]) -> Record:
+    processor, engine, pixels = processor_of(task.job)
+    try:
+        decisions, n_events, seconds = decisions_of(task, processor, pixels)
+    except (ValueError, TypeError, OSError, MemoryError) as error:
+        return failed(task, _error_line(error, task))
+    counts = {"events": n_events, "late": processor.counts.dropped_late}
+    return _record(task, fields_of(decisions, engine) | counts, None, seconds)
+
+
+def _record(task: Task, fields: Record, error: str | None, seconds: float | None) -> Record:
+    record = {"recording": task.recording, **dict.fromkeys(FIELDS_OF[task.job.kind]), **fields}
+    if task.job.kind == "evaluate":
+        record["class"] = task.path.parent.name
+    about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.settings}
+    return {**record, "error": error, **about_file, TIMED: seconds}
+
+
+def moments(window_us: int) -> list[int]:
+    """The tenths of a window, in microseconds since its start; at the last one it ends.
+
+    Examples
+    --------
+    >>> moments(105_000)[:3], moments(105_000)[-1]
+    ([10500, 21000, 31500], 105000)
+    """
+    every_us = max(1, window_us // N_MOMENTS)
+    return [*(every_us * k for k in range(1, N_MOMENTS)), window_us]
+
+
+def decided_at(window: Sequence[Decision], after_us: Sequence[int]) -> list[int]:
+    """The class decided at each moment, that of the newest decision whose events had all come by then; -1 for none.
+
+    A moment without a decision of its own saw no new events since the previous one, whose decision still holds.
+    """
+    start_us = window[0].window_start_us
+    return [next((d.index for d in reversed(window) if d.time_us - start_us < moment), -1) for moment in after_us]
+
+
+_kept = threading.local()  # a Processor has one stream; workers of a cluster may have several threads
+
+
+def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
+    """The compiled Processor of a job, reset, and its selector of pixels: the same for all recordings of a thread.
+
+    The selector is not reset: its counts go on.
+
+    Raises
+    ------
+    ValueError : the model or this package are not those that the job was made for, or its pixels do not fit the model.
+    """
+    kept: tuple[Job, Processor, Engine, PixelSelector] | None = getattr(_kept, "of_job", None)
+    if kept is None or kept[0] != job:
+        if job.version != __version__:
+            raise ValueError(
+                f"a worker has async_tnt {__version__}, but this program is {job.version}: install the same"
+            )
+        with warnings.catch_warnings():  # the program has shown it when it made the job; each worker would repeat it
+            warnings.simplefilter("ignore", UncheckedModelWarning)
+            engine = choose_engine(job.model, job.engine)
+        if sha256_of(engine, job.model) != job.model_sha256:
+            raise ValueError(
+                f"{job.model}: not the model that the job was made for; it has changed, or a worker reads another file"
+            )
+        processor = engine.processor(**job.settings)
+        warmup(engine.model)
+        processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
+        kept = _kept.of_job = job, processor, engine, PixelSelector(job.pixels, engine.config.sensor)
+    _, processor, engine, pixels = kept
+    processor.reset()
+    return processor, engine, pixels
+
+
+def decisions_of(task: Task, processor: Processor, pixels: PixelSelector) -> tuple[list[Decision], int, float]:
+    """All decisions of one recording, the number of its selected events, and the seconds without reading the file.
+
+    Raises
+    ------
+    ValueError, TypeError, OSError : the recording is damaged, anywhere; of another sensor; or without events.
+    """
+    before = pixels.counts
+    recording, sensor = pixels.open(task.path, name=task.recording, strict=True)
+    select = pixels.filter_of(task.recording, sensor)
+    decisions: list[Decision] = []
+    seconds = 0.0
+    n_events = 0
+    for packet in recording:
+        started = time.perf_counter()
+        try:
+            selected = select(packet)
+            decisions += processor.push(selected)
+        except (TypeError, ValueError):
+            if recording.sensor is None:  # an event outside a sensor that an option or the model gives: name it
+                pixels.check_silent([packet], task.recording, sensor)
+            raise
+        n_events += len(selected)
+        seconds += time.perf_counter() - started
+    started = time.perf_counter()
+    decisions += processor.finish()
+    seconds += time.perf_counter() - started
+    if not decisions:
+        if n_events:
+            raise ValueError("no event in any window, nothing to decide")
+        raise ValueError(pixels.nothing_left(before) or "no events")
+    return decisions, n_events, seconds
+
+
+def _error_line(error: Exception, task: Task) -> str:
+    """The error in one line that contains the recording's name in the results."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{task.recording}: {error.strerror}"
+    text = " ".join(str(error).split()) or type(error).__name__
+    text = text.replace(str(task.path), task.recording)  # the same text wherever the archive lies
+    return text if task.recording in text else f"{task.recording}: {text}"

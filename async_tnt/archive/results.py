@@ -1,18 +1,28 @@
-"""The result file, JSON lines or Parquet by its suffix: records in order of the recordings' names, one each."""
+"""The result file, lines of JSON or Parquet by its suffix: one record a recording, in order of the recordings' names.
+
+Records are appended as lines of JSON in the order they are done: to FILE.jsonl itself, or to FILE.parquet.jsonl beside
+FILE.parquet. One process writes them and holds a lock on them. Of a killed process at most half a line remains, which
+the next one cuts off. When all recordings are done, the lines are sorted, or written to the Parquet file, and take the
+place of what was there.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator
+import stat
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-from async_tnt.archive.journal import WHAT_TO_DO, parsed
-from async_tnt.archive.records import TIMED, Record, fields_of
-from async_tnt.files import check_own, check_writable, file_of, replacing
+from async_tnt.archive.job import Job
+from async_tnt.archive.parquet import import_pyarrow, not_ours, read_metadata, read_parquet, write_parquet
+from async_tnt.archive.records import FIELDS, FIELDS_OF, Record
+from async_tnt.files import check_own, check_writable, file_of, replacing, set_mode
 
 SUFFIXES = (".jsonl", ".parquet")
+START = b'{"recording": '
+WHAT_TO_DO = "give the same again, another --out, or --restart to discard it"
 
 
 def check_out(out: Path) -> None:
@@ -20,111 +30,251 @@ def check_out(out: Path) -> None:
 
     Raises
     ------
-    ValueError, OSError : see `check_writable`; also of the journal. ImportError : Parquet without pyarrow.
+    ValueError, OSError : see `check_writable`. ImportError : Parquet without pyarrow.
     """
-    check_own(journal_of(check_writable(out, SUFFIXES)))
+    check_writable(out, SUFFIXES)
     if is_parquet(out):
-        from async_tnt.archive.parquet import import_pyarrow
-
+        check_own(lines_path(out))
         import_pyarrow()
-
-
-def journal_of(out: Path) -> Path:
-    """Where the journal of a result file lies: beside it, the file itself if `out` is a link."""
-    out = file_of(out)
-    return out.with_name(out.name + ".partial")
 
 
 def is_parquet(out: Path) -> bool:
     return out.suffix.lower() == ".parquet"
 
 
-def is_record(record: Any, kind: str) -> bool:
-    """Whether something parsed is a record of that kind, of a journal or a result file."""
-    return (
-        isinstance(record, dict)
-        and record.keys() - {TIMED} == fields_of(kind)
-        and isinstance(record["recording"], str)
-        and isinstance(record["settings"], str)
-        and isinstance(record["error"], str | None)
-    )
+def lines_path(out: Path) -> Path:
+    """The file of JSON lines that an unfinished result consists of."""
+    out = file_of(out)
+    return out.with_name(out.name + ".jsonl") if is_parquet(out) else out
 
 
-def check_ours(out: Path) -> None:
-    """Refuse to throw away a file that is not empty and no result file, of whatever settings.
+def read_results(out: Path, job: Job) -> Iterator[Record]:
+    """The records of a finished result file, one by one.
 
     Raises
     ------
-    ValueError.
+    ValueError : this program has not written the file, or with other settings; or it is damaged.
     """
     if is_parquet(out):
-        from async_tnt.archive.parquet import is_our_parquet
-
-        ours = is_our_parquet(out)
-    else:
-        first = next(_read_lines(out), {"recording": "", "settings": ""})
-        ours = isinstance(first, dict) and {"recording", "settings"} <= first.keys()
-    if out.stat().st_size and not ours:
-        raise ValueError(f"{out} is no result of async-tnt: move it away, or give another --out")
-
-
-def read_results(out: Path, kind: str, about: dict[str, Any], settings: str) -> Iterator[Record]:
-    """The records of a result file, one by one.
-
-    Raises
-    ------
-    ValueError : the file is another program's, damaged, or one of other settings.
-    """
-    if is_parquet(out):
-        from async_tnt.archive.parquet import read_parquet
-
-        records = read_parquet(out, about)
+        before = read_metadata(out)
+        if before != job.metadata:
+            raise ValueError(f"{out} was made with {_difference(before, job.metadata)}: {WHAT_TO_DO}")
+        records: Iterator[Any] = read_parquet(out)
     else:
         records = _read_lines(out)
-    before = ""
     for record in records:
-        if not is_record(record, kind) or record["recording"] <= before:
-            raise ValueError(
-                f"{out} is no result of async-tnt {kind}, or is damaged: move it away, or give another --out"
-            )
-        if record["settings"] != settings:
-            raise ValueError(
-                f"{out} was made by another model, window, trigger, engine, version or selection of pixels, "
-                f"settings {record['settings']} (now {settings}): {WHAT_TO_DO}"
-            )
-        before = record["recording"]
+        _check_record(record, job, out)
         yield record
 
 
-def write_results(out: Path, kind: str, about: dict[str, Any], records: Iterable[Record], like: Path) -> None:
-    """Write a result file, in its place at once when it is complete; a new one as readable as the file `like`.
+class ResultFile:
+    """A result file that is being written; locked until it is closed.
 
-    `records` are in order, without `seconds`.
+    Parameters
+    ----------
+    out : the file, no link.
+    job : of its records.
+    restart : True discards what is there, of whatever settings.
+
+    Raises
+    ------
+    ValueError : this program has not written what is there, or with other settings; or it is damaged.
+    OSError : another program is writing it, or it cannot be written.
     """
-    with replacing(out, like=like) as part:
-        if is_parquet(out):
-            from async_tnt.archive.parquet import write_parquet
 
-            write_parquet(part, kind, about, records)
-        else:
+    def __init__(self, out: Path, job: Job, *, restart: bool = False) -> None:
+        former = out.with_name(out.name + ".partial")
+        if former.exists():
+            raise ValueError(f"{former} was left by an earlier version, which cannot be resumed: delete it")
+        self.versions: dict[str, tuple[int, int] | None] = {}
+        """Recording -> (bytes, modified_ns) of the file that its record is of; None where that has an error."""
+        self._out, self._job = out, job
+        self._path = lines_path(out)
+        self._is_kept = self._path == out and out.exists()  # also with no lines in it
+        self._where: dict[str, tuple[int, int]] = {}  # recording -> (offset, length) of its newest line
+        self._last = ""
+        self._in_order = True
+        if is_parquet(out):
+            check_own(self._path)
+        self._lines = _open_locked(self._path, out)
+        try:
+            if self._has_parquet():  # who may read the result may read the lines, and the next result
+                set_mode(self._path, out.stat().st_mode | stat.S_IRUSR | stat.S_IWUSR)
+            if restart:
+                self._discard()
+            self._load()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> ResultFile:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def append(self, record: Record) -> None:
+        """Write a record; it replaces an earlier one of its recording, and outlives `kill -9`."""
+        line = json.dumps(record).encode() + b"\n"
+        offset = self._lines.seek(0, os.SEEK_END)
+        self._lines.write(line)
+        self._lines.flush()
+        self._add(record, offset, len(line))
+
+    def is_finished(self, names: Collection[str]) -> bool:
+        """Whether it holds the records of these recordings and no others, in their final form."""
+        is_final = not self._where if is_parquet(self._out) else self._in_order
+        return is_final and self.versions.keys() == set(names)
+
+    def finish(self, names: Collection[str]) -> None:
+        """Give it its final form, with the records of these recordings and no others."""
+        names = sorted(names)
+        if is_parquet(self._out):
+            if any(name not in self._where for name in names):
+                for record in read_results(self._out, self._job):
+                    if record["recording"] not in self._where:
+                        self.append(record)
+            with replacing(self._out, like=self._path) as part:
+                write_parquet(part, self._job, (json.loads(self._line(name)) for name in names))
+                _sync(part)
+            self._lines.truncate(0)
+            return
+        with replacing(self._out) as part:
             with part.open("wb") as file:
-                for record in records:
-                    file.write(json.dumps(record).encode() + b"\n")
-        _sync(part)
-    if os.name != "nt":  # the name, too, outlives a loss of power
-        _sync(out.parent)
+                file.writelines(self._line(name) for name in names)
+            _sync(part)
+            if os.name == "nt":  # where an open file cannot be replaced
+                self._lines.close()
+
+    def close(self) -> None:
+        """Unlock it."""
+        if self._lines.closed:
+            return
+        is_empty = not self._lines.seek(0, os.SEEK_END)
+        if os.name == "nt":  # where an open file cannot be deleted
+            self._lines.close()
+        if is_empty and not self._is_kept:
+            self._path.unlink(missing_ok=True)
+        self._lines.close()
+
+    def _load(self) -> None:
+        while line := self._lines.readline():
+            offset = self._lines.tell() - len(line)
+            if not line.endswith(b"\n") and (self._where or line.startswith(START) or START.startswith(line)):
+                self._lines.truncate(offset)  # the half of a line that a killed process has left
+                break
+            record = _parsed(line)
+            _check_record(record, self._job, self._out)
+            self._add(record, offset, len(line))
+        if self._has_parquet():
+            for record in read_results(self._out, self._job):
+                self.versions.setdefault(record["recording"], _version_of(record))
+
+    def _discard(self) -> None:
+        """Discard what is there, if this program has written it."""
+        first = self._lines.readline()
+        record = _parsed(first)
+        is_ours = isinstance(record, dict) and {"recording", "settings"} <= record.keys()
+        if first and not is_ours and not first.startswith(START):
+            raise ValueError(not_ours(self._out))
+        if self._has_parquet():
+            read_metadata(self._out)
+            self._out.unlink()
+        self._lines.truncate(0)
+        self._lines.seek(0)
+
+    def _has_parquet(self) -> bool:
+        return is_parquet(self._out) and self._out.exists() and self._out.stat().st_size > 0
+
+    def _add(self, record: Record, offset: int, length: int) -> None:
+        name = record["recording"]
+        self._in_order = self._in_order and self._last < name
+        self._last = name
+        self._where[name] = (offset, length)
+        self.versions[name] = _version_of(record)
+
+    def _line(self, name: str) -> bytes:
+        offset, length = self._where[name]
+        self._lines.seek(offset)
+        return self._lines.read(length)
+
+
+def _version_of(record: Record) -> tuple[int, int] | None:
+    return None if record["error"] is not None else (record["bytes"], record["modified_ns"])
 
 
 def _read_lines(out: Path) -> Iterator[Any]:
     with out.open("rb") as file:
-        for line in file:
-            yield parsed(line)
+        yield from map(_parsed, file)
+
+
+def _parsed(line: bytes) -> Any:
+    """The value of a whole line of JSON; None where it is none."""
+    if not line.endswith(b"\n"):
+        return None
+    try:
+        return json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _check_record(record: Any, job: Job, out: Path) -> None:
+    is_record = (
+        isinstance(record, dict)
+        and record.keys() == {*FIELDS, *FIELDS_OF[job.kind]}
+        and isinstance(record["recording"], str)
+        and isinstance(record["settings"], str)
+        and isinstance(record["error"], str | None)
+    )
+    if not is_record:
+        raise ValueError(not_ours(out, f" {job.kind}, or is damaged"))
+    if record["settings"] != job.id:
+        raise ValueError(
+            f"{out} was made with another model, window, trigger, engine, version or selection of pixels, "
+            f"settings {record['settings']} (now {job.id}): {WHAT_TO_DO}"
+        )
+
+
+def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:
+    names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+    return ", ".join(f"{name} {before.get(name)!s:.24} (now {now.get(name)!s:.24})" for name in names)
+
+
+def _open_locked(path: Path, out: Path) -> IO[bytes]:
+    while True:
+        file = path.open("a+b")
+        try:
+            _lock(file)
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                file.seek(0)
+                return file
+        except FileNotFoundError:
+            pass
+        except BlockingIOError:
+            file.close()
+            raise OSError(f"{out}: another program is writing it; wait for that one, or give another --out") from None
+        except BaseException:
+            file.close()
+            raise
+        file.close()  # the program that had locked it has just replaced or deleted it
+
+
+def _lock(file: IO[bytes]) -> None:
+    """Lock the file until it is closed, or its process ends. BlockingIOError: it is locked."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        import msvcrt
+
+        file.seek(1 << 30)  # far behind the end: what is locked cannot be read
+        try:
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined, unused-ignore]
+        except OSError:
+            raise BlockingIOError from None
+    else:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _sync(path: Path) -> None:
-    flags = os.O_RDONLY if path.is_dir() else os.O_RDWR
-    descriptor = os.open(path, flags)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())

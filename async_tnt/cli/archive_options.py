@@ -3,145 +3,133 @@
 from __future__ import annotations
 
 import argparse
-import os
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from async_tnt.archive.collect import Collected, collect, collect_to_file, counted
-from async_tnt.archive.executor import Place
-from async_tnt.archive.find import recordings_under
-from async_tnt.archive.job import Task, job_of, task_of
+from async_tnt.archive.collect import Progress, collect, collect_to_file, counted
+from async_tnt.archive.executor import Executor, executor_of
+from async_tnt.archive.job import Task, job_of, recordings_under, task_of
 from async_tnt.archive.records import Record, run_recording
 from async_tnt.archive.results import check_out
 from async_tnt.cli.arguments import complain, one_line, paths_of, positive_int
 from async_tnt.cli.pixel_options import selector_of
 from async_tnt.cli.trigger_options import triggers_of
 from async_tnt.networks.engines import choose_engine
-from async_tnt.progress import progress
+from async_tnt.progress import progress as progress_bar
 
-SHOWN = 20  # errors that are told one by one
+SHOWN = 20  # errors that are printed one by one
 
 
 class Interrupted(Exception):
-    """Ctrl-C, told: what remains is exit code 130."""
+    """Ctrl-C, of which the user has been told: exit code 130."""
 
 
 def add_archive(parser: argparse.ArgumentParser, *, needs_out: bool) -> None:
-    """--workers, --dask, --out, --restart; `needs_out`: the others belong to --out."""
-    of_out = "of --out: " if needs_out else ""
+    """--workers, --dask, --out, --restart; `needs_out`: the others require --out."""
+    with_out = "with --out: " if needs_out else ""
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
         help="stream into this result file, .jsonl or .parquet (extra `cluster`), one record a recording; after an "
-        "interruption or kill the same command goes on",
+        "interruption or kill the same command resumes",
     )
     parser.add_argument(
-        "--workers", type=positive_int, metavar="N", help=f"{of_out}processes that stream recordings (default: 1)"
+        "--workers", type=positive_int, metavar="N", help=f"{with_out}processes that stream recordings (default: 1)"
     )
     parser.add_argument(
         "--dask",
         metavar="ADDRESS",
-        help=f"{of_out}stream on the workers of a Dask cluster, whose scheduler is at this address (extra `cluster`)",
+        help=f"{with_out}stream on the workers of a Dask cluster, whose scheduler is at this address (extra `cluster`)",
     )
     parser.add_argument(
-        "--restart", action="store_true", help="of --out: throw away what an earlier run has left, and begin anew"
+        "--restart", action="store_true", help="with --out: discard what an earlier run has left, and start again"
     )
 
 
-def place_of(args: argparse.Namespace) -> Place:
-    """Where to stream, with all that these options say checked before any work.
+def archive_executor(args: argparse.Namespace) -> Executor:
+    """Where to stream; checks, before any work, that these options go together and that --out can be written.
 
     Raises
     ------
-    ValueError, OSError, ImportError : options that do not go together; a result file that cannot be written.
+    ValueError, OSError, ImportError.
     """
     if args.workers is not None and args.dask is not None:
-        raise ValueError("--workers are processes here and --dask a cluster's: give one of them")
+        raise ValueError("--workers are processes here and --dask is a cluster: give one of them")
     if args.restart and args.out is None:
-        raise ValueError("--restart belongs to --out: it throws away what is in that file")
+        raise ValueError("--restart requires --out: it discards what is in that file")
     if args.out is not None:
         check_out(args.out)
-    return Place(args.workers or 1, args.dask)
+    return executor_of(args.workers or 1, args.dask)
 
 
 def stream_archive(
     args: argparse.Namespace,
     function: Callable[[Task], Record],
     tasks: Sequence[Task],
-    place: Place,
-    collected: Collected,
-    gone: Callable[[str], bool],
-    folder: str | None,
+    executor: Executor,
+    progress: Progress,
+    is_gone: Callable[[str], bool],
 ) -> Iterable[Record]:
     """All records in order of the recordings' names, with a progress bar; through the file of --out if there is one.
 
-    `gone`, `folder` : as for `collect_to_file`.
-
     Raises
     ------
-    Interrupted : Ctrl-C; what is done is said. Others : as `collect_to_file`.
+    Interrupted : Ctrl-C, after a message. Others : as `collect_to_file`.
     """
+    bar: Any = None
+
+    def watch() -> None:
+        nonlocal bar
+        if bar is not None:
+            bar.update()
+            return
+        n = progress.total - progress.kept
+        if progress.kept and n:
+            total = counted(progress.total, "recording")
+            complain(f"{args.out}: {progress.kept:,} of {total} are done, resuming")
+        bar = stack.enter_context(progress_bar(n, "streaming"))
+
     try:
-        if args.out is None:
-            with progress(len(tasks), "streaming") as bar:
-                return collect(function, tasks, place, collected, each=bar.update)
-        bars: list[Any] = []
-
-        def begin(n: int) -> None:
-            if collected.kept and n:
-                total = counted(collected.total, "recording")
-                complain(f"{args.out}: {collected.kept:,} of {total} are done, going on")
-            bars.append(progress(n, "streaming"))
-
-        try:
+        with contextlib.ExitStack() as stack:
+            if args.out is None:
+                return collect(function, tasks, executor, progress, watch=watch)
             return collect_to_file(
-                function,
-                tasks,
-                place,
-                args.out,
-                collected,
-                folder=folder,
-                restart=args.restart,
-                gone=gone,
-                begin=begin,
-                each=lambda: bars[0].update(),
+                function, tasks, executor, args.out, progress, restart=args.restart, is_gone=is_gone, watch=watch
             )
-        finally:
-            for bar in bars:
-                bar.__exit__(None, None, None)
-            if collected.gone:
-                are = "is" if collected.gone == 1 else "are"
-                complain(f"{args.out}: {counted(collected.gone, 'recording')} {are} no longer there, and left out")
     except KeyboardInterrupt:
-        n_done = collected.kept + collected.done
-        kept = "the same command goes on" if args.out else "and kept nowhere: see --out"
-        complain(f"interrupted: {n_done:,} of {counted(collected.total, 'recording')} are done; {kept}")
+        n_done = progress.kept + progress.done
+        kept = "the same command resumes" if args.out else "nothing is kept without --out"
+        complain(f"interrupted: {n_done:,} of {counted(progress.total, 'recording')} are done; {kept}")
         raise Interrupted from None
+    finally:
+        if progress.gone:
+            are = "no longer exists and is" if progress.gone == 1 else "no longer exist and are"
+            complain(f"{args.out}: {counted(progress.gone, 'recording')} {are} left out")
 
 
 def run_archive(args: argparse.Namespace) -> int:
     """`async-tnt run --out`: the decisions of all recordings, into a file, and a summary."""
-    place = place_of(args)
+    executor = archive_executor(args)
     _check_run(args)
     engine = choose_engine(args.model, args.engine)
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
-    engine.processor(**settings)  # what it refuses shows before any work
+    engine.processor(**settings)  # refuses bad settings before any work
     pixels = selector_of(args, engine.model)
     paths = recordings_under(paths_of(args))
-    folder = None if all(path.is_absolute() for path in paths) else os.getcwd()
     job = job_of("run", args.model, engine, pixels.selection, **settings)
     tasks = [task_of(str(path), path, job) for path in paths]
-    collected = Collected()
+    progress = Progress()
     started = time.monotonic()
     labels = dict.fromkeys(engine.classes, 0)
     n_decisions = n_events = n_late = 0
     errors = []
     try:
         for record in stream_archive(
-            args, run_recording, tasks, place, collected, lambda name: not Path(name).exists(), folder
+            args, run_recording, tasks, executor, progress, lambda name: not Path(name).exists()
         ):
             if record["error"] is not None:
                 errors.append(record["error"])
@@ -154,10 +142,10 @@ def run_archive(args: argparse.Namespace) -> int:
         return 130
     took = time.monotonic() - started
     unread = f" ({len(errors):,} of them with an error)" if errors else ""
-    recordings = counted(collected.total, "recording") + unread
+    recordings = counted(progress.total, "recording") + unread
     print(f"{one_line(str(args.out))}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
-    if collected.done:
-        print(f"{counted(collected.done, 'recording')} streamed now, {collected.done / took:,.1f} a second")
+    if progress.done:
+        print(f"{counted(progress.done, 'recording')} streamed now, {progress.done / took:,.1f} a second")
     if any(labels.values()):
         print(", ".join(f"{name} {n:,}" for name, n in labels.items() if n))
     if n_late:
@@ -179,7 +167,7 @@ def _check_run(args: argparse.Namespace) -> None:
 
 
 def check_no_archive(args: argparse.Namespace) -> None:
-    """Without --out, refuse what belongs to it."""
+    """Refuse options that require --out where it is missing."""
     for name in ("workers", "dask", "restart"):
         if getattr(args, name):
-            raise ValueError(f"--{name} belongs to --out: streaming many recordings into a result file")
+            raise ValueError(f"--{name} requires --out: streaming many recordings into a result file")

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from async_tnt.archive.collect import Collected
+from async_tnt.archive.collect import Progress
 from async_tnt.archive.job import job_of, task_of
-from async_tnt.archive.records import evaluate_recording, outcome_of
-from async_tnt.archive.scores import Scores, score_recordings
-from async_tnt.archive.streamed import Outcome, evaluation_settings, moments
-from async_tnt.cli.archive_options import Interrupted, add_archive, place_of, stream_archive
+from async_tnt.archive.records import TIMED, Record, evaluate_recording, moments
+from async_tnt.archive.scores import score_recordings
+from async_tnt.cli.archive_options import Interrupted, add_archive, archive_executor, stream_archive
 from async_tnt.cli.arguments import complain, model_of, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.networks.engines import Engine
@@ -24,13 +22,13 @@ from async_tnt.networks.model import Model, bundled_models
 from async_tnt.sources.class_folders import find_recordings
 from async_tnt.views.style import check_picture
 
-SHOWN = 10  # classes that a refusal names
+SHOWN = 10  # classes that an error names
 
 DESCRIPTION = """Stream every recording of a folder of class folders through a model, and count how often it is right.
 
-DATASET holds <class name>/<recordings>, or Test/<class name>/<recordings>; the names are the model's classes. Take
-recordings that the model was not trained on, of other days and people where there are such. Windows are laid end to
-end from each recording's first event, as on a live stream. A recording is decided by the mean probability over its
+DATASET holds <class name>/<recordings>, or Test/<class name>/<recordings>; the names are the model's classes. Use
+recordings that the model was not trained on, if possible of other days and people. Windows follow each other from each
+recording's first event, as on a live stream. A recording's class is the one with the highest mean probability over its
 windows. Recordings that cannot be read, and empty ones, are skipped and named at the end.
 
   async-tnt evaluate gestures.safetensors held_out
@@ -40,10 +38,10 @@ windows. Recordings that cannot be read, and empty ones, are skipped and named a
   async-tnt evaluate digits N-MNIST --dask tcp://10.0.0.1:8786 --out results.parquet    on many machines
   async-tnt evaluate digits recorded --roi 600,300,34,34 --crop --mask mask.npy    of a larger camera with hot pixels
 
-With --out, an evaluation that was interrupted, killed or cut off goes on when the same command is given again, and
-ends with the same file and the same numbers (docs/guide.md).
+With --out, an evaluation that was interrupted or killed resumes when the same command is given again, and ends with
+the same file and the same numbers (docs/guide.md).
 
-Exit code 0, also where recordings were skipped (2 with --strict); 2 for bad usage, or where none could be read.
+Exit code 0, also if recordings were skipped (2 with --strict); 2 for bad usage, or if none could be read.
 """
 
 
@@ -67,39 +65,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     if args.picture is not None:
         check_picture(args.picture)
-    place = place_of(args)
+    executor = archive_executor(args)
     model = model_of(args)
     pixels = selector_of(args, model)
     paths, labels = labelled_recordings(args.dataset, model)
     engine = Engine("compiled", model, model.classes)
-    job = job_of("evaluate", args.model, engine, pixels.selection, **evaluation_settings(model.config))
+    every_us = moments(model.config.window_us)[0]
+    job = job_of("evaluate", args.model, engine, pixels.selection, every_us=every_us)
     tasks = [task_of(path.relative_to(args.dataset).as_posix(), path, job) for path in paths]
     label_of = {task.recording: label for task, label in zip(tasks, labels, strict=True)}
 
-    def gone(name: str) -> bool:
+    def is_gone(name: str) -> bool:
         return not (args.dataset / name).exists()
 
     try:
-        folder = os.path.abspath(args.dataset)
-        records = list(stream_archive(args, evaluate_recording, tasks, place, Collected(), gone, folder))
+        records = list(stream_archive(args, evaluate_recording, tasks, executor, Progress(), is_gone))
     except Interrupted:
         return 130
-    outcomes = [outcome_of(record) for record in records]
-    labels = [label_of[record["recording"]] for record in records if record["error"] is None]
-    good = [outcome for outcome in outcomes if not outcome.error]
-    skipped = [outcome.error for outcome in outcomes if outcome.error]
+    good = [record for record in records if record["error"] is None]
+    skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:
         raise ValueError(f"{args.dataset}: none of {len(tasks)} recordings can be evaluated; {skipped[0]}")
-    scores = score_recordings(model.classes, labels, [o.probabilities for o in good])
-    report = report_of(model, scores, good, labels, skipped)
+    report = report_of(model, good, [label_of[record["recording"]] for record in good], skipped)
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
     if args.picture is not None:
         from async_tnt.views.confusion import write_confusion
 
-        title = f"{args.dataset.name}: {scores.accuracy:.1%} of {len(good)} recordings right"
+        title = f"{args.dataset.name}: {report['accuracy']:.1%} of {len(good)} recordings right"
         course = [(m["time_us"], m["accuracy"], m["decided"]) for m in report["accuracy_against_time"]]
-        write_confusion(scores.confusion, scores.classes, args.picture, title, course)
+        write_confusion(np.array(report["confusion"]), model.classes, args.picture, title, course)
     if args.json:
         print(json.dumps(report))
     else:
@@ -115,7 +110,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def labelled_recordings(folder: Path, model: Model) -> tuple[list[Path], list[int]]:
-    """The recordings of a folder, and the place of each one's class in `model.classes`.
+    """The recordings of a folder, and the index of each one's class in `model.classes`.
 
     Raises
     ------
@@ -137,36 +132,33 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN]) + more
 
 
-def report_of(
-    model: Model, scores: Scores, outcomes: list[Outcome], labels: list[int], skipped: list[str]
-) -> dict[str, Any]:
+def report_of(model: Model, records: list[Record], labels: list[int], skipped: list[str]) -> dict[str, Any]:
     """All numbers, as `--json` prints them.
 
-    Times are of one core, summed over workers. Recordings that an earlier run has finished count with no time; where
-    all were, times and rates are None.
+    Times are of one core, summed over workers, without recordings that an earlier run has done; None if it has done
+    them all.
     """
-    early = np.concatenate([outcome.early for outcome in outcomes])  # (windows, moments)
-    truth = np.repeat(labels, [len(outcome.early) for outcome in outcomes])
-    timed = [outcome for outcome in outcomes if outcome.seconds]
-    seconds = sum(outcome.seconds for outcome in timed)
-    n_decisions = sum(outcome.n_decisions for outcome in outcomes)
-    n_events = sum(outcome.n_events for outcome in outcomes)
+    scores = score_recordings(model.classes, labels, [np.array(record["window_probabilities"]) for record in records])
+    decided = np.concatenate([record["decided_at"] for record in records])  # (windows, moments)
+    truth = np.repeat(labels, [len(record["decided_at"]) for record in records])
+    timed = [record for record in records if record[TIMED]]
+    seconds = sum(record[TIMED] for record in timed)
     return {
         **scores.to_dict(),
         "accuracy_against_time": [
             {
                 "time_us": moment,
-                "accuracy": float((early[:, k] == truth).mean()),
-                "decided": float((early[:, k] >= 0).mean()),
+                "accuracy": float((decided[:, k] == truth).mean()),
+                "decided": float((decided[:, k] >= 0).mean()),
             }
             for k, moment in enumerate(moments(model.config.window_us))
         ],
-        "decisions": n_decisions,
-        "events": n_events,
-        "late": sum(outcome.n_late for outcome in outcomes),
+        "decisions": sum(record["decisions"] for record in records),
+        "events": sum(record["events"] for record in records),
+        "late": sum(record["late"] for record in records),
         "seconds": seconds or None,
-        "decisions_per_second": sum(outcome.n_decisions for outcome in timed) / seconds if timed else None,
-        "events_per_second": sum(outcome.n_events for outcome in timed) / seconds if timed else None,
+        "decisions_per_second": sum(record["decisions"] for record in timed) / seconds if timed else None,
+        "events_per_second": sum(record["events"] for record in timed) / seconds if timed else None,
         "skipped": skipped,
     }
 

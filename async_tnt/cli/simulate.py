@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from async_tnt.archive.workers import available_cores
+from async_tnt.archive.executor import available_cores
 from async_tnt.cli.arguments import complain, positive_int
 from async_tnt.cli.record import data_folder, seed_number
 from async_tnt.files import check_folder

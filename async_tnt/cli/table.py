@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.archive.workers import available_cores
+from async_tnt.archive.executor import available_cores
 from async_tnt.checking.timing import machine
 from async_tnt.cli.arguments import positive_int
 from async_tnt.cli.record import command_words, data_folder, seed_number

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 import async_tnt
-from async_tnt.archive.workers import available_cores, run_all
+from async_tnt.archive.executor import available_cores, run_all
 from async_tnt.progress import progress
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist

@@ -42,8 +42,8 @@ def open_source(source: str | os.PathLike[str] | np.ndarray, sensor: tuple[int, 
 
     Parameters
     ----------
-    source : path of a recording (see docs/formats.md), `camera[:KIND[:SERIAL]]` (docs/cameras.md),
-        `udp://HOST:PORT[?format=...]` (docs/network.md), or a structured array of events.
+    source : path of a recording (see docs/reference.md), `camera[:KIND[:SERIAL]]` (docs/guide.md),
+        `udp://HOST:PORT[?format=...]`, or a structured array of events.
     sensor : (width, height) that is expected, where the source does not say it. Events off it are dropped and counted
         by a network stream, and an error in a file.
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from async_tnt.archive.workers import run_all
+from async_tnt.archive.executor import run_all
 from async_tnt.files import write_text
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress

@@ -1,16 +1,21 @@
-"""The program as a process, an archive of copies of the samples, and a Dask cluster."""
+"""The program as a process, executors, and a Dask cluster."""
 
+import contextlib
+import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
 
+from async_tnt.archive.executor import executor_of
 from async_tnt.sources.files.recording import sample_recordings
 
 ROOT = Path(__file__).resolve().parents[2]
+PATHS = os.pathsep.join(str(ROOT / name) for name in ("", "reference", "tests"))
 
 
 def pytest_configure(config):
@@ -25,70 +30,114 @@ def _skip_without_pyarrow(request):
 
 @pytest.fixture(scope="session")
 def samples(tmp_path_factory):
-    """<digit>/<number>.bin: 300 recordings, links to the ten bundled ones."""
+    """<digit>/<number>.bin: two recordings of each digit."""
     folder = tmp_path_factory.mktemp("archive") / "digits"
     for digit, path in sample_recordings().items():
         (folder / str(digit)).mkdir(parents=True)
-        for k in range(30):
-            (folder / str(digit) / f"{k:02d}.bin").symlink_to(path)
+        for k in range(2):
+            (folder / str(digit) / f"{k:02d}.bin").write_bytes(path.read_bytes())
     return folder
 
 
 @pytest.fixture
 def start():
-    """Start `async-tnt` with words, as a process of its own, which ends with the test."""
-    started = []
+    """Start Python with words, as a process of its own, which ends with the test."""
+    with contextlib.ExitStack() as stack:
 
-    def begin(*words):
-        paths = os.pathsep.join([str(ROOT), str(ROOT / "reference")])
-        process = subprocess.Popen(
-            [sys.executable, "-m", "async_tnt.cli", *map(str, words)],
-            env={**os.environ, "PYTHONPATH": paths},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-        return process
+        def begin(*words):
+            process = subprocess.Popen(
+                [sys.executable, *map(str, words)],
+                env={**os.environ, "PYTHONPATH": PATHS},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            stack.callback(process.communicate)
+            stack.callback(process.kill)
+            return process
 
-    yield begin
-    for process in started:
-        process.kill()
-        process.communicate()
+        yield begin
 
 
 @pytest.fixture
-def wait_for_lines():
-    """Wait until a file has so many lines."""
+def wait_until():
+    """Wait until something holds."""
 
-    def wait(path, n, process, timeout_s=60):
-        until = time.monotonic() + timeout_s
-        while not path.exists() or path.read_bytes().count(b"\n") < n:
-            if process.poll() is not None or time.monotonic() > until:
-                pytest.fail(f"ended before {n} lines: {process.communicate()}")
-            time.sleep(0.001)
+    def wait(holds, timeout_s=120):
+        end = time.monotonic() + timeout_s
+        while not holds():
+            assert time.monotonic() < end
+            time.sleep(0.005)
 
     return wait
 
 
-@pytest.fixture(scope="session")
-def cluster():
-    """Address of a Dask scheduler with two workers, processes of one thread, which are started anew when they end."""
-    distributed = pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
-    import dask
+@contextlib.contextmanager
+def dask_cluster(folder, n_workers):
+    """Address of a Dask scheduler, with workers of one thread that are restarted when they end."""
+    env = {**os.environ, "PYTHONPATH": PATHS, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+    options = {"env": env, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    python, host = [sys.executable, "-m"], ["--host", "127.0.0.1", "--no-dashboard"]
+    written = folder / "scheduler.json"
+    words = ["distributed.cli.dask_scheduler", *host, "--port", "0", "--scheduler-file", written]
+    scheduler = subprocess.Popen([*python, *words], **options)
+    processes = [scheduler]
+    address = ""
 
-    before = os.environ.get("PYTHONPATH")
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "reference"), str(ROOT / "tests")])
+    def keep_worker():
+        while scheduler.poll() is None:
+            words = [
+                "distributed.cli.dask_worker",
+                address,
+                *host,
+                "--nthreads",
+                "1",
+                "--no-nanny",
+                "--death-timeout",
+                "60",
+            ]
+            worker = subprocess.Popen([*python, *words, "--local-directory", folder], **options)
+            processes.append(worker)
+            worker.wait()
+
+    threads = [threading.Thread(target=keep_worker) for _ in range(n_workers)]
     try:
-        with (
-            dask.config.set({"distributed.scheduler.allowed-failures": 1}),
-            distributed.LocalCluster(
-                n_workers=2, threads_per_worker=1, dashboard_address=":0", protocol="tcp", host="127.0.0.1"
-            ) as made,
-        ):
-            yield made.scheduler_address
+        while not address:
+            assert scheduler.poll() is None
+            time.sleep(0.05)
+            with contextlib.suppress(OSError, ValueError):
+                address = json.loads(written.read_text())["address"]
+        for thread in threads:
+            thread.start()
+        yield address
     finally:
-        if before is None:
-            del os.environ["PYTHONPATH"]
-        else:
-            os.environ["PYTHONPATH"] = before
+        scheduler.kill()
+        scheduler.wait()
+        while any(thread.is_alive() for thread in threads):  # one may just be starting another worker
+            for process in processes:
+                process.kill()
+            time.sleep(0.05)
+
+
+@pytest.fixture(scope="session")
+def cluster(tmp_path_factory):
+    """Address of a Dask scheduler with two workers."""
+    pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
+    with dask_cluster(tmp_path_factory.mktemp("cluster"), 2) as address:
+        yield address
+
+
+@pytest.fixture
+def empty_cluster(tmp_path):
+    """Address of a Dask scheduler without workers."""
+    pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
+    with dask_cluster(tmp_path, 0) as address:
+        yield address
+
+
+@pytest.fixture(params=["serial", "processes", "dask"])
+def executor(request):
+    """Every executor."""
+    if request.param == "dask":
+        return executor_of(dask=request.getfixturevalue("cluster"))
+    return executor_of(1 if request.param == "serial" else 2)

@@ -1,19 +1,18 @@
-"""Made tasks, and functions of them that take no model: importable by worker processes."""
-
-from __future__ import annotations
+"""Tasks on small files, and functions of them that use no model; worker processes import them."""
 
 import os
 import signal
 import time
 from pathlib import Path
 
+from async_tnt.archive.executor import run_all
 from async_tnt.archive.job import Job, task_of
-from async_tnt.archive.records import failed
+from async_tnt.archive.records import evaluate_recording, failed
 
 JOB = Job("run", "digits", "compiled", {"every_us": 5000}, model_sha256="a" * 64)
 
 
-def make_tasks(folder: Path, names, job: Job = JOB):
+def make_tasks(folder, names, job=JOB):
     """A task of each name; the files hold their names."""
     folder.mkdir(exist_ok=True)
     for name in names:
@@ -23,7 +22,7 @@ def make_tasks(folder: Path, names, job: Job = JOB):
 
 
 def record_of(task):
-    """A whole record, by the file's content alone, but for the seconds."""
+    """A complete record, which depends only on the file's content, apart from the seconds."""
     text = task.path.read_text()
     decision = {
         "time_us": len(text),
@@ -50,106 +49,78 @@ def record_of(task):
 
 
 def deadly(task):
-    """`record_of`, but a file that says `poison` kills its worker, and `once` does so the first time."""
-    text = task.path.read_text()
-    if text == "once":
-        task.path.with_name("seen").touch()  # before: so that a third try would be seen
-        mark = task.path.with_name("mark")
-        if not mark.exists():
-            mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-    if text == "poison":
-        with task.path.with_name("tries").open("a") as file:
-            file.write(".")
+    """`record_of`, but the file `poison` kills its worker every time, and `once` the first time.
+
+    `begun` in its folder has a line of every recording that was begun.
+    """
+    begun = task.path.with_name("begun")
+    with begun.open("a") as file:
+        file.write(f"{task.recording}\n")
+    if task.recording == "poison" or (task.recording == "once" and begun.read_text().split().count("once") == 1):
         os.kill(os.getpid(), signal.SIGKILL)
     return record_of(task)
 
 
 def slow(task):
-    """`record_of` after a while, with its process' number where the tests read it."""
+    """`record_of` after a while; `pids` in its folder has a line of its process and recording."""
     with task.path.with_name("pids").open("a") as file:
         file.write(f"{os.getpid()} {task.recording}\n")
     time.sleep(0.02)
     return record_of(task)
 
 
-def long(task):
-    """`record_of`, longer than a chunk is to take."""
-    time.sleep(0.3)
-    return record_of(task)
+def broken(task):
+    raise ImportError("no reader of that")
 
 
-def double(number):
+def twice(number):
     return 2 * number
 
 
-def ends(number):
-    """Numbers below 0 end the worker."""
-    if number < 0:
-        os._exit(3)
-    return 2 * number
-
-
-def unsendable(number):
+def unpicklable(number):
     return lambda: number
 
 
-class Odd(Exception):
-    """It can be pickled, and not be made again: it wants two arguments."""
+class OddError(Exception):
+    """It can be pickled but not unpickled."""
 
     def __init__(self, have, want):
         super().__init__(f"{have}, not {want}")
 
 
-def odd(number):
-    raise Odd(number, 0)
+def raise_odd(number):
+    raise OddError(number, 0)
 
 
-class Unreadable:
-    """It can be sent; reading it looks like the end of a pipe."""
-
-    def __init__(self, error):
-        self.error = error
-
-    def __reduce__(self):
-        return _raise, (self.error,)
-
-
-def _raise(error):
-    raise error
-
-
-def unreadable(error):
-    return Unreadable(error)
-
-
-def long_in(folder):
-    """Longer than any test; its process' number is then in the folder."""
+def sleep_in(folder):
+    """Longer than any test; the folder then has a file named by the process."""
     (folder / f"{os.getpid()}.pid").touch()
-    time.sleep(600)
+    time.sleep(3600)
 
 
-def longs(folder):
-    """Two workers that are long in a task, for a program that is killed."""
-    from async_tnt.archive.workers import run_all
+def sleep_or_end(folder_and_end):
+    """Sleep; or wait for two that sleep, and return or raise."""
+    folder, end = folder_and_end
+    if end == "sleep":
+        sleep_in(folder)
+    while len(list(folder.glob("*.pid"))) < 2:
+        time.sleep(0.01)
+    if end == "raise":
+        raise ZeroDivisionError
 
-    list(run_all(long_in, [Path(folder)] * 2, 2))
+
+def run_sleepers(folder):
+    """Two workers in the middle of a task, for a program that is killed."""
+    list(run_all(sleep_in, [Path(folder)] * 2, 2))
 
 
-def shorts():
+def run_quick():
     """Workers that answer all the time, for a program that is killed."""
-    from async_tnt.archive.workers import run_all
-
-    for _ in run_all(double, range(10**6), 2):
+    for _ in run_all(twice, range(10**7), 2):
         print(end=".", flush=True)
 
 
-class OnlyHere:
-    """It can be sent, and not received."""
-
-    def __reduce__(self):
-        return _refuse, ()
-
-
-def _refuse():
-    raise ValueError("only here")
+def evaluate_or_sleep(task):
+    if task.recording.endswith("zz.bin"):
+        time.sleep(3600)
+    return evaluate_recording(task)

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from async_tnt.archive.collect import Collected, collect
-from async_tnt.archive.executor import Place
+from async_tnt.archive.collect import Progress, collect
+from async_tnt.archive.executor import executor_of
 from async_tnt.archive.job import Job, job_of, task_of
 from async_tnt.archive.records import run_recording
 from async_tnt.networks.engines import choose_engine
@@ -90,8 +90,8 @@ def test_run_writes_what_run_prints_under_the_same_options(name, workers, sets, 
     out = tmp_path / "r.jsonl"
     words = (*chosen[name], "--every-us", 20_000)
     assert program("run", sets / name, "--out", out, "--workers", workers, *words)[0] == 0
-    _, lines, told = program("run", *sorted((sets / name).glob("*/*")), "--json", *words)
-    assert "left out: " in told
+    _, lines, message = program("run", *sorted((sets / name).glob("*/*")), "--json", *words)
+    assert "left out: " in message
     expected: dict = {}
     for line in map(json.loads, lines.splitlines()):
         del line["latency_us"]
@@ -118,8 +118,8 @@ def test_what_is_left_out_is_as_if_it_had_never_been_recorded(name, sets, chosen
 def test_evaluate_is_as_of_a_dataset_without_those_events(workers, sets, chosen, tmp_path, program):
     reports = {}
     for name, words in chosen.items():
-        code, printed, told = program("evaluate", "digits", sets / name, "--json", "--workers", workers, *words)
-        assert code == 0 and told == ""
+        code, printed, message = program("evaluate", "digits", sets / name, "--json", "--workers", workers, *words)
+        assert code == 0 and message == ""
         reports[name] = report_of(printed)
         roi = {"roi": "40,20,34,34", "crop": True} if name == "large" else {}
         mask = {"clean": {}, "hot": hot_mask(SIZE), "large": hot_mask(CAMERA, CORNER)}[name]
@@ -147,24 +147,9 @@ def test_another_selection_is_another_job(words, sets, tmp_path, program):
     assert out.read_bytes() == before
     save_mask(mask, ~hot_mask(SIZE))
     for others in (("--mask", mask), (), ("--mask", sets / "hot.npy", "--roi", "0,0,33,34")):
-        code, _, told = program(*given, *others)
-        assert code == 2 and f"{out} was made by another model" in told and told.count("\n") == 1
+        code, _, message = program(*given, *others)
+        assert code == 2 and f"{out} was made with another model" in message and message.count("\n") == 1
     assert out.read_bytes() == before
-
-
-def test_an_interrupted_run_names_the_pixels_that_differ(sets, tmp_path, program, monkeypatch):
-    from async_tnt.archive import collect
-
-    def interrupt(*words, **named):
-        raise KeyboardInterrupt
-
-    words = "run", sets / "hot", "--out", tmp_path / "r.jsonl"
-    monkeypatch.setattr(collect, "write_results", interrupt)
-    assert program(*words, "--mask", sets / "hot.npy")[0] == 130
-    code, _, told = program(*words, "--roi", "0,0,20,20")
-    packed = PackedMask.of(hot_mask(SIZE))
-    assert code == 2 and told.count("\n") == 1
-    assert f"was begun with --mask 34x34 {packed.sha256[:16]} (now not given), --roi not given (now 0,0,20,20)" in told
 
 
 @pytest.mark.needs_pyarrow
@@ -172,15 +157,15 @@ def test_a_finished_parquet_names_the_pixels_that_differ(sets, tmp_path, program
     out = tmp_path / "r.parquet"
     words = "evaluate", "digits", sets / "large", "--out", out, "--mask", sets / "large.npy", "--crop"
     assert program(*words, "--roi", "40,20,34,34")[0] == 0
-    code, _, told = program(*words, "--roi", "41,20,34,34")
-    assert code == 2 and "was begun with --roi 40,20,34,34 (now 41,20,34,34): give the same" in told
+    code, _, message = program(*words, "--roi", "41,20,34,34")
+    assert code == 2 and "was made with roi 40,20,34,34 (now 41,20,34,34): give the same" in message
     assert program(*words, "--roi", "41,20,34,34", "--restart")[0] == 0
 
 
 def test_without_a_selection_the_job_is_the_one_of_older_results():
-    """The settings as they were written before there were selections: a change would make all results begin anew."""
+    """The settings as they were written before there were selections: a change would invalidate all results."""
     job = Job("run", "digits", "compiled", {"every_us": 5000}, model_sha256="a" * 64, version="0.1.0")
-    assert job.about == {
+    assert job.metadata == {
         "command": "run",
         "version": "0.1.0",
         "engine": "compiled",
@@ -198,29 +183,29 @@ def test_a_recording_of_which_nothing_is_left_says_so(sets, tmp_path, program):
     save_mask(tmp_path / "all.npy", everything)
     out = tmp_path / "r.jsonl"
     one = sets / "hot" / "3" / "a.npz"
-    code, _, told = program("run", one, "--out", out, "--mask", tmp_path / "all.npy")
+    code, _, message = program("run", one, "--out", out, "--mask", tmp_path / "all.npy")
     n = len(open_recording(one).read())
-    assert code == 2 and f"{one}: no events are left: {n:,} of masked pixels" in told
-    assert records_in(out)[0]["error"] in told
+    assert code == 2 and f"{one}: no events are left: {n:,} of masked pixels" in message
+    assert records_in(out)[0]["error"] in message
 
 
 def test_a_recording_of_another_sensor_is_an_error_of_that_recording(sets, tmp_path, program):
     write(tmp_path / "set" / "3" / "a.npz", open_recording(sample_recordings()[3]).read(), (50, 40))
     write(tmp_path / "set" / "3" / "b.npz", np.load(sets / "large" / "3" / "a.npz")["events"], CAMERA)
     words = "--roi", "40,20,34,34", "--crop", "--sensor", "100x80"
-    code, printed, told = program("evaluate", "digits", tmp_path / "set", "--json", *words)
+    code, printed, message = program("evaluate", "digits", tmp_path / "set", "--json", *words)
     assert code == 0 and json.loads(printed)["recordings"] == 1
-    assert "skipped: 3/a.npz: a sensor of 50x40 pixels, but --sensor says 100x80" in told
-    code, _, told = program("run", tmp_path / "set", "--out", tmp_path / "r.jsonl", *words[:3])
-    assert code == 2 and told.count("\n") == 1 and "must lie on the sensor of 50x40 pixels" in told
+    assert "skipped: 3/a.npz: a sensor of 50x40 pixels, but --sensor says 100x80" in message
+    code, _, message = program("run", tmp_path / "set", "--out", tmp_path / "r.jsonl", *words[:3])
+    assert code == 2 and message.count("\n") == 1 and "must lie on the sensor of 50x40 pixels" in message
 
 
 def test_where_no_file_says_the_camera_the_option_or_the_mask_does(sets, tmp_path, program):
     (tmp_path / "set" / "3").mkdir(parents=True)
     np.save(tmp_path / "set" / "3" / "a.npy", np.load(sets / "large" / "3" / "a.npz")["events"])
     words = "evaluate", "digits", tmp_path / "set", "--json", "--roi", "40,20,34,34", "--crop"
-    code, _, told = program(*words)
-    assert code == 2 and "does not say the camera's pixels, which --crop needs: give --sensor WxH" in told
+    code, _, message = program(*words)
+    assert code == 2 and "does not say the camera's pixels, which --crop needs: give --sensor WxH" in message
     by_option = program(*words, "--sensor", "100x80", "--mask", sets / "large.npy")
     by_mask = program(*words, "--mask", sets / "large.npy")
     assert by_option[0] == by_mask[0] == 0 and report_of(by_option[1]) == report_of(by_mask[1])
@@ -248,21 +233,20 @@ def test_wrong_options_are_one_line_before_any_work(command, words, text, sets, 
     (tmp_path / "torn.npy").write_bytes((sets / "hot.npy").read_bytes()[:90])
     words = [sets / "large.npy" if word == "LARGE" else word for word in words]
     start = ("run",) if command == "run" else ("evaluate", "digits")
-    code, printed, told = program(*start, sets / "hot", "--out", "r.jsonl", *words)
-    assert code == 2 and text in told and told.count("\n") == 1 and printed == "", told
+    code, printed, message = program(*start, sets / "hot", "--out", "r.jsonl", *words)
+    assert code == 2 and text in message and message.count("\n") == 1 and printed == "", message
     assert not list(tmp_path.glob("r.*"))
 
 
-@pytest.mark.parametrize("where", ["workers", "dask"])
-def test_workers_need_no_file_of_the_mask(where, sets, tmp_path, request):
-    place = Place(2) if where == "workers" else Place(dask=request.getfixturevalue("cluster"))
+@pytest.mark.parametrize("executor", ["processes", "dask"], indirect=True)
+def test_workers_need_no_file_of_the_mask(executor, sets, tmp_path):
     engine = choose_engine("digits", "compiled")
     mask = tmp_path / "m.npy"
     save_mask(mask, hot_mask(SIZE))
     job = job_of("run", "digits", engine, PixelSelection(mask=mask))
     mask.unlink()
     tasks = [task_of(path.parent.name, path, job) for path in sorted((sets / "hot").glob("*/*"))]
-    here, there = (collect(run_recording, tasks, at, Collected()) for at in (Place(), place))
+    here, there = (collect(run_recording, tasks, at, Progress()) for at in (executor_of(), executor))
     assert [what_was_decided(r) for r in there] == [what_was_decided(r) for r in here]
     assert len(there) == 10 and all(r["error"] is None for r in there)
 
@@ -272,16 +256,16 @@ def test_a_sensor_that_repeats_the_masks_size_goes_on(sets, chosen, tmp_path, pr
     words = ("run", sets / "large", "--out", out, *chosen["large"])
     assert program(*words)[0] == 0
     before = out.read_bytes()
-    code, printed, told = program(*words, "--sensor", "100x80")
-    assert code == 0 and "streamed now" not in printed, told
+    code, printed, message = program(*words, "--sensor", "100x80")
+    assert code == 0 and "streamed now" not in printed, message
     assert out.read_bytes() == before
     without_mask = (*words[:4], "--roi", "40,20,34,34", "--crop", "--restart")
     assert program(*without_mask, "--sensor", "100x80")[0] == 0
-    code, _, told = program(*without_mask[:-1], "--sensor", "101x80")  # of which these recordings are not
-    assert code == 2 and "was made by another model" in told
+    code, _, message = program(*without_mask[:-1], "--sensor", "101x80")  # of which these recordings are not
+    assert code == 2 and "was made with another model" in message
 
 
-def test_an_event_off_the_camera_is_told_as_by_run(sets, tmp_path, program):
+def test_an_event_off_the_camera_is_message_as_by_run(sets, tmp_path, program):
     """By whom its size is said, in the words of `run`, in a recording's error too."""
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "a.csv").write_text("t,x,y,p\n0,3,5,1\n1,99,90,1\n")
@@ -291,22 +275,22 @@ def test_an_event_off_the_camera_is_told_as_by_run(sets, tmp_path, program):
         (("--roi", "0,0,30,30"), "the model is for 34x34 pixels; train one for this camera"),
         ((), "the model is for 34x34 pixels; train one for this camera"),
     ):
-        code, _, told = program("run", tmp_path / "set", "--out", tmp_path / "r.jsonl", "--restart", *words)
+        code, _, message = program("run", tmp_path / "set", "--out", tmp_path / "r.jsonl", "--restart", *words)
         by_run = program("run", tmp_path / "set" / "a.csv", *words)[2].splitlines()[0]
-        assert code == 2 and told.splitlines()[0] == by_run and who in by_run, (told, by_run)
+        assert code == 2 and message.splitlines()[0] == by_run and who in by_run, (message, by_run)
 
 
 def test_a_thread_keeps_one_selector_and_counts_each_recording_of_its_own(sets, tmp_path, monkeypatch):
-    from async_tnt.archive import job as job_module
+    from async_tnt.archive import records as records_module
 
     made = []
 
-    class Counted(job_module.PixelSelector):
+    class Counted(records_module.PixelSelector):
         def __init__(self, *settings):
             made.append(settings)
             super().__init__(*settings)
 
-    monkeypatch.setattr(job_module, "PixelSelector", Counted)
+    monkeypatch.setattr(records_module, "PixelSelector", Counted)
     write(tmp_path / "1.npz", np.load(sets / "hot" / "3" / "a.npz")["events"], SIZE)
     at_hot_pixels = np.zeros(7, np.load(sets / "hot" / "3" / "a.npz")["events"].dtype)
     at_hot_pixels["x"], at_hot_pixels["y"] = HOT[0]

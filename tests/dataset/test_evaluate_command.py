@@ -8,7 +8,7 @@ from dataset.gestures import bar, write, write_set
 from made import random_model
 
 from async_tnt import Model, Processor, TNTConfig
-from async_tnt.archive.streamed import moments
+from async_tnt.archive.records import moments
 from async_tnt.cli import evaluate
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording

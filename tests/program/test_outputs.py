@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from made import random_events, random_model
 
-from async_tnt.archive.collect import Collected, collect_to_file
-from async_tnt.archive.executor import Place
+from async_tnt.archive.collect import Progress, collect_to_file
+from async_tnt.archive.executor import executor_of
 from async_tnt.archive.job import job_of, task_of
 from async_tnt.archive.records import run_recording
 from async_tnt.cli import main
@@ -46,7 +46,7 @@ def view(path):
 def collect(path):
     sample = sample_recordings()[1]
     task = task_of("1.bin", sample, job_of("run", "digits", choose_engine("digits"), None))
-    list(collect_to_file(run_recording, [task], Place(), path, Collected()))
+    list(collect_to_file(run_recording, [task], executor_of(), path, Progress()))
 
 
 def shard(path):
@@ -176,12 +176,12 @@ def test_a_command_refuses_its_output_before_any_work(name, folder, capsys):
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("precious")])
-def test_a_journal_is_a_file(make, folder, capsys):
-    make(folder / "r.jsonl.partial")
-    assert main(["run", SAMPLE, "--out", "r.jsonl"]) == 2
-    assert "r.jsonl.partial is a " in capsys.readouterr().err
+def test_lines_beside_a_parquet_file_are_a_file(make, folder, capsys):
+    make(folder / "r.parquet.jsonl")
+    assert main(["run", SAMPLE, "--out", "r.parquet"]) == 2
+    assert "r.parquet.jsonl is a " in capsys.readouterr().err
     with pytest.raises(FileExistsError, match="expected a regular file or a new name"):
-        collect(folder / "r.jsonl")
+        collect(folder / "r.parquet")
     assert (folder / "precious").read_text() == "precious"
 
 

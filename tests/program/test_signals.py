@@ -112,7 +112,7 @@ def test_a_signal_while_workers_are_spawned(number, tmp_path):
     words = ["evaluate", "digits", str(tmp_path), "--workers", "2"]
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
     assert done.returncode == 128 + number and done.stdout == ""
-    assert done.stderr == "async-tnt: interrupted: 0 of 2 recordings are done; and kept nowhere: see --out\n"
+    assert done.stderr == "async-tnt: interrupted: 0 of 2 recordings are done; nothing is kept without --out\n"
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
-from async_tnt.archive.workers import available_cores, run_all
+from async_tnt.archive.executor import available_cores, run_all
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.simulation.motions import motions_of

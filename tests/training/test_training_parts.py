@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from made import events_of
 
+from async_tnt.archive.records import decided_at
 from async_tnt.archive.scores import score_recordings
-from async_tnt.archive.streamed import decided_at
 from async_tnt.config import MAX_SIDE, TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.training.augment import FINE, Augmentation, fineness

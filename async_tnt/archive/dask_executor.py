@@ -1,0 +1,251 @@
+"""The executor that runs a function over many tasks on the machines of a Dask cluster."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import queue
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import urlsplit
+
+from async_tnt import __version__
+from async_tnt.archive.executor import Lost
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+CONNECT_S = 10.0
+"""For the scheduler to answer."""
+WORKERS_S = 15.0
+"""For the first worker to appear."""
+PATIENCE_S = 120.0
+"""For a worker to appear again, after the last one was lost."""
+POLL_S = 2.0
+IN_FLIGHT = 2
+"""Chunks for each of the cluster's threads: one in progress, one queued."""
+CHUNK_S = 0.2
+"""Aim for a chunk's duration: sending one costs some milliseconds, as long as a short recording."""
+MAX_CHUNK = 100
+EXPECTED = "expected the address that `dask scheduler` prints, such as tcp://10.0.0.1:8786"
+
+
+class DaskExecutor:
+    """The workers of a Dask cluster, for an archive's tasks; `address` is that of its scheduler."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+
+    def run(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task], lost: Lost[Task, Result] = None
+    ) -> Generator[Result]:
+        """See `Executor.run`.
+
+        The cluster has a few chunks of tasks at a time; a chunk of long recordings is one. Dask gives a chunk up when
+        it was at `distributed.scheduler.allowed-failures` + 1 workers that ended (4 by default). It may only have been
+        queued there, so each of its tasks is tried once more, alone.
+
+        Raises
+        ------
+        ImportError : Dask is not installed.
+        ValueError : not an address; or workers have no async_tnt, another version of it, or cannot read the files.
+        OSError : no scheduler answers, or it is gone; there are no workers, or none for `PATIENCE_S`.
+        """
+        if tasks:
+            with _connected(self.address) as client:
+                _check_workers(client, self.address, tasks)
+                yield from _Run(client, self.address, function, lost).results(tasks)
+
+
+class _Run:
+    """Tasks on a cluster, a bounded number at a time."""
+
+    def __init__(self, client: Any, address: str, function: Callable[[Any], Any], lost: Lost[Any, Any]) -> None:
+        self._client = client
+        self._address = address
+        self._function = function
+        self._lost = lost
+        self._in_flight: dict[str, tuple[Any, list[Any]]] = {}
+        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._chunk = 1
+        self._n_threads = 1
+        self._polled = self._worker_seen = time.monotonic()
+
+    def results(self, tasks: Sequence[Any]) -> Generator[Any]:
+        waiting = deque(tasks)
+        suspects: list[Any] = []
+        while waiting or self._in_flight:
+            self._count_threads()
+            while waiting and len(self._in_flight) < IN_FLIGHT * self._n_threads:
+                share = 1 + len(waiting) // (4 * self._n_threads)  # the last chunks are small: no worker idles
+                self._submit([waiting.popleft() for _ in range(min(self._chunk, share, len(waiting)))])
+            yield from self._next_results(suspects)
+        for task in suspects:
+            self._submit([task])
+            given_up: list[Any] = []
+            while self._in_flight:
+                self._count_threads()
+                yield from self._next_results(given_up)
+            if given_up:
+                if self._lost is None:
+                    raise ChildProcessError(f"a task ended its workers of the Dask cluster at {self._address}")
+                yield self._lost(task)
+
+    def _submit(self, chunk: list[Any]) -> None:
+        # pure=False and a key of its own: never the result of another program's call
+        key = f"async-tnt-{uuid.uuid4().hex}"
+        future = self._client.submit(_run_chunk, self._function, chunk, key=key, pure=False)
+        self._in_flight[key] = future, chunk
+        future.add_done_callback(self._ended.put)
+
+    def _next_results(self, given_up: list[Any]) -> list[Any]:
+        """Results of a chunk that has ended, if one has within a second; tasks of one that ended workers go to
+        `given_up`."""
+        from distributed import KilledWorker
+
+        try:
+            future = self._ended.get(timeout=1.0)
+        except queue.Empty:
+            return []
+        if future.key not in self._in_flight:
+            return []
+        _, chunk = self._in_flight[future.key]
+        results: list[Any] = []
+        if future.status not in ("finished", "error"):
+            raise ConnectionError(f"the Dask scheduler at {self._address} is gone, or has cancelled the work")
+        try:
+            if future.status == "error":
+                raise future.exception()
+            seconds, results = future.result(timeout=30.0)
+            self._chunk = max(1, min(int(CHUNK_S * len(chunk) / max(seconds, 1e-6)), 2 * self._chunk, MAX_CHUNK))
+        except KilledWorker:
+            given_up += chunk
+        except TimeoutError:
+            if future.status == "error":
+                raise
+            future.add_done_callback(self._ended.put)  # lost with its worker: the scheduler has it repeated
+            return []
+        del self._in_flight[future.key]
+        return results
+
+    def _count_threads(self) -> None:
+        """Follow the size of the cluster; give up when it has had no worker for long."""
+        now = time.monotonic()
+        if now - self._polled < POLL_S and self._in_flight:
+            return
+        try:
+            n_threads = sum(self._client.nthreads().values()) if self._client.status == "running" else None
+        except Exception:
+            n_threads = None
+        if n_threads is None:
+            raise ConnectionError(f"the Dask scheduler at {self._address} is gone")
+        self._polled = now
+        if n_threads:
+            self._n_threads, self._worker_seen = n_threads, now
+        elif now - self._worker_seen > PATIENCE_S:
+            raise ConnectionError(f"the Dask cluster at {self._address} has had no worker for {PATIENCE_S:.0f} s")
+
+
+def _run_chunk(function: Callable[[Any], Any], chunk: list[Any]) -> tuple[float, list[Any]]:
+    """On a worker: the seconds it took, and the results."""
+    started = time.perf_counter()
+    results = [function(task) for task in chunk]
+    return time.perf_counter() - started, results
+
+
+@contextlib.contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    try:
+        from distributed import Client, rpc
+    except ImportError as error:
+        raise ImportError(f"--dask needs Dask: pip install '.[cluster]' ({error})") from None
+    _check_address(address)
+
+    async def identify() -> None:
+        async with rpc(address) as scheduler:
+            await scheduler.identity()
+
+    with _silent_loggers():
+        try:
+            # `Client` has a timeout of its own, but waits forever for a server that accepts and says nothing
+            asyncio.run(asyncio.wait_for(identify(), CONNECT_S))
+            client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
+        except Exception as error:  # of many types, by what is wrong with the address
+            raise ConnectionError(f"no Dask scheduler answers at {address}; {EXPECTED} ({_one_line(error)})") from None
+        try:
+            yield client
+        finally:
+            client.close(timeout=5)
+
+
+def _check_address(address: str) -> None:
+    try:
+        parts = urlsplit(address if "://" in address else f"tcp://{address}")
+        is_address = bool(parts.hostname and parts.port)
+    except ValueError:
+        is_address = False
+    if not is_address:
+        raise ValueError(f"--dask {address}: no host and port; {EXPECTED}")
+
+
+@contextlib.contextmanager
+def _silent_loggers() -> Iterator[None]:
+    """Errors become one line of ours; Dask would log them too, with their tracebacks."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado", "asyncio")]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _check_workers(client: Any, address: str, tasks: Sequence[Any]) -> None:
+    """Ask every worker, before any work, whether it has this package and can read the files."""
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_S)
+    except TimeoutError:
+        raise ConnectionError(
+            f"the Dask cluster at {address} has no workers: start some, `dask worker {address} --nthreads 1`"
+        ) from None
+    files = [str(next((task for task in tasks if task.bytes is not None), tasks[0]).path)]
+    model = tasks[0].job.model
+    if Path(model).is_absolute():
+        files.append(model)
+
+    # A nested function is sent as code: a worker without async_tnt could not import another.
+    def look(files: list[str]) -> tuple[str | None, str, list[str]]:
+        import os
+
+        try:
+            import async_tnt
+        except ImportError as error:
+            return None, str(error), []
+        return async_tnt.__version__, "", [file for file in files if not os.access(file, os.R_OK)]
+
+    try:
+        found = client.run(look, files)
+    except Exception as error:
+        raise ConnectionError(f"a worker of the Dask cluster at {address} does not answer: {error}") from None
+    for worker, (version, why, unreadable) in found.items():
+        if version is None:
+            raise ValueError(f"worker {worker} has no async_tnt ({why}): install it there, version {__version__}")
+        if version != __version__:
+            raise ValueError(
+                f"worker {worker} has async_tnt {version}, this program is {__version__}: install the same"
+            )
+        if unreadable:
+            raise ValueError(
+                f"worker {worker} cannot read {unreadable[0]}: all machines must see the files by the same path"
+            )
