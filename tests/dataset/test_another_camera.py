@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 from dataset.gestures import bar
-from recordings.written import BYTES
+from recordings.written import FORMATS as WRITERS
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.model import load_model
@@ -43,7 +43,7 @@ def write_camera(folder, counts, sensor, formats=FORMATS, seed=0):
         for k in range(n):
             kind = formats[k % len(formats)]
             events = of_camera(name, 1000 * seed + k, sensor, DURATIONS_US[k % 3])
-            data = BYTES[kind](events, sensor)
+            data = WRITERS[kind].of_bytes(events, sensor)
             if kind == "uzh.txt":
                 data = data.split(b"\n", 1)[1]  # without the line that states the sensor
             (folder / name / f"{k:02d}_{kind}").write_bytes(data)
