@@ -101,15 +101,15 @@ def test_the_table_shows_every_figure(report):
 
 
 def test_an_engine_of_other_logits_is_refused(small_grids, monkeypatch, capsys):
-    from async_tnt.checking import backends as contenders
+    from async_tnt.checking import backends
 
-    right = contenders.MAKERS["dense"]
+    right = backends.MAKERS["dense"]
 
     def wrong(model):
         network = right(model)
         return lambda volume: 1.001 * network(volume)
 
-    monkeypatch.setitem(contenders.MAKERS, "dense", wrong)
+    monkeypatch.setitem(backends.MAKERS, "dense", wrong)
     assert main(parse("--quick")) == 1
     captured = capsys.readouterr()
     assert "all must give the same logits within 0.0001, got incremental and dense 1.0e-03 apart" in captured.err
@@ -129,8 +129,8 @@ def test_different_work_is_not_timed_but_refused(small_grids, monkeypatch, capsy
 
 
 def test_without_torch_it_says_so_and_times_ours(small_grids, monkeypatch, capsys):
-    for module in ("command", "contenders"):
-        monkeypatch.setattr(f"async_tnt.bench.{module}.is_installed", lambda *packages: not packages)
+    for module in ("cli.bench", "checking.backends"):
+        monkeypatch.setattr(f"async_tnt.{module}.is_installed", lambda *packages: not packages)
     assert main(parse("--quick")) == 0
     text = capsys.readouterr().out
     assert "torch is not installed: only our own times" in text
@@ -139,8 +139,8 @@ def test_without_torch_it_says_so_and_times_ours(small_grids, monkeypatch, capsy
     assert "CompiledClassifier.refresh" in text and "CompiledClassifier(array)" in text
 
 
-def test_the_bench_package_does_not_import_torch():
-    code = "import sys, async_tnt.bench, async_tnt.checking.bench_latency; sys.exit('torch' in sys.modules)"
+def test_the_command_does_not_import_torch():
+    code = "import sys, async_tnt.cli.bench; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

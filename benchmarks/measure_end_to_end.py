@@ -9,7 +9,7 @@ import numpy as np
 from async_tnt import Model, Processor
 from async_tnt.checking.backends import Network, missing, new_network
 from async_tnt.checking.bench_network import N_WARM
-from async_tnt.checking.interleaved import Contender, call_by_call, in_blocks
+from async_tnt.checking.interleaved import Backend, call_by_call, in_blocks
 from async_tnt.checking.moments import Moment, Moments
 from async_tnt.checking.timing import is_installed
 
@@ -95,15 +95,15 @@ def bench_end_to_end(
 
     Parameters
     ----------
-    onnxruntime : how it is called fastest, of `contenders.ONNXRUNTIME`; None where it is not installed. Each row that
+    onnxruntime : how it is called fastest, of `backends.ONNXRUNTIME`; None where it is not installed. Each row that
         has a network of it has one of its own.
 
     Other parameters, what is returned and raised: as for `bench_network`. Ratios are over `ours`.
     """
     moments = Moments(windows, model.config.window_us, n_new)
 
-    def contenders() -> dict[str, Contender]:
-        made: dict[str, Contender] = {"ours": Stream(model)}
+    def backends() -> dict[str, Backend]:
+        made: dict[str, Backend] = {"ours": Stream(model)}
         if onnxruntime is not None:
             made["ours_onnxruntime"] = Stream(model, new_network(onnxruntime, model))
         if is_installed("torch", "tnt_reference"):
@@ -112,10 +112,10 @@ def bench_end_to_end(
             made["eventcv_onnxruntime"] = EventcvRebuild(model, new_network(onnxruntime, model))
         return made
 
-    call_by_call(contenders(), moments.blocks(1, N_WARM))  # warms up, and compares before any timing
+    call_by_call(backends(), moments.blocks(1, N_WARM))  # warms up, and compares before any timing
     return {
-        "call_by_call": call_by_call(contenders(), moments.blocks(blocks, size)).report(),
-        "in_blocks": in_blocks(contenders(), moments.blocks(blocks, size)).report(),
+        "call_by_call": call_by_call(backends(), moments.blocks(blocks, size)).report(),
+        "in_blocks": in_blocks(backends(), moments.blocks(blocks, size)).report(),
     }
 
 
