@@ -36,7 +36,7 @@ from async_tnt.checking.bench_network import bench_network
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import Progress, is_installed, machine, one_thread
-from async_tnt.cli.arguments import writable_file
+from async_tnt.cli.options import writable_file
 from async_tnt.files import write_text
 from async_tnt.views.style import check_picture
 

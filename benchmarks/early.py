@@ -22,7 +22,7 @@ from draw_early import draw_early
 from measure_early import measure_early, n_settings
 
 from async_tnt.archive.workers import available_cores
-from async_tnt.cli.arguments import writable_file
+from async_tnt.cli.options import writable_file
 from async_tnt.files import write_text
 from async_tnt.progress import progress
 from async_tnt.views.style import check_picture

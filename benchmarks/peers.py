@@ -24,7 +24,7 @@ import numpy as np
 from async_tnt import EVENT_DTYPE, TNTConfig, TNTVolume, warmup
 from async_tnt.checking.bench_volumes import GRIDS, made_events
 from async_tnt.checking.timing import Progress, interleave, is_installed, machine, one_thread, spread, work_clock
-from async_tnt.cli.arguments import writable_file
+from async_tnt.cli.options import writable_file
 from async_tnt.files import write_text
 
 BINS = 9

@@ -5,12 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
-from async_tnt.cli.arguments import add_files, add_start, complain, model_of, one_line, open_all, paths_of
+from async_tnt.cli.options import add_files, add_start, model_of, paths_of
+from async_tnt.cli.output import complain, one_line
 from async_tnt.events import EVENT_DTYPE
+from async_tnt.networks.model import Model
 from async_tnt.progress import progress
+from async_tnt.sources.files.fitting import check_events, check_sensor, open_for
+from async_tnt.sources.files.recording import Recording
 
 DESCRIPTION = f"""Hold the stream against the batch reference (torch) on recordings, under every landmark:
 
@@ -52,7 +57,7 @@ def main(args: argparse.Namespace) -> int:
     paths = paths_of(args)
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
-        for recording in open_all(paths, model):
+        for recording in _open_all(paths, model):
             events = recording.read().astype(EVENT_DTYPE, copy=False)
             if events.size == 0:
                 raise ValueError(f"{recording.path}: no events, nothing to check")
@@ -65,6 +70,16 @@ def main(args: argparse.Namespace) -> int:
     else:
         _print_table(results, equal=not failed)
     return 1 if failed else 0
+
+
+def _open_all(paths: list[Path], model: Model) -> Iterator[Recording]:
+    """Open recordings one after the other; raise for one that does not fit the model."""
+    for path in paths:
+        recording = open_for(path, model.config.sensor)
+        check_sensor(path, recording.sensor, model.config.sensor)
+        if recording.sensor is None:
+            check_events(recording, model.config.sensor, path)
+        yield recording
 
 
 def _prefixes(text: str) -> int | None:
@@ -91,8 +106,8 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
     for path, comparisons in results.items():
         for c in comparisons:
             if not c.holds:
-                told = f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons"
-                print(one_line(told), file=sys.stderr)
+                failure = f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons"
+                print(one_line(failure), file=sys.stderr)
     print(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
 
 

@@ -17,7 +17,8 @@ from async_tnt.archive.records import evaluate_recording, outcome_of
 from async_tnt.archive.scores import Scores, score_recordings
 from async_tnt.archive.streamed import Outcome, evaluation_settings, moments
 from async_tnt.cli.archive_options import Interrupted, add_archive, place_of, stream_archive
-from async_tnt.cli.arguments import complain, model_of, one_line
+from async_tnt.cli.options import model_of
+from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.networks.engines import Engine
 from async_tnt.networks.model import Model, bundled_models

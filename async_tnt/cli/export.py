@@ -7,7 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.arguments import model_of, one_line
+from async_tnt.cli.options import model_of
+from async_tnt.cli.output import one_line
 from async_tnt.files import Replacement, check_writable
 from async_tnt.networks.model import Model, bundled_models
 

@@ -8,7 +8,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from async_tnt.cli.arguments import complain, positive_int
+from async_tnt.cli.options import positive_int
+from async_tnt.cli.output import complain
 from async_tnt.sources.background_reader import BackgroundReader
 from async_tnt.sources.live import LiveSource, open_live
 from async_tnt.sources.pixel_selector import PixelSelector

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.decision_lines import Queue
+from async_tnt.cli.output import Queue
 from async_tnt.decision import Decision
 from async_tnt.decision_counts import Counts
 from async_tnt.processor import Processor

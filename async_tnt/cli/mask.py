@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.arguments import one_line
+from async_tnt.cli.output import one_line
 from async_tnt.progress import progress
 from async_tnt.sources import hot_pixels
 from async_tnt.sources.files.formats import READERS

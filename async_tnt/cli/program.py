@@ -14,7 +14,7 @@ from types import FrameType
 from typing import NoReturn
 
 from async_tnt import __version__
-from async_tnt.cli.arguments import complain, one_line
+from async_tnt.cli.output import complain, one_line
 from async_tnt.signals import handled_by
 
 COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)

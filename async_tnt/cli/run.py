@@ -7,13 +7,20 @@ import errno
 from pathlib import Path
 
 from async_tnt.cli.archive_options import add_archive, check_no_archive, run_archive
-from async_tnt.cli.arguments import add_files, add_start, complain, paths_of, positive_int, positive_number
-from async_tnt.cli.decision_lines import HEADER, json_line, text_line
 from async_tnt.cli.live_packets import add_latest
+from async_tnt.cli.options import (
+    add_files,
+    add_start,
+    add_triggers,
+    paths_of,
+    positive_int,
+    positive_number,
+    triggers_of,
+)
+from async_tnt.cli.output import HEADER, complain, json_line, text_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected, print_decisions, watch_decisions
 from async_tnt.cli.run_source import run_source
-from async_tnt.cli.trigger_options import add_triggers, triggers_of
 from async_tnt.compile_ahead import warmup
 from async_tnt.networks.engines import ENGINES, choose_engine
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.arguments import complain, one_line
-from async_tnt.cli.decision_lines import Line
 from async_tnt.cli.live_view import LiveView, decide_often
+from async_tnt.cli.output import Line, complain, one_line
 from async_tnt.decision import Decision
 from async_tnt.networks.engines import Engine
 from async_tnt.processor import Processor

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.cli.arguments import complain, paths_of, positive_int
+from async_tnt.cli.options import paths_of, positive_int
+from async_tnt.cli.output import complain
 from async_tnt.sources.datagrams import EVENT_BYTES
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.replay import replay, wait_until

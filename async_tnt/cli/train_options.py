@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.arguments import positive_int
+from async_tnt.cli.options import positive_int
 from async_tnt.cli.pixel_options import add_selection
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 from async_tnt.sources.sizes import size_text

@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.arguments import add_files, add_start, complain, one_line, paths_of, positive_number
 from async_tnt.cli.live_packets import add_latest, live_packets
+from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
+from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected
-from async_tnt.cli.trigger_options import add_triggers, triggers_of
 from async_tnt.compile_ahead import warmup
 from async_tnt.files import check_writable
 from async_tnt.networks.engines import choose_engine

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.archive.scores import Scores
-from async_tnt.cli.arguments import one_line
+from async_tnt.cli.output import one_line
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.config import TNTConfig
 from async_tnt.files import write_text
