@@ -38,7 +38,7 @@ from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import Progress, is_installed, machine, one_thread
 from async_tnt.cli.options import writable_file
 from async_tnt.files import write_text
-from async_tnt.views.style import check_picture
+from async_tnt.views.figure_style import check_picture
 
 MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
@@ -194,7 +194,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")
     if args.picture:
-        from async_tnt.views.style import save, styled
+        from async_tnt.views.figure_style import save, styled
 
         with styled():
             save(draw_decisions(report), args.picture, dpi=100)

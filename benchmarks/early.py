@@ -25,7 +25,7 @@ from async_tnt.archive.workers import available_cores
 from async_tnt.cli.options import writable_file
 from async_tnt.files import write_text
 from async_tnt.progress import progress
-from async_tnt.views.style import check_picture
+from async_tnt.views.figure_style import check_picture
 
 QUICK = 20  # recordings
 
@@ -119,7 +119,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")
     if args.picture:
-        from async_tnt.views.style import save, styled
+        from async_tnt.views.figure_style import save, styled
 
         with styled():
             save(draw_early(report), args.picture, dpi=100)

@@ -23,7 +23,7 @@ from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.networks.engines import Engine
 from async_tnt.networks.model import Model, bundled_models
 from async_tnt.sources.class_folders import find_recordings
-from async_tnt.views.style import check_picture
+from async_tnt.views.figure_style import check_picture
 
 SHOWN = 10  # classes that a refusal names
 
@@ -96,7 +96,7 @@ def main(args: argparse.Namespace) -> int:
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
     if args.picture is not None:
-        from async_tnt.views.confusion import write_confusion
+        from async_tnt.views.figure_confusion import write_confusion
 
         title = f"{args.dataset.name}: {scores.accuracy:.1%} of {len(good)} recordings right"
         course = [(m["time_us"], m["accuracy"], m["decided"]) for m in report["accuracy_against_time"]]

@@ -18,7 +18,7 @@ from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.hot_pixels import FACTOR, count_pixels
 from async_tnt.sources.pixel_masks import checked_out, save_mask
 from async_tnt.sources.sizes import by, size_of
-from async_tnt.views.style import check_picture
+from async_tnt.views.figure_style import check_picture
 
 DESCRIPTION = """Find the hot pixels of a camera: those that send far more events than their neighbours and the whole
 sensor make plausible. Several recordings of one camera count as one.
@@ -138,7 +138,7 @@ def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:
     """Events per pixel in grey, on a logarithmic scale, and a circle about each hot pixel."""
     from matplotlib.colors import LogNorm
 
-    from async_tnt.views.style import ON, WIDTH, new_figure, save, styled
+    from async_tnt.views.figure_style import ON, WIDTH, new_figure, save, styled
 
     height, width = counts.shape
     with styled():

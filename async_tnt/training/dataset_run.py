@@ -241,7 +241,7 @@ def write_beside(
         return written
     written.append(curves)
     if scores is not None:
-        from async_tnt.views.confusion import write_confusion
+        from async_tnt.views.figure_confusion import write_confusion
 
         title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
         written.append(write_confusion(scores.confusion, scores.classes, confusion, title))

@@ -13,8 +13,7 @@ from async_tnt.decision import Decision
 from async_tnt.decision_counts import Counts
 from async_tnt.processor import Processor
 from async_tnt.views import rerun_layout as layout
-from async_tnt.views.rerun_newest import newest_text
-from async_tnt.views.rerun_pictures import bin_sheet, class_colours, event_image
+from async_tnt.views.rerun_pictures import bin_sheet, class_colours, event_image, newest_text
 
 MOST_LINES = 20  # decisions written between two pictures; of more, the newest are
 MOST_SERIES = 64  # classes; of more, only the likeliest one's probability is drawn

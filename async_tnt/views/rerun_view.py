@@ -18,9 +18,8 @@ from async_tnt.processor import Processor
 from async_tnt.streams import as_processor
 from async_tnt.views import rerun_layout as layout
 from async_tnt.views.rerun_log import StreamLog
-from async_tnt.views.rerun_moments import next_moment
 from async_tnt.views.rerun_sinks import import_rerun, sink_of
-from async_tnt.views.untransformed_volume import RawTwin
+from async_tnt.views.untransformed_volume import UntransformedVolume
 
 CHECK_S = 1.0  # so often the sink is asked whether it still works; what waits for a slow viewer stays small, too
 LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits
@@ -71,7 +70,7 @@ class RerunView:
         config = self.processor.config
         self._picture_us = int(picture_us)
         self._pause_s = 0.0 if most_pictures_per_s is None else 1 / most_pictures_per_s
-        self._twin = RawTwin(config, self.processor.late)
+        self._untransformed = UntransformedVolume(config, self.processor.late)
         self._sink = sink_of(None if out is None else Path(out), connect)
         self._stream = stream = rr.RecordingStream(layout.APPLICATION)
         self._sink.open(stream)
@@ -107,7 +106,7 @@ class RerunView:
         """
         self.finish()
         self.processor.reset()
-        self._twin.reset()
+        self._untransformed.reset()
         self._forget()
         self._log.name = name
 
@@ -117,7 +116,7 @@ class RerunView:
         Raises
         ------
         ValueError, TypeError : the packet breaks a rule; none of it was taken. Also where the view cannot follow the
-            processor, see `RawTwin`.
+            processor, see `UntransformedVolume`.
         """
         packet = as_events(events, self.processor.config.sensor)
         if len(packet) == 0:
@@ -190,7 +189,7 @@ class RerunView:
         """The state just before `at_us`."""
         assert self._origin_us is not None
         now = self.processor.fire()
-        raw = self._twin.follow(self._unseen, now)
+        raw = self._untransformed.follow(self._unseen, now)
         oldest_us = at_us - self._picture_us
         recent = [packet[packet["t"] >= oldest_us] for packet in (*self._recent, *self._unseen)]
         self._recent, self._unseen = [packet for packet in recent if len(packet)], []
@@ -237,3 +236,28 @@ class RerunView:
                 self.finish()
             self._origin_us = None
         self.close()
+
+
+def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:
+    """The first moment after `t_us` at which a picture is due.
+
+    Windows are laid end to end from `origin_us`. Pictures are due every `step_us` from a window's start and at its end,
+    so that the last picture of a window shows all of it. Where a window is shorter than a step: at the end of as many
+    whole windows as a step needs.
+
+    Parameters
+    ----------
+    t_us, origin_us : int microseconds; `t_us` may be before `origin_us`.
+    window_us, step_us : int microseconds, at least 1.
+
+    Examples
+    --------
+    >>> [next_moment(t, 1000, 105, 40) for t in (1000, 1040, 1080, 1105)]
+    [1040, 1080, 1105, 1145]
+    >>> [next_moment(t, 1000, 30, 40) for t in (1000, 1060)]
+    [1060, 1120]
+    """
+    if window_us < step_us:
+        window_us = step_us = window_us * -(-step_us // window_us)
+    start_us = t_us - (t_us - origin_us) % window_us
+    return min(start_us + ((t_us - start_us) // step_us + 1) * step_us, start_us + window_us)

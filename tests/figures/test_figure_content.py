@@ -9,9 +9,14 @@ from figures.drawing import sample, subject
 from made import events_of, random_model
 
 import async_tnt
-from async_tnt.views import events3d, motions, overview, pipeline, probabilities, slices
-from async_tnt.views.style import OFF, ON
-from async_tnt.views.subject import Subject
+from async_tnt.views import figure_events as events3d
+from async_tnt.views import figure_motions as motions
+from async_tnt.views import figure_overview as overview
+from async_tnt.views import figure_pipeline as pipeline
+from async_tnt.views import figure_probabilities as probabilities
+from async_tnt.views import figure_slices as slices
+from async_tnt.views.figure_style import OFF, ON
+from async_tnt.views.figure_subject import Subject
 
 
 def dots(axes):

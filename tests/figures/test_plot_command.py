@@ -332,8 +332,8 @@ def test_drawing_needs_no_torch_no_pyplot_and_changes_no_settings():
 
 def test_the_package_and_its_help_import_no_matplotlib():
     code = (
-        "import sys, async_tnt, async_tnt.cli.plot, async_tnt.views.overview, async_tnt.views.motions, "
-        "async_tnt.views.pipeline; print('matplotlib' in sys.modules)"
+        "import sys, async_tnt, async_tnt.cli.plot, async_tnt.views.figure_overview, async_tnt.views.figure_motions, "
+        "async_tnt.views.figure_pipeline; print('matplotlib' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout == "False\n"

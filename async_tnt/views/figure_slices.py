@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.views.events3d import transform_words
-from async_tnt.views.style import (
+from async_tnt.views.figure_events import transform_words
+from async_tnt.views.figure_style import (
     LARGE,
     OFF,
     ON,
@@ -22,7 +22,7 @@ from async_tnt.views.style import (
     one_colour_map,
     polarity_map,
 )
-from async_tnt.views.subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

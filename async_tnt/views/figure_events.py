@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.views.style import GREY, LARGE, OFF, ON, SMALL, TEXT, new_figure, polarity_legend
-from async_tnt.views.subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_style import GREY, LARGE, OFF, ON, SMALL, TEXT, new_figure, polarity_legend
+from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from async_tnt.views.style import GREY, LARGE, PALE, SMALL, TEXT, new_figure, one_colour_map, save, styled
+from async_tnt.views.figure_style import GREY, LARGE, PALE, SMALL, TEXT, new_figure, one_colour_map, save, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

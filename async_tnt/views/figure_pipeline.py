@@ -9,11 +9,11 @@ import numpy as np
 from async_tnt.decision import Decision
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
-from async_tnt.views.events3d import draw_raw, draw_transformed
-from async_tnt.views.probabilities import draw_rate, short
-from async_tnt.views.slices import colour_limit, draw_slice, layers_of
-from async_tnt.views.style import GREY, LARGE, NORMAL, OFF, PALE, SMALL, TEXT, WIDTH, new_figure, polarity_legend
-from async_tnt.views.subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_events import draw_raw, draw_transformed
+from async_tnt.views.figure_probabilities import draw_rate, short
+from async_tnt.views.figure_slices import colour_limit, draw_slice, layers_of
+from async_tnt.views.figure_style import GREY, LARGE, NORMAL, OFF, PALE, SMALL, TEXT, WIDTH, new_figure, polarity_legend
+from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

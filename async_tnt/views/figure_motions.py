@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.views.events3d import MOST_DOTS, transform_words
-from async_tnt.views.slices import bin_ms, colour_limit, draw_slice, layers_of, shown_bins
-from async_tnt.views.style import LARGE, OFF, ON, SMALL, TEXT, WIDTH, new_figure
-from async_tnt.views.subject import Window, shown_evenly
+from async_tnt.views.figure_events import MOST_DOTS, transform_words
+from async_tnt.views.figure_slices import bin_ms, colour_limit, draw_slice, layers_of, shown_bins
+from async_tnt.views.figure_style import LARGE, OFF, ON, SMALL, TEXT, WIDTH, new_figure
+from async_tnt.views.figure_subject import Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,9 +9,21 @@ import numpy as np
 from async_tnt.decision import Decision
 from async_tnt.processor import Processor
 from async_tnt.progress import progress
-from async_tnt.views.events3d import transform_words
-from async_tnt.views.style import GREY, HIGHLIGHTS, LARGE, NORMAL, OFF, ON, PALE, SMALL, TEXT, few_ticks, new_figure
-from async_tnt.views.subject import Subject
+from async_tnt.views.figure_events import transform_words
+from async_tnt.views.figure_style import (
+    GREY,
+    HIGHLIGHTS,
+    LARGE,
+    NORMAL,
+    OFF,
+    ON,
+    PALE,
+    SMALL,
+    TEXT,
+    few_ticks,
+    new_figure,
+)
+from async_tnt.views.figure_subject import Subject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
