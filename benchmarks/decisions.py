@@ -2,10 +2,10 @@
 
     python benchmarks/decisions.py [--quick] [--json FILE] [--picture FILE]
 
-One process, one thread each, warm, in turns, on the windows of the bundled recordings; before anything is timed, all
+One process, one thread each, warm, interleaved, on the windows of the bundled recordings; before anything is timed, all
 must give the same logits within 1e-4. Decisions are timed twice: backends alternate from call to call (each finds
 the caches full of the others), and they decide in blocks (each has them to itself). Compare within one of these only.
-Rows whose package is not installed are left out, and why is said:
+Rows whose package is not installed are left out, with the reason:
 `pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
 """
 

@@ -1,4 +1,4 @@
-"""From handing over a packet of new events to the decision: the stream's way, and making the window's volume anew."""
+"""From a packet of new events to the decision: by the stream, and by computing the window's volume again."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Stream:
 
 
 class TorchRebuild:
-    """The batch way in torch, as fast as we can write it."""
+    """Batch processing in torch, as fast as we can write it."""
 
     def __init__(self, model: Model) -> None:
         import torch
@@ -91,7 +91,7 @@ class EventcvRebuild:
 def bench_end_to_end(
     model: Model, onnxruntime: str | None, windows: list[np.ndarray], n_new: int, *, blocks: int, size: int
 ) -> dict[str, Any]:
-    """Time decisions, from handing over a packet of `n_new` events on.
+    """Time decisions, from the call with a packet of `n_new` events.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def eventcv_fits(model: Model) -> bool:
 
 
 def left_out() -> dict[str, str]:
-    """The rows of `WORK` that are not here, and why."""
+    """The rows of `WORK` that are not available, and why."""
     needs = {
         "ours_onnxruntime": ("onnx", "onnxruntime"),
         "torch": ("torch", "tnt_reference"),

@@ -18,9 +18,9 @@ STRETCH = 2000  # single decisions with, then as many without the collector
 def bench_singles(model: Model, recordings: list[np.ndarray], *, n_decisions: int) -> dict[str, Any]:
     """Time single decisions, `push_one` of event after event with `every_events=1`, by the wall clock.
 
-    Each way has a Processor of its own, and in stretches of STRETCH they take turns: `collector`, with Python's garbage
+    Each way has a Processor of its own, and they alternate in runs of STRETCH: `collector`, with Python's garbage
     collector as users have it; `no_collector`, without; and `machine`, a loop of Python's own additions that takes
-    about as long as a decision and knows nothing of us: what lies far from its median is the machine's doing.
+    about as long as a decision and knows nothing of us: values far from its median are caused by the machine.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def _singles(model: Model, recordings: list[np.ndarray]) -> Callable[[], float]:
 
 
 def _additions(us: float) -> Callable[[], float]:
-    """A fixed number of additions that take about so many microseconds."""
+    """A fixed number of additions that takes about this many microseconds."""
 
     def add(n: int) -> float:
         started = time.perf_counter()

@@ -1,8 +1,8 @@
-"""Event volumes of 9 bins: ours against eventcv, tonic and torch, in one run, in turns, warm, on one thread.
+"""Event volumes of 9 bins: ours against eventcv, tonic and torch, in one run, interleaved, warm, on one thread.
 
     python benchmarks/peers.py [--quick] [--json FILE]
 
-A row is left out, and why is said, where its package is not installed:
+A row is left out, with the reason, if its package is not installed:
 `pip install torch==2.13.0 eventcv tonic`. What each row does is printed beside its figures, for they do not
 all do the same: read `WORK` before quoting a ratio.
 """

@@ -29,8 +29,8 @@ def bench_every_event(
 
     Parameters
     ----------
-    networks : whole ones, by name.
-    recordings : round k takes number k, and so do all backends in that round.
+    networks : dense ones, by name.
+    recordings : round k uses number k, for all backends.
     n_events : of each recording, the first ones; None for all.
 
     Returns
@@ -60,7 +60,7 @@ def bench_every_event(
 
 
 def _as_callable(network: Network) -> Network:
-    """Of any network a mere callable: a Processor knows a CompiledClassifier, and computes what changed only."""
+    """Hide a CompiledClassifier in a plain callable: a Processor would compute only what changed."""
     return (lambda volume: network(volume)) if isinstance(network, CompiledClassifier) else network
 
 

@@ -1,4 +1,4 @@
-"""The network alone, at batch 1, some events after the decision before: ours by what has changed, others whole."""
+"""The network alone, at batch 1, some events after the previous decision: ours computes changes, others everything."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ N_WARM = 20  # decisions that are only compared
 
 
 class Feed:
-    """A volume that is brought to a moment, which is not timed."""
+    """A volume that follows the moments; its updates are not timed."""
 
     def __init__(self, model: Model) -> None:
         self.volume = TNTVolume(model.config)
@@ -31,7 +31,7 @@ class Feed:
 
 
 class Incremental:
-    """Ours, where it knows the volume from the decision before."""
+    """Ours, which knows the volume of the previous decision."""
 
     def __init__(self, model: Model, feed: Feed) -> None:
         self._feed, self._network = feed, CompiledClassifier(model)
@@ -44,7 +44,7 @@ class Incremental:
 
 
 class Dense:
-    """A network that takes the volume as an array, which is read for it."""
+    """A network called with the volume as an array."""
 
     def __init__(self, network: Network, feed: Feed) -> None:
         self._network, self._feed = network, feed
@@ -60,22 +60,22 @@ class Dense:
 def bench_network(
     model: Model, networks: Mapping[str, Network], windows: list[np.ndarray], n_new: int, *, blocks: int, size: int
 ) -> dict[str, Any]:
-    """Time networks from a finished volume to its logits, `n_new` events after the decision before.
+    """Time networks from a finished volume to its logits, `n_new` events after the previous decision.
 
     Parameters
     ----------
     networks : as `dense_networks` makes them.
     windows : see `Moments`.
-    blocks, size : so many blocks of so many decisions each.
+    blocks, size : number of blocks, and of decisions in each.
 
     Returns
     -------
-    dict : both ways of taking turns -> `Timed.report`. Ratios are over `incremental`, which is ours.
+    dict : `call_by_call` and `in_blocks` -> `Timed.report`. Ratios are over `incremental`, which is ours.
 
     Raises
     ------
     WorkDiffers : networks do not agree.
-    ValueError : no window has so many events.
+    ValueError : no window has that many events.
     """
     moments = Moments(windows, model.config.window_us, n_new)
 

@@ -1,8 +1,8 @@
-"""Whoever decides takes turns: call by call, or a stretch of moments at a time. Both, for neither is the truth.
+"""Interleaved timing of backends: call by call, and in blocks of moments.
 
-Networks of half a megabyte push one another out of the processor's caches. Called in turns, each finds its weights
-further away than in a loop of its own; in stretches, each has the caches to itself, and a real loop has other things
-to do in between. So both are measured, and what is compared is compared in one of them.
+Networks of half a megabyte evict one another from the processor's caches. If calls alternate, each finds its weights
+further away than in a loop of its own; in blocks, each has the caches to itself, while a real program does other work
+in between. So both are measured; compare figures within one of them only.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ LOGIT_TOLERANCE = 1e-4
 
 
 class WorkDiffers(Exception):
-    """The two ways did not compute the same: a comparison of their times would mean nothing."""
+    """Two backends computed different results, so comparing their times would be meaningless."""
 
 
 class Backend(Protocol):
-    """Something that decides. Moments come in order of time."""
+    """Makes decisions at moments in order of time."""
 
     def prepare(self, moment: Moment) -> None:
-        """What is not timed. The moment before was this one's `before`, or it is that itself."""
+        """Not timed. The previous call was for this moment's `before`, or the moment is that itself."""
 
     def decide(self) -> np.ndarray | None:
-        """What is timed: the logits; None where they cannot be compared."""
+        """Timed. Returns the logits; None if they cannot be compared."""
 
 
 @dataclass
 class Timed:
-    """Microseconds of each decision, block by block, and how far logits lay apart at most."""
+    """Microseconds of each decision, block by block, and the largest difference of logits."""
 
     us: dict[str, np.ndarray]
     """Backend -> float64, shape (blocks, decisions of a block)."""
@@ -50,7 +50,7 @@ class Timed:
 
     def report(self) -> dict[str, Any]:
         """`us`, backend -> `latency`; `ratio`, backend -> `spread` of its time over that of the first one: of
-        each decision, or of each block's median where backends came in blocks."""
+        each decision, or of each block's median if backends ran in blocks."""
         parts = {name: us.ravel() if self.call_by_call else np.median(us, axis=1) for name, us in self.us.items()}
         return {
             "us": {name: latency(us.ravel()) for name, us in self.us.items()},
@@ -60,7 +60,7 @@ class Timed:
 
 
 def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every backend decides at a moment, then at the next one, in an order drawn anew each time (by a fixed seed).
+    """Every backend decides at a moment, then at the next one, in a new random order each time (fixed seed).
 
     Raises
     ------
@@ -89,9 +89,9 @@ def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]
 
 
 def in_blocks(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every backend decides at all moments of a block, one after the other, then the next backend does.
+    """Every backend decides at all moments of a block before the next backend does.
 
-    The order turns around from block to block. Raises as `call_by_call`.
+    The order is reversed from block to block. Raises as `call_by_call`.
     """
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
     worst, forward = 0.0, True
@@ -140,7 +140,7 @@ def check_logits(found: Mapping[str, np.ndarray], moment: Moment) -> float:
     scale = max(1.0, float(np.abs(expected).max()))
     differences = {name: float(np.abs(logits - expected).max()) / scale for name, logits in others}
     name, worst = max(differences.items(), key=lambda item: item[1])
-    if not worst <= LOGIT_TOLERANCE:  # nor nan
+    if not worst <= LOGIT_TOLERANCE:  # also if nan
         raise WorkDiffers(
             f"all must give the same logits within {LOGIT_TOLERANCE}, got {first} and {name} {worst:.1e} apart "
             f"at event {len(moment.events)} of the window at {moment.start_us} us"

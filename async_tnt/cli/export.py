@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "model", metavar="MODEL", help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
     )
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE.onnx", help="where to; replaced if there")
+    parser.add_argument("--out", required=True, type=Path, metavar="FILE.onnx", help="replaced if it exists")
     parser.add_argument("--json", action="store_true", help="one JSON object with files and differences")
 
 

@@ -1,4 +1,4 @@
-"""Decisions of a stream that comes while one listens: from a camera, or over the network."""
+"""Decisions of a live stream: from a camera or the network."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def run_source(
     latest: int | None,
     live: bool,
 ) -> bool:
-    """Print or draw decisions until the source ends or Ctrl-C; then what was counted. Returns whether Ctrl-C ended it.
+    """Print or draw decisions until the source ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def run_source(
                 _print_all(stream, name, processor, line)
         except KeyboardInterrupt:
             stopped = True
-        finally:  # also where a camera was unplugged
+        finally:  # also if a camera was unplugged
             for decision in processor.finish():
                 if not live:
                     print(line(name, decision, 0.0), flush=True)

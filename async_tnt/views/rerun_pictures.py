@@ -9,7 +9,7 @@ import numpy as np
 
 from async_tnt.decision import Decision
 
-# Okabe and Ito's colours, told apart by the colour-blind too; bright ones, for the viewer is dark
+# Okabe and Ito's colours, distinguishable for colour-blind people, too; bright ones, as the viewer is dark
 ON_COLOUR, OFF_COLOUR = (230, 159, 0), (86, 180, 233)
 NOTHING_COLOUR, GAP_COLOUR = (18, 20, 24), (70, 74, 80)
 NOTHING, OFF, ON = 0, 1, 2
@@ -18,7 +18,7 @@ MOST_SHEET_PIXELS = 1 << 17
 
 MOST_BARS = 12  # of more classes, the likeliest are shown
 BAR_LENGTH = 14
-MOST_LETTERS = 16  # of a class name beside its bar
+MOST_LETTERS = 16  # of a class name next to its bar
 EIGHTHS = " ▏▎▍▌▋▊▉"
 
 
@@ -42,8 +42,8 @@ def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
 def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.ndarray:
     """All bins of a volume side by side: row by row, the first one at the top left.
 
-    The colour says the sign (ON positive, OFF negative), its brightness the square root of the value's share of the
-    largest one in the volume: single events stay visible beside many.
+    The colour shows the sign (ON positive, OFF negative), its brightness the square root of the value relative to the
+    largest one in the volume: single events stay visible next to many.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def class_colours(n: int) -> list[tuple[int, int, int]]:
 
 
 def newest_text(decision: Decision, classes: Sequence[str]) -> str:
-    """Markdown: what the open window is taken for at this moment.
+    """Markdown: the class of the open window at this moment.
 
     Parameters
     ----------

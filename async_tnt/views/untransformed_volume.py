@@ -1,4 +1,4 @@
-"""The raw event volume of the same window, beside a processor that has the transformed one."""
+"""The raw event volume of the open window of a processor with a transformed one."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class UntransformedVolume:
         if volume.n_events != now.events or volume.start_us != now.window_start_us:
             raise ValueError(
                 f"the raw volume has {volume.n_events} events from {volume.start_us} us on, the processor's window "
-                f"{now.events} from {now.window_start_us} us on: a view can only follow windows laid end to end (no "
+                f"{now.events} from {now.window_start_us} us on: a view can only follow windows without overlap (no "
                 "`hop_us`), all of whose events went through `push` of the view"
             )
         return volume.array

@@ -59,7 +59,7 @@ def test_only_a_named_file_is_overwritten(tmp_path, capsys, monkeypatch):
     assert main(["mask", str(SAMPLE)]) == 2
     told = capsys.readouterr()
     assert told.out == "" and told.err == (
-        "async-tnt: mask.npy is there already: --out mask.npy overwrites it, --out FILE writes another\n"
+        "async-tnt: mask.npy exists already: --out mask.npy overwrites it, --out FILE writes another file\n"
     )
     assert (tmp_path / "mask.npy").read_bytes() == b"precious"
     assert main(["mask", str(SAMPLE), "--out", "mask.npy"]) == 0
@@ -140,7 +140,7 @@ def _damaged(folder):
 
 def _no_sensor(folder):
     path = with_hot_pixels(folder / "a.npy")
-    return [str(path)], "a.npy: the file does not say the camera's sensor; --sensor WxH does"
+    return [str(path)], "a.npy: the file does not state the camera's sensor; give --sensor WxH"
 
 
 def _off_sensor(folder):
@@ -150,7 +150,7 @@ def _off_sensor(folder):
 
 def _other_sensor(folder):
     np.savez(folder / "b.npz", events=random_events(9), sensor=np.array([34, 34]))
-    return [str(folder / "b.npz"), "--sensor", "40x40"], "34x34 pixels, but --sensor or an earlier recording says 40x40"
+    return [str(folder / "b.npz"), "--sensor", "40x40"], "34x34 pixels, but --sensor or an earlier recording has 40x40"
 
 
 def _bin_off_sensor(folder):
@@ -167,7 +167,7 @@ def _two_sensors(folder):
 
 def _empty(folder):
     np.savez(folder / "e.npz", events=random_events(0), sensor=np.array([34, 34]))
-    return [str(folder / "e.npz")], "e.npz: no events, nothing to learn from"
+    return [str(folder / "e.npz")], "e.npz: no events, no hot pixels can be found"
 
 
 def _wrong_suffix(folder):

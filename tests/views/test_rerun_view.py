@@ -307,7 +307,7 @@ def test_mistakes():
 def test_windows_that_overlap_are_refused_where_they_show(tmp_path):
     processor = Processor(random_model(CONFIG), hop_us=10_000)
     with (
-        pytest.raises(ValueError, match=r"a view can only follow windows laid end to end \(no `hop_us`\)"),
+        pytest.raises(ValueError, match=r"a view can only follow windows without overlap \(no `hop_us`\)"),
         RerunView(processor, out=tmp_path / "a.rrd") as view,
     ):
         view.push(EVENTS)

@@ -298,7 +298,7 @@ def test_a_viewer_that_hangs_or_is_closed_ends_the_program(tmp_path, stop):
             showing.kill()
     told = [line for line in err.splitlines() if line.startswith("async-tnt:")]
     assert showing.returncode == 2 and len(told) == 1 and "Traceback" not in err
-    assert told[0].startswith(f"async-tnt: {url}: the Rerun viewer is gone, or does not take what is sent: ")
+    assert told[0].startswith(f"async-tnt: {url}: the Rerun viewer was closed or does not respond: ")
 
 
 def test_a_spawned_viewer_that_is_not_there(monkeypatch, capsys):
@@ -315,7 +315,7 @@ def test_a_spawned_viewer_that_is_not_there(monkeypatch, capsys):
     assert main(["view", str(SAMPLE)]) == 2
     assert asked == {"connect": False, "memory_limit": "25%"}
     err = capsys.readouterr().err
-    assert err.startswith("async-tnt: the Rerun viewer was started and is not there") and err.count("\n") == 1
+    assert err.startswith("async-tnt: the Rerun viewer was started but does not listen") and err.count("\n") == 1
 
 
 def test_a_model_for_another_sensor_can_be_viewed(tmp_path, capsys):
