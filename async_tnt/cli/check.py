@@ -10,7 +10,7 @@ from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
 from async_tnt.cli.options import add_files, add_start, model_of, paths_of
-from async_tnt.cli.output import complain, one_line
+from async_tnt.cli.output import one_line
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
@@ -50,8 +50,9 @@ def main(args: argparse.Namespace) -> int:
         import tnt_reference  # noqa: F401
         import torch
     except ImportError as error:
-        complain(f"check needs the batch reference, which needs torch: pip install '.[reference]' ({error})")
-        return 2
+        raise ImportError(
+            f"check needs the batch reference, which needs torch: pip install '.[reference]' ({error})"
+        ) from None
     torch.set_num_threads(1)
     model = model_of(args)
     paths = paths_of(args)

@@ -101,7 +101,7 @@ def writable_file(text: str) -> Path:
 def positive_int(text: str) -> int:
     """An argparse type: a whole number of at least 1."""
     try:
-        value = int(text.replace("_", ""))
+        value = int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be a whole number, got {text!r}") from None
     if value < 1:
@@ -132,7 +132,7 @@ def _probability(text: str) -> float:
 
 def _integrator(text: str) -> LeakyIntegrator:
     try:
-        threshold, leak_us = (float(number.replace("_", "")) for number in text.split(":"))
+        threshold, leak_us = (float(number) for number in text.split(":"))
         return LeakyIntegrator(threshold, leak_us)
     except ValueError:
         raise argparse.ArgumentTypeError(

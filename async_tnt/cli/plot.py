@@ -15,7 +15,13 @@ from async_tnt.networks.model import Model, bundled_models, load_model
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
 from async_tnt.sources.sizes import size_of
-from async_tnt.views.figure_style import FORMATS
+from async_tnt.views.figure_events import draw_events
+from async_tnt.views.figure_motions import draw_motions
+from async_tnt.views.figure_overview import draw_overview
+from async_tnt.views.figure_pipeline import draw_pipeline
+from async_tnt.views.figure_probabilities import draw_probabilities
+from async_tnt.views.figure_slices import draw_slices
+from async_tnt.views.figure_style import FORMATS, save, styled
 from async_tnt.views.figure_subject import Subject
 
 if TYPE_CHECKING:
@@ -121,10 +127,7 @@ def main(args: argparse.Namespace) -> int:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        complain(f"plot draws with matplotlib: pip install '.[plot]' ({error})")
-        return 2
-    from async_tnt.views.figure_style import save, styled
-
+        raise ImportError(f"plot draws with matplotlib: pip install '.[plot]' ({error})") from None
     _check_options(args)
     paths = _paths(args)
     out = args.out or Path("-".join(path.stem for path in paths) + f"-{args.figure}.png")
@@ -228,30 +231,20 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
 def _draw(subjects: list[Subject], args: argparse.Namespace) -> Figure:
     first, last = subjects[0], subjects[-1]
     number = args.window or 1
-    if args.figure == "motions":
-        from async_tnt.views.figure_motions import draw_motions
-
-        numbers = args.windows or ((1, 2) if first is last else (1, 1))
-        return draw_motions(first.window(numbers[0]), last.window(numbers[1]), args.slices)
-    if args.figure == "events":
-        from async_tnt.views.figure_events import draw_events
-
-        return draw_events(first, number)
-    if args.figure == "slices":
-        from async_tnt.views.figure_slices import draw_slices
-
-        return draw_slices(first, number, args.slices)
-    if args.figure == "probabilities":
-        from async_tnt.views.figure_probabilities import draw_probabilities
-
-        return draw_probabilities(first, args.every_us)
-    if args.figure == "pipeline":
-        from async_tnt.views.figure_pipeline import draw_pipeline
-
-        return draw_pipeline(first, number)
-    from async_tnt.views.figure_overview import draw_overview
-
-    return draw_overview(first, number, args.slices, args.every_us)
+    match args.figure:
+        case "motions":
+            numbers = args.windows or ((1, 2) if first is last else (1, 1))
+            return draw_motions(first.window(numbers[0]), last.window(numbers[1]), args.slices)
+        case "events":
+            return draw_events(first, number)
+        case "slices":
+            return draw_slices(first, number, args.slices)
+        case "probabilities":
+            return draw_probabilities(first, args.every_us)
+        case "pipeline":
+            return draw_pipeline(first, number)
+        case _:
+            return draw_overview(first, number, args.slices, args.every_us)
 
 
 def _dpi(text: str) -> int:

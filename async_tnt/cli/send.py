@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.cli.options import paths_of, positive_int
+from async_tnt.cli.options import paths_of, positive_int, positive_number
 from async_tnt.cli.output import complain
 from async_tnt.sources.datagrams import EVENT_BYTES
 from async_tnt.sources.files.recording import open_recording
@@ -46,13 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument(
         "--speed",
-        type=_positive,
+        type=positive_number,
         default=1.0,
         metavar="S",
         help="speed of playback; 2 is twice as fast, inf does not wait (default: 1)",
     )
     pace.add_argument(
-        "--rate", type=_positive, metavar="EVENTS_PER_S", help="an even rate instead of the recorded times"
+        "--rate", type=positive_number, metavar="EVENTS_PER_S", help="an even rate instead of the recorded times"
     )
     parser.add_argument("--loop", action="store_true", help="start over at the end, until Ctrl-C")
     parser.add_argument(
@@ -137,13 +136,3 @@ def _report(sender: UdpSender, args: argparse.Namespace, seconds: float) -> None
     if sender.refused:
         sys.stdout.flush()
         complain(f"{sender.refused:,} datagrams were refused: no program listens at {args.url}")
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text.replace("_", ""))
-    except ValueError:
-        value = math.nan
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be a number above 0, got {text!r}")
-    return value

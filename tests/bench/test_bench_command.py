@@ -54,8 +54,6 @@ def test_quick_json_is_one_object_with_every_figure(report):
         assert set(volume["ns_per_event"]) == WAYS
         for figure in [*volume["ns_per_event"].values(), volume["open_us"], volume["read_us"]]:
             assert 0 < figure["min"] <= figure["q1"] <= figure["median"] <= figure["q3"] <= figure["max"]
-        one, packet = (volume["ns_per_event"][way]["median"] for way in ("single", "packet_1300_columns"))
-        assert packet < one / 2  # a packet spares 1299 calls from Python
     decisions = report["processor"]["latency"]
     for figure in decisions["us"].values():
         assert 0 < figure["median"] <= figure["p99"]
@@ -75,7 +73,6 @@ def test_decisions_are_reported_beside_every_engine_that_is_installed(report):
     for name, row in every_event.items():
         assert row["a_second"] == pytest.approx(1e6 / row["us"]["median"])
         assert name == "ours" or row["ratio"]["median"] > 0
-    assert every_event["dense"]["ratio"]["median"] > 2  # what refreshing spares
 
 
 @needs_torch
