@@ -9,51 +9,31 @@ Start with `Processor` (events in, decisions out), `TNTVolume` (the representati
 (what it holds). The batch reference is the package `tnt_reference`.
 """
 
-TYPE_CHECKING = False  # what type checkers take for `typing.TYPE_CHECKING`; importing `typing` takes milliseconds
-if TYPE_CHECKING:
-    from async_tnt.compile_ahead import warmup
-    from async_tnt.config import TNTConfig
-    from async_tnt.decision import Counts, Decision
-    from async_tnt.deferred_landmark import ReplayBufferFull
-    from async_tnt.events import EVENT_DTYPE
-    from async_tnt.networks.classifier import CompiledClassifier
-    from async_tnt.networks.model import Model, bundled_models, load_model
-    from async_tnt.networks.regressor import CompiledRegressor
-    from async_tnt.processor import Processor
-    from async_tnt.sources.background_reader import BackgroundReader
-    from async_tnt.sources.files.recording import open_recording
-    from async_tnt.sources.pixel_filter import PixelFilter
-    from async_tnt.sources.playback import replay
-    from async_tnt.sources.queue import PacketQueue
-    from async_tnt.streams import astream, stream
-    from async_tnt.triggers import LeakyIntegrator
-    from async_tnt.volume import TNTVolume
+TYPE_CHECKING = False  # type checkers assume True, as for `typing.TYPE_CHECKING`, whose import takes milliseconds
+if TYPE_CHECKING:  # for type checkers and editors; `X as X` re-exports
+    from async_tnt.compile_ahead import warmup as warmup
+    from async_tnt.config import TNTConfig as TNTConfig
+    from async_tnt.decision import Counts as Counts
+    from async_tnt.decision import Decision as Decision
+    from async_tnt.deferred_landmark import ReplayBufferFull as ReplayBufferFull
+    from async_tnt.events import EVENT_DTYPE as EVENT_DTYPE
+    from async_tnt.networks.classifier import CompiledClassifier as CompiledClassifier
+    from async_tnt.networks.model import Model as Model
+    from async_tnt.networks.model import bundled_models as bundled_models
+    from async_tnt.networks.model import load_model as load_model
+    from async_tnt.networks.regressor import CompiledRegressor as CompiledRegressor
+    from async_tnt.processor import Processor as Processor
+    from async_tnt.sources.background_reader import BackgroundReader as BackgroundReader
+    from async_tnt.sources.files.recording import open_recording as open_recording
+    from async_tnt.sources.pixel_filter import PixelFilter as PixelFilter
+    from async_tnt.sources.playback import replay as replay
+    from async_tnt.sources.queue import PacketQueue as PacketQueue
+    from async_tnt.streams import astream as astream
+    from async_tnt.streams import stream as stream
+    from async_tnt.triggers import LeakyIntegrator as LeakyIntegrator
+    from async_tnt.volume import TNTVolume as TNTVolume
 
 __version__ = "0.1.0"
-
-__all__ = [
-    "EVENT_DTYPE",
-    "BackgroundReader",
-    "CompiledClassifier",
-    "CompiledRegressor",
-    "Counts",
-    "Decision",
-    "LeakyIntegrator",
-    "Model",
-    "PacketQueue",
-    "PixelFilter",
-    "Processor",
-    "ReplayBufferFull",
-    "TNTConfig",
-    "TNTVolume",
-    "astream",
-    "bundled_models",
-    "load_model",
-    "open_recording",
-    "replay",
-    "stream",
-    "warmup",
-]
 
 _MODULES = {
     "EVENT_DTYPE": "events",
@@ -78,23 +58,24 @@ _MODULES = {
     "stream": "streams",
     "warmup": "compile_ahead",
 }
-"""Name -> the module that has it. Each is imported when it is first used, so that a program starts at once."""
+"""Public name -> its module, imported when the name is first used, so that programs start fast."""
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_MODULES})
 
 
-if not TYPE_CHECKING:  # a type checker would take it that every name is there
+if not TYPE_CHECKING:  # type checkers use the imports above; __getattr__ would let every name pass
+    __all__ = sorted(_MODULES)
 
     def __getattr__(name):
         import importlib
 
-        module = _MODULES.get(name, name)  # async_tnt.sources.files and other modules are themselves
+        module = _MODULES.get(name, name)  # else a submodule, such as `async_tnt.sources`
         try:
             value = importlib.import_module(f".{module}", __name__)
         except ModuleNotFoundError as error:
-            if error.name != f"{__name__}.{module}":  # what is missing is another package
+            if error.name != f"{__name__}.{module}":  # another package is missing
                 raise
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
         if name in _MODULES:

@@ -1,4 +1,4 @@
-"""Signals that end a program: Ctrl-C, SIGTERM of systemd, docker and timeout, SIGHUP of a terminal that closes."""
+"""Signals that end a program: Ctrl-C, SIGTERM (systemd, docker, timeout), SIGHUP (the terminal closes)."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # on Windows two
+# Windows has no SIGHUP
+ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 @contextmanager
 def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[dict[int, Any]]:
-    """Within the block `handler` is called for each of them. Gives the handlers before.
+    """Call `handler` for these signals within the block; yields the previous handlers.
 
-    Signals that are ignored, as a background job ignores Ctrl-C and nohup SIGHUP, stay so. In another thread than the
-    main one nothing changes: Python lets only that one set handlers.
+    Ignored signals stay ignored: Ctrl-C in a background job, SIGHUP under nohup. Outside of the main thread, which
+    alone can set handlers in Python, nothing changes.
     """
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():

@@ -97,7 +97,7 @@ def motions_1_sim() -> str:
 
 
 def _record() -> dict[str, Any]:
-    return load_model("digits").record
+    return dict(load_model("digits").record)
 
 
 def early() -> str:

@@ -2,10 +2,10 @@
 
     python benchmarks/decisions.py [--quick] [--json FILE] [--picture FILE]
 
-One process, one thread each, warm, in turns, on the windows of the bundled recordings; before anything is timed, all
-must give the same logits within 1e-4. Decisions are timed twice: contenders alternate from call to call (each finds
+One process, one thread each, warm, interleaved, on the windows of the bundled recordings; before anything is timed, all
+must give the same logits within 1e-4. Decisions are timed twice: backends alternate from call to call (each finds
 the caches full of the others), and they decide in blocks (each has them to itself). Compare within one of these only.
-Rows whose package is not installed are left out, and why is said:
+Rows whose package is not installed are left out, with the reason:
 `pip install torch==2.13.0 onnx onnxruntime openvino eventcv`.
 """
 
@@ -22,26 +22,30 @@ from typing import Any
 if __name__ == "__main__":  # before any library reads them
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", RAYON_NUM_THREADS="1")
 
+import measure_end_to_end as end_to_end
+import measure_starts as starts
+from draw_decisions import draw_decisions
+from measure_noise import bench_on_noise, fastest
+from measure_singles import bench_singles
+from measure_touched import bench_touched
+
 from async_tnt import load_model, warmup
-from async_tnt.checking import backends as contenders
-from async_tnt.checking import bench_end_to_end as end_to_end
-from async_tnt.checking import bench_starts as starts
-from async_tnt.checking.bench_every_event import bench_every_event, bench_singles
-from async_tnt.checking.bench_network import bench_network, bench_on_noise, fastest
-from async_tnt.checking.bench_touched import bench_touched
+from async_tnt.checking import backends
+from async_tnt.checking.bench_every_event import bench_every_event
+from async_tnt.checking.bench_network import bench_network
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import is_installed, machine, one_thread
-from async_tnt.cli.arguments import writable_file
+from async_tnt.cli.options import writable_file
 from async_tnt.files import write_text
 from async_tnt.progress import Bar, progress
-from async_tnt.views.style import check_picture
+from async_tnt.views.figure_style import check_picture
 
 MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
 FULL = {"blocks": 40, "decisions_a_block": 50, "rounds": 10, "single_decisions": 100_000, "starts": 5}
 QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "single_decisions": 2_000, "starts": 1}
-MODES = {"call_by_call": "contenders alternate from call to call", "in_blocks": "each decides in blocks of {} calls"}
+MODES = {"call_by_call": "backends alternate from call to call", "in_blocks": "each decides in blocks of {} calls"}
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
@@ -49,7 +53,7 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 
     Raises
     ------
-    WorkDiffers : contenders do not agree. Then nothing is reported.
+    WorkDiffers : backends do not agree. Then nothing is reported.
     """
     with progress(1 + len(NEW_EVENTS) + 1 + len(NEW_EVENTS) + 3 + settings["starts"] + 1, "compiling") as bar:
         return _measure(settings, quick, bar)
@@ -62,20 +66,20 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
     windows = [window for events in recordings for window in windows_of(events, model.config.window_us)]
     counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
     with one_thread(is_installed("torch")):
-        networks = contenders.dense_networks(model)
+        networks = backends.dense_networks(model)
         network = {}
         for n_new in NEW_EVENTS:
             bar.update(title=f"the network alone, new events: {n_new}")
             network[str(n_new)] = bench_network(model, networks, windows, n_new, **counts)
         bar.update(title="the network alone, random numbers")
         network["random"] = bench_on_noise(model, networks, **counts)
-        way = fastest(contenders.ONNXRUNTIME, network)
+        way = fastest(backends.ONNXRUNTIME, network)
         whole = {}
         for n_new in NEW_EVENTS:
             bar.update(title=f"from packet to decision, new events: {n_new}")
             whole[str(n_new)] = end_to_end.bench_end_to_end(model, way, windows, n_new, **counts)
         bar.update(title="a decision after every event")
-        others = {name: f for name, f in networks.items() if name not in contenders.ONNXRUNTIME or name == way}
+        others = {name: f for name, f in networks.items() if name not in backends.ONNXRUNTIME or name == way}
         n_events = 500 if quick else None
         rates = bench_every_event(model, others, recordings, rounds=settings["rounds"], n_events=n_events)
         bar.update(title="single decisions")
@@ -94,14 +98,14 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
             "events": sum(map(len, recordings)),
             "windows": len(windows),
         },
-        "work": {"network": contenders.WORK, "end_to_end": end_to_end.WORK, "starts": starts.WORK},
+        "work": {"network": backends.WORK, "end_to_end": end_to_end.WORK, "starts": starts.WORK},
         "network": network,
         "end_to_end": whole,
         "every_event": {"packets": rates, "singles": singles},
         "touched": touched,
         "starts": started,
         "left_out": {
-            "network": contenders.left_out(),
+            "network": backends.left_out(),
             "end_to_end": end_to_end.left_out(),
             "starts": starts.left_out(cold=not quick),
         },
@@ -155,9 +159,9 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
 def _turns(rows: dict[str, Any], mode: str) -> Iterator[str]:
     for name, row in rows.items():
         yield "  volumes of random numbers" if name == "random" else f"  {name} new event{'s' if name != '1' else ''}"
-        for contender, us in row[mode]["us"].items():
-            ratio = row[mode]["ratio"].get(contender)
-            yield f"    {contender:20}{_cell(us):>26}{us['p99']:>9.1f}" + (f"{ratio['median']:9.2f}" if ratio else "")
+        for backend, us in row[mode]["us"].items():
+            ratio = row[mode]["ratio"].get(backend)
+            yield f"    {backend:20}{_cell(us):>26}{us['p99']:>9.1f}" + (f"{ratio['median']:9.2f}" if ratio else "")
 
 
 def _cell(figure: dict[str, float]) -> str:
@@ -165,7 +169,7 @@ def _cell(figure: dict[str, float]) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run, print, and write JSON and the picture if asked. Returns 1 if contenders do not agree."""
+    """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
@@ -194,8 +198,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")
     if args.picture:
-        from async_tnt.views.decision_picture import draw_decisions
-        from async_tnt.views.style import save, styled
+        from async_tnt.views.figure_style import save, styled
 
         with styled():
             save(draw_decisions(report), args.picture, dpi=100)

@@ -18,12 +18,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from draw_early import draw_early
+from measure_early import measure_early, n_settings
+
 from async_tnt.archive.executor import available_cores
-from async_tnt.checking.bench_early import measure_early, n_settings
-from async_tnt.cli.arguments import writable_file
+from async_tnt.cli.options import writable_file
 from async_tnt.files import write_text
 from async_tnt.progress import progress
-from async_tnt.views.style import check_picture
+from async_tnt.views.figure_style import check_picture
 
 QUICK = 20  # recordings
 
@@ -117,8 +119,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.json:
         write_text(args.json, json.dumps(report, indent=1) + "\n")
     if args.picture:
-        from async_tnt.views.early_picture import draw_early
-        from async_tnt.views.style import save, styled
+        from async_tnt.views.figure_style import save, styled
 
         with styled():
             save(draw_early(report), args.picture, dpi=100)

@@ -27,7 +27,7 @@ SINGLES = 50  # events of one packet in each window that come one by one
 
 
 def resident_mb() -> float:
-    """Resident memory of this process in MB (2^20 bytes); where the system does not say it, its peak."""
+    """Resident memory of this process in MB (2^20 bytes); if the system does not report it, its peak."""
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

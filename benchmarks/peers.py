@@ -1,8 +1,8 @@
-"""Event volumes of 9 bins: ours against eventcv, tonic and torch, in one run, in turns, warm, on one thread.
+"""Event volumes of 9 bins: ours against eventcv, tonic and torch, in one run, interleaved, warm, on one thread.
 
     python benchmarks/peers.py [--quick] [--json FILE]
 
-A row is left out, and why is said, where its package is not installed:
+A row is left out, with the reason, if its package is not installed:
 `pip install torch==2.13.0 eventcv tonic`. What each row does is printed beside its figures, for they do not
 all do the same: read `WORK` before quoting a ratio.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from async_tnt import EVENT_DTYPE, TNTConfig, TNTVolume, warmup
 from async_tnt.checking.bench_volumes import GRIDS, made_events
 from async_tnt.checking.timing import interleave, is_installed, machine, one_thread, spread, work_clock
-from async_tnt.cli.arguments import writable_file
+from async_tnt.cli.options import writable_file
 from async_tnt.files import write_text
 from async_tnt.progress import progress
 

@@ -1,1 +1,1 @@
-"""Stream against batch: the promise of equality on one's own recordings, and what either costs."""
+"""Stream against batch: whether both agree (`async-tnt check`), and what they cost (`async-tnt bench`)."""

@@ -1,4 +1,4 @@
-"""The networks that are compared: a model's classifier by every engine installed, on one thread, as users call it."""
+"""The networks to compare: a model's classifier run by every installed engine, on one thread, as users call it."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")  # which is faster diff
 def dense_networks(model: Model) -> dict[str, Network]:
     """Every engine that is installed, each computing the whole network: ours first. Names are those of `WORK`.
 
-    Each has weights of its own, so that none finds them in a cache because another one was there before. torch keeps
-    as many threads as it has: see `timing.one_thread`.
+    Each has its own copy of the weights, so that none finds them in a cache filled by another. The number of torch
+    threads is unchanged: see `timing.one_thread`.
     """
     return {name: new_network(name, model) for name in MAKERS if is_installed(*PACKAGES.get(name, ()))}
 
 
 def new_network(name: str, model: Model) -> Network:
-    """One of `dense_networks`, another time."""
+    """A new instance of one of `dense_networks`."""
     return MAKERS[name](model)
 
 
 def left_out() -> dict[str, str]:
-    """The engines of `WORK` that are not here, and why."""
+    """The engines of `WORK` that are not available, and why."""
     return {name: why for name, packages in PACKAGES.items() if (why := missing(*packages))}
 
 
 def missing(*packages: str) -> str:
-    """What to say of those packages that are not installed; nothing where all are."""
+    """A message that names the packages that are not installed; empty if all are."""
     names = [package for package in packages if not is_installed(package)]
     return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} not installed" if names else ""
 

@@ -1,4 +1,4 @@
-"""From the last event to the decision: the stream's way beside the batch way, on one recording, in turns."""
+"""Latency from the last event to the decision: stream and batch, interleaved, on one recording."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOLERANCE = 1e-4
 
 
 def bench_model(name_or_path: str | None, landmark: str, seed: int) -> tuple[Model, str]:
-    """The model to time, and what to call it: as named, else the bundled "digits", else random weights."""
+    """The model to time and its name: the given one, else the bundled "digits", else random weights."""
     if name_or_path is None and "digits" in bundled_models():
         name_or_path = "digits"
     if name_or_path is not None:
@@ -43,8 +43,8 @@ def bench_model(name_or_path: str | None, landmark: str, seed: int) -> tuple[Mod
 def bench_stream(model: Model, events: np.ndarray, *, rounds: int, with_torch: bool) -> dict[str, Any]:
     """Nanoseconds per event of a whole recording through a Processor, its windows' decisions included.
 
-    With torch, `batch` is the same by the batch way at its best: each window once, when all its events are
-    there. Both must name the same classes.
+    With torch, `batch` is the best case of batch processing: each window once, when all its events have arrived. Both
+    must give the same classes.
     """
     cases = {"single": _singles(Processor(model), events)}
     for size in PACKETS:
@@ -60,11 +60,11 @@ def bench_stream(model: Model, events: np.ndarray, *, rounds: int, with_torch: b
 
 
 def bench_latency(model: Model, events: np.ndarray, *, moments: int, with_torch: bool) -> dict[str, Any]:
-    """Microseconds from handing over the last event until the decision is there, at many moments of a stream.
+    """Microseconds from the call with the last event to the decision, at many moments of a stream.
 
-    The stream's way: `push_one` of the event, then `fire`. The batch way: the volume of the window's events
-    up to this one, whose tensors lie ready, then the network. They take turns at every moment, and all
-    volumes, logits and classes are compared.
+    Stream: `push_one` of the event, then `fire`. Batch: the volume of the window's events up to this one, whose
+    tensors are prepared, then the network. Both run at every moment, in alternating order, and all volumes, logits and
+    classes are compared.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def _compare(
 
 def _window_starts(config: TNTConfig, events: np.ndarray) -> list[int]:
     first_us = int(events["t"][0])
-    numbers = np.unique((events["t"] - first_us) // config.window_us)  # windows without events do not occur
+    numbers = np.unique((events["t"] - first_us) // config.window_us)  # without windows that have no events
     return [first_us + int(k) * config.window_us for k in numbers]
 
 

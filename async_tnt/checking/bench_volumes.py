@@ -39,8 +39,8 @@ def bench_volume(
 ) -> dict[str, Any]:
     """Time one window of `n_events` events, fed in every way.
 
-    Opening the window is measured by itself, for its cost belongs to a window and not to an event; so is
-    reading `array` after a packet of 1300 more events.
+    Opening the window is measured separately, because its cost is per window and not per event; so is reading
+    `array` after a packet of 1300 more events.
 
     Returns
     -------

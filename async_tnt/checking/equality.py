@@ -1,4 +1,4 @@
-"""Hold the stream against the batch reference on one recording: the product's promise, as a function.
+"""Compare the stream with the batch reference on one recording: the promise of equality as a function.
 
 (a) the streamed volume is bit for bit the same however the stream was cut into packets;
 (b) at every prefix it equals the batch reference, to 1e-6 of its largest cell, the landmark to 1e-9 px;
@@ -45,7 +45,7 @@ REGRESSED_VOLUME_BOUND = 1e-2  # what a landmark at its bound may do: at TNT tim
 
 @dataclass
 class Comparison:
-    """One promise on one configuration: the worst of `n` comparisons, and the bound it has to keep."""
+    """One promise for one configuration: the worst of `n` comparisons, and its bound."""
 
     what: str
     config: str
@@ -60,7 +60,7 @@ class Comparison:
 
     @property
     def holds(self) -> bool:
-        """Whether something was compared, and the worst difference keeps the bound."""
+        """Whether something was compared, and the worst difference is within the bound."""
         return self.n > 0 and self.worst <= self.bound
 
 
@@ -90,7 +90,7 @@ def check_recording(
     ----------
     events : structured array of `EVENT_DTYPE`.
     model : its configuration, under every landmark, and its networks.
-    prefixes : how many prefixes of each window are held against the reference, evenly spread, the last one
+    prefixes : how many prefixes of each window are compared with the reference, evenly spread, the last one
         included; None for all of them (minutes for a recording of some thousand events).
     start_us : start of the first window; the first event by default.
     on_progress : called after every configuration.

@@ -1,8 +1,8 @@
-"""Whoever decides takes turns: call by call, or a stretch of moments at a time. Both, for neither is the truth.
+"""Interleaved timing of backends: call by call, and in blocks of moments.
 
-Networks of half a megabyte push one another out of the processor's caches. Called in turns, each finds its weights
-further away than in a loop of its own; in stretches, each has the caches to itself, and a real loop has other things
-to do in between. So both are measured, and what is compared is compared in one of them.
+Networks of half a megabyte evict one another from the processor's caches. If calls alternate, each finds its weights
+further away than in a loop of its own; in blocks, each has the caches to itself, while a real program does other work
+in between. So both are measured; compare figures within one of them only.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ LOGIT_TOLERANCE = 1e-4
 
 
 class WorkDiffers(Exception):
-    """The two ways did not compute the same: a comparison of their times would mean nothing."""
+    """Two backends computed different results, so comparing their times would be meaningless."""
 
 
-class Contender(Protocol):
-    """Something that decides. Moments come in order of time."""
+class Backend(Protocol):
+    """Makes decisions at moments in order of time."""
 
     def prepare(self, moment: Moment) -> None:
-        """What is not timed. The moment before was this one's `before`, or it is that itself."""
+        """Not timed. The previous call was for this moment's `before`, or the moment is that itself."""
 
     def decide(self) -> np.ndarray | None:
-        """What is timed: the logits; None where they cannot be compared."""
+        """Timed. Returns the logits; None if they cannot be compared."""
 
 
 @dataclass
 class Timed:
-    """Microseconds of each decision, block by block, and how far logits lay apart at most."""
+    """Microseconds of each decision, block by block, and the largest difference of logits."""
 
     us: dict[str, np.ndarray]
-    """Contender -> float64, shape (blocks, decisions of a block)."""
+    """Backend -> float64, shape (blocks, decisions of a block)."""
     call_by_call: bool
     largest_difference: float = 0.0
     first: str = field(init=False)
@@ -49,8 +49,8 @@ class Timed:
         self.first = next(iter(self.us))
 
     def report(self) -> dict[str, Any]:
-        """`us`, contender -> `latency`; `ratio`, contender -> `spread` of its time over that of the first one: of
-        each decision, or of each block's median where contenders came in blocks."""
+        """`us`, backend -> `latency`; `ratio`, backend -> `spread` of its time over that of the first one: of
+        each decision, or of each block's median if backends ran in blocks."""
         parts = {name: us.ravel() if self.call_by_call else np.median(us, axis=1) for name, us in self.us.items()}
         return {
             "us": {name: latency(us.ravel()) for name, us in self.us.items()},
@@ -59,66 +59,66 @@ class Timed:
         }
 
 
-def call_by_call(contenders: Mapping[str, Contender], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every contender decides at a moment, then at the next one, in an order drawn anew each time (by a fixed seed).
+def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
+    """Every backend decides at a moment, then at the next one, in a new random order each time (fixed seed).
 
     Raises
     ------
     WorkDiffers : logits of one moment differ by more than LOGIT_TOLERANCE.
     """
-    us: dict[str, list[list[float]]] = {name: [] for name in contenders}
+    us: dict[str, list[list[float]]] = {name: [] for name in backends}
     worst, rng = 0.0, np.random.default_rng(0)
     with no_collector():
         for block in blocks:
             for taken in us.values():
                 taken.append([])
             for moment in block:
-                order = rng.permutation(list(contenders)).tolist()
+                order = rng.permutation(list(backends)).tolist()
                 if not moment.follows:
                     for name in order:
-                        contenders[name].prepare(moment.before)
-                        contenders[name].decide()
+                        backends[name].prepare(moment.before)
+                        backends[name].decide()
                 found = {}
                 for name in order:
-                    taken_us, logits = _time(contenders[name], moment)
+                    taken_us, logits = _time(backends[name], moment)
                     us[name][-1].append(taken_us)
                     if logits is not None:
                         found[name] = logits
-                worst = max(worst, check_logits(_in_order(found, contenders), moment))
+                worst = max(worst, check_logits(_in_order(found, backends), moment))
     return Timed({name: np.array(taken) for name, taken in us.items()}, True, worst)
 
 
-def in_blocks(contenders: Mapping[str, Contender], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every contender decides at all moments of a block, one after the other, then the next contender does.
+def in_blocks(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
+    """Every backend decides at all moments of a block before the next backend does.
 
-    The order turns around from block to block. Raises as `call_by_call`.
+    The order is reversed from block to block. Raises as `call_by_call`.
     """
-    us: dict[str, list[list[float]]] = {name: [] for name in contenders}
+    us: dict[str, list[list[float]]] = {name: [] for name in backends}
     worst, forward = 0.0, True
     with no_collector():
         for block in blocks:
             found: list[dict[str, np.ndarray]] = [{} for _ in block]
-            for name in list(contenders)[:: 1 if forward else -1]:
-                contender = contenders[name]
+            for name in list(backends)[:: 1 if forward else -1]:
+                backend = backends[name]
                 us[name].append([])
                 for k, moment in enumerate(block):
                     if not moment.follows:
-                        contender.prepare(moment.before)
-                        contender.decide()
-                    taken_us, logits = _time(contender, moment)
+                        backend.prepare(moment.before)
+                        backend.decide()
+                    taken_us, logits = _time(backend, moment)
                     us[name][-1].append(taken_us)
                     if logits is not None:
                         found[k][name] = logits
             forward = not forward
             for k, moment in enumerate(block):
-                worst = max(worst, check_logits(_in_order(found[k], contenders), moment))
+                worst = max(worst, check_logits(_in_order(found[k], backends), moment))
     return Timed({name: np.array(taken) for name, taken in us.items()}, False, worst)
 
 
-def _time(contender: Contender, moment: Moment) -> tuple[float, np.ndarray | None]:
-    contender.prepare(moment)
+def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
+    backend.prepare(moment)
     started = time.perf_counter()
-    logits = contender.decide()
+    logits = backend.decide()
     taken_us = 1e6 * (time.perf_counter() - started)
     return taken_us, None if logits is None else logits.copy()
 
@@ -140,7 +140,7 @@ def check_logits(found: Mapping[str, np.ndarray], moment: Moment) -> float:
     scale = max(1.0, float(np.abs(expected).max()))
     differences = {name: float(np.abs(logits - expected).max()) / scale for name, logits in others}
     name, worst = max(differences.items(), key=lambda item: item[1])
-    if not worst <= LOGIT_TOLERANCE:  # nor nan
+    if not worst <= LOGIT_TOLERANCE:  # also if nan
         raise WorkDiffers(
             f"all must give the same logits within {LOGIT_TOLERANCE}, got {first} and {name} {worst:.1e} apart "
             f"at event {len(moment.events)} of the window at {moment.start_us} us"

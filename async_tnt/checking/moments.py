@@ -1,4 +1,4 @@
-"""Moments at which a decision is due, so many events after the one before: the same for all that is compared."""
+"""Moments at which a decision is due, a fixed number of events apart: the same for all backends."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ NEW_EVENTS = (1, 10, 100, 1300)
 
 @dataclass(frozen=True)
 class Moment:
-    """A window of a stream, as far as it has come."""
+    """A window of a stream up to a point in time."""
 
     start_us: int
     events: np.ndarray
     """The window's events so far, `EVENT_DTYPE`."""
     n_new: int
-    """So many of them, the last ones, have come since the decision before."""
+    """How many of them, the last ones, arrived after the previous decision."""
     follows: bool = True
-    """Whether the moment before this one is that of the decision before. If not, `before` is."""
+    """Whether the previous moment is that of the previous decision. If not, `before` is."""
 
     @property
     def before(self) -> Moment:
@@ -34,9 +34,9 @@ class Moment:
 
 
 class Moments:
-    """All moments of some windows, one lap after the other, without end: windows lie end to end, time goes on.
+    """All moments of some windows, lap after lap without end: windows follow each other and time continues.
 
-    A window's first event comes before its first moment, so that it is never the news that a window has opened.
+    A window's first event precedes its first moment, so that opening a window is never part of a decision.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Moments:
 
     Raises
     ------
-    ValueError : no window has so many events.
+    ValueError : no window has that many events.
     """
 
     def __init__(self, windows: list[np.ndarray], window_us: int, n_new: int) -> None:
@@ -75,7 +75,7 @@ class Moments:
         return Moment(start_us, self._shifted[1][: 1 + (k + 1) * self._n_new], self._n_new, k > 0)
 
     def blocks(self, n_blocks: int, size: int) -> Iterator[list[Moment]]:
-        """So many stretches of `size` moments in a row, spread evenly over a lap, or over as many as they fill."""
+        """`n_blocks` runs of `size` consecutive moments, spread evenly over one lap or as many as they need."""
         step = max(size, self.a_lap // n_blocks)
         for first in range(0, n_blocks * step, step):
             block = [self[i] for i in range(first, first + size)]
@@ -93,8 +93,7 @@ def windows_of(events: np.ndarray, window_us: int) -> list[np.ndarray]:
 
 
 def bench_recordings(model: Model, seed: int = 0) -> list[np.ndarray]:
-    """What there is to decide on: the bundled samples' events up to three windows, or as much of made ones for a
-    model of another sensor."""
+    """Recordings to decide on: three windows of each bundled sample, or random events for a model of another sensor."""
     window_us = model.config.window_us
     opened = [open_recording(path) for path in sample_recordings().values()]
     if any(recording.sensor != model.config.sensor for recording in opened):
@@ -105,7 +104,7 @@ def bench_recordings(model: Model, seed: int = 0) -> list[np.ndarray]:
 
 
 def made_recording(rng: np.random.Generator, config: TNTConfig, n: int) -> np.ndarray:
-    """A made stream over three windows, for a model of another sensor than the bundled samples'."""
+    """Random events over three windows, for a model of another sensor than the bundled samples'."""
     events = np.empty(n, EVENT_DTYPE)
     events["t"] = np.sort(rng.integers(0, 3 * config.window_us, n))
     events["x"] = rng.integers(0, config.sensor[0], n)

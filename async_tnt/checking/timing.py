@@ -1,4 +1,4 @@
-"""Fair timing: what is compared runs in turns, warm, in one process; medians and quartiles are reported."""
+"""Fair timing: cases run interleaved, warm, in one process; medians and quartiles are reported."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from typing import Any
 
 import numpy as np
 
-# Work of milliseconds is timed by the processor time it takes, which other processes cannot lengthen: what a
-# clock on the wall shows on a quiet machine. Windows counts it in steps of 16 ms only. Latencies, of which we
-# report the tail, are by the wall clock.
+# Work of milliseconds is timed by the processor time it takes, which other processes cannot lengthen;
+# on a quiet machine it equals the wall clock. Windows counts it in steps of 16 ms only. Latencies, whose tail we
+# report, use the wall clock.
 work_clock = time.perf_counter if sys.platform == "win32" else time.process_time
 
 
 def interleave(cases: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, np.ndarray]:
-    """Run every case once a round, A B A B ..., so that what else the machine does hits all alike.
+    """Run every case once a round, A B A B ..., so that other load affects all alike.
 
     Parameters
     ----------
     cases : name -> a function that does the work once and returns what it measured.
-    rounds : how many times each is measured, after one round that warms up and is thrown away. Every other
-        round runs backwards, so that none always follows the same neighbour.
+    rounds : how many times each is measured, after one round of warming up. Every other round runs in reverse, so that
+        none always follows the same neighbour.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def latency(values: np.ndarray) -> dict[str, float]:
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """Without Python's garbage collector, whose turn comes at random. It is set back as it was."""
+    """Without Python's garbage collector, which runs at random; its state is restored afterwards."""
     was_enabled = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -78,7 +78,7 @@ def no_collector() -> Iterator[None]:
 
 @contextmanager
 def one_thread(with_torch: bool) -> Iterator[None]:
-    """torch on one thread, as ours is; it is set back afterwards."""
+    """torch on one thread, as ours; the number of threads is restored afterwards."""
     if not with_torch:
         yield
         return
@@ -120,7 +120,7 @@ def cpu_name() -> str:
     name = next((v.strip() for k, v in fields.items() if k.strip() == "model name"), platform.machine())
     if any(c.isdigit() for c in name):
         return name
-    # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still tell it
+    # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still identify it
     numbers = {k.strip(): v.strip() for k, v in fields.items()}
     return f"{name} (family {numbers.get('cpu family', '?')}, model {numbers.get('model', '?')})"
 

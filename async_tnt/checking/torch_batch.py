@@ -1,7 +1,7 @@
-"""The batch way, as fast as we can write it in torch: a window's volume from all its events, then the network.
+"""Batch processing, as fast as we can write it in torch: a window's volume from all its events, then the network.
 
-The reference in `tnt_reference` is written to be read; this one is written to be timed against: float32, no
-masks, one `scatter_add_` for all eight neighbours. It must give the same volume (`latency` asserts that).
+The reference in `tnt_reference` is written for reading, this one for timing: float32, no masks, one `scatter_add_` for
+all eight neighbours. It must give the same volume (`bench_latency` checks that).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class TorchBatch:
 
     @classmethod
     def of(cls, model: Model) -> TorchBatch:
-        """The batch way of a model."""
+        """The batch processing of a model."""
         return cls(model.config, model)
 
     def logits(self, volume: torch.Tensor) -> torch.Tensor:
@@ -108,7 +108,7 @@ class TorchBatch:
         n = torch.arange(1, len(z) + 1, dtype=torch.float64 if landmark == "line" else torch.float32)
         if landmark == "running":
             return z - z.cumsum(0, dtype=torch.float64).div_(n).float()
-        # running line by prefix sums: float64, for they cancel
+        # running line by prefix sums: float64 because of cancellation
         z, f = z.double(), dt.double() / self.config.window_us
         mean_z, mean_f = z.cumsum(0) / n, f.cumsum(0) / n
         c_zf = (z * f).cumsum(0) - n * mean_z * mean_f

@@ -14,9 +14,9 @@ from async_tnt.archive.executor import Executor, executor_of
 from async_tnt.archive.job import Task, job_of, recordings_under, task_of
 from async_tnt.archive.records import Record, run_recording
 from async_tnt.archive.results import check_out
-from async_tnt.cli.arguments import complain, one_line, paths_of, positive_int
+from async_tnt.cli.options import paths_of, positive_int, triggers_of
+from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.pixel_options import selector_of
-from async_tnt.cli.trigger_options import triggers_of
 from async_tnt.networks.engines import choose_engine
 from async_tnt.progress import progress as progress_bar
 

@@ -25,13 +25,13 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 DESCRIPTION = """\
 Measure, on this machine: how long TNTVolume takes for an event, how long a Processor with its network takes,
-and how long after the last event the decision is there. Where torch is installed, the same decisions are also
-made the batch way (the window's whole volume anew, then torch's network), in the same run, in turns with ours;
-first it is checked that both give the same volumes and the same classes.
+and the latency from the last event to the decision. If torch is installed, the same decisions are also made in
+batches (the window's whole volume again, then torch's network), in the same run, interleaved with ours; both are
+first checked to give the same volumes and the same classes.
 
-Then the network by itself, 1 to 1300 events after the decision before (ours computes what has changed), and a
-Processor that decides after every event, beside onnxruntime, OpenVINO and torch where they are installed, and where
-their logits are the same. benchmarks/decisions.py has more of that.
+Then the network alone, 1 to 1300 events after the previous decision (ours computes what has changed), and a
+Processor that decides after every event, compared with onnxruntime, OpenVINO and torch if they are installed and
+give the same logits. See also benchmarks/decisions.py.
 
 One thread. Events are made by a seeded generator; decisions are measured on bundled recordings.
 """
@@ -39,9 +39,9 @@ EPILOG = """\
 examples:
   async-tnt bench                     a minute or less; a quiet machine gives narrow quartiles
   async-tnt bench --quick --json      a few seconds, for scripts
-  async-tnt bench --landmark line     the other landmarks cost as much or more
+  async-tnt bench --landmark line     another landmark
 """
-NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for the batch way)"
+NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for batch processing)"
 PACKAGES = ("torch", "onnxruntime", "openvino")
 TITLES = {
     "ours": "the Processor's own network",
@@ -78,14 +78,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--landmark",
         choices=[name for name in LANDMARKS if name != "regressor"],  # which needs a trained network
         default="running",
-        help="of the volumes timed by themselves (default: running)",
+        help="landmark of the volumes that are timed alone (default: running)",
     )
     parser.add_argument(
         "--model",
         metavar="NAME_OR_FILE",
         help='network for the decisions (default: the bundled "digits", else random weights)',
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the made events (default: 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated events (default: 0)")
     parser.add_argument("--quick", action="store_true", help="fewer events and rounds: seconds, wider quartiles")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
 
@@ -108,7 +108,7 @@ def main(args: argparse.Namespace) -> int:
 def _measure(args: argparse.Namespace, model: Any, model_name: str, with_torch: bool, bar: Bar) -> dict[str, Any]:
     rng = np.random.default_rng(args.seed)
     sizes = QUICK if args.quick else FULL
-    rounds = sizes["rounds"]  # many short ones: another process interrupts few of them
+    rounds = sizes["rounds"]  # many short rounds: another process interrupts few of them
     volumes = []
     for grid in GRIDS:
         bar.update(title=f"volume, {grid[0]} x {grid[1]}")
@@ -145,12 +145,12 @@ def _measure(args: argparse.Namespace, model: Any, model_name: str, with_torch: 
 
 
 def table(report: dict[str, Any]) -> Iterator[str]:
-    """The report as lines to be read."""
+    """The report as text."""
     about, settings = report["machine"], report["settings"]
     packages = ("python", "async_tnt", "numpy", "numba", *PACKAGES)
     versions = ", ".join(f"{name} {about[name]}" for name in packages if about[name])
     yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}; one thread"
-    yield f"processor time, medians of {settings['rounds']} rounds in turns, quartiles in brackets"
+    yield f"processor time, medians of {settings['rounds']} interleaved rounds, quartiles in brackets"
     volumes = report["volume"]
     yield ""
     yield (
@@ -172,14 +172,14 @@ def table(report: dict[str, Any]) -> Iterator[str]:
         f"landmark {config['landmark']}; a recording of {stream['events']:,} events, "
         f"{stream['windows']} windows decided"
     )
-    names = {"single": "push_one, each event", "batch": "batch way, torch, a window at once"}
+    names = {"single": "push_one, each event", "batch": "batch, torch, a window at once"}
     for way, figure in stream["ns_per_event"].items():
         title = names.get(way) or f"packets of {way.split('_')[1]}"
         yield f"{title + ', ns per event':48}" + _row([figure])
     yield ""
     yield (
         f"from the last event to the decision, {decisions['moments']} moments: us by the wall clock, "
-        "99th percentile behind"
+        "then the 99th percentile"
     )
     names = {
         "stream": "stream: push_one + fire",
@@ -201,11 +201,11 @@ def table(report: dict[str, Any]) -> Iterator[str]:
 
 
 def _decisions(report: dict[str, Any]) -> Iterator[str]:
-    """The network by itself, and a Processor that decides after every event."""
+    """The network alone, and a Processor that decides after every event."""
     rows, size = report["network"], report["settings"]["decisions_a_block"]
     yield ""
-    yield f"the network by itself, each in blocks of {size} decisions: us by the wall clock"
-    yield f"{'new events since the decision before':28}" + "".join(f"{int(n):>20,}" for n in rows)
+    yield f"the network alone, each in blocks of {size} decisions: us by the wall clock"
+    yield f"{'new events since the last decision':28}" + "".join(f"{int(n):>20,}" for n in rows)
     first = next(iter(rows.values()))["in_blocks"]["us"]
     for name in first:
         figures = [row["in_blocks"]["us"][name] for row in rows.values()]

@@ -1,27 +1,32 @@
-"""async-tnt check: prove on your recordings that the stream equals the batch reference."""
+"""async-tnt check: compare the stream with the batch reference on recordings."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
-from async_tnt.cli.arguments import add_files, add_start, complain, model_of, one_line, open_all, paths_of
+from async_tnt.cli.options import add_files, add_start, model_of, paths_of
+from async_tnt.cli.output import one_line
 from async_tnt.events import EVENT_DTYPE
+from async_tnt.networks.model import Model
 from async_tnt.progress import progress
+from async_tnt.sources.files.fitting import check_events, check_sensor, open_for
+from async_tnt.sources.files.recording import Recording
 
-DESCRIPTION = f"""Hold the stream against the batch reference (torch) on recordings, under every landmark:
+DESCRIPTION = f"""Compare the stream with the batch reference (torch) on recordings, for every landmark:
 
   packets of {", ".join(str(size) for size in PACKET_SIZES[:-1])} and all events give the same volume, bit for bit
   the volume equals the reference's to 1e-6 of its largest cell, the landmark to 1e-9 pixels, at prefixes
   the model's logits equal the reference pipeline's to 1e-4, with the same class
   a decision after every event, refreshed from the one before, has the bits of the whole network's
 
-A model with landmark "regressor" is held under that landmark, too. There the landmark comes from float32 convolutions
-and may differ by 1e-4 pixels; the volume equals the reference's to 1e-6 about the same landmark, and to 1e-2 about the
-one that the reference finds itself.
+A model with landmark "regressor" is also checked with that landmark. It comes from float32 convolutions and may differ
+by 1e-4 pixels; the volume equals the reference's to 1e-6 about the same landmark, and to 1e-2 about the one that the
+reference computes.
 
 Exit code 0 if all of it holds, 1 if anything does not.
 """
@@ -35,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="8",
         metavar="N|all",
         type=_prefixes,
-        help="prefixes of each window that are held against the reference (default: 8, evenly spread; all: minutes)",
+        help="prefixes of each window to compare with the reference (default: 8, evenly spread; all: minutes)",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object with every comparison")
 
@@ -45,17 +50,18 @@ def main(args: argparse.Namespace) -> int:
         import tnt_reference  # noqa: F401
         import torch
     except ImportError as error:
-        complain(f"check needs the batch reference, which needs torch: pip install '.[reference]' ({error})")
-        return 2
+        raise ImportError(
+            f"check needs the batch reference, which needs torch: pip install '.[reference]' ({error})"
+        ) from None
     torch.set_num_threads(1)
     model = model_of(args)
     paths = paths_of(args)
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
-        for recording in open_all(paths, model):
+        for recording in _open_all(paths, model):
             events = recording.read().astype(EVENT_DTYPE, copy=False)
             if events.size == 0:
-                raise ValueError(f"{recording.path}: no events, nothing to check")
+                raise ValueError(f"{recording.path}: no events to check")
             results[recording.path] = check_recording(
                 events, model, prefixes=args.prefixes, start_us=args.start_us, on_progress=bar.update
             )
@@ -67,6 +73,16 @@ def main(args: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
+def _open_all(paths: list[Path], model: Model) -> Iterator[Recording]:
+    """Open recordings one after the other; raise for one that does not fit the model."""
+    for path in paths:
+        recording = open_for(path, model.config.sensor)
+        check_sensor(path, recording.sensor, model.config.sensor)
+        if recording.sensor is None:
+            check_events(recording, model.config.sensor, path)
+        yield recording
+
+
 def _prefixes(text: str) -> int | None:
     if text == "all":
         return None
@@ -76,7 +92,7 @@ def _prefixes(text: str) -> int | None:
 
 
 def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
-    """A line for each promise, the worst over all recordings; then the recordings that break one."""
+    """A line for each comparison, the worst over all recordings; then the recordings that fail one."""
     merged: dict[tuple[str, str], Comparison] = {}
     for comparisons in results.values():
         for c in comparisons:
@@ -91,8 +107,8 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
     for path, comparisons in results.items():
         for c in comparisons:
             if not c.holds:
-                told = f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons"
-                print(one_line(told), file=sys.stderr)
+                failure = f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons"
+                print(one_line(failure), file=sys.stderr)
     print(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
 
 

@@ -15,12 +15,13 @@ from async_tnt.archive.job import job_of, task_of
 from async_tnt.archive.records import TIMED, Record, evaluate_recording, moments
 from async_tnt.archive.scores import score_recordings
 from async_tnt.cli.archive_options import Interrupted, add_archive, archive_executor, stream_archive
-from async_tnt.cli.arguments import complain, model_of, one_line
+from async_tnt.cli.options import model_of
+from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.networks.engines import Engine
 from async_tnt.networks.model import Model, bundled_models
 from async_tnt.sources.class_folders import find_recordings
-from async_tnt.views.style import check_picture
+from async_tnt.views.figure_style import check_picture
 
 SHOWN = 10  # classes that an error names
 
@@ -90,7 +91,7 @@ def main(args: argparse.Namespace) -> int:
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
     if args.picture is not None:
-        from async_tnt.views.confusion import write_confusion
+        from async_tnt.views.figure_confusion import write_confusion
 
         title = f"{args.dataset.name}: {report['accuracy']:.1%} of {len(good)} recordings right"
         course = [(m["time_us"], m["accuracy"], m["decided"]) for m in report["accuracy_against_time"]]

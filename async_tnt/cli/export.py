@@ -7,7 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.arguments import model_of, one_line
+from async_tnt.cli.options import model_of
+from async_tnt.cli.output import one_line
 from async_tnt.files import Replacement, check_writable
 from async_tnt.networks.model import Model, bundled_models
 
@@ -34,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "model", metavar="MODEL", help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file"
     )
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE.onnx", help="where to; replaced if there")
+    parser.add_argument("--out", required=True, type=Path, metavar="FILE.onnx", help="replaced if it exists")
     parser.add_argument("--json", action="store_true", help="one JSON object with files and differences")
 
 

@@ -1,4 +1,4 @@
-"""The packets of a camera or of a stream from the network, as the options say."""
+"""The packets of a camera or of a network stream, by the options of a command."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from async_tnt.cli.arguments import complain, positive_int
+from async_tnt.cli.options import positive_int
+from async_tnt.cli.output import complain
 from async_tnt.sources.background_reader import BackgroundReader
 from async_tnt.sources.opening import LiveSource, open_source
 from async_tnt.sources.pixel_selector import PixelSelector
@@ -19,27 +20,27 @@ def add_latest(parser: argparse.ArgumentParser) -> None:
         "--latest",
         type=positive_int,
         metavar="PACKETS",
-        help="of a camera or the network: read in the background, at most so many packets wait, and the oldest are "
-        "skipped and counted where decisions are slower than events",
+        help="camera or network: read in the background and keep at most this many packets waiting; if decisions are "
+        "slower than events, the oldest packets are skipped and counted",
     )
 
 
 @dataclass(frozen=True)
 class LivePackets:
-    """An open source, and its packets without what is to be left out."""
+    """An open source, and its packets without the pixels to leave out."""
 
     name: str
     source: LiveSource
     packets: Iterable[Any]
     reader: BackgroundReader | None
-    """The queue that they wait in; None: the source's own buffer decides, and nothing is skipped here."""
+    """The queue in which they wait; None: nothing is skipped here, only the source's own buffer can overflow."""
 
     def announce(self) -> None:
-        """Say that it is there; from now on Ctrl-C is the way to stop it."""
+        """Print that the source is open; from now on Ctrl-C stops it."""
         complain(f"listening at {self.name}; Ctrl-C stops")
 
     def summary(self) -> str:
-        """What came and what was skipped, in one line for people."""
+        """Received and skipped events in one line of text."""
         if self.reader is None:
             return self.source.summary()
         queue = self.reader.counters
@@ -53,7 +54,7 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
 
     Parameters
     ----------
-    latest : packets that wait at most while decisions are made; None for no queue.
+    latest : largest number of waiting packets; None for no queue.
     """
     with contextlib.ExitStack() as stack:
         source: LiveSource = open_source(name, pixels.expected)

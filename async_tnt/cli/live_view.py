@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.decision_lines import Queue
+from async_tnt.cli.output import Queue
 from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
 
@@ -19,12 +19,12 @@ REFRESHES_PER_S = 12
 
 
 class LiveView:
-    """Draws the newest decision in place, some times a second, however many there are.
+    """Draws the newest decision in place, several times a second, however many decisions there are.
 
     Parameters
     ----------
     classes : names, in the order of the network's outputs.
-    title : what is being watched.
+    title : name of the source.
     console : of rich; by default the terminal's stdout.
 
     Raises
@@ -59,8 +59,8 @@ class LiveView:
     def show(
         self, decisions: Sequence[Decision], latency_us: float, counts: Counts, queue: Queue | None = None
     ) -> None:
-        """Take over what a packet brought: its decisions, the microseconds they took, the counts since, and the queue
-        that it waited in."""
+        """Show the results of a packet: its decisions, their latency, the counts so far, and the queue in which it
+        waited."""
         self._counts = counts
         self._queue = queue
         self._rates.add(counts.received, len(decisions))
@@ -82,7 +82,7 @@ class LiveView:
         return Group(Text(self._title, "bold"), bars, *(Text(line, "dim") for line in self._lines()))
 
     def _lines(self) -> list[str]:
-        """Everything in numbers."""
+        """Decision, rates and counts as text."""
         counts = self._counts
         if self._decision is None:
             return [f"no decision yet, {counts.received:,} events"]
@@ -101,7 +101,7 @@ class LiveView:
 
 
 def decide_often(processor: Processor) -> None:
-    """A decision each 20 ms, where no trigger says when."""
+    """Decide every 20 ms if no trigger is set."""
     triggers = (processor.every_us, processor.every_events, processor.confidence, processor.activity)
     if triggers == (None, None, None, None):
         processor.every_us = 20_000
@@ -128,6 +128,6 @@ class _Rates:
 
 
 def _likeliest(probabilities: np.ndarray) -> list[int]:
-    """The classes to show, in their own order."""
+    """The classes to show, in the order of the model."""
     order = np.argsort(-probabilities, kind="stable")[:MOST_CLASSES]
     return sorted(int(k) for k in order)

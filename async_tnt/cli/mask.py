@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.arguments import one_line
+from async_tnt.cli.output import one_line
 from async_tnt.cli.sizes import size_of
 from async_tnt.progress import progress
 from async_tnt.sources.files.formats import READERS
@@ -18,24 +18,24 @@ from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.mask_learning import FACTOR, count_pixels, hot_pixels
 from async_tnt.sources.pixel_masks import check_mask_path, save_mask
 from async_tnt.sources.sizes import by
-from async_tnt.views.style import check_picture
+from async_tnt.views.figure_style import check_picture
 
-DESCRIPTION = """Find the hot pixels of a camera: those that send far more events than their neighbours and the whole
-sensor make plausible. Several recordings of one camera count as one.
+DESCRIPTION = """Find the hot pixels of a camera: those with far more events than their neighbours and the whole
+sensor would explain. Several recordings of one camera count as one.
 
-  async-tnt mask desk.npz --out mask.npy               learn from a recording
-  async-tnt mask a.npy b.npy --sensor 346x260          where the files do not say the sensor
+  async-tnt mask desk.npz --out mask.npy               find them in a recording
+  async-tnt mask a.npy b.npy --sensor 346x260          if the files do not state the sensor
   async-tnt mask desk.npz --picture mask.png           and draw the counts, hot pixels circled (extra: plot)
 
-Record something that moves all over the picture, or a still scene, for some seconds. The mask is a .npy file, bool,
+Record something that moves across the whole image, or a still scene, for some seconds. The mask is a .npy file, bool,
 of shape (height, width), True where a pixel is hot:
 
   pixel_filter = async_tnt.sources.PixelFilter((346, 260), mask="mask.npy")
   async_tnt.stream(map(pixel_filter, camera), model)
 
 A pixel is hot when it has --factor times more events than the 4th busiest of the 24 pixels around it and than the mean
-pixel, and when chance would not do that in one of a hundred sensors. Exit code 0 also where none is found: the mask
-then leaves nothing out. Without --out, a mask.npy that is there already is not overwritten.
+pixel, and when chance would not do that in one of a hundred sensors. Exit code 0 also if none is found: the mask
+then leaves nothing out. Without --out, an existing mask.npy is not overwritten.
 """
 
 
@@ -47,20 +47,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FILE",
-        help="the mask, a .npy file, overwritten where it is there (default: mask.npy, never overwritten)",
+        help="the mask, a .npy file, overwritten if it exists (default: mask.npy, never overwritten)",
     )
     parser.add_argument(
         "--sensor",
         type=size_of,
         metavar="WxH",
-        help="the camera's pixels, where the recordings do not say them; a .bin is of 34x34 unless this says otherwise",
+        help="the camera's pixels, if the recordings do not state them; a .bin has 34x34 unless given here",
     )
     parser.add_argument(
         "--factor",
         type=_factor,
         default=FACTOR,
         metavar="F",
-        help="times more events than plausible (default: %(default)s)",
+        help="how many times more events than expected (default: %(default)s)",
     )
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw counts and hot pixels: .png, .svg or .pdf")
     parser.add_argument("--json", action="store_true", help="one JSON object: the pixels and their events")
@@ -71,7 +71,7 @@ def main(args: argparse.Namespace) -> int:
         args.out = Path("mask.npy")
         if os.path.lexists(args.out):
             raise FileExistsError(
-                f"{args.out} is there already: --out {args.out} overwrites it, --out FILE writes another"
+                f"{args.out} exists already: --out {args.out} overwrites it, --out FILE writes another file"
             )
     check_mask_path(args.out)
     if args.picture is not None:
@@ -79,7 +79,7 @@ def main(args: argparse.Namespace) -> int:
     counts = _count(args.files, args.sensor)
     n_events = int(counts.sum())
     if n_events == 0:
-        raise ValueError(f"{', '.join(map(str, args.files))}: no events, nothing to learn from")
+        raise ValueError(f"{', '.join(map(str, args.files))}: no events, no hot pixels can be found")
     hot = hot_pixels(counts, factor=args.factor)
     save_mask(args.out, hot)
     if args.picture is not None:
@@ -95,14 +95,14 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
     with progress(len(paths), "counting events") as bar:
         for path in paths:
             recording = open_recording(path, sensor=given)
-            said = recording.sensor or sensor  # or an earlier recording's
-            if said is None:
-                raise ValueError(f"{path}: the file does not say the camera's sensor; --sensor WxH does")
-            if sensor is not None and said != sensor:
+            found = recording.sensor or sensor  # or an earlier recording's
+            if found is None:
+                raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")
+            if sensor is not None and found != sensor:
                 raise ValueError(
-                    f"{path}: a sensor of {by(said)} pixels, but --sensor or an earlier recording says {by(sensor)}"
+                    f"{path}: a sensor of {by(found)} pixels, but --sensor or an earlier recording has {by(sensor)}"
                 )
-            sensor = said
+            sensor = found
             try:
                 counts = counts + count_pixels(recording, sensor)
             except (TypeError, ValueError) as error:
@@ -119,8 +119,8 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
     height, width = counts.shape
     if args.json:
         pixels = [{"x": int(x[k]), "y": int(y[k]), "events": int(events[k])} for k in busiest]
-        said = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
-        print(json.dumps(said | {"out": str(args.out)}))
+        result = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
+        print(json.dumps(result | {"out": str(args.out)}))
         return
     size, out = by((width, height)), one_line(str(args.out))
     if not hot.any():
@@ -138,7 +138,7 @@ def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:
     """Events per pixel in grey, on a logarithmic scale, and a circle about each hot pixel."""
     from matplotlib.colors import LogNorm
 
-    from async_tnt.views.style import ON, WIDTH, new_figure, save, styled
+    from async_tnt.views.figure_style import ON, WIDTH, new_figure, save, styled
 
     height, width = counts.shape
     with styled():

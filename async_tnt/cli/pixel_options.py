@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.arguments import complain
+from async_tnt.cli.output import complain
 from async_tnt.cli.sizes import size_text
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
@@ -21,8 +21,8 @@ def add_pixels(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         type=size_text,
         metavar="WxH",
-        help="the camera's pixels, where the recording does not say; a .bin is of 34x34 unless this or a mask says "
-        "otherwise. Without --crop, the model must be for as many",
+        help="the camera's pixels, if the recording does not state them; a .bin has 34x34 unless this option or a "
+        "mask gives others. Without --crop, they must be those of the model",
     )
 
 
@@ -32,28 +32,28 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
         "--roi",
         type=_roi_text,
         metavar="X,Y,W,H",
-        help="region of interest: leave out the events outside of W x H pixels, of which X,Y is the upper left one",
+        help="region of interest: leave out the events outside of W x H pixels, X,Y being the upper left one",
     )
     parser.add_argument(
         "--crop",
         action="store_true",
-        help="of --roi: the region is the sensor, so that a large camera fits a model for W x H pixels",
+        help="with --roi: the region becomes the sensor, so that a large camera fits a model for W x H pixels",
     )
     parser.add_argument(
-        "--mask", type=Path, metavar="FILE", help="leave out the events of hot pixels, as `async-tnt mask` found them"
+        "--mask", type=Path, metavar="FILE", help="leave out the events of hot pixels, found by `async-tnt mask`"
     )
 
 
 def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSelector:
-    """What a model is to see, by the options of `add_pixels`. Where it was trained with others, that is told.
+    """The pixels that a model sees, by the options of `add_pixels`; prints a line if it was trained with others.
 
     Parameters
     ----------
-    model : of --model; the configuration alone where nothing is known of its training.
+    model : of --model; the configuration alone if nothing is known of its training.
 
     Raises
     ------
-    ValueError, OSError : options that do not go together, a region or a camera of another size than the model's
+    ValueError, OSError : options that exclude each other, a region or a camera of another size than the model's
         sensor, or a mask that is missing, damaged, or of another sensor.
     """
     selection = selection_of(args)
@@ -61,17 +61,17 @@ def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSele
         return PixelSelector(selection, model.sensor)
     selector = PixelSelector(selection, model.config.sensor)
     other = difference(model.record, selection)
-    if other:  # no error: a camera may have been moved, or its mask learned anew
+    if other:  # no error: a camera may have been moved, or a new mask found
         complain(f"{args.model}: {other}")
     return selector
 
 
 def selection_of(args: argparse.Namespace) -> PixelSelection:
-    """As the options say; the mask is read.
+    """The selection of the options; reads the mask.
 
     Raises
     ------
-    ValueError, OSError : options that do not go together; a mask that is missing, damaged or none.
+    ValueError, OSError : options that exclude each other; a mask file that is missing, damaged or not a mask.
     """
     roi = None if args.roi is None else parse_roi(args.roi)
     sensor = None if args.sensor is None else parse_size(args.sensor)
@@ -93,7 +93,7 @@ def parse_roi(text: str) -> Region:
 
 
 def _roi_text(text: str) -> str:
-    """An argparse type: the region as text, checked; so a command keeps it as it was given."""
+    """An argparse type: the region as text, checked; so that a command can repeat it as given."""
     try:
         return ",".join(map(str, parse_roi(text)))
     except ValueError as error:

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from async_tnt.cli.arguments import complain, one_line, positive_int
+from async_tnt.cli.options import positive_int
+from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.sizes import size_of
 from async_tnt.config import LANDMARKS, POLARITIES, TNTConfig
 from async_tnt.events import EVENT_DTYPE, as_events
@@ -14,8 +15,14 @@ from async_tnt.files import check_writable
 from async_tnt.networks.model import Model, bundled_models, load_model
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
-from async_tnt.views.style import FORMATS
-from async_tnt.views.subject import Subject
+from async_tnt.views.figure_events import draw_events
+from async_tnt.views.figure_motions import draw_motions
+from async_tnt.views.figure_overview import draw_overview
+from async_tnt.views.figure_pipeline import draw_pipeline
+from async_tnt.views.figure_probabilities import draw_probabilities
+from async_tnt.views.figure_slices import draw_slices
+from async_tnt.views.figure_style import FORMATS, save, styled
+from async_tnt.views.figure_subject import Subject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,12 +31,12 @@ FIGURES = {
     "overview": "a window's events and volumes, and the class probabilities, on one page",
     "events": "a window's events in space-time: raw (x, y, t) and transformed (u, v, t)",
     "slices": "the bins of a window's raw and transformed volume as pictures",
-    "probabilities": "the probability of each class in the course of the recording",
+    "probabilities": "the probability of each class during the recording",
     "motions": "one digit under two motions, two windows or two files: raw against transformed",
     "pipeline": "recording, raw events, landmark, transformed events, volume, network, probabilities",
 }
 VOLUME_OPTIONS = ("landmark", "t_max", "polarity", "remove_flow", "bins", "window_us", "grid")
-DRAWN_FREELY = ("overview", "events", "slices", "motions")  # the others draw what the model's network sees
+DRAWN_FREELY = ("overview", "events", "slices", "motions")  # the other figures draw what the model's network sees
 USED_BY = {option: DRAWN_FREELY for option in VOLUME_OPTIONS} | {
     "window": ("overview", "events", "slices", "pipeline"),
     "windows": ("motions",),
@@ -44,8 +51,8 @@ DESCRIPTION = f"""Draw what happens to the events of a recording, as PNG, SVG or
 
 {_LIST}
 
-Events and volumes are drawn as the model makes them, or as the options say. Decisions are always the model's
-own: a network knows only the kind of volume that it was trained with.
+Events and volumes are drawn as the model makes them, or by the options. Decisions always use the model's own
+volume: a network only knows the kind of volume that it was trained on.
 
   async-tnt plot                                         overview of a bundled recording of a 3
   async-tnt plot 8 --figure pipeline --out eight.svg     of the bundled 8
@@ -75,9 +82,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         metavar="NAME|FILE",
         help=f"a bundled model ({', '.join(bundled_models())}) or a .safetensors file (default: {DEFAULT_MODEL}, "
-        "where the recording is of its sensor)",
+        "if it fits the recording's sensor)",
     )
-    what = parser.add_argument_group("what is drawn of it")
+    what = parser.add_argument_group("what is drawn")
     what.add_argument(
         "--window", type=positive_int, metavar="K", help="the window, counted from 1; for all but motions (default: 1)"
     )
@@ -94,18 +101,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--every-us",
         type=positive_int,
         metavar="US",
-        help="time between decisions (default: 2500; more in recordings of over 5 s)",
+        help="time between decisions (default: 2500; more for recordings longer than 5 s)",
     )
-    volume = parser.add_argument_group("the volume, where not as the model has it")
+    volume = parser.add_argument_group("the volume, if other than the model's")
     volume.add_argument("--landmark", choices=LANDMARKS, help="the point events are normalized about")
     volume.add_argument("--t-max", type=float, metavar="T", help="TNT time at a window's end")
-    volume.add_argument("--polarity", choices=POLARITIES, help="ON minus OFF, both alike, or in bins of their own")
+    volume.add_argument("--polarity", choices=POLARITIES, help="ON minus OFF, both alike, or in separate bins")
     volume.add_argument(
         "--remove-flow", action=argparse.BooleanOptionalAction, help="subtract the fitted flow (landmark line)"
     )
     volume.add_argument("--bins", type=positive_int, metavar="B", help="time bins")
     volume.add_argument("--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds")
-    volume.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's pixels, where the file is silent")
+    volume.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's pixels, if not in the file")
     volume.add_argument("--grid", type=size_of, metavar="WxH", help="the volume's pixels")
     parser.add_argument(
         "--dpi",
@@ -120,10 +127,7 @@ def main(args: argparse.Namespace) -> int:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        complain(f"plot draws with matplotlib: pip install '.[plot]' ({error})")
-        return 2
-    from async_tnt.views.style import save, styled
-
+        raise ImportError(f"plot draws with matplotlib: pip install '.[plot]' ({error})") from None
     _check_options(args)
     paths = _paths(args)
     out = args.out or Path("-".join(path.stem for path in paths) + f"-{args.figure}.png")
@@ -144,11 +148,11 @@ def main(args: argparse.Namespace) -> int:
 
 
 def subject_of(path: Path, args: argparse.Namespace) -> Subject:
-    """The recording, and how the model and the options have it drawn.
+    """The recording, and how it is drawn by the model and the options.
 
     Raises
     ------
-    ValueError : empty or damaged, off the sensor, or options that do not fit each other or the model.
+    ValueError : empty or damaged, events off the sensor, or options that do not fit each other or the model.
     OSError : a file is missing or not readable.
     """
     recording = open_recording(path)
@@ -159,7 +163,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     if sensor != config.sensor:
         shape = f"{sensor[0]}x{sensor[1]}"
         if args.model is not None or args.figure in ("probabilities", "pipeline"):
-            needed = "" if args.model else f"; --model names another than {DEFAULT_MODEL}"
+            needed = "" if args.model else f"; give another --model than {DEFAULT_MODEL}"
             raise ValueError(
                 f"{path}: a sensor of {shape} pixels, but the model is for "
                 f"{config.sensor[0]}x{config.sensor[1]}{needed}"
@@ -171,7 +175,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
     if events.size == 0:
-        raise ValueError(f"{path}: no events, nothing to draw")
+        raise ValueError(f"{path}: no events to draw")
     return Subject(path.name, events, config, model, args.model or DEFAULT_MODEL, args.start_us)
 
 
@@ -188,7 +192,7 @@ def _paths(args: argparse.Namespace) -> list[Path]:
 
 
 def _check_options(args: argparse.Namespace) -> None:
-    """Refuse options that the figure would silently leave aside."""
+    """Refuse options that the figure would silently ignore."""
     for option, figures in USED_BY.items():
         if getattr(args, option) is not None and args.figure not in figures:
             raise ValueError(
@@ -197,7 +201,7 @@ def _check_options(args: argparse.Namespace) -> None:
 
 
 def _sensor(recording: Recording, args: argparse.Namespace, model: Model) -> tuple[int, int]:
-    """What the file says, else what --sensor says, else the model's, where all events lie on it."""
+    """The sensor of the file, else of --sensor, else of the model if all events lie on it."""
     if recording.sensor is not None:
         if args.sensor not in (None, recording.sensor):
             raise ValueError(
@@ -210,7 +214,7 @@ def _sensor(recording: Recording, args: argparse.Namespace, model: Model) -> tup
     events = recording.read()
     x, y = (int(events[name].max(initial=0)) for name in ("x", "y"))
     if args.model is None and (x >= model.config.sensor[0] or y >= model.config.sensor[1]):
-        raise ValueError(f"{recording.path}: events reach pixel ({x}, {y}); --sensor WxH says how large the sensor is")
+        raise ValueError(f"{recording.path}: events reach pixel ({x}, {y}); give its size with --sensor WxH")
     return model.config.sensor
 
 
@@ -227,30 +231,20 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
 def _draw(subjects: list[Subject], args: argparse.Namespace) -> Figure:
     first, last = subjects[0], subjects[-1]
     number = args.window or 1
-    if args.figure == "motions":
-        from async_tnt.views.motions import draw_motions
-
-        numbers = args.windows or ((1, 2) if first is last else (1, 1))
-        return draw_motions(first.window(numbers[0]), last.window(numbers[1]), args.slices)
-    if args.figure == "events":
-        from async_tnt.views.events3d import draw_events
-
-        return draw_events(first, number)
-    if args.figure == "slices":
-        from async_tnt.views.slices import draw_slices
-
-        return draw_slices(first, number, args.slices)
-    if args.figure == "probabilities":
-        from async_tnt.views.probabilities import draw_probabilities
-
-        return draw_probabilities(first, args.every_us)
-    if args.figure == "pipeline":
-        from async_tnt.views.pipeline import draw_pipeline
-
-        return draw_pipeline(first, number)
-    from async_tnt.views.overview import draw_overview
-
-    return draw_overview(first, number, args.slices, args.every_us)
+    match args.figure:
+        case "motions":
+            numbers = args.windows or ((1, 2) if first is last else (1, 1))
+            return draw_motions(first.window(numbers[0]), last.window(numbers[1]), args.slices)
+        case "events":
+            return draw_events(first, number)
+        case "slices":
+            return draw_slices(first, number, args.slices)
+        case "probabilities":
+            return draw_probabilities(first, args.every_us)
+        case "pipeline":
+            return draw_pipeline(first, number)
+        case _:
+            return draw_overview(first, number, args.slices, args.every_us)
 
 
 def _dpi(text: str) -> int:

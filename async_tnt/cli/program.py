@@ -1,20 +1,19 @@
-"""The commands of the program `async-tnt`: their words, their errors and their ends."""
+"""The commands of the program `async-tnt`, the errors they report, and how they end."""
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import importlib
 import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from types import FrameType
 from typing import NoReturn
 
 from async_tnt import __version__
-from async_tnt.cli.arguments import complain, one_line
+from async_tnt.cli.output import complain, one_line
 from async_tnt.signals import handled_by
 
 COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)
@@ -22,12 +21,12 @@ COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(a
     "export": ("async_tnt.cli.export", "write a model's networks to ONNX files, checked (extra: onnx)"),
     "check": ("async_tnt.cli.check", "prove on recordings that the stream equals the batch reference"),
     "send": ("async_tnt.cli.send", "send recordings over the network at their own pace, as UDP datagrams"),
-    "bench": ("async_tnt.cli.bench", "measure time per event and time to decision, beside the batch way"),
+    "bench": ("async_tnt.cli.bench", "measure time per event and time to decision, compared with batch processing"),
     "train": ("async_tnt.cli.train", "train a model on recordings (extra: train)"),
-    "evaluate": ("async_tnt.cli.evaluate", "say how well a model classifies a folder of held-out recordings"),
+    "evaluate": ("async_tnt.cli.evaluate", "report how well a model classifies a folder of held-out recordings"),
     "table": ("async_tnt.cli.table", "train and test the thesis' results table (extra: train)"),
     "simulate": ("async_tnt.cli.simulate", "make N-MOVING-MNIST: every digit of MNIST under 30 motions"),
-    "mask": ("async_tnt.cli.mask", "find the hot pixels of recordings, for PixelFilter to leave out"),
+    "mask": ("async_tnt.cli.mask", "find the hot pixels of recordings, which PixelFilter leaves out"),
     "view": ("async_tnt.cli.view", "show a stream in the Rerun viewer while it is classified (extra: view)"),
     "plot": ("async_tnt.cli.plot", "draw events, volumes and decisions of a recording (extra: plot)"),
 }
@@ -61,7 +60,7 @@ def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def run(argv: Sequence[str]) -> int:
-    """Run the program with these words. Returns its exit code, as `cli.main`."""
+    """Run the program with these arguments. Returns its exit code, as `cli.main`."""
     try:
         code = _run(argv)
     except SystemExit as stopped:  # of argparse: --help, --version, bad usage
@@ -70,13 +69,21 @@ def run(argv: Sequence[str]) -> int:
 
 
 def _run(argv: Sequence[str]) -> int:
-    came: list[int] = []
+    received: list[int] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        """SIGTERM and SIGHUP, too, raise KeyboardInterrupt, so that a command ends in order."""
+        received.append(number)
+        if callable(before[number]) and _in_import_or_compilation(frame):
+            before[number](number, frame)  # ends the process at once
+        raise KeyboardInterrupt("" if number == signal.SIGINT else "terminated")
+
     try:
         args = build_parser(argv).parse_args(argv)
-        with warnings.catch_warnings(), _signals_as_ctrl_c(came):
-            warnings.showwarning = _say_warning  # type: ignore[assignment]
+        with warnings.catch_warnings(), handled_by(interrupt) as before:
+            warnings.showwarning = _show_warning  # type: ignore[assignment]
             code = args.main(args)
-    except BrokenPipeError:  # `| head`: whoever read us has seen enough
+    except BrokenPipeError:  # `| head`: the reader has seen enough
         return 0
     except (OSError, ValueError, ImportError) as error:
         complain(error)
@@ -85,51 +92,37 @@ def _run(argv: Sequence[str]) -> int:
         complain(str(error) or "interrupted")
         code = 130
     except Exception:
-        if not came:
+        if not received:
             raise
-        complain("interrupted")  # what C code has made of a KeyboardInterrupt
+        complain("interrupted")  # C code turned the KeyboardInterrupt into another error
         code = 130
-    return 128 + came[0] if came and code else code
+    return 128 + received[0] if received and code else code
 
 
 def _flushed(code: int) -> int:
-    """The exit code, once all is written that was printed: the interpreter's own flush would make it 120."""
+    """Flush stdout and return the exit code; if the interpreter's own flush failed, it would be 120."""
     try:
         sys.stdout.flush()
     except OSError as error:
         if code < 2 and not isinstance(error, BrokenPipeError):
             complain(error)
             code = 2
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still in the buffer
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the rest of the buffer
     return code
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, as everything else here does; `--help` has the rest."""
+    """Reports a mistake in one line, as all commands do; `--help` has the rest."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {one_line(message)} ({self.prog} --help)\n")
 
 
-@contextlib.contextmanager
-def _signals_as_ctrl_c(came: list[int]) -> Iterator[None]:
-    """SIGTERM and SIGHUP, too, end a command in order, by a KeyboardInterrupt; `came` gets the number of each."""
+def _in_import_or_compilation(frame: FrameType | None) -> bool:
+    """Whether an import or a compilation is running.
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        came.append(number)
-        if callable(before[number]) and _bears_no_error(frame):
-            before[number](number, frame)  # ends the program at once, as a kill would
-        raise KeyboardInterrupt("" if number == signal.SIGINT else "terminated")
-
-    with handled_by(interrupt) as before:
-        yield
-
-
-def _bears_no_error(frame: FrameType | None) -> bool:
-    """Whether an import or a compilation is under way.
-
-    C code in them prints a KeyboardInterrupt and goes on, turns it into another error, or crashes: LLVM calls back for
-    each kernel that it takes from the cache.
+    Their C code prints a KeyboardInterrupt and continues, turns it into another error, or crashes: LLVM calls back for
+    each kernel that it loads from the cache.
     """
     while frame is not None:
         if str(frame.f_globals.get("__name__")).startswith(("importlib._bootstrap", "llvmlite.", "numba.")):
@@ -138,6 +131,6 @@ def _bears_no_error(frame: FrameType | None) -> bool:
     return False
 
 
-def _say_warning(message: Warning | str, *where: object) -> None:
-    """A warning, such as that of a damaged recording, in one line and without the place in our code."""
+def _show_warning(message: Warning | str, *where: object) -> None:
+    """Print a warning, such as that of a damaged recording, in one line without its place in the code."""
     complain(f"warning: {message}")

@@ -7,13 +7,20 @@ import errno
 from pathlib import Path
 
 from async_tnt.cli.archive_options import add_archive, check_no_archive, run_archive
-from async_tnt.cli.arguments import add_files, add_start, complain, paths_of, positive_int, positive_number
-from async_tnt.cli.decision_lines import HEADER, json_line, text_line
 from async_tnt.cli.live_packets import add_latest
+from async_tnt.cli.options import (
+    add_files,
+    add_start,
+    add_triggers,
+    paths_of,
+    positive_int,
+    positive_number,
+    triggers_of,
+)
+from async_tnt.cli.output import HEADER, complain, json_line, text_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected, print_decisions, watch_decisions
 from async_tnt.cli.run_source import run_source
-from async_tnt.cli.trigger_options import add_triggers, triggers_of
 from async_tnt.compile_ahead import warmup
 from async_tnt.networks.engines import ENGINES, choose_engine
 
@@ -23,20 +30,19 @@ for each recording follows: the class of the highest mean probability over its c
 
   async-tnt run                              the ten bundled samples
   async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
-  async-tnt run --confidence 0.95            decide each window as soon as that is sure
-  async-tnt run --activity 60:4000           decide when 60 events come within some 4 ms
+  async-tnt run --confidence 0.95            decide each window as soon as the class is certain
+  async-tnt run --activity 60:4000           decide when 60 events arrive within about 4 ms
   async-tnt run udp://127.0.0.1:3333         events from the network, until Ctrl-C
-  async-tnt run camera --live --latest 64    a camera, shown in the terminal, never old (extra `cameras`)
+  async-tnt run camera --live --latest 64    a camera, shown in the terminal without delay (extra `cameras`)
   async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels
   async-tnt run --json | jq .label           one JSON object a line for each decision
   async-tnt run archive --out r.parquet --workers 4    all recordings under a folder, resumable (docs/guide.md)
   async-tnt run archive --out r.jsonl --mask mask.npy  without the events of hot pixels
-  async-tnt run a.bin --live --speed 0.2     watch it, at a fifth of its pace (extra `view`)
-  async-tnt run --engine onnx                the same network by onnxruntime (extra `onnx`), or torch
-  async-tnt run --model digits.onnx          a file that `async-tnt export` wrote, by onnxruntime
+  async-tnt run a.bin --live --speed 0.2     watch it at a fifth of the recorded speed (extra `view`)
+  async-tnt run --engine onnx                the same network run by onnxruntime (extra `onnx`), or torch
+  async-tnt run --model digits.onnx          a file written by `async-tnt export`, run by onnxruntime
 
-Engines differ in the last digits of the probabilities and in the microseconds to a decision, not in the windows or the
-events that count.
+Engines differ in the last digits of the probabilities and in latency, not in windows or counted events.
 """
 
 
@@ -48,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--hop-us",
         type=positive_int,
         metavar="US",
-        help="distance between the starts of windows; smaller than a window: they overlap",
+        help="time between the starts of windows; they overlap if it is shorter than a window",
     )
     parser.add_argument(
         "--late",
@@ -59,12 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--engine",
         choices=ENGINES,
-        help="what runs the model's networks (default: compiled; onnx for an .onnx file, which runs by nothing else)",
+        help="what runs the model's networks (default: compiled; always onnx for an .onnx file)",
     )
     parser.add_argument(
         "--live",
         action="store_true",
-        help="a small view in the terminal, at the recording's pace: label, probabilities, rates (extra `view`)",
+        help="a small view in the terminal, at the recorded speed: label, probabilities, rates (extra `view`)",
     )
     parser.add_argument("--speed", type=positive_number, metavar="S", help="of --live: 2 is twice as fast (default: 1)")
     add_pixels(parser)
@@ -78,16 +84,16 @@ def main(args: argparse.Namespace) -> int:
         return run_archive(args)
     check_no_archive(args)
     if args.live and args.json:
-        raise ValueError("--live draws for people and --json writes for programs: give one of them")
+        raise ValueError("--live and --json exclude each other")
     if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
-        raise ValueError("--latest belongs to a camera or the network; a recording waits")
+        raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
     if args.speed is not None and not args.live:
-        raise ValueError("--speed belongs to --live; without it a recording is streamed as fast as it can be")
+        raise ValueError("--speed belongs to --live; otherwise a recording is streamed as fast as possible")
     engine = choose_engine(args.model, args.engine)
     processor = engine.processor(start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args))
     pixels = selector_of(args, engine.model)
     warmup(engine.model)
-    processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
+    processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line
     failed = stopped = False
     header = "" if args.json or args.live else HEADER + "\n"
@@ -108,7 +114,7 @@ def main(args: argparse.Namespace) -> int:
         except BrokenPipeError:
             raise
         except (OSError, ValueError) as error:
-            if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # of our output: no recording is to blame
+            if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # of our output, not of a recording
                 raise
             complain(error)
             failed = True

@@ -1,4 +1,4 @@
-"""Decisions of a recording: printed one by one, or drawn at its own pace."""
+"""Decisions of a recording: printed one by one, or drawn at the recorded speed."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.arguments import complain, one_line
-from async_tnt.cli.decision_lines import Line
 from async_tnt.cli.live_view import LiveView, decide_often
+from async_tnt.cli.output import Line, complain, one_line
 from async_tnt.decision import Decision
 from async_tnt.networks.engines import Engine
 from async_tnt.processor import Processor
@@ -20,11 +19,11 @@ from async_tnt.sources.playback import replay
 
 
 def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
-    """A recording, and its packets without what is to be left out.
+    """A recording, and its packets without the pixels to leave out.
 
     Raises
     ------
-    ValueError, OSError : unreadable, or of another sensor than the model is for.
+    ValueError, OSError : unreadable, or recorded with another sensor than the model's.
     """
     recording, sensor = pixels.open(path)
     if recording.sensor is None:
@@ -33,12 +32,12 @@ def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator
 
 
 class Seen:
-    """The packets that a model sees, counted as they pass.
+    """Counts the packets that a model sees while they are read.
 
     Attributes
     ----------
     n_events : of the packets so far.
-    n_unsorted : of these, older than one before them. What was left out before counts neither way.
+    n_unsorted : those of them that are older than an earlier one. Events that were left out do not count.
     """
 
     def __init__(self, packets: Iterable[np.ndarray]) -> None:
@@ -70,7 +69,7 @@ def print_decisions(
 
     Raises
     ------
-    ValueError : there was nothing to decide.
+    ValueError : no window had an event.
     """
     processor.reset()
     closed = []
@@ -88,20 +87,22 @@ def print_decisions(
         )
     late = processor.counts.dropped_late
     if late:
-        complain(f"{recording.path}: {late} of {seen.n_events} events dropped: they came late (see --late, --start-us)")
+        complain(
+            f"{recording.path}: {late} of {seen.n_events} events were too late and dropped (see --late, --start-us)"
+        )
     elif seen.n_unsorted:
         complain(
-            f"{recording.path}: {seen.n_unsorted} of {seen.n_events} events are older than one before them (see --late)"
+            f"{recording.path}: {seen.n_unsorted} of {seen.n_events} events are older than an earlier one (see --late)"
         )
     if not closed:
-        why = pixels.nothing_left(before) or "no event in any window, nothing to decide"
+        why = pixels.nothing_left(before) or "no event in any window"
         raise ValueError(f"{recording.path}: {why}")
 
 
 def watch_decisions(
     recording: Recording, packets: Iterable[Any], processor: Processor, engine: Engine, speed: float
 ) -> None:
-    """Draw the stream at the recording's pace."""
+    """Draw the stream at the recorded speed."""
     processor.reset()
     decide_often(processor)
     with LiveView(engine.classes, recording.path.name) as view:
@@ -113,7 +114,7 @@ def watch_decisions(
 
 
 def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:
-    """Each decision, and the microseconds from handing over the event that brought it about."""
+    """Each decision, and its latency in microseconds, from the call with the event that caused it."""
     clock = time.perf_counter_ns
     for packet in packets:
         for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):

@@ -1,14 +1,13 @@
-"""Decisions of a stream that comes while one listens: from a camera, or over the network."""
+"""Decisions of a live stream: from a camera or the network."""
 
 from __future__ import annotations
 
 import sys
 import time
 
-from async_tnt.cli.arguments import complain
-from async_tnt.cli.decision_lines import Line
 from async_tnt.cli.live_packets import LivePackets, live_packets
 from async_tnt.cli.live_view import LiveView, decide_often
+from async_tnt.cli.output import Line, complain
 from async_tnt.networks.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
@@ -24,7 +23,7 @@ def run_source(
     latest: int | None,
     live: bool,
 ) -> bool:
-    """Print or draw decisions until the source ends or Ctrl-C; then what was counted. Returns whether Ctrl-C ended it.
+    """Print or draw decisions until the source ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
@@ -42,7 +41,7 @@ def run_source(
                 _print_all(stream, name, processor, line)
         except KeyboardInterrupt:
             stopped = True
-        finally:  # also where a camera was unplugged
+        finally:  # also if a camera was unplugged
             for decision in processor.finish():
                 if not live:
                     print(line(name, decision, 0.0), flush=True)

@@ -1,10 +1,9 @@
-"""async-tnt send: recordings over the network, at their own pace."""
+"""async-tnt send: recordings over the network, at the recorded speed."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 from collections.abc import Iterator
@@ -12,24 +11,25 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.cli.arguments import complain, paths_of, positive_int
+from async_tnt.cli.options import paths_of, positive_int, positive_number
+from async_tnt.cli.output import complain
 from async_tnt.sources.datagrams import EVENT_BYTES
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.playback import replay, wait_until
 from async_tnt.sources.udp_sender import PACKET_EVENTS, UdpSender
 from async_tnt.sources.udp_socket import parse_udp_url
 
-DESCRIPTION = """Send recordings as UDP datagrams to whoever listens, at the pace at which they were recorded. Several
-recordings come one after the other, their times continued, so that the receiver sees one stream.
+DESCRIPTION = """Send recordings as UDP datagrams at the speed at which they were recorded. Several recordings are sent
+one after the other with continued times, so that the receiver sees one stream.
 
   async-tnt send samples udp://127.0.0.1:3333                      the ten bundled samples
   async-tnt send a.bin b.npz udp://10.0.0.7:3333 --speed 2         twice as fast
-  async-tnt send samples udp://127.0.0.1:3333 --align-us 105000    each starts a new window of the receiver
+  async-tnt send samples udp://127.0.0.1:3333 --align-us 105000    each starts with a new window of the receiver
   async-tnt send a.bin udp://127.0.0.1:3333 --loop                 again and again, until Ctrl-C
-  async-tnt send a.bin udp://127.0.0.1:3333 --rate 1000000         a million events a second, whatever their times
+  async-tnt send a.bin udp://127.0.0.1:3333 --rate 1000000         a million events a second, regardless of their times
   async-tnt send a.bin 'udp://127.0.0.1:3333?format=spif'          in another format
 
-UDP tells nobody what got lost: the receiver's counts do. What is said to be refused found nobody listening.
+UDP does not report lost datagrams: see the receiver's counts. A datagram is refused if no program listens.
 """
 PACKET_US = 1000
 
@@ -38,20 +38,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "files", nargs="+", metavar="FILE", type=Path, help="recordings, or `samples` for the ten bundled ones"
     )
-    parser.add_argument("url", metavar="udp://HOST:PORT", help="where to")
+    parser.add_argument("url", metavar="udp://HOST:PORT", help="destination")
     parser.add_argument(
-        "--format", choices=tuple(EVENT_BYTES), help="bytes of an event (default: what the URL says, t64_x16_y16_on8)"
+        "--format", choices=tuple(EVENT_BYTES), help="format of an event (default: that of the URL, or t64_x16_y16_on8)"
     )
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument(
         "--speed",
-        type=_positive,
+        type=positive_number,
         default=1.0,
         metavar="S",
-        help="recorded time per time; 2 is twice as fast, inf does not wait (default: 1)",
+        help="speed of playback; 2 is twice as fast, inf does not wait (default: 1)",
     )
     pace.add_argument(
-        "--rate", type=_positive, metavar="EVENTS_PER_S", help="an even rate instead of the recorded pace"
+        "--rate", type=positive_number, metavar="EVENTS_PER_S", help="an even rate instead of the recorded times"
     )
     parser.add_argument("--loop", action="store_true", help="start over at the end, until Ctrl-C")
     parser.add_argument(
@@ -59,16 +59,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive_int,
         default=PACKET_EVENTS,
         metavar="N",
-        help="events of a datagram, at most (default: %(default)s)",
+        help="largest number of events in a datagram (default: %(default)s)",
     )
     parser.add_argument(
         "--align-us",
         type=positive_int,
         default=1,
         metavar="US",
-        help="start each recording a multiple of this after the first one",
+        help="start each recording at a multiple of this after the first",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object of what was sent")
+    parser.add_argument("--json", action="store_true", help="one JSON object with the counts")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -76,7 +76,7 @@ def main(args: argparse.Namespace) -> int:
     paths = paths_of(args)
     recordings = [open_recording(path).read() for path in paths]
     if not any(map(len, recordings)):
-        raise ValueError(f"{', '.join(map(str, paths))}: no event, nothing to send")
+        raise ValueError(f"{', '.join(map(str, paths))}: no event to send")
     with UdpSender(url.host, url.port, args.format or url.format, packet_events=args.packet_events) as sender:
         stream = one_stream(recordings, args.loop, args.align_us)
         started = time.monotonic()
@@ -89,8 +89,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def one_stream(recordings: list[np.ndarray], loop: bool, align_us: int) -> Iterator[np.ndarray]:
-    """The recordings one after the other, with times that go on; each starts a multiple of `align_us` after the
-    first one."""
+    """The recordings one after the other with continued times; each starts a multiple of `align_us` after the first."""
     recordings = [events for events in recordings if len(events)]
     origin_us = start_us = int(recordings[0]["t"].min())
     while True:
@@ -104,7 +103,7 @@ def one_stream(recordings: list[np.ndarray], loop: bool, align_us: int) -> Itera
 
 
 def even(stream: Iterator[np.ndarray], rate: float) -> Iterator[np.ndarray]:
-    """Packets of a millisecond's share, so that `rate` events come in a second, without drift."""
+    """Packets of a millisecond each, `rate` events a second without drift."""
     n_packet = max(1, round(rate * PACKET_US / 1e6))
     n_sent, started_ns = 0, time.monotonic_ns()
     for events in stream:
@@ -136,14 +135,4 @@ def _report(sender: UdpSender, args: argparse.Namespace, seconds: float) -> None
         )
     if sender.refused:
         sys.stdout.flush()
-        complain(f"{sender.refused:,} datagrams were refused: nobody listens at {args.url}")
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text.replace("_", ""))
-    except ValueError:
-        value = math.nan
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be a number above 0, got {text!r}")
-    return value
+        complain(f"{sender.refused:,} datagrams were refused: no program listens at {args.url}")

@@ -11,7 +11,8 @@ import time
 from pathlib import Path
 
 from async_tnt.archive.executor import available_cores
-from async_tnt.cli.arguments import complain, positive_int
+from async_tnt.cli.options import positive_int
+from async_tnt.cli.output import complain
 from async_tnt.cli.record import data_folder, seed_number
 from async_tnt.files import check_folder
 from async_tnt.progress import progress

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from async_tnt.archive.executor import available_cores
 from async_tnt.checking.timing import machine
-from async_tnt.cli.arguments import positive_int
+from async_tnt.cli.options import positive_int
 from async_tnt.cli.record import command_words, data_folder, seed_number
 from async_tnt.files import check_folder, write_text
 from async_tnt.training.settings import PRECISIONS, TrainSettings

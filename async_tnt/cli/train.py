@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from async_tnt.archive.scores import Scores
-from async_tnt.cli.arguments import complain, one_line
+from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.record import command_words, data_folder
 from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from async_tnt.cli.arguments import positive_int
+from async_tnt.cli.options import positive_int
 from async_tnt.cli.pixel_options import add_selection, selection_of
 from async_tnt.cli.sizes import size_text
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS

@@ -1,4 +1,4 @@
-"""async-tnt view: what a stream looks like in the Rerun viewer."""
+"""async-tnt view: show a stream in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.arguments import add_files, add_start, complain, one_line, paths_of, positive_number
 from async_tnt.cli.live_packets import add_latest, live_packets
+from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
+from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected
-from async_tnt.cli.trigger_options import add_triggers, triggers_of
 from async_tnt.compile_ahead import warmup
 from async_tnt.files import check_writable
 from async_tnt.networks.engines import choose_engine
@@ -24,22 +24,22 @@ from async_tnt.views.rerun_sinks import SUFFIXES, import_rerun
 from async_tnt.views.rerun_view import RerunView
 
 DESCRIPTION = """Show a stream in the Rerun viewer while it is classified: the events and the landmark, the raw and the
-transformed volume, the probability of each class, the decisions, rates and latencies (extra `view`). All of it lies on
-a timeline of the recording's own microseconds, to be played, stopped and scrubbed.
+transformed volume, the probability of each class, the decisions, rates and latencies (extra `view`). The timeline is
+that of the recording, in microseconds, and can be played, stopped and scrubbed.
 
-  async-tnt view a.bin                             start the viewer, play the recording at its own pace
+  async-tnt view a.bin                             start the viewer and play at the recorded speed
   async-tnt view a.bin --speed 0.1                 at a tenth of it
-  async-tnt view a.bin --out a.rrd                 write a file, as fast as it can; needs no display
+  async-tnt view a.bin --out a.rrd                 write a file as fast as possible; needs no display
   rerun a.rrd                                      open that file, here or elsewhere
   async-tnt view --out samples.rrd                 the ten bundled samples, one after the other in time
   async-tnt view a.bin --every-us 5000 --every-ms 5    decisions and pictures every 5 ms
   async-tnt view udp://127.0.0.1:3333 --latest 64  events from the network, until Ctrl-C
-  async-tnt view camera --roi 400,200,34,34 --crop a part of a camera's picture (extra `cameras`)
-  async-tnt view a.bin --connect rerun+http://10.0.0.7:9876/proxy    a viewer that runs already, anywhere
+  async-tnt view camera --roi 400,200,34,34 --crop a part of a camera's image (extra `cameras`)
+  async-tnt view a.bin --connect rerun+http://10.0.0.7:9876/proxy    a viewer that is running elsewhere
 
-A picture is taken every 20 ms of recorded time and at each window's end; no more is written however many events there
-are. Several recordings follow each other on one timeline; the first keeps its own times, the log of decisions says how
-far the others were moved. Rerun's viewer reports how it is used; `rerun analytics disable` ends that.
+A picture is taken every 20 ms of recorded time and at each window's end; the number of events does not change
+that. Several recordings follow each other on one timeline; the first keeps its times, the log of decisions shows
+by how much the others were shifted. Rerun's viewer collects usage data; `rerun analytics disable` stops that.
 """
 LIVE_PICTURES_PER_S = 60.0
 
@@ -51,17 +51,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_pixels(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--out", type=Path, metavar="FILE.rrd", help="write a file for the viewer instead")
-    where.add_argument(
-        "--connect", metavar="URL", help="show it in a viewer that runs already: rerun+http://HOST:9876/proxy"
-    )
-    where.add_argument(
-        "--spawn", action="store_true", help="start the viewer here, or use the one started before (default)"
-    )
+    where.add_argument("--connect", metavar="URL", help="show it in a running viewer: rerun+http://HOST:9876/proxy")
+    where.add_argument("--spawn", action="store_true", help="start the viewer here, or use the running one (default)")
     parser.add_argument(
         "--speed",
         type=positive_number,
         metavar="S",
-        help="recorded time per time; 2 is twice as fast, inf does not wait (default: 1, with --out inf)",
+        help="speed of playback; 2 is twice as fast, inf does not wait (default: 1, with --out inf)",
     )
     parser.add_argument(
         "--every-ms",
@@ -69,15 +65,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=20_000,
         dest="picture_us",
         metavar="MS",
-        help="recorded milliseconds from picture to picture (default: 20)",
+        help="recorded milliseconds between pictures (default: 20)",
     )
     add_latest(parser)
 
 
 def main(args: argparse.Namespace) -> int:
     if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
-        raise ValueError("--latest belongs to a camera or the network; a recording waits")
-    import_rerun()  # now, so that a missing one shows before any work
+        raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
+    import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)
     engine = choose_engine(args.model)
@@ -141,11 +137,11 @@ def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: 
             n_events += len(packet)
     late = view.processor.counts.dropped_late
     if late:
-        complain(f"{recording.path}: {late} of {n_events} events dropped: they came late (see --start-us)")
+        complain(f"{recording.path}: {late} of {n_events} events were too late and dropped (see --start-us)")
 
 
 def _show_live(name: str, view: RerunView, pixels: PixelSelector, latest: int | None) -> bool:
-    """Show a source until it ends or Ctrl-C; then what was counted. Returns whether Ctrl-C ended it."""
+    """Show a source until it ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it."""
     stopped = False
     with live_packets(name, pixels, latest) as stream:
         try:
@@ -154,7 +150,7 @@ def _show_live(name: str, view: RerunView, pixels: PixelSelector, latest: int | 
                 view.push(packet)
         except KeyboardInterrupt:
             stopped = True
-        finally:  # also where a camera was unplugged
+        finally:  # also if a camera was unplugged
             complain(f"{name}: {stream.summary()}")
     return stopped
 

@@ -4,7 +4,8 @@
         for packet in open_recording("seven.bin"):
             view.push(packet)
 
-Needs the extra `view`. What is logged, and under which names, is in `layout`.
+Needs the extra `view`. The names of what is logged are in `rerun_layout`. The figures of `async-tnt plot` are in the
+modules `figure_...`.
 """
 
 from async_tnt.views.rerun_view import RerunView

@@ -1,4 +1,4 @@
-"""Names of what is logged, and where the viewer shows it at first."""
+"""Names of what is logged, and the initial layout of the viewer."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ LATENCY_NAMES = ("us of a packet, mean", "us of a packet, longest")
 
 LIVE_SECONDS = 10  # of the plots, where a stream has no end
 MARGIN = 0.02  # around the event image, as a share of it
-LABEL_MARGIN = 0.14  # below it, where the class is written: on the image it would hide what it names
+LABEL_MARGIN = 0.14  # below it, for the class: on the image the text would hide the events
 
 
 def event_classes(rr: Any) -> Any:
-    """What the cells of an event image mean; one without a colour would get any."""
+    """The meaning of the cells of an event image; one without a colour would get an arbitrary one."""
     return rr.AnnotationContext(
         [
             (NOTHING, "no event", NOTHING_COLOUR),
@@ -40,16 +40,16 @@ def event_classes(rr: Any) -> Any:
 
 
 def blueprint(rr: Any, sensor: tuple[int, int], transformed: bool, live: bool = False) -> Any:
-    """The layout at first opening; who watches may change it.
+    """The initial layout; the user may change it.
 
-    Above what is seen and what it is taken for, side by side; below how that came about. The panels around are closed,
-    the buttons at the window's top right open them.
+    Above the events, the volumes and the class, below the plots and the log of decisions. The panels around are closed;
+    the buttons at the top right of the window open them.
 
     Parameters
     ----------
     rr : the module `rerun`.
     sensor : (width, height) in pixels.
-    transformed : whether there is a TNT volume beside the raw one, and a landmark.
+    transformed : whether there is a TNT volume next to the raw one, and a landmark.
     live : whether the stream may go on for hours: then the plots show its last seconds, else all of it.
     """
     b = rr.blueprint

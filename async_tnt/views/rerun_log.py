@@ -1,4 +1,4 @@
-"""StreamLog: what is written for a picture and for the decisions since the one before."""
+"""StreamLog: what is logged for a picture and for the decisions since the previous one."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
 from async_tnt.views import rerun_layout as layout
-from async_tnt.views.rerun_newest import newest_text
-from async_tnt.views.rerun_pictures import bin_sheet, class_colours, event_image
+from async_tnt.views.rerun_pictures import bin_sheet, class_colours, event_image, newest_text
 
 MOST_LINES = 20  # decisions written between two pictures; of more, the newest are
 MOST_SERIES = 64  # classes; of more, only the likeliest one's probability is drawn
 MOST_TENSOR_BYTES = 1 << 20  # of a volume; a larger one is written at the ends of windows alone
-LANDMARK_COLOUR = (255, 255, 255)  # told from both polarities and from the ground
+LANDMARK_COLOUR = (255, 255, 255)  # distinct from both polarities and the background
 LANDMARK_RADIUS, CROSS_RADIUS = 4.0, 1.0  # points of the screen
 CROSS_ARM = 0.06  # of the sensor's longer side
-BEGIN_COLOUR = (150, 150, 150)  # among lines with a colour, the viewer shows those without one in others' colours
+BEGIN_COLOUR = (150, 150, 150)  # the viewer would show lines without a colour in the colours of others
 RATE_COLOURS = ((200, 200, 200), (213, 94, 0))
 
 
@@ -67,8 +66,8 @@ class StreamLog:
             line = self._rr.TextLog(f"{self.name} begins{shift}", level="DEBUG", color=BEGIN_COLOUR)
             self._write(layout.DECISIONS, line)
 
-    def took(self, decisions: Sequence[Decision], latency_us: float, n_events: int) -> None:
-        """What a packet brought, and the microseconds that took."""
+    def add(self, decisions: Sequence[Decision], latency_us: float, n_events: int) -> None:
+        """Add the decisions of a packet and their latency."""
         self._pending.extend(decisions)
         self._n_pending += len(decisions)
         if n_events:
@@ -89,7 +88,7 @@ class StreamLog:
         Parameters
         ----------
         at_us, span_us : the moment, and the recorded time since the last picture.
-        now : what the processor's `fire` says.
+        now : the result of the processor's `fire`.
         recent : packets for the event image.
         raw : the raw volume, float32, shape (C, H, W).
         whole : whether the window is at its end.
@@ -111,7 +110,7 @@ class StreamLog:
         self._write_numbers(processor.counts, span_us)
 
     def no_events(self, at_us: int) -> None:
-        """A silence: nothing was seen until this moment since the last picture."""
+        """Log that no event arrived between the last picture and this moment."""
         self._set_time(at_us)
         self._write(layout.EVENTS, self._rr.SegmentationImage(np.zeros(self._config.sensor[::-1], np.uint8)))
         self._write(layout.RATES, self._rr.Scalars([0.0, 0.0]))
@@ -137,7 +136,7 @@ class StreamLog:
         return self._rr.TextLog(text, level="INFO" if closed else "TRACE", color=self._colours[decision.index])
 
     def _write_class(self, now: Decision) -> None:
-        """What the network says at this moment: below the event image, and beside it with all probabilities."""
+        """The class at this moment: below the event image, and next to it with all probabilities."""
         rr = self._rr
         text = newest_text(now, self._classes or ())
         self._write(layout.NEWEST, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))

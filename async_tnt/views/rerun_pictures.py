@@ -1,17 +1,25 @@
-"""Events and volumes as pictures of bytes, small enough to send many a second."""
+"""What a view shows: events and volumes as small images of bytes, the newest decision as text."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-# Okabe and Ito's colours, told apart by the colour-blind too; bright ones, for the viewer is dark
+from async_tnt.decision import Decision
+
+# Okabe and Ito's colours, distinguishable for colour-blind people, too; bright ones, as the viewer is dark
 ON_COLOUR, OFF_COLOUR = (230, 159, 0), (86, 180, 233)
 NOTHING_COLOUR, GAP_COLOUR = (18, 20, 24), (70, 74, 80)
 NOTHING, OFF, ON = 0, 1, 2
 """Cells of an event image."""
 MOST_SHEET_PIXELS = 1 << 17
+
+MOST_BARS = 12  # of more classes, the likeliest are shown
+BAR_LENGTH = 14
+MOST_LETTERS = 16  # of a class name next to its bar
+EIGHTHS = " ▏▎▍▌▋▊▉"
 
 
 def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
@@ -34,8 +42,8 @@ def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
 def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.ndarray:
     """All bins of a volume side by side: row by row, the first one at the top left.
 
-    The colour says the sign (ON positive, OFF negative), its brightness the square root of the value's share of the
-    largest one in the volume: single events stay visible beside many.
+    The colour shows the sign (ON positive, OFF negative), its brightness the square root of the value relative to the
+    largest one in the volume: single events stay visible next to many.
 
     Parameters
     ----------
@@ -98,3 +106,52 @@ def class_colours(n: int) -> list[tuple[int, int, int]]:
         r, g, b = (round(255 * value * (0.4 + 0.6 * share)) for share in shares)
         colours.append((r, g, b))
     return colours
+
+
+def newest_text(decision: Decision, classes: Sequence[str]) -> str:
+    """Markdown: the class of the open window at this moment.
+
+    Parameters
+    ----------
+    decision : of any trigger.
+    classes : the names, as many as there are probabilities.
+    """
+    if decision.events == 0:
+        return "# no event\n\nThe window has no event yet."
+    length_ms = (decision.time_us - decision.window_start_us) / 1e3
+    return (
+        f"# {plain(decision.label)}\n\nwith probability {decision.probability:.3f}, from {decision.events:,} events in "
+        f"{length_ms:,.1f} ms\n\n```\n{bars(decision.probabilities, classes)}\n```"
+    )
+
+
+def bars(probabilities: np.ndarray, classes: Sequence[str]) -> str:
+    """A line for each class: its name, a bar, the probability. All in the classes' order, or the likeliest first.
+
+    Examples
+    --------
+    >>> print(bars(np.array([0.25, 0.75]), ["cat", "mouse"]))
+    cat   ███▌           0.250
+    mouse ██████████▌    0.750
+    """
+    shown = list(range(len(classes)))
+    if len(classes) > MOST_BARS:
+        shown = np.argsort(-probabilities, kind="stable")[:MOST_BARS].tolist()
+    names = [_short(classes[k]) for k in shown]
+    width = max(map(len, names))
+    lines = []
+    for name, k in zip(names, shown, strict=True):
+        n_eighths = round(float(probabilities[k]) * BAR_LENGTH * 8)
+        bar = "█" * (n_eighths // 8) + EIGHTHS[n_eighths % 8].strip()
+        lines.append(f"{name:{width}} {bar:{BAR_LENGTH}} {probabilities[k]:.3f}")
+    return "\n".join(lines)
+
+
+def plain(text: str) -> str:
+    """Markdown that shows the text itself, on one line."""
+    return "".join(f"\\{c}" if c in r"\`*_{}[]<>()#+-.!|~&$" else c for c in " ".join(text.split()))
+
+
+def _short(name: str) -> str:
+    name = " ".join(name.replace("`", "'").split())  # three of them would end the block of bars
+    return name if len(name) <= MOST_LETTERS else name[: MOST_LETTERS - 1] + "…"

@@ -1,4 +1,4 @@
-"""Where a view goes: to a file, to a viewer that is there, or to one that is started."""
+"""The target of a view: a file, a running viewer, or a viewer that is started."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from async_tnt.files import Replacement, check_writable
 SUFFIXES = (".rrd",)
 DEFAULT_PORT = 9876  # where a Rerun viewer listens
 VIEWER_MEMORY = "25%"
-PATIENCE_S = 5.0  # for a viewer that does not take what is sent
+PATIENCE_S = 5.0  # for a viewer that does not respond
 
 
 def import_rerun() -> Any:
@@ -41,7 +41,7 @@ def import_rerun() -> Any:
 
 
 class FileSink:
-    """A .rrd file. It appears, or replaces the one before, when it is closed; until then it is NAME.rrd.part."""
+    """A .rrd file. Until it is closed it is NAME.rrd.part; then it gets its name, replacing an existing file."""
 
     def __init__(self, path: Path) -> None:
         check_writable(path, SUFFIXES)
@@ -50,7 +50,7 @@ class FileSink:
     def open(self, stream: Any) -> None:
         self._file = Replacement(self._path)
         try:
-            with _told(self._path):
+            with _as_os_error(self._path):
                 stream.save(self._file.part)
         except OSError:
             self._file.discard()
@@ -59,11 +59,11 @@ class FileSink:
     def close(self, stream: Any, keep: bool) -> None:
         """Complete the file; without `keep`, nothing is left behind.
 
-        Where it cannot be completed, as the disk is full, what there is of it stays under the name with .part.
+        If it cannot be completed, for instance because the disk is full, NAME.rrd.part is kept.
         """
         try:
             self.check(stream)
-            with _told(self._path):
+            with _as_os_error(self._path):
                 stream.disconnect()
         except OSError as error:
             if not keep:
@@ -82,12 +82,12 @@ class FileSink:
         ------
         OSError : it could not be.
         """
-        with _told(self._path):
+        with _as_os_error(self._path):
             _flush(stream)
 
 
 class ViewerSink:
-    """A viewer that runs already, on this machine or another.
+    """A running viewer, on this machine or another.
 
     Parameters
     ----------
@@ -96,10 +96,10 @@ class ViewerSink:
     Raises
     ------
     ValueError : no such URL.
-    OSError : nobody listens there.
+    OSError : no viewer listens there.
     """
 
-    _gone = False  # told by a check
+    _gone = False  # set by `check`
 
     def __init__(self, url: str) -> None:
         parts = urlsplit(url)
@@ -109,16 +109,16 @@ class ViewerSink:
             host, port = None, 0
         if parts.scheme not in ("rerun", "rerun+http", "rerun+https") or not host or parts.path != "/proxy":
             raise ValueError(f"--connect expects rerun+http://HOST:{DEFAULT_PORT}/proxy, got {url}")
-        if not _listens(host, port):  # the SDK itself would wait, and say nothing
+        if not _listens(host, port):  # the SDK would wait without a message
             raise OSError(f"{url}: no Rerun viewer listens there; `rerun` starts one, or give --out FILE.rrd")
         self._url = url
 
     def open(self, stream: Any) -> None:
-        with _told(self._url):
+        with _as_os_error(self._url):
             stream.connect_grpc(self._url)
 
     def close(self, stream: Any, keep: bool) -> None:
-        if not self._gone:  # else that was told, and it would be waited for once more
+        if not self._gone:  # else `check` raised already and would wait again
             self.check(stream)
             stream.disconnect()
 
@@ -127,10 +127,10 @@ class ViewerSink:
 
         Raises
         ------
-        OSError : it is gone, or takes nothing any more.
+        OSError : it was closed, or does not respond.
         """
         try:
-            with _told(f"{self._url}: the Rerun viewer is gone, or does not take what is sent"):
+            with _as_os_error(f"{self._url}: the Rerun viewer was closed or does not respond"):
                 _flush(stream)
         except OSError:
             self._gone = True
@@ -139,7 +139,7 @@ class ViewerSink:
 
 
 class SpawnedViewer(ViewerSink):
-    """Rerun's own viewer, started beside this program, which it outlives.
+    """Rerun's viewer, started as a process that outlives this program.
 
     Raises
     ------
@@ -154,13 +154,13 @@ class SpawnedViewer(ViewerSink):
         self._url = f"rerun+http://127.0.0.1:{DEFAULT_PORT}/proxy"
 
     def open(self, stream: Any) -> None:
-        with _told("the Rerun viewer cannot be started"), _programs_of_this_python():
+        with _as_os_error("the Rerun viewer cannot be started"), _programs_of_this_python():
             stream.spawn(connect=False, memory_limit=VIEWER_MEMORY)
         patience_s = time.monotonic() + PATIENCE_S
         while not _listens("127.0.0.1", DEFAULT_PORT):
             if time.monotonic() > patience_s:
                 raise OSError(
-                    "the Rerun viewer was started and is not there (does its display work?): give --out FILE.rrd, or "
+                    "the Rerun viewer was started but does not listen (is its display there?): give --out FILE.rrd, or "
                     "--connect to a viewer elsewhere"
                 )
             time.sleep(0.05)
@@ -186,7 +186,7 @@ def _listens(host: str, port: int) -> bool:
 
 @contextlib.contextmanager
 def _programs_of_this_python() -> Iterator[None]:
-    """Find the viewer that was installed with the SDK, even where its folder is not in PATH."""
+    """Find the viewer that was installed with the SDK, even if its folder is not in PATH."""
     before = os.environ.get("PATH")
     os.environ["PATH"] = os.pathsep.join((*([before] if before else []), str(Path(sys.executable).parent)))
     try:
@@ -199,8 +199,8 @@ def _programs_of_this_python() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _told(what: object) -> Iterator[None]:
-    """What the SDK raises (a full disk, a viewer that is gone), as an OSError in one line."""
+def _as_os_error(what: object) -> Iterator[None]:
+    """Turn an error of the SDK (a full disk, a viewer that was closed) into an OSError of one line."""
     try:
         yield
     except RuntimeError as error:
@@ -208,10 +208,10 @@ def _told(what: object) -> Iterator[None]:
 
 
 def _never_free(stream: Any) -> None:
-    """Keep a stream whose viewer hangs, or whose network is cut.
+    """Keep a stream whose viewer hangs or whose network is down.
 
-    The SDK waits until all is sent, so for ever, when a stream is freed, and, for all of them, when the program ends.
-    It is kept from both: other Rerun recordings of the same program must then be flushed by who made them.
+    When a stream is freed, and for all streams when the program ends, the SDK waits until all is sent: here forever.
+    This prevents both; other Rerun recordings of the same program must then be flushed by their owners.
     """
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(stream))
     import_rerun().unregister_shutdown()

@@ -1,4 +1,4 @@
-"""RerunView: logs a stream to the Rerun viewer, or to a file for it, while it is classified."""
+"""RerunView: logs a stream to the Rerun viewer, or to a .rrd file, while it is classified."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ from async_tnt.processor import Processor
 from async_tnt.streams import as_processor
 from async_tnt.views import rerun_layout as layout
 from async_tnt.views.rerun_log import StreamLog
-from async_tnt.views.rerun_moments import next_moment
 from async_tnt.views.rerun_sinks import import_rerun, sink_of
-from async_tnt.views.untransformed_volume import RawTwin
+from async_tnt.views.untransformed_volume import UntransformedVolume
 
-CHECK_S = 1.0  # so often the sink is asked whether it still works; what waits for a slow viewer stays small, too
+CHECK_S = 1.0  # between checks of the sink, which also bound what waits for a slow viewer
 LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits
 
 
@@ -34,19 +33,19 @@ class RerunView:
     model : a Model, its name or path, a TNTConfig (with `classifier=`), or a Processor that has seen no event yet and
         whose windows do not overlap.
     out : a .rrd file to write; `rerun FILE.rrd` opens it.
-    connect : URL of a viewer that runs already, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a viewer is
+    connect : URL of a running viewer, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a viewer is
         started.
-    picture_us : recorded microseconds from picture to picture. Another one is taken at each window's end.
-    most_pictures_per_s : on the clock; more are left out, and pictures then take half of the time at most. For streams
-        that do not wait; the plots then show the last seconds.
-    name : what the viewer's list of recordings calls this one; without it, a number.
+    picture_us : recorded microseconds between pictures. One more is taken at each window's end.
+    most_pictures_per_s : in real time; further ones are skipped, and drawing takes half of the time at most. For
+        live streams, whose plots then show the last seconds.
+    name : of this recording in the viewer's list; by default a number.
     settings : keyword arguments of `Processor`, all but `hop_us`.
 
     Raises
     ------
     ImportError : rerun-sdk is not installed.
     ValueError, TypeError : a setting breaks its rule.
-    OSError : the file cannot be written, no viewer is there, or no display to start one on.
+    OSError : the file cannot be written, no viewer responds, or there is no display to start one on.
     """
 
     def __init__(
@@ -71,7 +70,7 @@ class RerunView:
         config = self.processor.config
         self._picture_us = int(picture_us)
         self._pause_s = 0.0 if most_pictures_per_s is None else 1 / most_pictures_per_s
-        self._twin = RawTwin(config, self.processor.late)
+        self._untransformed = UntransformedVolume(config, self.processor.late)
         self._sink = sink_of(None if out is None else Path(out), connect)
         self._stream = stream = rr.RecordingStream(layout.APPLICATION)
         self._sink.open(stream)
@@ -90,7 +89,7 @@ class RerunView:
         self._forget()
 
     def _forget(self) -> None:
-        """No event yet of this source."""
+        """Reset what is known of the source."""
         self._origin_us: int | None = None
         self._due_us = self._newest_us = 0
         self._unseen: list[np.ndarray] = []  # since the last moment of a picture
@@ -101,23 +100,23 @@ class RerunView:
     # -- events in ---------------------------------------------------------------------------------------
 
     def start(self, name: str) -> None:
-        """Another source begins: windows and counts start anew, and its time goes on after that of the one before.
+        """Start another source: windows and counts are reset, and its times follow those of the previous source.
 
-        name : what the log of decisions calls it.
+        name : of the source, for the log of decisions.
         """
         self.finish()
         self.processor.reset()
-        self._twin.reset()
+        self._untransformed.reset()
         self._forget()
         self._log.name = name
 
     def push(self, events: Any) -> list[Decision]:
-        """Classify a packet as `Processor.push` does, and log what is due on the way.
+        """Classify a packet as `Processor.push` does, and log the pictures that are due.
 
         Raises
         ------
-        ValueError, TypeError : the packet breaks a rule; none of it was taken. Also where the view cannot follow the
-            processor, see `RawTwin`.
+        ValueError, TypeError : the packet is invalid; none of it was used. Also if the view cannot follow the
+            processor, see `UntransformedVolume`.
         """
         packet = as_events(events, self.processor.config.sensor)
         if len(packet) == 0:
@@ -132,31 +131,31 @@ class RerunView:
         first = 0
         while first < len(packet):
             if newest[first] >= self._due_us:
-                self._take_due(int(newest[first]))
+                self._draw_due(int(newest[first]))
             last = int(np.searchsorted(newest, self._due_us))
-            self._take(packet[first:last], decisions)
+            self._process(packet[first:last], decisions)
             self._newest_us = int(newest[last - 1])
             first = last
         return decisions
 
     def finish(self) -> list[Decision]:
-        """The source is over: a last picture, and what `Processor.finish` decides of the open window."""
+        """End the source: a last picture, and the decision of `Processor.finish` on the open window."""
         if self._origin_us is None:
             return []
         if self._unseen:
             self._picture(self._newest_us + 1, last=True)
         started = time.perf_counter_ns()
         decisions = self.processor.finish()
-        self._log.took(decisions, (time.perf_counter_ns() - started) / 1e3, 0)
+        self._log.add(decisions, (time.perf_counter_ns() - started) / 1e3, 0)
         self._log.write_decisions()
         self._end_us = self._newest_us + self._log.offset_us
         self._origin_us = None
         return decisions
 
     def _begin(self, first_us: int) -> None:
-        """The first event of a source says where its windows, and thus its pictures, are laid."""
+        """The first event of a source determines the start of its windows, and thus its pictures."""
         origin_us = self.processor.start_us
-        if origin_us is None:  # a window may be open all the same; where none is, it starts at 0
+        if origin_us is None:  # a window may be open already; if none is, it starts at 0
             origin_us = self.processor.fire().window_start_us or first_us
         self._origin_us = origin_us
         self._log.offset_us = 0 if self._end_us is None else self._end_us + self._picture_us - first_us
@@ -164,10 +163,10 @@ class RerunView:
         self._shown_us = first_us
         self._due_us = self._after(first_us)
 
-    def _take(self, packet: np.ndarray, decisions: list[Decision]) -> None:
+    def _process(self, packet: np.ndarray, decisions: list[Decision]) -> None:
         started = time.perf_counter_ns()
         new = self.processor.push(packet)
-        self._log.took(new, (time.perf_counter_ns() - started) / 1e3, len(packet))
+        self._log.add(new, (time.perf_counter_ns() - started) / 1e3, len(packet))
         decisions += new
         self.n_events += len(packet)
         self._unseen.append(packet)
@@ -178,8 +177,8 @@ class RerunView:
         assert self._origin_us is not None
         return next_moment(t_us, self._origin_us, self.processor.config.window_us, self._picture_us)
 
-    def _take_due(self, t_us: int) -> None:
-        """All pictures that are due until `t_us`, when the next event comes: of a long silence, only its beginning."""
+    def _draw_due(self, t_us: int) -> None:
+        """Draw the pictures that are due before the next event at `t_us`; of a long silence, only its beginning."""
         self._picture(self._due_us)
         silent_us = self._after(self._due_us)
         if silent_us <= t_us:
@@ -190,7 +189,7 @@ class RerunView:
         """The state just before `at_us`."""
         assert self._origin_us is not None
         now = self.processor.fire()
-        raw = self._twin.follow(self._unseen, now)
+        raw = self._untransformed.follow(self._unseen, now)
         oldest_us = at_us - self._picture_us
         recent = [packet[packet["t"] >= oldest_us] for packet in (*self._recent, *self._unseen)]
         self._recent, self._unseen = [packet for packet in recent if len(packet)], []
@@ -214,9 +213,9 @@ class RerunView:
     # -- the end -----------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Finish, and complete the file; a viewer stays open. Twice does no harm.
+        """Finish, and complete the file; a viewer stays open. May be called twice.
 
-        A file of no event is not written: what was there before stays.
+        A file without events is not written: an existing one stays.
         """
         if self._closed:
             return
@@ -232,8 +231,33 @@ class RerunView:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if error is not None:  # the file is to hold what came before the error; what that left behind may be in pieces
+        if error is not None:  # the file keeps what came before the error; the state after it may be inconsistent
             with contextlib.suppress(Exception):
                 self.finish()
             self._origin_us = None
         self.close()
+
+
+def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:
+    """The first moment after `t_us` at which a picture is due.
+
+    Windows follow each other from `origin_us`. Pictures are due every `step_us` from a window's start and at its end,
+    so that the last picture of a window shows all of it. Where a window is shorter than a step: at the end of as many
+    whole windows as a step needs.
+
+    Parameters
+    ----------
+    t_us, origin_us : int microseconds; `t_us` may be before `origin_us`.
+    window_us, step_us : int microseconds, at least 1.
+
+    Examples
+    --------
+    >>> [next_moment(t, 1000, 105, 40) for t in (1000, 1040, 1080, 1105)]
+    [1040, 1080, 1105, 1145]
+    >>> [next_moment(t, 1000, 30, 40) for t in (1000, 1060)]
+    [1060, 1120]
+    """
+    if window_us < step_us:
+        window_us = step_us = window_us * -(-step_us // window_us)
+    start_us = t_us - (t_us - origin_us) % window_us
+    return min(start_us + ((t_us - start_us) // step_us + 1) * step_us, start_us + window_us)

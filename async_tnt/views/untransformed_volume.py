@@ -1,4 +1,4 @@
-"""The raw event volume of the same window, beside a processor that has the transformed one."""
+"""The raw event volume of the open window of a processor with a transformed one."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from async_tnt.decision import Decision
 from async_tnt.volume import TNTVolume
 
 
-class RawTwin:
-    """Follows a processor's open window with a volume that has no transform.
+class UntransformedVolume:
+    """A volume without the transform that follows the open window of a processor.
 
     Parameters
     ----------
@@ -25,17 +25,17 @@ class RawTwin:
         self._volume = TNTVolume(raw, late=late)
 
     def reset(self) -> None:
-        """Forget the stream."""
+        """Start a new stream."""
         self._volume.reset()
 
     def follow(self, packets: Iterable[np.ndarray], now: Decision) -> np.ndarray:
-        """Take what the processor took since the last call, and stand where it stands.
+        """Add the events that the processor received since the last call.
 
         Parameters
         ----------
         packets : structured arrays of events, all of them, in order.
-        now : what the processor's `fire` says after the last one: it names the open window. That may be a later one
-            than the events alone would tell, where a decision has closed one early.
+        now : the result of the processor's `fire` after the last packet, which names the open window. If a decision
+            closed a window early, this is a later one than the events alone imply.
 
         Returns
         -------
@@ -47,7 +47,7 @@ class RawTwin:
         """
         volume = self._volume
         if volume.n_events == 0 or volume.start_us != now.window_start_us:
-            volume.open(now.window_start_us)  # what came before it is late now
+            volume.open(now.window_start_us)  # earlier events are late from now on
         for packet in packets:
             volume.update(packet)
         if now.events == 0:
@@ -55,7 +55,7 @@ class RawTwin:
         if volume.n_events != now.events or volume.start_us != now.window_start_us:
             raise ValueError(
                 f"the raw volume has {volume.n_events} events from {volume.start_us} us on, the processor's window "
-                f"{now.events} from {now.window_start_us} us on: a view can only follow windows laid end to end (no "
+                f"{now.events} from {now.window_start_us} us on: a view can only follow windows without overlap (no "
                 "`hop_us`), all of whose events went through `push` of the view"
             )
         return volume.array

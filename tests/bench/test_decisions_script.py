@@ -1,4 +1,4 @@
-"""benchmarks/decisions.py: it reports what it says, draws it, and stops where contenders do not agree."""
+"""benchmarks/decisions.py: it reports what it says, draws it, and stops where backends do not agree."""
 
 from __future__ import annotations
 
@@ -6,20 +6,23 @@ import contextlib
 import copy
 import io
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from bench.scripts import load_benchmark
 
-from async_tnt.checking import backends as contenders
-from async_tnt.checking import bench_end_to_end as end_to_end
+from async_tnt.checking import backends
+
+end_to_end = load_benchmark("measure_end_to_end")
 
 RECORDED = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "decisions.json"
 
 
 @pytest.fixture(scope="module")
-def quick(tmp_path_factory, load_benchmark):
+def quick(tmp_path_factory):
     """One quick run: its module, report, text and picture."""
     folder = tmp_path_factory.mktemp("decisions")
     script = load_benchmark("decisions")
@@ -37,7 +40,7 @@ def test_every_row_is_timed_or_left_out_with_a_reason(quick):
         assert set(rows) | set(report["left_out"][part]) == set(report["work"][part])
         assert not set(rows) & set(report["left_out"][part])
     assert "left out: compiling takes too long for a quick look" in text
-    for words in (*contenders.WORK.values(), end_to_end.WORK["ours"]):
+    for words in (*backends.WORK.values(), end_to_end.WORK["ours"]):
         assert words in text or "left out: " in text
 
 
@@ -60,20 +63,12 @@ def test_figures_hang_together(quick):
     assert report["settings"]["threads"] == 1 and report["settings"]["quick"] is True
 
 
-def test_what_has_changed_takes_less_than_the_whole(quick):
-    """The point of it all, by a wide margin: a decision after one event against the same network whole."""
-    _, report, _, _ = quick
-    us = report["network"]["1"]["in_blocks"]["us"]
-    assert us["incremental"]["median"] < us["dense"]["median"]
-    assert report["every_event"]["packets"]["dense"]["ratio"]["median"] > 2
-
-
 def test_the_text_shows_the_figures(quick):
     script, report, text, _ = quick
     assert "\n".join(script.lines(report)) + "\n" == text
     figure = report["end_to_end"]["100"]["call_by_call"]["us"]["ours"]
     assert f"{figure['median']:,.1f} [{figure['q1']:,.1f}, {figure['q3']:,.1f}]" in text
-    assert "contenders alternate from call to call" in text and "each decides in blocks of 10 calls" in text
+    assert "backends alternate from call to call" in text and "each decides in blocks of 10 calls" in text
 
 
 def test_the_picture_is_drawn_again_from_the_figures_alone(quick, tmp_path, capsys):
@@ -87,14 +82,13 @@ def test_the_picture_is_drawn_again_from_the_figures_alone(quick, tmp_path, caps
 
 def test_the_picture_names_every_line_and_shows_its_medians(quick):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")
-    from async_tnt.views.decision_picture import NETWORKS, WAYS, draw_decisions
-
-    _, report, _, _ = quick
-    left, right = draw_decisions(report).axes
-    for axes, rows, looks in ((left, report["network"], NETWORKS), (right, report["end_to_end"], WAYS)):
+    script, report, _, _ = quick
+    drawing = sys.modules[script.draw_decisions.__module__]
+    left, right = drawing.draw_decisions(report).axes
+    for axes, rows, looks in ((left, report["network"], drawing.NETWORKS), (right, report["end_to_end"], drawing.WAYS)):
         shown = set(rows["1"]["in_blocks"]["us"])
         if axes is left and report["settings"]["onnxruntime_way"]:
-            shown -= {*contenders.ONNXRUNTIME} - {report["settings"]["onnxruntime_way"]}
+            shown -= {*backends.ONNXRUNTIME} - {report["settings"]["onnxruntime_way"]}
         words = sorted(text.get_text() for text in axes.texts)
         assert words == sorted(looks[name][0] for name in shown)
         drawn = [[float(y) for y in line.get_ydata()] for line in axes.lines]
@@ -105,16 +99,16 @@ def test_the_picture_names_every_line_and_shows_its_medians(quick):
         assert axes.get_yscale() == "log"
 
 
-def test_contenders_that_do_not_agree_are_exit_code_1(monkeypatch, capsys, load_benchmark):
-    right = contenders.CompiledClassifier.__call__
-    monkeypatch.setattr(contenders.CompiledClassifier, "__call__", lambda self, volume: 1.001 * right(self, volume))
+def test_backends_that_do_not_agree_are_exit_code_1(monkeypatch, capsys):
+    right = backends.CompiledClassifier.__call__
+    monkeypatch.setattr(backends.CompiledClassifier, "__call__", lambda self, volume: 1.001 * right(self, volume))
     assert load_benchmark("decisions").main(["--quick"]) == 1
     captured = capsys.readouterr()
     assert "all must give the same logits within 0.0001, got incremental and dense" in captured.err
     assert captured.out == ""
 
 
-def test_a_picture_of_another_kind_is_bad_usage(capsys, load_benchmark):
+def test_a_picture_of_another_kind_is_bad_usage(capsys):
     with pytest.raises(SystemExit, match="2"):
         load_benchmark("decisions").main(["--quick", "--picture", "d.gif"])
     assert "must end in .png, .svg, .pdf, got d.gif" in capsys.readouterr().err

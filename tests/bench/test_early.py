@@ -7,13 +7,13 @@ import shutil
 
 import numpy as np
 import pytest
+from bench.scripts import load_benchmark
 from made import events_of
 
 from async_tnt import CompiledClassifier, Decision, LeakyIntegrator, Processor, load_model
-from async_tnt.checking import bench_early as early
-from async_tnt.checking.bench_early import all_settings, early_decision, early_decisions, labelled, summary
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
+early = load_benchmark("measure_early")
 WINDOW_US = 105_000
 
 
@@ -26,7 +26,7 @@ def decision(time_us: int, trigger: str, index: int = 3, events: int = 10, start
 
 
 def judged(decisions, **settings):
-    return early_decision(decisions, settings, WINDOW_US, truth=3)
+    return early.early_decision(decisions, settings, WINDOW_US, truth=3)
 
 
 def test_a_fixed_moment_counts_from_itself_and_not_from_its_newest_event():
@@ -90,7 +90,7 @@ def test_the_evaluations_are_those_that_a_counting_classifier_counts(settings):
     processor = Processor(model, classifier=counting, start_us=0, **settings)
     processor.push(events)
     processor.finish()
-    found = early_decisions(model, [(3, events)], settings)
+    found = early.early_decisions(model, [(3, events)], settings)
     assert len(found) == 3
     assert sum(e.evaluations for e in found) == len(asked)
 
@@ -101,23 +101,23 @@ def test_summaries_by_hand():
         early.Early(False, 30.0, 60, True, 3, 5, 6),
         early.Early(True, 105.0, 100, False, 8, 8, 2),
     ]
-    found = summary(rows)
+    found = early.summary(rows)
     assert found["windows"] == 3 and found["accuracy"] == pytest.approx(2 / 3)
     assert (found["mean_ms"], found["median_ms"], found["mean_events"]) == (pytest.approx(145 / 3), 30.0, 60.0)
     assert found["at_end"] == pytest.approx(1 / 3) and found["fewest_events"] == 20
     assert found["soon"] == pytest.approx(1 / 3) and found["soon_accuracy"] == 1.0
     assert (found["evaluations_until"], found["evaluations"], found["emitted"]) == (4.0, pytest.approx(16 / 3), 4.0)
-    assert summary(rows[1:])["soon_accuracy"] is None
+    assert early.summary(rows[1:])["soon_accuracy"] is None
 
 
 def test_events_after_the_third_saccade_are_no_window():
     events = events_of([1000, 106_000, 211_000, 316_000], [3] * 4, [4] * 4, [1] * 4)
-    assert len(early_decisions(load_model("digits"), [(0, events)], {})) == 3
+    assert len(early.early_decisions(load_model("digits"), [(0, events)], {})) == 3
 
 
 def test_every_setting_is_one_that_a_processor_takes():
     model = load_model("digits")
-    for group in all_settings(WINDOW_US).values():
+    for group in early.all_settings(WINDOW_US).values():
         for settings in group:
             Processor(model, **settings)
 
@@ -134,12 +134,12 @@ def folder(tmp_path_factory):
 
 
 def test_recordings_are_labelled_by_their_folder(folder):
-    assert [digit for digit, _ in labelled(folder, None)] == [d for d in range(10) for _ in range(2)]
-    assert [digit for digit, _ in labelled(folder, 10)] == list(range(10))
-    digit, events = labelled(folder, 10)[7]
+    assert [digit for digit, _ in early.labelled(folder, None)] == [d for d in range(10) for _ in range(2)]
+    assert [digit for digit, _ in early.labelled(folder, 10)] == list(range(10))
+    digit, events = early.labelled(folder, 10)[7]
     assert digit == 7 and np.array_equal(events, open_recording(sample_recordings()[7]).read())
     with pytest.raises(ValueError, match=r"no recordings .*nothing/<digit>/\*\.bin: FOLDER or \$TNT_DATA"):
-        labelled(folder / "nothing", None)
+        early.labelled(folder / "nothing", None)
 
 
 def test_what_the_network_says_of_noise_is_no_accuracy():
@@ -150,7 +150,7 @@ def test_what_the_network_says_of_noise_is_no_accuracy():
     assert 0 < shares[0] <= 1 and 0 < rows[0]["mean_ms"] < 105
 
 
-def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys, load_benchmark):
+def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys):
     script = load_benchmark("early")
     target, picture = tmp_path / "early.json", tmp_path / "early.png"
     words = [str(folder), "--recordings", "10", "--workers", "1", "--json", str(target), "--picture", str(picture)]
@@ -158,7 +158,7 @@ def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys, load_ben
     text = capsys.readouterr().out
     report = json.loads(target.read_text(encoding="utf-8"))
     assert report["recordings"] == 10 and report["machine"]["cpu"]
-    groups = all_settings(WINDOW_US)
+    groups = early.all_settings(WINDOW_US)
     assert {name: len(rows) for name, rows in report["results"].items()} == {k: len(v) for k, v in groups.items()}
     for group in report["results"].values():
         for row in group:
@@ -186,7 +186,7 @@ def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys, load_ben
     ],
     ids=lambda words: " ".join(words) if isinstance(words, list) else "",
 )
-def test_wrong_words_are_bad_usage(words, said, capsys, load_benchmark):
+def test_wrong_words_are_bad_usage(words, said, capsys):
     with pytest.raises(SystemExit, match="2"):
         load_benchmark("early").main(words)
     import re

@@ -6,10 +6,11 @@ import json
 import re
 
 import pytest
+from bench.scripts import load_benchmark
 
 
 @pytest.fixture
-def pages(load_benchmark):
+def pages():
     return load_benchmark("pages")
 
 

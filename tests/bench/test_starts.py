@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from bench.scripts import load_benchmark
 
 from async_tnt import load_model
-from async_tnt.checking import backends as contenders
-from async_tnt.checking import bench_starts as starts
+from async_tnt.checking import backends
+
+starts = load_benchmark("measure_starts")
 
 LOOK = """
 import os
@@ -19,7 +21,7 @@ step("decision")
 
 @pytest.fixture
 def only_ours(monkeypatch):
-    monkeypatch.setattr(contenders, "is_installed", lambda *names: False)
+    monkeypatch.setattr(backends, "is_installed", lambda *names: False)
 
 
 def test_a_cold_start_finds_an_empty_cache_and_a_warm_one_a_full_one(monkeypatch, only_ours):

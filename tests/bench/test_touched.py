@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from bench.scripts import load_benchmark
 from made import events_of, random_model
 
 from async_tnt import TNTConfig, load_model
-from async_tnt.checking import bench_touched as touched
 from async_tnt.checking.moments import Moment, bench_recordings, windows_of
+
+touched = load_benchmark("measure_touched")
 
 CONFIG = TNTConfig(sensor=(18, 14), grid=(18, 14), bins=4, window_us=1000, transform="none")
 

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="pictures need matplotlib (extra `plot`)")
 
-from async_tnt.views.confusion import draw_confusion, write_confusion
+from async_tnt.views.figure_confusion import draw_confusion, write_confusion
 
 CONFUSION = np.array([[90, 10, 0], [1, 1, 0], [0, 0, 0]])
 

@@ -6,7 +6,7 @@ import numpy as np
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.views.subject import Subject
+from async_tnt.views.figure_subject import Subject
 
 
 def sample(digit: int = 3) -> np.ndarray:

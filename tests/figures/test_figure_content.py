@@ -9,9 +9,14 @@ from figures.drawing import sample, subject
 from made import events_of, random_model
 
 import async_tnt
-from async_tnt.views import events3d, motions, overview, pipeline, probabilities, slices
-from async_tnt.views.style import OFF, ON
-from async_tnt.views.subject import Subject
+from async_tnt.views import figure_events as events3d
+from async_tnt.views import figure_motions as motions
+from async_tnt.views import figure_overview as overview
+from async_tnt.views import figure_pipeline as pipeline
+from async_tnt.views import figure_probabilities as probabilities
+from async_tnt.views import figure_slices as slices
+from async_tnt.views.figure_style import OFF, ON
+from async_tnt.views.figure_subject import Subject
 
 
 def dots(axes):
@@ -245,7 +250,7 @@ def test_an_overview_without_a_model_has_no_decisions():
     shown = Subject("3.bin", sample(), subject().config)
     assert "class probability" in {axes.get_ylabel() for axes in overview.draw_overview(subject()).axes}
     assert "class probability" not in {axes.get_ylabel() for axes in overview.draw_overview(shown).axes}
-    with pytest.raises(ValueError, match="no model, so nobody decides"):
+    with pytest.raises(ValueError, match="no model to make decisions"):
         probabilities.decisions_of(shown)
 
 
@@ -288,5 +293,5 @@ def test_windows_are_those_of_the_stream():
         shown.window(2)
     with pytest.raises(ValueError, match="no event at or after the first window's start, 400000 us"):
         Subject("late", late, shown.config, start_us=400_000).window(1)
-    with pytest.raises(ValueError, match="late: no events, nothing to draw"):
+    with pytest.raises(ValueError, match="late: no events to draw"):
         Subject("late", late[:0], shown.config)

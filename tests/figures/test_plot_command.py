@@ -189,7 +189,7 @@ def test_a_recording_of_another_camera_needs_no_model(capsys):
     is_a_picture("camera-overview.png")
     np.save("camera.npy", events)
     assert plot("camera.npy", "--figure", "events", "--dpi", 40) == 2
-    assert "events reach pixel (119, 79); --sensor WxH says how large the sensor is" in capsys.readouterr().err
+    assert "events reach pixel (119, 79); give its size with --sensor WxH" in capsys.readouterr().err
     assert plot("camera.npy", "--figure", "events", "--sensor", "120x80", "--out", "e.svg") == 0
     assert capsys.readouterr().err == ""
     assert Path("e.svg").stat().st_size < 1_000_000  # a cloud of dots is one picture
@@ -220,7 +220,7 @@ def saved(name, events, **more):
     [
         (lambda: ["missing.bin"], "missing.bin: No such file"),
         (lambda: [written("cut.bin", bytes(7))], "cut.bin: damaged N-MNIST recording of 7 bytes"),
-        (lambda: [written("empty.bin", b"")], "empty.bin: no events, nothing to draw"),
+        (lambda: [written("empty.bin", b"")], "empty.bin: no events to draw"),
         (lambda: [written("x.doc", b"hello")], "x.doc: unknown suffix '.doc'"),
         (lambda: ["--out", "figure.jpg"], "--out must end in .png, .svg, .pdf, got figure.jpg"),
         (lambda: ["--out", "nowhere/figure.png"], "no folder nowhere to write figure.png to"),
@@ -234,7 +234,7 @@ def saved(name, events, **more):
         ),
         (
             lambda: [saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--figure", "pipeline"],
-            "h.npz: a sensor of 40x40 pixels, but the model is for 34x34; --model names another than digits",
+            "h.npz: a sensor of 40x40 pixels, but the model is for 34x34; give another --model than digits",
         ),
         (
             lambda: [saved("h.npz", random_events(9), sensor=np.array([40, 40])), "--sensor", "50x50"],
@@ -332,8 +332,8 @@ def test_drawing_needs_no_torch_no_pyplot_and_changes_no_settings():
 
 def test_the_package_and_its_help_import_no_matplotlib():
     code = (
-        "import sys, async_tnt, async_tnt.cli.plot, async_tnt.views.overview, async_tnt.views.motions, "
-        "async_tnt.views.pipeline; print('matplotlib' in sys.modules)"
+        "import sys, async_tnt, async_tnt.cli.plot, async_tnt.views.figure_overview, async_tnt.views.figure_motions, "
+        "async_tnt.views.figure_pipeline; print('matplotlib' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout == "False\n"

@@ -59,7 +59,7 @@ def test_only_a_named_file_is_overwritten(tmp_path, capsys, monkeypatch):
     assert main(["mask", str(SAMPLE)]) == 2
     output = capsys.readouterr()
     assert output.out == "" and output.err == (
-        "async-tnt: mask.npy is there already: --out mask.npy overwrites it, --out FILE writes another\n"
+        "async-tnt: mask.npy exists already: --out mask.npy overwrites it, --out FILE writes another file\n"
     )
     assert (tmp_path / "mask.npy").read_bytes() == b"precious"
     assert main(["mask", str(SAMPLE), "--out", "mask.npy"]) == 0

@@ -170,7 +170,7 @@ def test_late_events_are_told(capsys):
 def test_events_out_of_order_are_told(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("t,x,y,p\n0,1,1,1\n10,2,2,0\n5,3,3,1\n")
     assert main(["run", str(tmp_path / "a.csv")]) == 0
-    told = "1 of 3 events are older than one before them (see --late)"
+    told = "1 of 3 events are older than an earlier one (see --late)"
     assert capsys.readouterr().err == f"async-tnt: {tmp_path / 'a.csv'}: {told}\n"
 
 

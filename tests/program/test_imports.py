@@ -1,5 +1,6 @@
 """What importing costs, and what it must not bring along."""
 
+import ast
 import importlib
 import inspect
 import os
@@ -53,6 +54,12 @@ def test_public_names_are_there_in_every_way():
         async_tnt.procesor  # noqa: B018
     with pytest.raises(ImportError, match="cannot import name 'procesor'"):
         from async_tnt import procesor  # noqa: F401
+
+
+def test_type_checkers_see_the_same_names():
+    imports = [n for n in ast.walk(ast.parse(Path(async_tnt.__file__).read_text())) if isinstance(n, ast.ImportFrom)]
+    seen = {alias.asname: node.module.removeprefix("async_tnt.") for node in imports for alias in node.names}
+    assert seen == async_tnt._MODULES
 
 
 def test_a_package_that_is_missing_is_named():

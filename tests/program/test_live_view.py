@@ -85,7 +85,7 @@ def test_run_draws_a_recording_at_its_pace(capsys):
 @pytest.mark.parametrize(
     "options, message",
     [
-        (["--live", "--json"], "give one of them"),
+        (["--live", "--json"], "exclude each other"),
         (["--speed", "2"], "--speed belongs to --live"),
     ],
 )

@@ -132,9 +132,9 @@ def test_notes_on_order_are_of_what_the_model_sees(program, tmp_path):
     np.savez(tmp_path / "a.npz", events=np.concatenate((events, stray)), sensor=(34, 34))
     np.savez(tmp_path / "b.npz", events=np.concatenate((events, stray, own)), sensor=(34, 34))
     masked = ("--mask", tmp_path / "mask.npy")
-    assert f"10 of {len(events) + 10} events are older than one before them" in program("run", tmp_path / "a.npz")[2]
+    assert f"10 of {len(events) + 10} events are older than an earlier one" in program("run", tmp_path / "a.npz")[2]
     assert "older" not in program("run", tmp_path / "a.npz", *masked)[2]
     told = program("run", tmp_path / "b.npz", *masked)[2]
-    assert f"b.npz: 1 of {len(events) - at_mask + 1} events are older than one before them (see --late)" in told
+    assert f"b.npz: 1 of {len(events) - at_mask + 1} events are older than an earlier one (see --late)" in told
     told = program("run", tmp_path / "b.npz", *masked, "--late", "drop")[2]
-    assert f"b.npz: 1 of {len(events) - at_mask + 1} events dropped: they came late" in told
+    assert f"b.npz: 1 of {len(events) - at_mask + 1} events were too late and dropped" in told

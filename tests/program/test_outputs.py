@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="FIFOs, devices and l
 
 
 def draw(path):
-    from async_tnt.views.style import new_figure, save
+    from async_tnt.views.figure_style import new_figure, save
 
     save(new_figure(1.0, 1.0), path, 50)
 

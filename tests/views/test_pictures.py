@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of
 
-from async_tnt.views.rerun_moments import next_moment
 from async_tnt.views.rerun_pictures import (
     GAP_COLOUR,
     NOTHING,
@@ -19,6 +18,7 @@ from async_tnt.views.rerun_pictures import (
     class_colours,
     event_image,
 )
+from async_tnt.views.rerun_view import next_moment
 
 
 def test_an_event_image_has_the_newest_polarity_of_each_pixel():

@@ -10,9 +10,8 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 rrd_files = pytest.importorskip("views.rrd_files", reason="rerun-sdk is not installed (extra `view`)")
 Rrd = rrd_files.Rrd
 from async_tnt.views import rerun_layout as layout  # noqa: E402
-from async_tnt.views.rerun_moments import next_moment  # noqa: E402
-from async_tnt.views.rerun_newest import newest_text  # noqa: E402
-from async_tnt.views.rerun_view import RerunView  # noqa: E402
+from async_tnt.views.rerun_pictures import newest_text  # noqa: E402
+from async_tnt.views.rerun_view import RerunView, next_moment  # noqa: E402
 
 CONFIG = TNTConfig(sensor=(40, 30), grid=(20, 24), window_us=50_000, bins=4)
 EVENTS = random_events(3000, duration_us=170_000, sensor=(40, 30), start_us=7_000)
@@ -308,7 +307,7 @@ def test_mistakes():
 def test_windows_that_overlap_are_refused_where_they_show(tmp_path):
     processor = Processor(random_model(CONFIG), hop_us=10_000)
     with (
-        pytest.raises(ValueError, match=r"a view can only follow windows laid end to end \(no `hop_us`\)"),
+        pytest.raises(ValueError, match=r"a view can only follow windows without overlap \(no `hop_us`\)"),
         RerunView(processor, out=tmp_path / "a.rrd") as view,
     ):
         view.push(EVENTS)

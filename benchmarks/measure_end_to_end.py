@@ -1,4 +1,4 @@
-"""From handing over a packet of new events to the decision: the stream's way, and making the window's volume anew."""
+"""From a packet of new events to the decision: by the stream, and by computing the window's volume again."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from async_tnt import Model, Processor
 from async_tnt.checking.backends import Network, missing, new_network
 from async_tnt.checking.bench_network import N_WARM
-from async_tnt.checking.interleaved import Contender, call_by_call, in_blocks
+from async_tnt.checking.interleaved import Backend, call_by_call, in_blocks
 from async_tnt.checking.moments import Moment, Moments
 from async_tnt.checking.timing import is_installed
 
@@ -48,7 +48,7 @@ class Stream:
 
 
 class TorchRebuild:
-    """The batch way in torch, as fast as we can write it."""
+    """Batch processing in torch, as fast as we can write it."""
 
     def __init__(self, model: Model) -> None:
         import torch
@@ -91,19 +91,19 @@ class EventcvRebuild:
 def bench_end_to_end(
     model: Model, onnxruntime: str | None, windows: list[np.ndarray], n_new: int, *, blocks: int, size: int
 ) -> dict[str, Any]:
-    """Time decisions, from handing over a packet of `n_new` events on.
+    """Time decisions, from the call with a packet of `n_new` events.
 
     Parameters
     ----------
-    onnxruntime : how it is called fastest, of `contenders.ONNXRUNTIME`; None where it is not installed. Each row that
+    onnxruntime : how it is called fastest, of `backends.ONNXRUNTIME`; None where it is not installed. Each row that
         has a network of it has one of its own.
 
     Other parameters, what is returned and raised: as for `bench_network`. Ratios are over `ours`.
     """
     moments = Moments(windows, model.config.window_us, n_new)
 
-    def contenders() -> dict[str, Contender]:
-        made: dict[str, Contender] = {"ours": Stream(model)}
+    def backends() -> dict[str, Backend]:
+        made: dict[str, Backend] = {"ours": Stream(model)}
         if onnxruntime is not None:
             made["ours_onnxruntime"] = Stream(model, new_network(onnxruntime, model))
         if is_installed("torch", "tnt_reference"):
@@ -112,10 +112,10 @@ def bench_end_to_end(
             made["eventcv_onnxruntime"] = EventcvRebuild(model, new_network(onnxruntime, model))
         return made
 
-    call_by_call(contenders(), moments.blocks(1, N_WARM))  # warms up, and compares before any timing
+    call_by_call(backends(), moments.blocks(1, N_WARM))  # warms up, and compares before any timing
     return {
-        "call_by_call": call_by_call(contenders(), moments.blocks(blocks, size)).report(),
-        "in_blocks": in_blocks(contenders(), moments.blocks(blocks, size)).report(),
+        "call_by_call": call_by_call(backends(), moments.blocks(blocks, size)).report(),
+        "in_blocks": in_blocks(backends(), moments.blocks(blocks, size)).report(),
     }
 
 
@@ -126,7 +126,7 @@ def eventcv_fits(model: Model) -> bool:
 
 
 def left_out() -> dict[str, str]:
-    """The rows of `WORK` that are not here, and why."""
+    """The rows of `WORK` that are not available, and why."""
     needs = {
         "ours_onnxruntime": ("onnx", "onnxruntime"),
         "torch": ("torch", "tnt_reference"),

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.views.style import GREY, LARGE, OFF, ON, SMALL, TEXT, new_figure, polarity_legend
-from async_tnt.views.subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_style import GREY, LARGE, OFF, ON, SMALL, TEXT, new_figure, polarity_legend
+from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_DOTS = 12_000  # in a window: more hide one another
+MOST_DOTS = 12_000  # in a window; more would hide one another
 
 
 def draw_events(subject: Subject, number: int = 1) -> Figure:
-    """One window's events, as they came and after the transform, side by side."""
+    """One window's events, before and after the transform, side by side."""
     window = subject.window(number)
     figure = new_figure(4.9)
     raw = figure.add_axes((0.0, 0.0, 0.48, 0.85), projection="3d")
@@ -82,7 +82,7 @@ def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_nam
     axes.set_ylabel(x_name if small else f"{x_name} (px)", labelpad=-9 if small else -4)
     axes.set_zlabel(y_name if small else f"{y_name} (px)", labelpad=-12 if small else -6)
     axes.tick_params(labelsize=SMALL, pad=-4 if small else -2, colors=TEXT)
-    axes.set_proj_type("ortho")  # what is parallel stays so: a shape that moves steadily is a slanted tube
+    axes.set_proj_type("ortho")  # parallels stay parallel: a shape in constant motion is a slanted tube
     axes.set_box_aspect((1.9, sides[0] / max(sides), sides[1] / max(sides)), zoom=1.2)
     axes.view_init(elev=16, azim=-38)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
@@ -93,7 +93,7 @@ def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_nam
 
 
 def _inner_ticks(end: float, most: int) -> list[float]:
-    """Up to so many round numbers between 0 and `end`: labels at the corners of a box would meet."""
+    """A few round numbers between 0 and `end`: labels at the corners of a box would overlap."""
     from matplotlib.ticker import MaxNLocator
 
     return [tick for tick in MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(0, end) if 0 < tick < end]

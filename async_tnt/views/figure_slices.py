@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.views.events3d import transform_words
-from async_tnt.views.style import (
+from async_tnt.views.figure_events import transform_words
+from async_tnt.views.figure_style import (
     LARGE,
     OFF,
     ON,
@@ -22,13 +22,13 @@ from async_tnt.views.style import (
     one_colour_map,
     polarity_map,
 )
-from async_tnt.views.subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-MOST_SLICES = 12  # beside each other without asking
+MOST_SLICES = 12  # in a row by default
 INK = {"unsigned": "#222222", "ON": ON, "OFF": OFF}
 LEFT, RIGHT, GAP, ROW_GAP, HEAD, TALLEST = 0.75, 0.85, 0.06, 0.12, 0.36, 1.9  # inches
 
@@ -62,7 +62,7 @@ def draw_slices(subject: Subject, number: int = 1, bins: Sequence[int] | None = 
 
 
 def shown_bins(config: TNTConfig, bins: Sequence[int] | None = None) -> list[int]:
-    """The bins asked for; else all, or as many as fit, evenly spread.
+    """The requested bins; else all, or as many as fit, evenly spread.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float
         bar.outline.set_visible(False)
         bar.ax.tick_params(labelsize=SMALL, length=2, colors=TEXT)
         bar.locator = few_ticks()
-        if height > 0.85:  # or it would reach into the next row; the caption says it, too
+        if height > 0.85:  # else it would reach into the next row; the caption has it, too
             bar.set_label("events / cell", fontsize=SMALL, color=TEXT, labelpad=2)
 
 
@@ -129,7 +129,7 @@ def _picture(config: TNTConfig, n_shown: int) -> tuple[float, float]:
 
 
 def colour_limit(cells: np.ndarray) -> float:
-    """Full colour: what all but the largest cells stay below, or they would leave the others pale."""
+    """The value of full colour: exceeded by the largest cells only, which would leave the others pale."""
     used = np.abs(cells[cells != 0])
     return float(np.quantile(used, 0.98)) if used.size else 1.0
 
@@ -152,7 +152,7 @@ def draw_slice(axes: Any, cells: np.ndarray, colours: str, limit: float, **setti
 
 
 def bin_title(config: TNTConfig, k: int) -> str:
-    """A bin's number, and the time it stands for."""
+    """A bin's number and its time."""
     return f"bin {k}\n{bin_ms(config, k)}"
 
 
@@ -162,7 +162,7 @@ def bin_ms(config: TNTConfig, k: int) -> str:
 
 
 def caption(config: TNTConfig) -> str:
-    """What the pictures are, and their colours."""
+    """A caption: the kind of pictures, and their colours."""
     colours = {
         "signed": "colour: ON minus OFF events of a cell",
         "unsigned": "ink: ON and OFF events of a cell alike",

@@ -1,4 +1,4 @@
-"""Cold and warm starts, in fresh processes: what passes from `import` to the first decision."""
+"""Cold and warm starts in new processes: the time from `import` to the first decision."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ print(json.dumps(seconds))
 def bench_starts(
     model: Model, *, rounds: int, cold: bool = True, each: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
-    """Time starts, in turns: each round has one process of each row, the cold one with a cache folder of its own.
+    """Time starts, interleaved: each round has one process of each row, the cold one with a cache folder of its own.
 
-    Files are in the system's memory: a first round is thrown away. `each` is called before each round, that one too.
+    A first round, which fills the system's file cache, is discarded. `each` is called before each round, that one too.
     Without `cold` nothing is compiled: `ours_warm` takes the cache as this process has it.
 
     Returns
@@ -116,7 +116,7 @@ def bench_starts(
 
 
 def left_out(cold: bool = True) -> dict[str, str]:
-    """The rows of `WORK` that are not here, and why."""
+    """The rows of `WORK` that are not available, and why."""
     quick = {} if cold else {"ours_cold": "compiling takes too long for a quick look"}
     return quick | {name: why for name, packages in NEEDS.items() if (why := missing(*packages))}
 

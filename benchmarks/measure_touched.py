@@ -1,8 +1,8 @@
 """What a decision has to compute: cells of each layer that new events change, and those that they can reach.
 
 A pixel of a map reaches the cells of the next one whose 2x2 places lie within one pixel of it (the 3x3 taps). Reached
-cells are computed, and if they come out as they were, nothing follows from them: the transform throws many events out,
-and where every filter's ReLU stays at zero a change ends.
+cells are computed; if they do not change, the next layer is unaffected: the transform drops many events, and a change
+ends where every filter's ReLU stays at zero.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _places(model: Model) -> dict[str, float]:
 
 
 def _work(model: Model, reached: dict[str, float]) -> dict[str, float]:
-    """Multiplications, and bytes of the weights that they read, for so many places of each layer."""
+    """Multiplications, and bytes of the weights that they read, for a number of places of each layer."""
     w = model.weights
     sizes = {name: w[f"{name}.weight"].size for name in ("conv1", "conv2", "fc1", "fc2")}
     _, height, width = model.config.shape

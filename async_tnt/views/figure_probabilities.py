@@ -1,4 +1,4 @@
-"""What the model says in the course of a recording: the probability of each class against time."""
+"""The model's decisions during a recording: the probability of each class against time."""
 
 from __future__ import annotations
 
@@ -9,20 +9,32 @@ import numpy as np
 from async_tnt.decision import Decision
 from async_tnt.processor import Processor
 from async_tnt.progress import progress
-from async_tnt.views.events3d import transform_words
-from async_tnt.views.style import GREY, HIGHLIGHTS, LARGE, NORMAL, OFF, ON, PALE, SMALL, TEXT, few_ticks, new_figure
-from async_tnt.views.subject import Subject
+from async_tnt.views.figure_events import transform_words
+from async_tnt.views.figure_style import (
+    GREY,
+    HIGHLIGHTS,
+    LARGE,
+    NORMAL,
+    OFF,
+    ON,
+    PALE,
+    SMALL,
+    TEXT,
+    few_ticks,
+    new_figure,
+)
+from async_tnt.views.figure_subject import Subject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EVERY_US = 2_500
-MOST_DECISIONS = 2_000  # unless the user says how often
+MOST_DECISIONS = 2_000  # unless the user sets the interval
 PACKET = 20_000
 
 
 def draw_probabilities(subject: Subject, every_us: int | None = None) -> Figure:
-    """Probabilities above, the events that they come from below."""
+    """Probabilities above, the rate of events below."""
     decisions = decisions_of(subject, every_us)
     figure = new_figure(4.9)
     above = figure.add_axes((0.075, 0.37, 0.83, 0.52))
@@ -43,14 +55,14 @@ def default_every_us(subject: Subject) -> int:
 
 
 def decisions_of(subject: Subject, every_us: int | None = None) -> list[Decision]:
-    """Every decision that falls as the recording streams by, each window's last one included.
+    """All decisions of the streamed recording, the last one of each window included.
 
     Raises
     ------
     ValueError : the subject has no model; or no event lies in any window.
     """
     if subject.model is None:
-        raise ValueError(f"{subject.name}: no model, so nobody decides; --model names one")
+        raise ValueError(f"{subject.name}: no model to make decisions; give --model")
     every_us = default_every_us(subject) if every_us is None else every_us
     processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
     decisions = []
@@ -61,12 +73,12 @@ def decisions_of(subject: Subject, every_us: int | None = None) -> list[Decision
             bar.update(packet.size)
     decisions += processor.finish()
     if not decisions:
-        raise ValueError(f"{subject.name}: no event in any window, nothing to decide")
+        raise ValueError(f"{subject.name}: no event in any window")
     return decisions
 
 
 def verdict(subject: Subject, decisions: list[Decision]) -> str:
-    """What the whole recording shows, as `async-tnt run` says it: by the mean over its windows' last decisions."""
+    """The class of the whole recording, as in `async-tnt run`: by the mean over its windows' last decisions."""
     last = [d.probabilities for d in decisions if d.trigger in ("window", "end")]
     mean = np.mean(last, axis=0)
     best = int(mean.argmax())
@@ -76,7 +88,7 @@ def verdict(subject: Subject, decisions: list[Decision]) -> str:
 
 
 def who_decides(subject: Subject, every_us: int | None) -> str:
-    """The model, with its own transform, and how often."""
+    """The model, its transform, and the time between its decisions."""
     assert subject.model is not None
     config = subject.model.config
     sees = transform_words(config) if config.transform == "tnt" else "raw volumes"
@@ -94,7 +106,7 @@ def draw_classes(axes: Any, subject: Subject, decisions: list[Decision]) -> None
     starts_us = np.array([d.window_start_us for d in decisions])
     style = _styles(probabilities)
     starts = np.unique(starts_us)
-    # each window begins anew, so its line does; unless a window has hardly more than a point
+    # each window has a line of its own, unless it has hardly more than a point
     ends = np.flatnonzero(np.diff(starts_us)) + 1 if times.size >= 3 * starts.size else np.empty(0, int)
     x, y = np.insert(times, ends, np.nan), np.insert(probabilities, ends, np.nan, axis=0)
     for k in sorted(range(len(model.classes)), key=lambda k: style[k]["zorder"]):
@@ -187,5 +199,5 @@ def time_label(subject: Subject) -> str:
 
 
 def short(name: str) -> str:
-    """A class name that fits beside a figure."""
+    """A class name that fits next to a figure."""
     return name if len(name) <= 10 else name[:9] + "…"

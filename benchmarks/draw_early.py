@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.views.style import LARGE, OFF, ON, SMALL, TEXT, new_figure
+from async_tnt.views.figure_style import LARGE, OFF, ON, SMALL, TEXT, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -66,14 +66,14 @@ def test_in_blocks_one_decides_all_of_a_block_and_the_order_turns():
 @pytest.mark.parametrize("turns", [call_by_call, in_blocks])
 def test_other_logits_stop_the_comparison(turns):
     other = LOGITS + np.array([0, 3e-3], np.float32)  # 1.5e-4 of the largest
-    contenders = {"ours": Scribe("ours", []), "wrong": Scribe("wrong", [], other)}
+    backends = {"ours": Scribe("ours", []), "wrong": Scribe("wrong", [], other)}
     with pytest.raises(WorkDiffers, match=r"within 0\.0001, got ours and wrong 1\.5e-04 apart at event 3 of"):
-        turns(contenders, blocks())
-    contenders["wrong"].logits = np.array([np.nan, 0], np.float32)
+        turns(backends, blocks())
+    backends["wrong"].logits = np.array([np.nan, 0], np.float32)
     with pytest.raises(WorkDiffers, match="got ours and wrong nan apart"):
-        turns(contenders, blocks())
-    contenders["wrong"].logits = None  # one that cannot be compared is timed
-    assert turns(contenders, blocks()).largest_difference == 0
+        turns(backends, blocks())
+    backends["wrong"].logits = None  # one that cannot be compared is timed
+    assert turns(backends, blocks()).largest_difference == 0
 
 
 def test_differences_are_in_parts_of_the_largest_logit_where_that_is_above_one():

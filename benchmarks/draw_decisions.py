@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.views.style import LARGE, NORMAL, OFF, ON, SMALL, TEXT, new_figure
+from async_tnt.views.figure_style import LARGE, NORMAL, OFF, ON, SMALL, TEXT, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,7 +48,7 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
     figure.text(0.07, 0.945, words, fontsize=LARGE + 2, fontweight="bold", va="center")
     words = (
         f"filled: medians and quartiles in blocks of {report['settings']['decisions_a_block']} calls; "
-        "hollow: medians where contenders alternate from call to call.\n"
+        "hollow: medians where backends alternate from call to call.\n"
         f"{report['machine']['cpu']}, one thread."
     )
     figure.text(0.07, 0.02, words, fontsize=SMALL, color=TEXT)

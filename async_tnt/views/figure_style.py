@@ -1,4 +1,4 @@
-"""How all figures look, and how they reach a file: whole or not at all."""
+"""The style of all figures, and how they are written to files: completely or not at all."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours: told apart by the colour-blind too
+# Okabe and Ito's colours, distinguishable for colour-blind people, too
 ON, OFF = "#D55E00", "#0072B2"
 HIGHLIGHTS = (("#000000", "-"), ("#009E73", (0, (5, 1.5))), ("#CC79A7", (0, (3, 1, 1, 1))), ("#E69F00", (0, (1, 1))))
 GREY, PALE, TEXT = "#8a8a8a", "#c4c4c4", "#555555"
@@ -42,7 +42,7 @@ _STYLE: dict[str, Any] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Inside, figures look like ours, whatever the user's own settings say; outside, nothing changes."""
+    """Within the block figures have our style, whatever the user's settings; outside, nothing changes."""
     import matplotlib.style
 
     with matplotlib.style.context(["default", _STYLE]):
@@ -50,14 +50,14 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """A figure of so many inches, on no screen and in no list of pyplot's."""
+    """A figure of this size in inches, not shown on a screen and not known to pyplot."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), facecolor="white")
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a file of --picture that `save` could not write, before any work is done.
+    """Refuse a --picture file that `save` could not write, before any work is done.
 
     Raises
     ------
@@ -71,9 +71,9 @@ def check_picture(path: Path) -> None:
 
 
 def save(figure: Figure, path: Path, dpi: int) -> None:
-    """Write a figure, as its suffix says. An existing file is replaced at once, when the new one is complete.
+    """Write a figure in the format of the suffix. An existing file is replaced when the new one is complete.
 
-    A PNG for a screen gets a palette of 256 colours: a third of the bytes, and no eye sees it.
+    A PNG for a screen gets a palette of 256 colours: a third of the bytes, without a visible difference.
 
     dpi : pixels per inch of a PNG, and of the clouds of dots in SVG and PDF.
     """
@@ -88,7 +88,7 @@ def save(figure: Figure, path: Path, dpi: int) -> None:
 
 def _give_palette(path: Path, dpi: int) -> None:
     """Rewrite a PNG with the palette that covers all its colours: a rare one keeps its hue, too."""
-    from PIL import Image  # matplotlib brings it along
+    from PIL import Image  # a dependency of matplotlib
 
     with Image.open(path) as opened:
         image = opened.convert("RGB")
@@ -113,7 +113,7 @@ def one_colour_map(colour: str) -> Colormap:
 
 
 def polarity_legend(axes: Axes, **settings: Any) -> None:
-    """Say which dots are ON and which are OFF."""
+    """A legend for ON and OFF dots."""
     from matplotlib.lines import Line2D
 
     handles = [

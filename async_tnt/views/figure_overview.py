@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from async_tnt.views.events3d import draw_raw, draw_titles, draw_transformed
-from async_tnt.views.probabilities import decisions_of, draw_classes, draw_rate, time_label, verdict, who_decides
-from async_tnt.views.slices import caption, draw_layers, layers_height, shown_bins
-from async_tnt.views.style import LARGE, SMALL, TEXT, WIDTH, new_figure, polarity_legend
-from async_tnt.views.subject import Subject
+from async_tnt.views.figure_events import draw_raw, draw_titles, draw_transformed
+from async_tnt.views.figure_probabilities import decisions_of, draw_classes, draw_rate, time_label, verdict, who_decides
+from async_tnt.views.figure_slices import caption, draw_layers, layers_height, shown_bins
+from async_tnt.views.figure_style import LARGE, SMALL, TEXT, WIDTH, new_figure, polarity_legend
+from async_tnt.views.figure_subject import Subject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

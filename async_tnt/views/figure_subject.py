@@ -1,4 +1,4 @@
-"""What is drawn: the events of a recording, how they become volumes, and who decides."""
+"""What figures draw: the events of a recording, their volumes, and the model that decides."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from async_tnt.volume import TNTVolume
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A recording, and what is to be made of it.
+    """A recording, and how it is drawn.
 
     Parameters
     ----------
-    name : the recording's, for titles.
+    name : of the recording, for titles.
     events : structured array of `EVENT_DTYPE`, in order of arrival, at least one.
     config : how events and volumes are drawn; transform "tnt".
-    model : who decides, each window by the model's own configuration; None: nobody. With landmark "regressor" its
-        network finds the landmark.
+    model : makes the decisions, with its own configuration; None: no decisions. With landmark "regressor" its
+        network computes the landmark.
     model_name : for titles.
     start_us : start of the first window; by default the first event.
 
@@ -42,7 +42,7 @@ class Subject:
 
     def __post_init__(self) -> None:
         if self.events.size == 0:
-            raise ValueError(f"{self.name}: no events, nothing to draw")
+            raise ValueError(f"{self.name}: no events to draw")
         self.regressor()
 
     @property
@@ -57,7 +57,7 @@ class Subject:
         return (1e6, "s") if int(t.max()) - int(t.min()) > 20_000_000 else (1e3, "ms")
 
     def since_start(self, t_us: Any) -> Any:
-        """Times since the first window's start, in `time_unit`: cameras' clocks may start anywhere."""
+        """Times since the first window's start, in `time_unit`: cameras' clocks may start at any value."""
         return (t_us - self.first_us) / self.time_unit[0]
 
     @property
@@ -66,16 +66,16 @@ class Subject:
         return self.config.replace(transform="none", landmark="center", remove_flow=False)
 
     def window(self, number: int) -> Window:
-        """The `number`-th window, counted from 1; windows are laid end to end as in a stream.
+        """The `number`-th window, counted from 1; windows follow each other as in a stream.
 
         Raises
         ------
-        ValueError : it holds no events, or lies behind the recording's last.
+        ValueError : it has no events, or lies after the last window of the recording.
         """
         window_us = self.config.window_us
         start_us = self.first_us + (number - 1) * window_us
         t = self.events["t"]
-        # what comes after an event of a later window is late, and dropped by the stream, too
+        # an event that arrives after one of a later window is late; the stream drops it, too
         still_open = np.maximum.accumulate(t) < start_us + window_us
         inside = self.events[still_open & (t >= start_us)]
         if inside.size:
@@ -89,7 +89,7 @@ class Subject:
         raise ValueError(f"{self.name}: no events in window {number}, from {start_us} us on")
 
     def regressor(self) -> CompiledRegressor | None:
-        """The model's landmark network, for the volumes that are drawn; None where none is needed."""
+        """The model's landmark network, for the volumes that are drawn; None if not needed."""
         if not self.config.needs_regressor:
             return None
         if self.model is None or not self.model.config.needs_regressor:
@@ -100,7 +100,7 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The events of one window of a recording, and what is made of them."""
+    """The events of one window of a recording, and what is drawn of them."""
 
     subject: Subject
     number: int
@@ -130,7 +130,7 @@ class Window:
         return transformed(self.events, config, self.start_us, self._read(config)[1] if config.needs_replay else None)
 
     def flow(self) -> tuple[float, float]:
-        """The ridge line's slope (x, y), in grid pixels per window: which way the events go."""
+        """The ridge line's slope (x, y), in grid pixels per window: the direction in which the events move."""
         line = self.subject.config.replace(landmark="line", remove_flow=False)
         volume = TNTVolume(line)
         volume.open(self.start_us)
@@ -147,5 +147,5 @@ class Window:
 
 
 def shown_evenly(n: int, most: int) -> np.ndarray:
-    """Indices of at most so many of n things, evenly spread."""
+    """At most `most` indices of n things, evenly spread."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).astype(np.int64)

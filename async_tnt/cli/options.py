@@ -1,33 +1,23 @@
-"""What the commands share: the FILE arguments, and how mistakes are told."""
+"""Options that several commands share: FILE, --model, --start-us, the triggers; and argparse types."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from async_tnt.config import TNTConfig
 from async_tnt.files import check_writable
 from async_tnt.networks.model import Model, bundled_models, load_model
-from async_tnt.sources.files.fitting import check_events, check_sensor, open_for
 from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.files.recording import Recording, sample_recordings
+from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.opening import is_live
+from async_tnt.triggers import LeakyIntegrator
 
 SAMPLES = Path("samples")
 
 
-class HasConfig(Protocol):
-    """A Model, or an engine that runs one."""
-
-    @property
-    def config(self) -> TNTConfig: ...
-
-
 def add_files(parser: argparse.ArgumentParser, *, onnx: bool = False, streams: bool = False) -> None:
-    """FILE and --model; `onnx`: which may also be an .onnx file; `streams`: FILE may also be udp://... or a camera."""
+    """FILE and --model; with `onnx` also a model in an .onnx file, with `streams` also udp://... or a camera."""
     sources = "`camera`, udp://HOST:PORT, or " if streams else ""
     kinds = ", a .safetensors file, or an .onnx file of `async-tnt export`" if onnx else " or a .safetensors file"
     parser.add_argument(
@@ -58,22 +48,36 @@ def add_start(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_triggers(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--every-us", type=positive_int, metavar="US", help="decide also every US microseconds")
+    parser.add_argument("--every-events", type=positive_int, metavar="N", help="decide also every N events")
+    parser.add_argument(
+        "--confidence",
+        type=_probability,
+        metavar="P",
+        help="decide and close the window early once the likeliest class has probability P; checked at the "
+        "decisions of the other triggers, or else after every event",
+    )
+    parser.add_argument(
+        "--activity",
+        type=_integrator,
+        metavar="N:US",
+        help="decide also at bursts of activity: when a potential that grows by 1 with each event and leaks with the "
+        "time constant US microseconds reaches N",
+    )
+
+
+def triggers_of(args: argparse.Namespace) -> dict[str, Any]:
+    """Keyword arguments of `Processor`."""
+    return {name: getattr(args, name) for name in ("every_us", "every_events", "confidence", "activity")}
+
+
 def paths_of(args: argparse.Namespace) -> list[Any]:
-    """What was given as FILE; the bundled samples for nothing, and for `samples` where there is no such file."""
+    """The given FILEs; the bundled samples if there are none, or for `samples` if no such file exists."""
     bundled = list(sample_recordings().values())
     if not args.files:
         return bundled
     return [f for file in args.files for f in (bundled if file == SAMPLES and not SAMPLES.exists() else [file])]
-
-
-def open_all(paths: list[Path], model: HasConfig) -> Iterator[Recording]:
-    """Open recordings one after the other, complaining about those that do not fit the model."""
-    for path in paths:
-        recording = open_for(path, model.config.sensor)
-        check_sensor(path, recording.sensor, model.config.sensor)
-        if recording.sensor is None:
-            check_events(recording, model.config.sensor, path)
-        yield recording
 
 
 def model_of(args: argparse.Namespace) -> Model:
@@ -85,26 +89,8 @@ def model_of(args: argparse.Namespace) -> Model:
     return load_model(args.model)
 
 
-def complain(error: BaseException | str) -> None:
-    """One line on stderr."""
-    if isinstance(error, OSError) and error.filename is not None:
-        error = f"{error.filename}: {error.strerror}"
-    print(f"async-tnt: {one_line(str(error))}", file=sys.stderr, flush=True)
-
-
-def one_line(text: str) -> str:
-    """The text, with what cannot be printed as Python writes it: a file's name may hold a line break.
-
-    Examples
-    --------
-    >>> print(one_line("a\\nb: no events"))
-    a\\nb: no events
-    """
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-
-
 def writable_file(text: str) -> Path:
-    """An argparse type: a file that can be written, or one that can be replaced."""
+    """An argparse type: a path that can be written or replaced."""
     try:
         check_writable(Path(text))
     except (OSError, ValueError) as error:
@@ -115,7 +101,7 @@ def writable_file(text: str) -> Path:
 def positive_int(text: str) -> int:
     """An argparse type: a whole number of at least 1."""
     try:
-        value = int(text.replace("_", ""))
+        value = int(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be a whole number, got {text!r}") from None
     if value < 1:
@@ -132,3 +118,23 @@ def positive_number(text: str) -> float:
     if not value > 0:
         raise argparse.ArgumentTypeError(f"must be a positive number, got {text!r}")
     return value
+
+
+def _probability(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= 1:
+        raise argparse.ArgumentTypeError(f"must be a probability in (0, 1], got {text!r}")
+    return value
+
+
+def _integrator(text: str) -> LeakyIntegrator:
+    try:
+        threshold, leak_us = (float(number) for number in text.split(":"))
+        return LeakyIntegrator(threshold, leak_us)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"must be two positive numbers, events:microseconds, such as 60:4000, got {text!r}"
+        ) from None

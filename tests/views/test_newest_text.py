@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from async_tnt import Decision
-from async_tnt.views.rerun_newest import BAR_LENGTH, MOST_BARS, bars, newest_text, plain
+from async_tnt.views.rerun_pictures import BAR_LENGTH, MOST_BARS, bars, newest_text, plain
 
 
 def decision_of(probabilities, classes, events=1_234):

@@ -6,16 +6,18 @@ import importlib.util
 
 import numpy as np
 import pytest
+from bench.scripts import load_benchmark
 from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Model, Processor, TNTConfig, load_model
-from async_tnt.checking import backends as contenders
-from async_tnt.checking import bench_end_to_end as end_to_end
+from async_tnt.checking import backends
 from async_tnt.checking import bench_every_event as every_event
 from async_tnt.checking import bench_network as network
 from async_tnt.checking.backends import dense_networks, left_out
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import Moments, bench_recordings, windows_of
+
+end_to_end, noise, singles = map(load_benchmark, ("measure_end_to_end", "measure_noise", "measure_singles"))
 
 needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
 SMALL = TNTConfig(sensor=(20, 16), grid=(20, 16), bins=3, window_us=1000)
@@ -34,7 +36,7 @@ def windows(model) -> list[np.ndarray]:
 
 def test_all_engines_give_the_same_logits_and_keep_none_of_the_volume(model):
     networks = dense_networks(model)
-    assert set(networks) | set(left_out()) == set(contenders.WORK) - {"incremental"}
+    assert set(networks) | set(left_out()) == set(backends.WORK) - {"incremental"}
     volumes = np.random.default_rng(0).standard_normal((3, *model.config.shape)).astype(np.float32)
     expected = [CompiledClassifier(model)(volume).copy() for volume in volumes]
     for name, run in networks.items():
@@ -43,12 +45,12 @@ def test_all_engines_give_the_same_logits_and_keep_none_of_the_volume(model):
 
 
 def test_a_missing_package_leaves_its_rows_out_and_is_named(model, monkeypatch):
-    present = contenders.is_installed
-    monkeypatch.setattr(contenders, "is_installed", lambda *names: "onnxruntime" not in names and present(*names))
+    present = backends.is_installed
+    monkeypatch.setattr(backends, "is_installed", lambda *names: "onnxruntime" not in names and present(*names))
     assert not {"onnxruntime_run", "onnxruntime_binding"} & set(dense_networks(model))
     assert left_out()["onnxruntime_run"] == left_out()["onnxruntime_binding"] == "onnxruntime is not installed"
     assert end_to_end.left_out()["ours_onnxruntime"] == "onnxruntime is not installed"
-    monkeypatch.setattr(contenders, "is_installed", lambda *names: not names)
+    monkeypatch.setattr(backends, "is_installed", lambda *names: not names)
     assert set(dense_networks(model)) == {"dense"}
     assert left_out()["openvino"] == "onnx and openvino are not installed"
 
@@ -104,7 +106,7 @@ def test_networks_that_differ_stop_the_comparison(model, windows):
     with pytest.raises(WorkDiffers, match=r"got incremental and wrong 1\.0e-03 apart"):
         network.bench_network(model, networks, windows, 10, **BRIEF)
     with pytest.raises(WorkDiffers, match=r"got dense and wrong 1\.0e-03 apart"):
-        network.bench_on_noise(model, networks, **BRIEF)
+        noise.bench_on_noise(model, networks, **BRIEF)
     del networks["dense"]
     with pytest.raises(WorkDiffers, match=r"got ours and wrong 1\.\de-0[34] apart after \d+ events"):
         every_event.bench_every_event(model, networks, bench_recordings(model)[:1], rounds=1, n_events=1000)
@@ -124,10 +126,10 @@ def test_the_faster_way_of_onnxruntime_is_the_one_with_less_time_over_all_rows()
     def row(run: float, binding: float):
         return {"in_blocks": {"us": {"onnxruntime_run": {"median": run}, "onnxruntime_binding": {"median": binding}}}}
 
-    ways = contenders.ONNXRUNTIME
-    assert network.fastest(ways, {"1": row(50, 49), "10": row(40, 48)}) == "onnxruntime_run"
-    assert network.fastest(ways, {"1": row(50, 49), "10": row(48, 40)}) == "onnxruntime_binding"
-    assert network.fastest(ways, {"1": {"in_blocks": {"us": {"dense": {"median": 1.0}}}}}) is None
+    ways = backends.ONNXRUNTIME
+    assert noise.fastest(ways, {"1": row(50, 49), "10": row(40, 48)}) == "onnxruntime_run"
+    assert noise.fastest(ways, {"1": row(50, 49), "10": row(48, 40)}) == "onnxruntime_binding"
+    assert noise.fastest(ways, {"1": {"in_blocks": {"us": {"dense": {"median": 1.0}}}}}) is None
 
 
 def test_eventcv_is_asked_only_for_volumes_that_it_makes(model, monkeypatch):
@@ -138,7 +140,7 @@ def test_eventcv_is_asked_only_for_volumes_that_it_makes(model, monkeypatch):
 
 
 def test_every_event_asks_a_whole_network_for_each_decision(model, monkeypatch):
-    """A Processor refreshes a CompiledClassifier: as a contender it is to be called with arrays."""
+    """A Processor refreshes a CompiledClassifier: as a backend it is to be called with arrays."""
     asked = []
     whole = CompiledClassifier.__call__
     monkeypatch.setattr(CompiledClassifier, "__call__", lambda self, v: asked.append(v.shape) or whole(self, v))
@@ -155,10 +157,9 @@ def test_single_decisions_have_a_tail_and_the_collector_is_set_back(model):
     import gc
 
     assert gc.isenabled()
-    rows = every_event.bench_singles(model, bench_recordings(model)[:1], n_decisions=2500)
+    rows = singles.bench_singles(model, bench_recordings(model)[:1], n_decisions=2500)
     assert gc.isenabled() and set(rows) == {"collector", "no_collector", "machine"}
     for row in rows.values():
         assert row["n"] == 2500
         assert 0 < row["q1"] <= row["median"] <= row["q3"] <= row["p99"] <= row["p999"] <= row["max"]
         assert row["p99_over_median"] == pytest.approx(row["p99"] / row["median"])
-    assert rows["machine"]["median"] == pytest.approx(rows["collector"]["median"], rel=0.8)  # about as long

@@ -1,17 +1,17 @@
-"""A decision as a line: for people, and for programs."""
+"""What commands print: decisions as lines for people and for programs, and errors on stderr."""
 
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Protocol
 
-from async_tnt.cli.arguments import one_line
 from async_tnt.decision import Decision
 
 
 class Line(Protocol):
-    """A decision as a line: of which source, after how many microseconds, and how the queue before it stands."""
+    """A decision as a line, with the name of its source, its latency, and the state of the queue before it."""
 
     def __call__(self, name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str: ...
 
@@ -32,6 +32,24 @@ class Queue(Protocol):
 HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} {'events':>7} {'us':>7}  why"
 
 
+def complain(error: BaseException | str) -> None:
+    """One line on stderr."""
+    if isinstance(error, OSError) and error.filename is not None:
+        error = f"{error.filename}: {error.strerror}"
+    print(f"async-tnt: {one_line(str(error))}", file=sys.stderr, flush=True)
+
+
+def one_line(text: str) -> str:
+    """The text on one line, unprintable characters escaped: a file name may contain a line break.
+
+    Examples
+    --------
+    >>> print(one_line("a\\nb: no events"))
+    a\\nb: no events
+    """
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 def text_line(name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str:
     start_ms = decision.window_start_us / 1e3
     window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
@@ -42,7 +60,7 @@ def text_line(name: str, decision: Decision, latency_us: float, queue: Queue | N
 
 
 def json_line(name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str:
-    fresh = {}
+    queued = {}
     if queue is not None:
-        fresh = {"delay_us": queue.delay_us, "backlog": queue.backlog, "n_skipped": queue.n_skipped}
-    return json.dumps({"recording": name, **decision.to_dict(), "latency_us": round(latency_us, 3), **fresh})
+        queued = {"delay_us": queue.delay_us, "backlog": queue.backlog, "n_skipped": queue.n_skipped}
+    return json.dumps({"recording": name, **decision.to_dict(), "latency_us": round(latency_us, 3), **queued})

@@ -1,4 +1,4 @@
-"""A confusion matrix as a picture: what was taken for what; and how soon it was right."""
+"""A picture of a confusion matrix and of the accuracy against time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from async_tnt.views.style import GREY, LARGE, PALE, SMALL, TEXT, new_figure, one_colour_map, save, styled
+from async_tnt.views.figure_style import GREY, LARGE, PALE, SMALL, TEXT, new_figure, one_colour_map, save, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,7 +27,7 @@ Course = Sequence[tuple[float, float, float]]
 def draw_confusion(
     confusion: np.ndarray, classes: Sequence[str], title: str = "", course: Course | None = None
 ) -> Figure:
-    """Draw a confusion matrix and, beside it, accuracy against time.
+    """Draw a confusion matrix and, next to it, accuracy against time.
 
     A cell's colour is its share of its row, so that a rare class shows as clearly as a common one; its number is the
     count.
@@ -102,7 +102,7 @@ def write_confusion(
     *,
     dpi: int = 150,
 ) -> Path:
-    """`draw_confusion` into a file, .png, .svg or .pdf; replaced at once if there. Returns its path."""
+    """`draw_confusion` into a file, .png, .svg or .pdf; replaced atomically if it exists. Returns its path."""
     with styled():
         save(draw_confusion(confusion, classes, title, course), path, dpi)
     return path

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.views.events3d import MOST_DOTS, transform_words
-from async_tnt.views.slices import bin_ms, colour_limit, draw_slice, layers_of, shown_bins
-from async_tnt.views.style import LARGE, OFF, ON, SMALL, TEXT, WIDTH, new_figure
-from async_tnt.views.subject import Window, shown_evenly
+from async_tnt.views.figure_events import MOST_DOTS, transform_words
+from async_tnt.views.figure_slices import bin_ms, colour_limit, draw_slice, layers_of, shown_bins
+from async_tnt.views.figure_style import LARGE, OFF, ON, SMALL, TEXT, WIDTH, new_figure
+from async_tnt.views.figure_subject import Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 N_SLICES = 4
-MEAN_PARTS, MEAN_SHARE = 12, 0.03  # the mean path: of so many parts of the window those with a share of the events
+MEAN_PARTS, MEAN_SHARE = 12, 0.03  # the mean path: parts of the window, and the least share of events in one
 
 
 def draw_motions(first: Window, second: Window, bins: Sequence[int] | None = None) -> Figure:
@@ -88,7 +88,7 @@ def title(windows: tuple[Window, Window]) -> str:
 
 
 def busiest_bins(volumes: np.ndarray, n_bins: int, n_shown: int = N_SLICES) -> list[int]:
-    """The evenly spaced bins that hold most: a saccade's bell-shaped speed leaves few events in the others.
+    """The evenly spaced bins with most events: a saccade's bell-shaped speed leaves few in the others.
 
     volumes : (..., C, H, W), not negative; C is B, or 2 B.
     """
@@ -100,7 +100,7 @@ def busiest_bins(volumes: np.ndarray, n_bins: int, n_shown: int = N_SLICES) -> l
 
 
 def direction(flow: np.ndarray, axis: int) -> str:
-    """Which way a flow (x, y) goes along the axis that is drawn; y grows downwards."""
+    """The direction of a flow (x, y) along the drawn axis; y grows downwards."""
     if abs(flow[axis]) < 0.5:  # pixels in a window
         return f"at rest along {'xy'[axis]}"
     return "moving " + (("left", "right"), ("up", "down"))[axis][int(flow[axis] > 0)]
@@ -110,7 +110,7 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
     """Events along one axis against time, in grid pixels."""
     config = window.subject.config
     u, v, kept, _ = window.coordinates()
-    # pixels are whole numbers: dots are spread over their pixel, or they would hide one another
+    # pixels are whole numbers: dots are spread over their pixel so that they do not hide one another
     spread = np.random.default_rng(0).uniform(-0.4, 0.4, kept.size) * config.to_grid(1.0, 1.0)[axis]
     _draw_dots(raw, window, window.grid_xy[axis] + spread, np.ones(kept.size, bool))
     _draw_dots(tnt, window, (u, v)[axis], kept)

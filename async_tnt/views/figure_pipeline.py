@@ -1,4 +1,4 @@
-"""The whole way of one window in one picture: recording, events, landmark, transform, volume, network, answer."""
+"""The whole pipeline for one window: recording, events, landmark, transform, volume, network, class."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from async_tnt.decision import Decision
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
-from async_tnt.views.events3d import draw_raw, draw_transformed
-from async_tnt.views.probabilities import draw_rate, short
-from async_tnt.views.slices import colour_limit, draw_slice, layers_of
-from async_tnt.views.style import GREY, LARGE, NORMAL, OFF, PALE, SMALL, TEXT, WIDTH, new_figure, polarity_legend
-from async_tnt.views.subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_events import draw_raw, draw_transformed
+from async_tnt.views.figure_probabilities import draw_rate, short
+from async_tnt.views.figure_slices import colour_limit, draw_slice, layers_of
+from async_tnt.views.figure_style import GREY, LARGE, NORMAL, OFF, PALE, SMALL, TEXT, WIDTH, new_figure, polarity_legend
+from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,7 +80,7 @@ def draw_pipeline(subject: Subject, number: int = 1) -> Figure:
 
 
 def decision_of(window: Window, model: Model) -> Decision:
-    """What the model says of the complete window."""
+    """The model's decision on the complete window."""
     processor = Processor(model, start_us=window.start_us)
     processor.push(window.events)
     return processor.fire()
@@ -137,7 +137,7 @@ def _bend(figure: Figure, right: float, left: float) -> None:
 
 
 def _draw_landmark(axes: Any, window: Window) -> None:
-    """The window's events as ink, and where the landmark was for each of them."""
+    """The window's events as dots, and the landmark of each."""
     config = window.subject.config
     width, height = config.grid
     column, row = np.rint(window.grid_xy).astype(np.int64)
@@ -200,7 +200,7 @@ def _outline(extent: tuple[float, float, float, float], zorder: float) -> Any:
 
 
 def layer_words(model: Model) -> list[str]:
-    """The classifier's layers with their sizes, as its weights have them."""
+    """The classifier's layers with their sizes, read from its weights."""
     w = model.weights
     words = [f"{w[f'{layer}.weight'].shape[0]} convolutions 3x3, ReLU,\naverage of 2x2" for layer in ("conv1", "conv2")]
     n, n_in = w["fc1.weight"].shape

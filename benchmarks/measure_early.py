@@ -27,7 +27,7 @@ MOMENTS_MS = (10, 15, 20, 25, 30, 35, 40, 50, 60, 70, 80, 90, 100, 105)
 LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 NUMBERS = (25, 50, 100, 150, 200, 300, 400, 600, 800)
 INTEGRATORS = [(threshold, leak_us) for leak_us in (5_000, 20_000, math.inf) for threshold in (25, 50, 100, 200)]
-SOON_EVENTS = 50  # a decision on fewer events is counted by itself: was it nonsense?
+SOON_EVENTS = 50  # a decision on fewer events is counted separately: was it arbitrary?
 N_NOISE = 100  # recordings of noise
 
 Settings = dict[str, Any]
@@ -138,7 +138,7 @@ def labelled(folder: Path, n: int | None) -> list[tuple[int, np.ndarray]]:
 def measure_early(
     folder: Path, n: int | None, *, workers: int = 1, each: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
-    """All settings on all recordings of a folder (or n of them), what the network says of an empty volume
+    """All settings on all recordings of a folder (or n of them), the network's answer to an empty volume
     (`of_nothing`, its largest probability), and confidence on noise, as one JSON object.
 
     each : called after each setting; there are `n_settings()`.
@@ -172,8 +172,9 @@ def n_settings() -> int:
 
 
 def on_noise(model: Model, n_events: int, n: int) -> list[dict[str, Any]]:
-    """What confidence says where there is nothing to see: n recordings of so many events, uniform over pixels, time
-    and polarity. Each level with its share of windows closed early, and their mean milliseconds."""
+    """Confidence on noise: n recordings of `n_events` events, uniform over pixels, time and polarity.
+
+    Each level with its share of windows closed early, and their mean milliseconds."""
     rng = np.random.default_rng(0)
     recordings = [(-1, made_recording(rng, model.config, n_events)) for _ in range(n)]
     result = []
@@ -198,7 +199,7 @@ def _measure_one(task: tuple[Path, int | None, str, int]) -> tuple[str, int, dic
 
 
 def _plain(settings: Settings) -> Settings:
-    """For JSON, which knows no infinity."""
+    """For JSON, which has no infinity."""
     plain = dict(settings)
     if "activity" in plain:
         plain["activity"] = {k: None if v == math.inf else v for k, v in asdict(plain["activity"]).items()}
