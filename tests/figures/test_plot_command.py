@@ -291,10 +291,7 @@ def test_without_matplotlib_one_line_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert plot() == 2
     err = capsys.readouterr().err
-    assert (
-        captured.startswith("async-tnt: plot draws with matplotlib: pip install '.[plot]'")
-        and captured.count("\n") == 1
-    )
+    assert err.startswith("async-tnt: plot draws with matplotlib: pip install '.[plot]'") and err.count("\n") == 1
 
 
 def test_an_interrupted_save_leaves_the_old_picture(monkeypatch, capsys):
