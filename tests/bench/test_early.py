@@ -176,7 +176,7 @@ def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "words, said",
+    "words, message",
     [
         (["no_such_folder"], r"no recordings no_such_folder/<digit>/\*\.bin"),
         (["--recordings", "0"], "--recordings must be at least 1, got 0"),
@@ -186,9 +186,9 @@ def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys):
     ],
     ids=lambda words: " ".join(words) if isinstance(words, list) else "",
 )
-def test_wrong_words_are_bad_usage(words, said, capsys):
+def test_wrong_words_are_bad_usage(words, message, capsys):
     with pytest.raises(SystemExit, match="2"):
         load_benchmark("early").main(words)
     import re
 
-    assert re.search(said, capsys.readouterr().err)
+    assert re.search(message, capsys.readouterr().err)

@@ -63,7 +63,7 @@ def test_events_are_drawn_where_they_are_and_where_the_transform_puts_them(numbe
     np.testing.assert_array_equal(on, events["p"][coordinates.kept] == 1)
 
 
-def test_more_events_than_can_be_seen_are_thinned_evenly_and_that_is_said(monkeypatch):
+def test_more_events_than_can_be_seen_are_thinned_evenly_and_that_is_reported(monkeypatch):
     monkeypatch.setattr(events3d, "MOST_DOTS", 100)
     shown = subject(4)
     figure = events3d.draw_events(shown)
@@ -126,8 +126,8 @@ def test_the_verdict_is_that_of_the_program(capsys):
     assert main(["run", str(sample_recordings()[7])]) == 0
     *_, verdict = capsys.readouterr().out.splitlines()
     shown = subject(7)
-    said = probabilities.verdict(shown, probabilities.decisions_of(shown))
-    assert verdict == "7.bin: " + said.replace("“7”,", "7 (").replace("( ", "(") + ")"
+    answer = probabilities.verdict(shown, probabilities.decisions_of(shown))
+    assert verdict == "7.bin: " + answer.replace("“7”,", "7 (").replace("( ", "(") + ")"
 
 
 def test_the_rate_counts_every_event():

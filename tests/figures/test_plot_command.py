@@ -184,8 +184,8 @@ def test_a_recording_of_another_camera_needs_no_model(capsys):
     events = random_events(30_000, sensor=(120, 80))
     np.savez("camera.npz", events=events, sensor=np.array([120, 80]))
     assert plot("camera.npz", "--dpi", 40) == 0
-    said = capsys.readouterr()
-    assert said.err == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
+    captured = capsys.readouterr()
+    assert captured.err == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
     is_a_picture("camera-overview.png")
     np.save("camera.npy", events)
     assert plot("camera.npy", "--figure", "events", "--dpi", 40) == 2
@@ -265,9 +265,9 @@ def saved(name, events, **more):
 )
 def test_what_cannot_be_is_one_line_and_exit_code_2(words, message, capsys):
     assert plot(*words()) == 2
-    said = capsys.readouterr()
-    assert said.err.startswith("async-tnt: ") and message in said.err and said.err.count("\n") == 1
-    assert said.out == "" and not list(Path().glob("*.p*g*")) and not list(Path().glob("*.part"))
+    captured = capsys.readouterr()
+    assert captured.err.startswith("async-tnt: ") and message in captured.err and captured.err.count("\n") == 1
+    assert captured.out == "" and not list(Path().glob("*.p*g*")) and not list(Path().glob("*.part"))
 
 
 @pytest.mark.parametrize("words", [["--dpi", 5], ["--sensor", "34"], ["--figure", "cube"], ["--window", 0]])
@@ -283,15 +283,15 @@ def test_help_teaches_without_matplotlib(monkeypatch, capsys):
     with pytest.raises(SystemExit) as stopped:
         plot("--help")
     assert stopped.value.code == 0
-    said = capsys.readouterr().out
-    assert all(f"  {name} " in said for name in FIGURES) and "async-tnt plot 8 --figure pipeline" in said
+    captured = capsys.readouterr().out
+    assert all(f"  {name} " in captured for name in FIGURES) and "async-tnt plot 8 --figure pipeline" in captured
 
 
 def test_without_matplotlib_one_line_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert plot() == 2
-    said = capsys.readouterr().err
-    assert said.startswith("async-tnt: plot draws with matplotlib: pip install '.[plot]'") and said.count("\n") == 1
+    err = capsys.readouterr().err
+    assert err.startswith("async-tnt: plot draws with matplotlib: pip install '.[plot]'") and err.count("\n") == 1
 
 
 def test_an_interrupted_save_leaves_the_old_picture(monkeypatch, capsys):

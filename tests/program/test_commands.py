@@ -162,16 +162,16 @@ def test_events_off_the_sensor_name_file_and_event(tmp_path, capsys):
     assert "h.npy: `x` must be in [0, 34), got 40 at event 1" in capsys.readouterr().err
 
 
-def test_late_events_are_told(capsys):
+def test_late_events_are_reported(capsys):
     assert main(["run", "--start-us", "200000", str(SAMPLES[5])]) == 0
     assert "dropped" in capsys.readouterr().err
 
 
-def test_events_out_of_order_are_told(tmp_path, capsys):
+def test_events_out_of_order_are_reported(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("t,x,y,p\n0,1,1,1\n10,2,2,0\n5,3,3,1\n")
     assert main(["run", str(tmp_path / "a.csv")]) == 0
-    told = "1 of 3 events are older than an earlier one (see --late)"
-    assert capsys.readouterr().err == f"async-tnt: {tmp_path / 'a.csv'}: {told}\n"
+    message = "1 of 3 events are older than an earlier one (see --late)"
+    assert capsys.readouterr().err == f"async-tnt: {tmp_path / 'a.csv'}: {message}\n"
 
 
 def test_check_says_no_when_the_stream_is_wrong(monkeypatch, capsys):

@@ -26,9 +26,9 @@ def test_a_signal_ends_a_stream_with_its_last_decision_and_its_counts(number, co
         env=ENV,
     )
     try:
-        told = [process.stderr.readline()]
-        while "listening" not in told[-1] and process.poll() is None:
-            told.append(process.stderr.readline())
+        lines = [process.stderr.readline()]
+        while "listening" not in lines[-1] and process.poll() is None:
+            lines.append(process.stderr.readline())
         process.send_signal(number)
         _, err = process.communicate(timeout=60)
     finally:

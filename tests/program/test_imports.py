@@ -18,10 +18,10 @@ import async_tnt
 
 def modules_after(code):
     """The names of all modules that are loaded after this code."""
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"], capture_output=True, text=True, check=True
     )
-    return set(told.stdout.split())
+    return set(done.stdout.split())
 
 
 def test_import_brings_only_what_is_used():
@@ -64,8 +64,8 @@ def test_type_checkers_see_the_same_names():
 
 def test_a_package_that_is_missing_is_named():
     code = "import sys; sys.modules['numba'] = None; import async_tnt; async_tnt.Processor"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert told.returncode == 1 and "import of numba halted" in told.stderr.splitlines()[-1]
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 1 and "import of numba halted" in done.stderr.splitlines()[-1]
 
 
 def test_kernels_import_nothing_of_the_package():

@@ -1,4 +1,4 @@
-"""The camera that --sensor or --mask names, and what is said where little or nothing of a recording is left."""
+"""The camera that --sensor or --mask names, and the messages if little or nothing of a recording is left."""
 
 import json
 
@@ -30,9 +30,9 @@ def made(tmp_path_factory):
     save_mask(folder / "mask.npy", mask)
     selection = PixelSelection((5, 4, 30, 30), True, mask)
     record = {"data": {"pixels": {**selection.record, "camera": list(CAMERA)}}}
-    for name, sensor, told in (("whole", CAMERA, {}), ("part", (30, 30), record)):
+    for name, sensor, training in (("whole", CAMERA, {}), ("part", (30, 30), record)):
         model = random_model(TNTConfig(sensor=sensor), classes=3, seed=1)
-        Model(model.config, model.weights, ("0", "1", "2"), told).save(folder / f"{name}.safetensors")
+        Model(model.config, model.weights, ("0", "1", "2"), training).save(folder / f"{name}.safetensors")
     return folder
 
 
@@ -49,14 +49,14 @@ def expected(model, pixel_filter):
 
 def test_run_takes_a_bin_for_the_camera_that_is_named(made, program):
     whole, part = (made / f"{name}.safetensors" for name in ("whole", "part"))
-    code, printed, told = program("run", made / "inside.bin", "--model", whole, "--json", "--sensor", "60x48")
-    assert code == 0 and "left out" not in told and decided(printed) == expected(whole, PixelFilter(CAMERA))
+    code, printed, message = program("run", made / "inside.bin", "--model", whole, "--json", "--sensor", "60x48")
+    assert code == 0 and "left out" not in message and decided(printed) == expected(whole, PixelFilter(CAMERA))
     words = ("run", made / "inside.bin", "--model", part, "--json", "--roi", CORNER, "--crop")
     by_sensor, by_mask = program(*words, "--sensor", "60x48"), program(*words, "--mask", made / "mask.npy")
     assert by_sensor[0] == by_mask[0] == 0
     assert decided(by_sensor[1]) == expected(part, PixelFilter(CAMERA, (5, 4, 30, 30), crop=True))
-    code, _, told = program("run", made / "inside.bin", "--model", whole)
-    assert code == 2 and "a sensor of 34x34 pixels, but the model is for 60x48" in told
+    code, _, message = program("run", made / "inside.bin", "--model", whole)
+    assert code == 2 and "a sensor of 34x34 pixels, but the model is for 60x48" in message
 
 
 def test_evaluate_and_archives_take_it_too(made, program, tmp_path):
@@ -74,9 +74,11 @@ def test_evaluate_and_archives_take_it_too(made, program, tmp_path):
 def test_an_event_of_a_bin_off_the_mask_asks_for_no_other_file(made, program, tmp_path):
     write_nmnist(tmp_path / "big.bin", np.array([(1, 3, 3, 1), (2, 200, 3, 1)], EVENTS.dtype), sensor=None)
     words = ("--model", made / "part.safetensors", "--roi", CORNER, "--crop", "--mask", made / "mask.npy")
-    code, _, told = program("run", tmp_path / "big.bin", *words)
-    assert code == 2 and "Fetch" not in told
-    assert f"big.bin: `x` must be in [0, 60), got 200 at event 1; {made / 'mask.npy'} is a mask of 60x48 pixels" in told
+    code, _, message = program("run", tmp_path / "big.bin", *words)
+    assert code == 2 and "Fetch" not in message
+    assert (
+        f"big.bin: `x` must be in [0, 60), got 200 at event 1; {made / 'mask.npy'} is a mask of 60x48 pixels" in message
+    )
 
 
 @pytest.mark.parametrize("command", ["run", "archive", "evaluate", "view"])
@@ -91,10 +93,10 @@ def test_the_selection_of_the_training_is_compared_with_the_one_given(command, m
         "view": ("view", made / "inside.bin", "--model", model, "--out", tmp_path / "a.rrd"),
     }[command]
     mask = ("--mask", made / "mask.npy", "--crop", "--roi")
-    code, _, told = program(*words, *mask, CORNER)
-    assert code == 0 and "trained with" not in told
-    code, _, told = program(*words, *mask, "0,0,30,30", *(("--restart",) if command == "archive" else ()))
-    notes = [line for line in told.splitlines() if "trained with" in line]
+    code, _, message = program(*words, *mask, CORNER)
+    assert code == 0 and "trained with" not in message
+    code, _, message = program(*words, *mask, "0,0,30,30", *(("--restart",) if command == "archive" else ()))
+    notes = [line for line in message.splitlines() if "trained with" in line]
     assert code == 0 and len(notes) == 1
     assert notes[0].startswith(f"async-tnt: {model}: trained with --roi {CORNER} --crop --mask of 1 pixels (")
     assert ", but now it is --roi 0,0,30,30 --crop --mask of 1 pixels (" in notes[0]
@@ -116,10 +118,10 @@ def test_nothing_left_is_told_in_the_same_words(command, made, program, tmp_path
         "evaluate": ("evaluate", "digits", tmp_path / "set"),
         "view": ("view", path, "--out", tmp_path / "a.rrd"),
     }[command]
-    code, _, told = program(*words, "--roi", "0,0,20,20", "--mask", tmp_path / "mask.npy")
+    code, _, message = program(*words, "--roi", "0,0,20,20", "--mask", tmp_path / "mask.npy")
     name = "0/a.npz" if command == "evaluate" else path
     assert code == 2
-    assert f"{name}: no events are left: 1 outside of the region, 2 of masked pixels\n" in told
+    assert f"{name}: no events are left: 1 outside of the region, 2 of masked pixels\n" in message
 
 
 def test_notes_on_order_are_of_what_the_model_sees(program, tmp_path):
@@ -134,7 +136,7 @@ def test_notes_on_order_are_of_what_the_model_sees(program, tmp_path):
     masked = ("--mask", tmp_path / "mask.npy")
     assert f"10 of {len(events) + 10} events are older than an earlier one" in program("run", tmp_path / "a.npz")[2]
     assert "older" not in program("run", tmp_path / "a.npz", *masked)[2]
-    told = program("run", tmp_path / "b.npz", *masked)[2]
-    assert f"b.npz: 1 of {len(events) - at_mask + 1} events are older than an earlier one (see --late)" in told
-    told = program("run", tmp_path / "b.npz", *masked, "--late", "drop")[2]
-    assert f"b.npz: 1 of {len(events) - at_mask + 1} events were too late and dropped" in told
+    message = program("run", tmp_path / "b.npz", *masked)[2]
+    assert f"b.npz: 1 of {len(events) - at_mask + 1} events are older than an earlier one (see --late)" in message
+    message = program("run", tmp_path / "b.npz", *masked, "--late", "drop")[2]
+    assert f"b.npz: 1 of {len(events) - at_mask + 1} events were too late and dropped" in message

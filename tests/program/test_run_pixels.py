@@ -101,12 +101,12 @@ def test_wrong_regions(capsys, roi):
     assert "must be four whole numbers X,Y,WIDTH,HEIGHT" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("said", ["--sensor", "--mask"])
-def test_an_event_off_the_camera_is_told_by_who_said_its_size(said, capsys, tmp_path):
+@pytest.mark.parametrize("option", ["--sensor", "--mask"])
+def test_an_event_off_the_camera_names_the_source_of_its_size(option, capsys, tmp_path):
     (tmp_path / "a.csv").write_text("t,x,y,p\n0,99,5,1\n")
     save_mask(tmp_path / "hot.npy", np.zeros((60, 60), bool))
-    words = {"--sensor": "--sensor says 60x60", "--mask": f"{tmp_path / 'hot.npy'} is a mask of 60x60"}[said]
-    value = {"--sensor": "60x60", "--mask": str(tmp_path / "hot.npy")}[said]
-    assert main(["run", str(tmp_path / "a.csv"), "--roi", "0,0,34,34", "--crop", said, value]) == 2
+    words = {"--sensor": "--sensor says 60x60", "--mask": f"{tmp_path / 'hot.npy'} is a mask of 60x60"}[option]
+    value = {"--sensor": "60x60", "--mask": str(tmp_path / "hot.npy")}[option]
+    assert main(["run", str(tmp_path / "a.csv"), "--roi", "0,0,34,34", "--crop", option, value]) == 2
     err = capsys.readouterr().err
     assert f"{tmp_path / 'a.csv'}: `x` must be in [0, 60), got 99 at event 0; {words} pixels\n" in err

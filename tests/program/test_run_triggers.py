@@ -55,7 +55,7 @@ def test_windows_closed_early_have_their_say_in_the_verdict(capsys):
         ("--activity", "nan:5", "must be two positive numbers, events:microseconds, such as 60:4000, got 'nan:5'"),
     ],
 )
-def test_wrong_values_are_told(capsys, option, text, message):
+def test_wrong_values_are_reported(capsys, option, text, message):
     with pytest.raises(SystemExit) as stop:
         main(["run", option, text])
     assert stop.value.code == 2 and f"argument {option}: {message}" in capsys.readouterr().err

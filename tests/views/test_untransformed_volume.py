@@ -39,7 +39,7 @@ def test_a_window_just_closed_by_its_newest_event_is_empty():
     assert n_closed >= 4
 
 
-def test_events_that_went_another_way_are_told():
+def test_events_that_went_another_way_are_refused():
     processor, twin = Processor(CONFIG, classifier=lambda v: [0.0]), UntransformedVolume(CONFIG)
     events = random_events(10, duration_us=900, sensor=(8, 8))
     processor.push(events)

@@ -32,7 +32,7 @@ def test_without_rerun_it_says_what_to_install(monkeypatch, capsys, tmp_path):
     assert len(err.splitlines()) == 1
 
 
-def test_an_old_rerun_is_told(monkeypatch, capsys, tmp_path):
+def test_an_old_rerun_is_refused(monkeypatch, capsys, tmp_path):
     old = type(sys)("rerun")
     old.__version__, old.__path__ = "0.19.0", []
     monkeypatch.setitem(sys.modules, "rerun", old)
@@ -63,9 +63,9 @@ def test_a_recording_becomes_a_file(tmp_path, capsys):
     assert lines[0] == "7.bin begins"
     assert [line.split()[0] for line in lines[1:]] == [decision.label for decision in expected]
     n_pictures = len(rrd.times(layout.EVENTS))
-    said = capsys.readouterr()
-    assert said.out == f"{out}: {len(events):,} events, {n_pictures} pictures; open it with: rerun {out}\n"
-    assert said.err == ""
+    captured = capsys.readouterr()
+    assert captured.out == f"{out}: {len(events):,} events, {n_pictures} pictures; open it with: rerun {out}\n"
+    assert captured.err == ""
     assert [path.name for path in tmp_path.iterdir()] == ["seven.rrd"]
     gaps = np.diff(rrd.times(layout.EVENTS))
     assert gaps.max() == 30_000
@@ -154,8 +154,8 @@ def test_a_full_disk_is_one_line_and_the_old_file_stays(tmp_path, capfd, monkeyp
     out = tmp_path / "a.rrd"
     out.write_bytes(b"before")
     assert main(["view", str(SAMPLE), "--out", str(out)]) == 2
-    told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("async-tnt:")]
-    assert len(told) == 1 and "No space left on device" in told[0]
+    lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("async-tnt:")]
+    assert len(lines) == 1 and "No space left on device" in lines[0]
     assert out.read_bytes() == b"before" and [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
 
 
@@ -176,13 +176,13 @@ def send(port, events, pause_s=0.004):
             time.sleep(pause_s)
 
 
-def send_to_listener(said, port, events, patience_s=60):
-    """Send once the program of this process has said that it listens: what comes before is lost.
+def send_to_listener(captured, port, events, patience_s=60):
+    """Send once the program of this process listens: earlier events are lost.
 
     Trying to bind its port would tell, too, but now and then take it away from the program.
     """
     deadline = time.monotonic() + patience_s
-    while "listening" not in said.getvalue():
+    while "listening" not in captured.getvalue():
         assert time.monotonic() < deadline, "it never listened"
         time.sleep(0.01)
     send(port, events)
@@ -196,9 +196,9 @@ def test_events_of_the_network(tmp_path, capsys, latest):
     sender.start()
     assert main(["view", f"udp://127.0.0.1:{port}?timeout_s=2", "--out", str(out), *latest]) == 0
     sender.join()
-    said = capsys.readouterr()
-    assert f"{len(events):,} events (0 malformed" in said.err
-    assert said.out.startswith(f"{out}: {len(events):,} events, ")
+    captured = capsys.readouterr()
+    assert f"{len(events):,} events (0 malformed" in captured.err
+    assert captured.out.startswith(f"{out}: {len(events):,} events, ")
     processor = Processor(load_model("digits"))
     processor.push(events)
     t, volume = Rrd(out).tensors(layout.TNT_VOLUME)[-1]
@@ -296,9 +296,9 @@ def test_a_viewer_that_hangs_or_is_closed_ends_the_program(tmp_path, stop):
             _, err = showing.communicate(timeout=60)
         finally:
             showing.kill()
-    told = [line for line in err.splitlines() if line.startswith("async-tnt:")]
-    assert showing.returncode == 2 and len(told) == 1 and "Traceback" not in err
-    assert told[0].startswith(f"async-tnt: {url}: the Rerun viewer was closed or does not respond: ")
+    lines = [line for line in err.splitlines() if line.startswith("async-tnt:")]
+    assert showing.returncode == 2 and len(lines) == 1 and "Traceback" not in err
+    assert lines[0].startswith(f"async-tnt: {url}: the Rerun viewer was closed or does not respond: ")
 
 
 def test_a_spawned_viewer_that_is_not_there(monkeypatch, capsys):
@@ -337,7 +337,7 @@ def test_a_disk_that_fills_up_on_the_way_ends_it_and_keeps_what_was_written(tmp_
     out = tmp_path / "a.rrd"
     argv = [sys.executable, "-c", code, "view", str(SAMPLE), "--every-ms", "0.5", "--out", str(out)]
     done = subprocess.run(argv, capture_output=True, text=True, timeout=120)
-    told = [line for line in done.stderr.splitlines() if line.startswith("async-tnt:")]
-    assert done.returncode == 2 and len(told) == 1 and "Traceback" not in done.stderr
-    assert told[0].endswith(f"; what was written before is in {out}.part")
+    lines = [line for line in done.stderr.splitlines() if line.startswith("async-tnt:")]
+    assert done.returncode == 2 and len(lines) == 1 and "Traceback" not in done.stderr
+    assert lines[0].endswith(f"; what was written before is in {out}.part")
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd.part"]
