@@ -279,7 +279,7 @@ def _draw(out: Path, scores: Scores | None, history: list[dict[str, float]]) -> 
         return []
     if scores is None:
         return [curves]
-    from async_tnt.views.confusion import write_confusion
+    from async_tnt.views.figure_confusion import write_confusion
 
     title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
     return [curves, write_confusion(scores.confusion, scores.classes, confusion, title)]
