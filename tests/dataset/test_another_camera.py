@@ -61,7 +61,7 @@ def test_formats_are_mixed_and_one_class_is_rare(tmp_path, program, sensor):
     code, _, err = program("train", folder, *words)
     assert code == 0, err
     assert err.splitlines()[-2:] == ["left out: flat/empty.csv: no events", err.splitlines()[-1]]
-    assert "left out: flat/torn.raw: its first bytes are of no known format" in err.splitlines()[-1]
+    assert "left out: flat/torn.raw: its first bytes are not those of a known format" in err.splitlines()[-1]
     model = load_model(out)
     assert model.config.sensor == sensor  # some files state it
     assert model.record["data"]["classes"] == {"flat": 10, "upright": 30}

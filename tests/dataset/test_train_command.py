@@ -162,7 +162,7 @@ def test_an_unreadable_recording_is_left_out_and_named_at_the_end(tmp_path, trai
         (
             "left out: flat/torn.npy: not a readable NumPy file: ",
             "left out: upright/text.csv: damaged recording: line 3: ",
-            "left out: upright/what.raw: its first bytes are of no known format",
+            "left out: upright/what.raw: its first bytes are not those of a known format",
         ),
         strict=True,
     ):

@@ -239,7 +239,7 @@ def test_a_torch_module_may_be_the_regressor():
     torch.nn.init.normal_(module.heatmap.weight, generator=torch.Generator().manual_seed(0))
     volume = TNTVolume(CONFIG, regressor=lambda raw: module(torch.tensor(raw)).detach())
     volume.update(random_events(500, duration_us=900, sensor=(17, 17)))
-    assert volume.landmark == tuple(module(torch.tensor(volume._replay._at_read._raw.array)).tolist())
+    assert volume.landmark == tuple(module(torch.tensor(volume._replay._raw.array)).tolist())
 
 
 # -- windows, counts, copies ---------------------------------------------------------------------------------
