@@ -5,13 +5,13 @@ Start with `volume.py` (the event volume), then `transform.py` and `landmarks.py
 Normalization Transform), then `networks.py`. Apart from them: `images.py`, `motion.py`, `saccades.py`.
 """
 
-from reference.tnt_reference.images import count_image, count_timestamp_image
-from reference.tnt_reference.landmarks import fitted_flow, landmark
-from reference.tnt_reference.motion import move_by_flow
-from reference.tnt_reference.networks import Classifier, LandmarkRegressor, Pipeline
-from reference.tnt_reference.saccades import find_pauses, segment_index
-from reference.tnt_reference.transform import TNTCoordinates, tnt_coordinates
-from reference.tnt_reference.volume import event_volume, tnt_volume
+from .images import count_image, count_timestamp_image
+from .landmarks import fitted_flow, landmark
+from .motion import move_by_flow
+from .networks import Classifier, LandmarkRegressor, Pipeline
+from .saccades import find_pauses, segment_index
+from .transform import TNTCoordinates, tnt_coordinates
+from .volume import event_volume, tnt_volume
 
 __all__ = [
     "Classifier",

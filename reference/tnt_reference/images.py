@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from reference.tnt_reference.coordinates import window_fraction
-from reference.tnt_reference.window import Column, check_size, signs, window_events
+from .coordinates import window_fraction
+from .window import Column, check_size, signs, window_events
 
 
 def count_image(t: Column, x: Column, y: Column, p: Column, *, sensor: tuple[int, int]) -> torch.Tensor:

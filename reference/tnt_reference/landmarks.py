@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import torch
 
-from reference.tnt_reference.coordinates import image_centre, to_grid, window_fraction
-from reference.tnt_reference.window import Column, check_size, window_events
+from .coordinates import image_centre, to_grid, window_fraction
+from .window import Column, check_size, window_events
 
 LANDMARKS = ("center", "running", "line", "window")
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import torch
 
-from reference.tnt_reference.coordinates import window_fraction
-from reference.tnt_reference.window import Column, as_column, check_same_length, whole_number
+from .coordinates import window_fraction
+from .window import Column, as_column, check_same_length, whole_number
 
 
 def move_by_flow(

@@ -8,10 +8,10 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from reference.tnt_reference.landmarks import LANDMARKS
-from reference.tnt_reference.transform import tnt_coordinates
-from reference.tnt_reference.volume import check_bins, event_volume, tnt_volume
-from reference.tnt_reference.window import Column, check_polarity, check_size, whole_number
+from .landmarks import LANDMARKS
+from .transform import tnt_coordinates
+from .volume import check_bins, event_volume, tnt_volume
+from .window import Column, check_polarity, check_size, whole_number
 
 
 class Classifier(nn.Module):

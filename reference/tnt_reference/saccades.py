@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import torch
 
-from reference.tnt_reference.window import Column, as_column
+from .window import Column, as_column
 
 
 def segment_index(t: Column, cuts_us: Sequence[int]) -> torch.Tensor:

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import torch
 
-from reference.tnt_reference import landmarks
-from reference.tnt_reference.coordinates import image_centre, tnt_time, to_grid, window_fraction
-from reference.tnt_reference.window import Column, check_size, window_events
+from . import landmarks
+from .coordinates import image_centre, tnt_time, to_grid, window_fraction
+from .window import Column, check_size, window_events
 
 BORDER_TOLERANCE = 1e-9  # pixels
 

@@ -7,9 +7,9 @@ from itertools import product
 
 import torch
 
-from reference.tnt_reference.coordinates import bin_position, to_grid
-from reference.tnt_reference.transform import tnt_coordinates
-from reference.tnt_reference.window import Column, check_polarity, check_size, signs, whole_number, window_events
+from .coordinates import bin_position, to_grid
+from .transform import tnt_coordinates
+from .window import Column, check_polarity, check_size, signs, whole_number, window_events
 
 
 def event_volume(
