@@ -171,14 +171,15 @@ def test_after_a_reset_it_is_as_new(make):
     assert used.look() == new.look()
 
 
-@of_all
-@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream))])
+@pytest.mark.parametrize(
+    ("make", "duplicate"),
+    [
+        *((make, lambda volume: _volume_around(copy.copy(volume.volume))) for make in VOLUMES.values()),
+        *itertools.product(ALL.values(), (copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream)))),
+    ],
+)
 def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
     original, alone, events = make(), make(), events_of(make)
-    if duplicate is copy.copy:
-        if not isinstance(original, Volume):
-            pytest.skip("processors are copied by deepcopy")
-        duplicate = lambda stream: _volume_around(copy.copy(stream.volume))  # noqa: E731
     fed(original, events[:170], (13,)), fed(alone, events[:170], (13,))
     twin = duplicate(original)
     before = original.look()
