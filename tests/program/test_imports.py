@@ -94,20 +94,6 @@ def test_works_where_nothing_can_be_cached(tmp_path):
     assert done.stdout == "1\n", done.stderr
 
 
-def test_warmup_tells_a_terminal_what_takes_so_long(monkeypatch, capsys):
-    from async_tnt import compile_ahead
-
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    monkeypatch.setattr(compile_ahead, "PATIENCE_S", 0.0)
-    async_tnt.warmup()
-    assert "compiling kernels, once on this machine" in capsys.readouterr().err
-
-
-def test_warmup_says_how_long_it_took():
-    assert 0 < async_tnt.warmup() < 60
-    assert 0 < async_tnt.warmup(async_tnt.TNTConfig(grid=(20, 20))) < 60
-
-
 def test_processors_may_be_made_in_several_threads_at_once():
     code = (
         "import threading, async_tnt; failed = []\n"
