@@ -26,7 +26,7 @@ REGRESSOR = {"find_landmark"}
 OTHER_CLASSIFIERS = {"cells_to_float32", "softmax"}
 EVENT_TRIGGERS = {"advance_triggers", "why_due"}
 # What another process compiles meanwhile: about half of the work, and nothing of it is part of the other half.
-OTHER_HALF = ("classify_cells", "find_landmark", "load_records", "check_columns")
+OTHER_HALF = ("classify_cells", "find_landmark")
 
 
 def warmup(model: Model | TNTConfig | None = None) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.core.errors import NumbaError
+from numba import NumbaError
 
 from async_tnt.event_forms import NAMES, brief, named_columns
 from async_tnt.kernels.jit import compile_only
