@@ -8,7 +8,7 @@ from made import nasty_streams, random_events, random_model, random_regressor_mo
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, Processor, TNTConfig, TNTVolume, load_model
 from async_tnt.checking.equality import closed_volumes
-from async_tnt.networks.engines import choose_engine
+from async_tnt.engines import choose_engine
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
 from async_tnt.networks.torch_modules import torch_classifier

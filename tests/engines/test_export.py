@@ -12,9 +12,9 @@ from engines.foreign import onnx
 from made import random_model, random_regressor_model
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
+from async_tnt.checking.agreement import compare_engines
 from async_tnt.cli import main
 from async_tnt.networks import onnx_export
-from async_tnt.networks.agreement import compare_engines
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
 

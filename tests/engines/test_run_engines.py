@@ -10,7 +10,7 @@ from made import random_regressor_model
 
 from async_tnt import TNTConfig
 from async_tnt.cli import main
-from async_tnt.networks.engines import choose_engine
+from async_tnt.engines import choose_engine
 from async_tnt.sources.files.recording import sample_recordings
 
 SAMPLES = [str(sample_recordings()[digit]) for digit in (3, 7)]

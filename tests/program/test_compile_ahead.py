@@ -13,7 +13,7 @@ import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from async_tnt import CompiledClassifier, EVENT_DTYPE, LeakyIntegrator, Processor, TNTConfig, load_model, warmup
-from async_tnt.networks.engines import choose_engine, Engine
+from async_tnt.engines import choose_engine, Engine
 from made import random_model
 
 def compiled():

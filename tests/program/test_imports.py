@@ -71,20 +71,6 @@ def test_a_package_that_is_missing_is_named():
     assert done.returncode == 1 and "import of numba halted" in done.stderr.splitlines()[-1]
 
 
-def test_kernels_import_nothing_of_the_package():
-    kernels = Path(async_tnt.__file__).parent / "kernels"
-    for path in kernels.glob("*.py"):
-        source = path.read_text()
-        assert "from .." not in source and "import async_tnt" not in source and "from async_tnt" not in source
-
-
-def test_reference_imports_nothing_of_the_package():
-    import tnt_reference
-
-    for path in Path(tnt_reference.__file__).parent.glob("*.py"):
-        assert "import async_tnt" not in path.read_text() and "from async_tnt" not in path.read_text()
-
-
 def test_works_where_nothing_can_be_cached(tmp_path):
     """Numba refuses cache=True where neither the package nor the user's cache folder can be written."""
     code = (
