@@ -1,84 +1,77 @@
-"""The rooms of the package stand one above the other, and imports point only downwards."""
+"""The package is built in floors: a module imports modules of its own room and of lower floors, and nothing else."""
 
 import ast
 from pathlib import Path
 
+import pytest
+import tnt_reference
+
 import async_tnt
 
-# A room imports rooms before it. ARCHITECTURE.md says what each is for.
-ROOMS = """
-kernels lazy_names checks files signals progress checked_tensors decision config event_forms events representations
-volume_state deferred_landmark volume windows triggers networks processor compile_ahead engines streams sources
-checking archive simulation training views cli
-""".split()
+# from the ground up; ARCHITECTURE.md says what each room is for
+FLOORS = [
+    {"kernels", "checks", "decision", "files", "lazy_names", "progress", "signals"},
+    {"checked_tensors", "config", "event_forms"},
+    {"events", "triggers", "volume_state"},
+    {"deferred_landmark", "representations", "sources"},
+    {"volume"},
+    {"networks", "windows"},
+    {"compile_ahead", "processor"},
+    {"checking", "engines", "streams"},
+    {"archive", "views"},
+    {"simulation"},
+    {"training"},
+    {"cli"},
+]
+FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
 
 PACKAGE = Path(async_tnt.__file__).parent
+SOURCES = {
+    ".".join(("async_tnt", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__"): path
+    for path in PACKAGE.rglob("*.py")
+}
+del SOURCES["async_tnt"]  # it names the public things of all floors
 
 
-def room_of(module: str) -> str:
-    return module.split(".")[1] if "." in module else "async_tnt"
+def room_of(module):
+    return module.split(".")[1]
 
 
-def modules() -> dict[str, ast.Module]:
-    names = {path: ".".join(("async_tnt", *path.relative_to(PACKAGE).with_suffix("").parts)) for path in paths()}
-    return {name.removesuffix(".__init__"): ast.parse(path.read_text()) for path, name in names.items()}
+def imports_of(path):
+    """Names of all modules that a file imports, or imports names from, also inside its functions."""
+    package = ".".join(("async_tnt", *path.relative_to(PACKAGE).parent.parts))
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            module = f"{package}.{node.module}" if node.level and node.module else node.module or package
+            yield module
+            yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
-def paths():
-    return [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
+IMPORTS = {module: set(imports_of(path)) for module, path in SOURCES.items()}
 
 
-def imported(name: str, module: ast.Module, known) -> set[str]:
-    """Modules of the package that one imports, anywhere in it."""
-    found = set()
-    for node in ast.walk(module):
-        if isinstance(node, ast.ImportFrom):
-            base = name.rpartition(".")[0] + ("." + node.module if node.module else "") if node.level else node.module
-            parts = {f"{base}.{alias.name}" for alias in node.names} & set(known)
-            found |= parts or ({base} & set(known))
-        elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names} & set(known)
-    return found
+@pytest.mark.parametrize("module", SOURCES)
+def test_imports_point_downwards(module):
+    for other in IMPORTS[module] & SOURCES.keys():
+        same_room = room_of(other) == room_of(module)
+        assert same_room or FLOOR[room_of(other)] < FLOOR[room_of(module)], f"{module} imports {other}"
 
 
-def test_every_import_points_downwards():
-    known = modules()
-    wrong = [
-        f"{name} imports {other}"
-        for name, module in known.items()
-        for other in imported(name, module, known)
-        if ROOMS.index(room_of(other)) > ROOMS.index(room_of(name))
-    ]
-    assert wrong == []
+def test_there_is_no_circle():
+    plain = {module for module, path in SOURCES.items() if path.name != "__init__.py"}
+    left = {module: IMPORTS[module] & plain for module in plain}
+    while ends := {module for module, others in left.items() if not others & left.keys()}:
+        left = {module: others for module, others in left.items() if module not in ends}
+    assert left == {}
 
 
-def test_no_module_imports_itself_by_way_of_others():
-    known = modules()
-    arrows = {name: imported(name, module, known) for name, module in known.items() if module_is_plain(name)}
-    while removable := [name for name, others in arrows.items() if not others & arrows.keys()]:
-        for name in removable:
-            del arrows[name]
-    assert sorted(arrows) == []
+def test_the_command_line_alone_uses_argparse():
+    assert {room_of(module) for module in SOURCES if "argparse" in IMPORTS[module]} == {"cli"}
 
 
-def module_is_plain(name: str) -> bool:
-    return not (PACKAGE.parent / name.replace(".", "/")).is_dir()  # an __init__ names what its modules hold
-
-
-def test_argparse_is_imported_by_the_command_line_alone():
-    users = {room_of(name) for name, module in modules().items() if "argparse" in plain_imports(module)}
-    assert users == {"cli"}
-
-
-def plain_imports(module: ast.Module) -> set[str]:
-    names = {alias.name for node in ast.walk(module) if isinstance(node, ast.Import) for alias in node.names}
-    return names | {node.module or "" for node in ast.walk(module) if isinstance(node, ast.ImportFrom)}
-
-
-def test_the_kernels_and_the_reference_import_nothing_of_the_package():
-    import tnt_reference
-
-    for folder in (PACKAGE / "kernels", Path(tnt_reference.__file__).parent):
-        for path in folder.glob("*.py"):
-            source = path.read_text()
-            assert "from .." not in source and "import async_tnt" not in source and "from async_tnt" not in source
+def test_the_reference_is_independent():
+    for path in Path(tnt_reference.__file__).parent.rglob("*.py"):
+        source = path.read_text()
+        assert "import async_tnt" not in source and "from async_tnt" not in source
