@@ -5,16 +5,18 @@ import threading
 import numpy as np
 
 from async_tnt.sources.camera_drivers import FoundCamera, Losses
+from async_tnt.sources.cameras import open_camera
 
 RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as neuromorphic-drivers has it
 
 
-def made_events(times, sensor=(34, 34), seed=0):
-    rng = np.random.default_rng(seed)
-    events = np.empty(len(times), RECORD)
-    events["t"] = times
-    events["x"], events["y"] = (rng.integers(0, side, len(times)) for side in sensor)
-    events["on"] = rng.integers(0, 2, len(times))
+class PanicException(BaseException):
+    """What libraries in Rust raise."""
+
+
+def made_events(*times):
+    events = np.zeros(len(times), RECORD)
+    events["t"], events["x"] = times, range(len(times))
     return events
 
 
@@ -26,11 +28,9 @@ class PlayedDevice:
 
     time_field = "t"
 
-    def __init__(self, packets, sensor=(34, 34), pause_s=0.0, read_s=0.0):
+    def __init__(self, *packets, sensor=(3400, 34), pause_s=0.0, read_s=0.0):
         self.packets = list(packets)
-        self.sensor = sensor
-        self.pause_s = pause_s
-        self.read_s = read_s
+        self.sensor, self.pause_s, self.read_s = sensor, pause_s, read_s
         self.losses = Losses()
         self.handle = object()
         self.n_reads = self.n_closed = 0
@@ -80,3 +80,9 @@ def found(device, model="Prophesee EVK4", kinds=("evk4",), serial="00050423", pr
 def drivers(*cameras, name="played"):
     """A table for `open_camera(drivers=...)`."""
     return {name: lambda: PlayedDriver(list(cameras), f"{name} 1.0")}
+
+
+def opened(*packets, **settings):
+    """(a device that plays these, its camera)."""
+    device = PlayedDevice(*packets, **settings)
+    return device, open_camera(drivers=drivers(found(device)))
