@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from async_tnt.sources.datagrams import checked_format
 
-LONGEST_S = 86_400.0  # of one wait: a system's `poll` or `select` takes no more than some days
+LONGEST_S = 86_400.0  # of one wait: `poll` and `select` take no more than some days
 _SO_MEMINFO = 55  # Linux 4.12 and newer: nine u32, the last one counts drops
 _MEMINFO = struct.Struct("=9I")
 
@@ -83,45 +83,36 @@ def resolve(host: str, port: int) -> tuple[int, tuple]:
     return family, address
 
 
-def ask_for_buffer(sock: socket.socket, n_bytes: int) -> int:
-    """Ask for this much room for waiting datagrams; returns how much there is, in bytes."""
+def ask_for_buffer(sock: socket.socket, n_bytes: int) -> tuple[int, str | None]:
+    """Ask the system for room for waiting datagrams.
+
+    Returns
+    -------
+    int : how much there is, in bytes.
+    str : advice for the user; None if this is enough.
+    """
     with_overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles the size asked for, and reports that
     before = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
     if before < n_bytes * with_overhead:
         with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, n_bytes)
-    return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // with_overhead
-
-
-def buffer_advice(n_bytes: int, wanted_bytes: int) -> str | None:
-    """Advice for a user who got a smaller buffer than asked for; None if it is large enough."""
-    if n_bytes >= wanted_bytes:
-        return None
-    return (
-        f"the system gives {n_bytes:,} bytes for waiting datagrams of the {wanted_bytes:,} asked for; bursts may be "
-        f"lost (Linux: sudo sysctl net.core.rmem_max={wanted_bytes})"
+    available = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // with_overhead
+    if available >= n_bytes:
+        return available, None
+    return available, (
+        f"the system gives {available:,} bytes for waiting datagrams of the {n_bytes:,} asked for; bursts may be lost "
+        f"(Linux: sudo sysctl net.core.rmem_max={n_bytes})"
     )
 
 
-class LostDatagrams:
-    """Counts the datagrams that the system dropped at one socket; None until it reports them, if it ever does."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        self._socket = sock
-        self._lost: int | None = None
-
-    def read(self) -> int | None:
-        """Ask the system now; for a closed socket, its last answer."""
-        if not sys.platform.startswith("linux"):
-            return None
-        try:
-            info = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
-        except OSError:  # closed, or an older system
-            return self._lost
-        if len(info) == _MEMINFO.size:
-            before = self._lost or 0
-            self._lost = before + (_MEMINFO.unpack(info)[8] - before) % (1 << 32)  # the system's counter has 32 bits
-        return self._lost
+def lost_datagrams(sock: socket.socket) -> int | None:
+    """How many datagrams the system has dropped at an open socket; None where it does not report it."""
+    if not sys.platform.startswith("linux"):
+        return None
+    try:
+        return _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))[8]
+    except (OSError, struct.error):  # an older system
+        return None
 
 
 class Waiter:

@@ -178,7 +178,7 @@ def test_a_store_of_several_parts_is_copied(dv):
 
 
 def test_a_camera_of_frames_alone(dv):
-    with pytest.raises(OSError, match=r"found DAVIS 00050423 but cannot open it: it sends no events"):
+    with pytest.raises(OSError, match=r"found DAVIS 00050423 but cannot open it: it has no stream of events"):
         dv.opened(resolution=None)
 
 

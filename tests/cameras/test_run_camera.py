@@ -73,4 +73,4 @@ def test_a_camera_of_another_size_is_refused(plug_in, program):
 def test_no_camera(plug_in, program):
     plug_in()
     code, _, err = program("run", "camera")
-    assert code == 2 and "camera: no camera found; played 1.0 looked. Is it plugged in" in err
+    assert code == 2 and "camera: no camera found; played 1.0 found none. Is it plugged in" in err
