@@ -20,7 +20,6 @@ class Neuromorphic:
     """neuromorphic-drivers. A packet is (events, or None; and other columns by name)."""
 
     kinds = NEUROMORPHIC_KINDS
-    driver = NeuromorphicDrivers
     lost = "gaps: 0"
 
     def __init__(self, module):
@@ -91,7 +90,6 @@ class Dv:
     """dv-processing."""
 
     kinds = DV_KINDS
-    driver = DvProcessing
     lost = "lost: unknown"
 
     def __init__(self, module):

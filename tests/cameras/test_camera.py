@@ -39,35 +39,16 @@ def test_many_threads_may_close():
         assert device.n_closed == 1 and camera.counts.events == 50 - len(device.packets)
 
 
-def test_closing_within_the_loop_over_it():
+def test_a_loop_may_be_left_and_resumed_until_the_camera_is_closed():
     device, camera = opened(*(made_events(k) for k in range(5)))
-    for n, _ in enumerate(camera):
-        if n == 1:
-            camera.close()
-    assert n == 1 and device.n_closed == 1 and camera.counts.packets == 2
-    assert list(camera) == []
-
-
-def test_a_loop_may_be_left_and_resumed():
-    _, camera = opened(*(made_events(k) for k in range(3)))
-    assert next(iter(camera))["t"].tolist() == [0]
-    assert next(iter(camera))["t"].tolist() == [1]
-
-
-def test_with_closes_it():
-    device, camera = opened()
     with camera as same:
         assert same is camera and camera.device is device.handle and not camera.closed
-    assert device.n_closed == 1 and camera.closed
-    camera.close()
-    assert device.n_closed == 1
-
-
-def test_a_background_reader_closes_a_silent_camera():
-    device, camera = opened(pause_s=0.001)
-    reader = BackgroundReader(camera, latest=True, on_close=camera.close)
-    until(lambda: device.n_reads)
-    assert reader.close(60) and device.n_closed == 1
+        assert next(iter(camera))["t"].tolist() == [0]
+        for packet in camera:
+            if packet["t"] == [2]:
+                camera.close()
+        assert packet["t"] == [2] and camera.counts.packets == 3
+    assert list(camera) == [] and camera.closed and device.n_closed == 1
 
 
 def test_a_silent_camera_is_asked_now_and_then(monkeypatch):

@@ -56,10 +56,6 @@ def flat(packets):
 def test_the_bounds_by_hand(time, arrival_us, kept):
     expected = [[MINUTE_US], [time] if kept else []], (not kept, kept and time < MINUTE_US, 0)
     assert by_clock([[MINUTE_US], [time]], [0, arrival_us]) == expected
-    assert by_clock([[MINUTE_US, MINUTE_US - 9], [time]], [0, arrival_us])[0] == [
-        [MINUTE_US, MINUTE_US - 9],
-        *expected[0][1:],
-    ]
 
 
 @pytest.mark.parametrize("place", range(4))

@@ -149,19 +149,3 @@ def test_any_datagrams_are_counted_to_the_event_however_they_are_batched(datagra
     newest_before = np.maximum.accumulate(np.concatenate(([-1], events["t"])))[:-1]
     assert one_by_one.clock.late == (events["t"] < newest_before).sum()
     assert len(as_events(events, sensor or (1 << 16, 1 << 16))) == len(events)  # all are valid
-
-
-@given(kinds=st.lists(st.sampled_from(["good", "off", "polarity", "ahead", "off and ahead"]), max_size=40))
-def test_each_malformed_event_is_counted_for_one_reason(kinds):
-    """Off the sensor, else too far ahead."""
-    n = 1 + len(kinds)
-    events = events_of(range(5, 5 + n), [1] * n, [2] * n, [1] * n)
-    for k, kind in enumerate(kinds, 1):
-        events["y"][k] = 20 if "off" in kind else 2
-        events["t"][k] = 3_600_000_000 if "ahead" in kind else 5 + k
-        events["p"][k] = 2 if kind == "polarity" else 1
-    decoder = Decoder(sensor=(34, 20), max_jump_s=10)
-    assert len(decoder.decode(encode(events)).events) == 1 + kinds.count("good")
-    assert decoder.off_sensor == kinds.count("off") + kinds.count("off and ahead")
-    assert decoder.clock.jumped == kinds.count("ahead")
-    assert decoder.malformed == n - 1 - kinds.count("good")

@@ -12,7 +12,7 @@ from made import random_events
 from waiting import until
 
 from async_tnt import Processor, TNTConfig, astream, stream
-from async_tnt.sources import EVENT_BYTES, BackgroundReader, Decoder, UdpSender, UdpSource, encode, open_udp
+from async_tnt.sources import EVENT_BYTES, Decoder, UdpSender, UdpSource, encode, open_udp
 
 EVENTS = random_events(2500, duration_us=50_000)
 SILENCE_S = 0.15
@@ -160,15 +160,6 @@ def test_receive_waits_as_long_as_it_should(spin_us):
         sending = threading.Timer(0.01, sender.send, [EVENTS[:5]])
         sending.start()
         assert source.receive(60).tobytes() == EVENTS[:5].tobytes()
-
-
-def test_a_background_reader_closes_it():
-    source = listening(timeout_s=None)
-    with BackgroundReader(source, on_close=source.close) as reader, UdpSender(port=source.port) as sender:
-        sender.send(EVENTS[:10])
-        assert next(reader).tobytes() == EVENTS[:10].tobytes()
-        assert reader.close(60)  # its thread has stopped, though it waited in the source
-    assert source.closed and source.counts.events == 10
 
 
 def test_datagrams_that_nobody_receives_are_counted_by_the_sender():

@@ -102,7 +102,7 @@ def test_after_the_end_nothing_comes_in():
     queue.end(ValueError("second"))
     with pytest.raises(ValueError, match=r"^a packet after the end: this queue's end\(\) was called; make a new"):
         queue.put(PACKETS[1])
-    assert len(next(queue)) == 250
+    assert repr(queue) == "PacketQueue(ended, 250 events waiting, 0 skipped)" and len(next(queue)) == 250
     with pytest.raises(OSError, match="first"):
         next(queue)
     assert list(queue) == [] and queue.counters.received == 250
