@@ -157,7 +157,7 @@ class UdpSource:
         except OSError as error:
             self._socket.close()
             raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
-        self._lost_at_end: int | None = None
+        self._lost: int | None = None
         self.address, self.port = self._socket.getsockname()[:2]
         if self.advice:
             log.warning("%s", self.advice)
@@ -184,11 +184,17 @@ class UdpSource:
             self._events,
             self._cut + decoder.malformed,
             clock.late,
-            self._lost_at_end if self._closed else lost_datagrams(self._socket),
+            self._read_lost(),
             clock.jumped,
             decoder.off_sensor,
             clock.restarts,
         )
+
+    def _read_lost(self) -> int | None:
+        """The system's count; once the socket is closed, the last one."""
+        lost = lost_datagrams(self._socket)
+        self._lost = self._lost if lost is None else lost
+        return self._lost
 
     def summary(self) -> str:
         """The counts so far, in one line for people."""
@@ -302,7 +308,7 @@ class UdpSource:
         """Stop listening and end every iteration, from any thread; counts stay. May be called again."""
         if self._closed:
             return
-        self._lost_at_end = lost_datagrams(self._socket)
+        self._read_lost()
         self._closed = True
         self._waiter.wake()
         if not self._waiter.in_task:  # otherwise the task does it, once its event loop has let go of the socket

@@ -106,12 +106,12 @@ def ask_for_buffer(sock: socket.socket, n_bytes: int) -> tuple[int, str | None]:
 
 
 def lost_datagrams(sock: socket.socket) -> int | None:
-    """How many datagrams the system has dropped at an open socket; None where it does not report it."""
+    """How many datagrams the system has dropped at a socket; None if it is closed, and where this is not reported."""
     if not sys.platform.startswith("linux"):
         return None
     try:
         return _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))[8]
-    except (OSError, struct.error):  # an older system
+    except (OSError, struct.error):  # closed, or an older system
         return None
 
 
