@@ -213,7 +213,7 @@ class DvDevice:
         self.sensor = int(resolution[0]), int(resolution[1])
 
     def read(self) -> np.ndarray | None:
-        running = self.handle.isRunning()  # asked first: events from before the end can be read after it
+        running = self.handle.isRunning()  # first, as events from before the end can be read after it
         store = self.handle.getNextEventBatch()
         if store is not None:
             return store.numpy()  # a copy: a store is a list of the driver's own packets

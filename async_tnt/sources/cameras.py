@@ -220,7 +220,7 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driv
         if not found:
             searched.append(driver.name)
         for camera in found:
-            # one that hides its serial number may be the right one: opening it tells why it does
+            # one that hides its serial number may be the right one; opening it shows why it does
             if (kind and kind not in camera.kinds) or (serial and camera.serial not in (serial, None)):
                 problems.append(f"{driver.name} found {camera}, which is another camera")
                 continue

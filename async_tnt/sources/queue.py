@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import threading
 import time
@@ -82,7 +83,7 @@ class PacketQueue:
         self._came = threading.Condition(lock)  # a packet, or the end
         self._room = threading.Condition(lock)
         self._waiting: deque[tuple[Any, int, int]] = deque()  # packet, events, time of arrival in ns
-        self._sleepers: list[tuple[asyncio.AbstractEventLoop, asyncio.Future[None]]] = []
+        self._sleepers: list[asyncio.Future[None]] = []
         self._ended = self._closed = False
         self._error: BaseException | None = None
         self._backlog = self._received = self._handed_out = self._skipped = 0
@@ -180,10 +181,10 @@ class PacketQueue:
                         return self._hand_out()
                     self._raise_error()
                     raise StopAsyncIteration
-                sleeper = (loop, loop.create_future())
+                sleeper = loop.create_future()
                 self._sleepers.append(sleeper)
             try:
-                await sleeper[1]  # another task may be faster: hence the loop
+                await sleeper  # another task may be faster: hence the loop
                 self._yielded_s = loop.time()
             finally:
                 with self._came:
@@ -268,11 +269,9 @@ class PacketQueue:
 
     def _wake(self) -> None:
         sleepers, self._sleepers = self._sleepers, []
-        for loop, future in sleepers:
-            try:
-                loop.call_soon_threadsafe(_resolve, future)
-            except RuntimeError:  # that loop is closed, and its tasks are gone
-                continue
+        for sleeper in sleepers:
+            with contextlib.suppress(RuntimeError):  # that loop is closed, and its tasks are gone
+                sleeper.get_loop().call_soon_threadsafe(_resolve, sleeper)
 
 
 def _resolve(future: asyncio.Future[None]) -> None:

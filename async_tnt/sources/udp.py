@@ -27,7 +27,7 @@ from async_tnt.sources.udp_socket import (
 
 ROOM = 1 << 16  # more than any datagram: none is ever cut off
 BATCH_BYTES = 1 << 18
-WARN_AFTER = 1000  # malformed events without a single good one: a warning says what may be wrong
+WARN_AFTER = 1000  # malformed events without a single good one, after which a warning names possible reasons
 MOST_DATAGRAMS = 1 << 14  # of one packet, as these may be empty
 
 log = logging.getLogger("async_tnt.sources")
@@ -85,8 +85,7 @@ class UdpSource:
     address, port : where to listen; by default only this machine can send. Port 0 picks a free one: read `port`.
     format : one of `async_tnt.sources.EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
-    buffer_bytes : receive buffer to ask the system for. If it is smaller, `advice` and the log `async_tnt.sources` say
-        so.
+    buffer_bytes : receive buffer to ask the system for; `advice` and the log `async_tnt.sources` warn if it is smaller.
     timeout_s : silence, in seconds, after which iterating ends; None waits forever.
     max_datagrams : in one packet, at most.
     max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the times of a sender that
@@ -176,7 +175,7 @@ class UdpSource:
 
     @property
     def counts(self) -> NetworkCounts:
-        """Counts up to now; the system is asked for `lost` at this moment."""
+        """Counts up to now."""
         decoder, clock = self._decoder, self._decoder.clock
         return NetworkCounts(
             self._datagrams,

@@ -121,7 +121,7 @@ class Waiter:
     def __init__(self, sock: socket.socket) -> None:
         self._socket = sock
         self._woken = False
-        self._tasks: set[tuple[asyncio.AbstractEventLoop, asyncio.Future[bool]]] = set()
+        self._tasks: set[asyncio.Future[bool]] = set()
         self._wake_out, self._wake_in = socket.socketpair()  # one end becomes readable when the other is closed
         self._poll: Callable[[float | None], list[tuple[int, int]]] | None = None
         if hasattr(select, "poll"):  # faster than `selectors`, which looks each event up in a dictionary
@@ -148,8 +148,7 @@ class Waiter:
         """
         loop = asyncio.get_running_loop()
         came: asyncio.Future[bool] = loop.create_future()
-        entry = (loop, came)
-        self._tasks.add(entry)  # first of all: a thread that calls `wake` from here on leaves the socket to this task
+        self._tasks.add(came)  # first of all: a thread that calls `wake` from here on leaves the socket to this task
         try:
             if self._woken:
                 return False
@@ -165,7 +164,7 @@ class Waiter:
             finally:
                 loop.remove_reader(descriptor)
         finally:
-            self._tasks.discard(entry)  # last of all: from here on the socket may be closed
+            self._tasks.discard(came)  # last of all: from here on the socket may be closed
 
     async def _wait_in_thread(self, timeout_s: float | None, wait: Callable[[float | None], None]) -> bool:
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
@@ -181,18 +180,18 @@ class Waiter:
 
     @property
     def in_task(self) -> bool:
-        """Whether an event loop watches the socket: it must let go before the socket's number is given to another."""
+        """Whether an event loop watches the socket, whose number must not be reused before that loop lets go of it."""
         return bool(self._tasks)
 
     def wake(self) -> None:
         self._woken = True
-        for loop, came in list(self._tasks):
-            if not loop.is_closed():
-                loop.call_soon_threadsafe(_settle, came, False)
+        for came in list(self._tasks):
+            if not came.get_loop().is_closed():
+                came.get_loop().call_soon_threadsafe(_settle, came, False)
         self._wake_in.close()
 
     def close(self) -> None:
-        """Call it when nobody waits any more."""
+        """Release the sockets of `wake`, when no thread or task waits any more."""
         self._wake_in.close()
         self._wake_out.close()
 
