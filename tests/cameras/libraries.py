@@ -17,7 +17,7 @@ SERIAL = "00050423"
 
 
 class Neuromorphic:
-    """neuromorphic-drivers. A packet is (events, or None; and other columns by name)."""
+    """neuromorphic-drivers."""
 
     kinds = NEUROMORPHIC_KINDS
     lost = "gaps: 0"
@@ -60,7 +60,6 @@ class PlayedHandle:
 
     def __init__(self, module, packets, name):
         self._module, self._packets, self._name = module, list(packets), name
-        self._backlogs = iter([11, 5, 3] * 100)
         self._dropped = 0
         self.closed = False
 
@@ -79,7 +78,7 @@ class PlayedHandle:
         if packet is None:  # nothing came
             return self._module.status.RawStatus(system_time=time.time(), ring=None), None
         self._dropped += 2
-        ring = self._module.status.RingStatus(time.time(), next(self._backlogs), 1, False, 0, self._dropped)
+        ring = self._module.status.RingStatus(time.time(), 11 if self._dropped == 4 else 5, 1, False, 0, self._dropped)
         return self._module.status.Status(time.time(), ring), packet
 
     def close(self):

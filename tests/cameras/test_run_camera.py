@@ -54,16 +54,6 @@ def test_ctrl_c_closes_the_camera(plug_in, program):
     assert code == 130 and labels(out) == ["3", "3", "3"] and device.n_closed == 1
 
 
-def test_a_part_of_a_larger_camera(plug_in, program):
-    packets = three()
-    for packet in packets:
-        packet["x"] += 100
-        packet["y"] += 50
-    plug_in(*packets, UNPLUGGED, sensor=(346, 260))
-    _, out, _ = program("run", "camera", "--roi", "100,50,34,34", "--crop", "--json")
-    assert labels(out) == ["3", "3", "3"]
-
-
 def test_a_camera_of_another_size_is_refused(plug_in, program):
     device = plug_in(*three(), sensor=(346, 260))
     code, _, err = program("run", "camera")
