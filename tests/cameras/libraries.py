@@ -21,6 +21,7 @@ class Neuromorphic:
 
     kinds = NEUROMORPHIC_KINDS
     lost = "gaps: 0"
+    sensor = (1280, 720)
 
     def __init__(self, module):
         self.module = module
@@ -90,13 +91,14 @@ class Dv:
 
     kinds = DV_KINDS
     lost = "lost: unknown"
+    sensor = (346, 260)
 
     def __init__(self, module):
         self.module = module
         self.models = module.io.camera.CameraModel.__members__
 
     def sensor_of(self, model):
-        return 346, 260
+        return self.sensor
 
     def packet_of(self, events, model=None):
         store = self.module.EventStore()

@@ -120,18 +120,6 @@ def test_summary_and_counts():
     assert repr(camera).startswith("Camera(Prophesee EVK4 00050423 by played 1.0, closed, CameraCounts(packets=2, ")
 
 
-@pytest.mark.parametrize(("field", "side"), [("x", 3400), ("y", 34)])
-def test_the_sensors_borders_by_hand(field, side):
-    packets = [made_events(1, 2, 3, 4), made_events(5), made_events(6)]
-    packets[0][field] = [side, side - 1, 0, 2**16 - 1]
-    packets[1][field] = side
-    _, camera = opened(*packets)
-    came = list(islice(camera, 2))
-    assert [packet["t"].tolist() for packet in came] == [[2, 3], [6]] and came[1] is packets[2]
-    assert camera.counts.off_sensor == 3 and camera.counts.packets == 2
-    assert camera.summary() == "2 packets, 3 events (off the sensor: 3, lost: unknown)"
-
-
 def test_events_whose_time_jumps_are_left_out():
     """`Clock` states the rule; packets that hold nothing else do not come."""
     packets = [made_events(1, 1 << 63), made_events(HOUR_US), made_events(3)]

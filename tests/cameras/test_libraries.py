@@ -74,11 +74,15 @@ def test_a_clock_that_restarts_twice_continues(library):
 
 
 def test_events_off_the_sensor_are_left_out(library):
-    """dv-processing has signed coordinates."""
-    events = events_of([5, 6, 7, 8, 9], [0, 1280, 345, 2**15 - 1, 3], [0, 0, 259, 0, 720], [1] * 5)
+    """neuromorphic-drivers has unsigned coordinates, dv-processing signed ones."""
+    width, height = library.sensor
+    columns = [0, width, width - 1, -1, 3, 3, 3], [0, 0, height - 1, 3, height, height - 1, -1]
+    events = np.zeros(7, [("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1")])
+    events["t"], (events["x"], events["y"]) = range(7), columns
     camera = library.opened(library.packet_of(events), library.packet_of(events[1:2]))
     (came,) = read_until_unplugged(camera)
-    assert came["t"].tolist() == [5, 7] and camera.counts.off_sensor == 4
+    assert came["t"].tolist() == [0, 2, 5] and camera.counts.off_sensor == 5
+    assert camera.summary().startswith("1 packets, 3 events (") and "off the sensor: 5" in camera.summary()
 
 
 def test_every_model_opens_by_each_of_its_kinds(library):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import events_of, random_events
+from made import events_of
 
 from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.sources import EVENT_BYTES, Decoder, encode
@@ -32,17 +32,6 @@ def test_one_event_by_hand(format):
     events, malformed = decode(bytearray(data), format)
     t = {"t64_x16_y16_on8": 0x1_0000_0203, "spif": 77}.get(format, 0x203)
     assert events.tolist() == [(t, 0x0405, 0x0607, 1)] and malformed == 0 and events.flags.writeable
-
-
-@of_all_formats
-def test_what_is_encoded_is_decoded(format):
-    events = random_events(500, sensor=(1 << 15, 1 << 15))
-    data = encode(events, format)
-    assert len(data) == 500 * EVENT_BYTES[format]
-    if format == "spif":
-        events["t"] = 77  # it has no time
-    decoded, malformed = decode(data, format)
-    assert decoded.dtype == EVENT_DTYPE and decoded.tobytes() == events.tobytes() and malformed == 0
 
 
 @of_all_formats

@@ -31,7 +31,7 @@ def refuse(self, *args):
     ("format", "packet_events"), [("t64_x16_y16_on8", 1), ("t32_x16_y15_on1", 100), ("spif_t32", 4000)]
 )
 def test_what_is_sent_arrives_in_order(format, packet_events):
-    events = EVENTS[:300] if packet_events == 1 else EVENTS
+    events = random_events(300 if packet_events == 1 else 2500, sensor=(1 << 15, 1 << 15))
     with (
         listening(format=format) as source,
         UdpSender("127.0.0.1", source.port, format, packet_events=packet_events) as sender,
