@@ -106,20 +106,6 @@ def test_ctrl_c_is_no_failure():
 # -- counts, and invalid events --------------------------------------------------------------------------
 
 
-def test_summary_and_counts():
-    device, camera = opened(made_events(*range(1500)), made_events(2_000))
-    assert camera.summary() == "0 packets, 0 events (lost: unknown)"
-    next(iter(camera))
-    assert camera.summary() == "1 packets, 1,500 events (lost: unknown)"
-    device.losses.overflows, device.losses.dropped, device.losses.most_waiting = 2, 1234, 17
-    next(iter(camera))
-    camera.close()
-    assert camera.summary() == "2 packets, 1,501 events (gaps: 2, raw packets dropped: 1,234, at most 17 waiting)"
-    counts = camera.counts
-    assert (counts.overflows, counts.dropped, counts.most_waiting) == (2, 1234, 17)
-    assert repr(camera).startswith("Camera(Prophesee EVK4 00050423 by played 1.0, closed, CameraCounts(packets=2, ")
-
-
 def test_events_whose_time_jumps_are_left_out():
     """`Clock` states the rule; packets that hold nothing else do not come."""
     packets = [made_events(1, 1 << 63), made_events(HOUR_US), made_events(3)]

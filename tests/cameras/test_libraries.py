@@ -135,9 +135,12 @@ def test_frames_and_imu_samples_are_left_out(neuromorphic):
 def test_losses_are_counted(neuromorphic):
     packets = [neuromorphic.packet_of(random_events(9), overflows=overflows) for overflows in ([0, 4], [], [8])]
     camera = neuromorphic.opened(*packets)
-    assert camera.counts.overflows == 0 and camera.counts.dropped is None
+    assert camera.summary() == "0 packets, 0 events (gaps: 0)"
     read_until_unplugged(camera)
     assert camera.summary() == "3 packets, 27 events (gaps: 3, raw packets dropped: 6, at most 11 waiting)"
+    counts = camera.counts
+    assert (counts.overflows, counts.dropped, counts.most_waiting) == (3, 6, 11)
+    assert repr(camera).startswith(f"Camera({camera.name}, closed, CameraCounts(packets=3, events=27, ")
 
 
 def test_a_camera_without_permission(neuromorphic):
