@@ -71,18 +71,18 @@ def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
     """
     if checked_format(format) == "t64_x16_y16_on8":  # our own records, bit for bit
         return events.astype(EVENT_DTYPE, copy=False).tobytes()
-    for field in ("x", "y"):
-        if (events[field] >= _MAX_SIDE).any():
-            i = int(np.argmax(events[field] >= _MAX_SIDE))
-            raise ValueError(f"`{field}` must be in [0, {_MAX_SIDE}) for {format}, got {events[field][i]} at event {i}")
-    t, x, y, p = (events[field].astype(np.int64) for field in "txyp")
+    t, x, y, p = (events[field].astype("<u4") for field in "txyp")  # of t the low half
+    for field, column in (("x", x), ("y", y)):
+        if column.max(initial=0) >= _MAX_SIDE:
+            i = int(np.argmax(column >= _MAX_SIDE))
+            raise ValueError(f"`{field}` must be in [0, {_MAX_SIDE}) for {format}, got {column[i]} at event {i}")
     if format == "t32_x16_y15_on1":
-        words = np.column_stack([t & 0xFFFFFFFF, y << 17 | p << 16 | x])
+        words = np.column_stack([t, y << 17 | p << 16 | x])
     elif format == "spif":
         words = _ABSENT | x << 16 | p << 15 | y
     else:
-        words = np.column_stack([x << 16 | p << 15 | y, t & 0xFFFFFFFF])
-    return words.astype("<u4").tobytes()
+        words = np.column_stack([x << 16 | p << 15 | y, t])
+    return words.astype("<u4", copy=False).tobytes()
 
 
 class Decoder:
