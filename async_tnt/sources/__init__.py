@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from async_tnt.sources.camera_drivers import DRIVERS
     from async_tnt.sources.cameras import Camera, CameraCounts, open_camera
     from async_tnt.sources.clock import Clock
-    from async_tnt.sources.datagrams import EVENT_BYTES, Decoded, Decoder, decode, encode
+    from async_tnt.sources.datagrams import EVENT_BYTES, Decoded, Decoder, encode
     from async_tnt.sources.files.fitting import check_sensor, open_for
     from async_tnt.sources.files.formats import READERS
     from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
@@ -44,7 +44,7 @@ if not TYPE_CHECKING:
             "camera_drivers": "DRIVERS",
             "cameras": "Camera CameraCounts open_camera",
             "clock": "Clock",
-            "datagrams": "EVENT_BYTES Decoded Decoder decode encode",
+            "datagrams": "EVENT_BYTES Decoded Decoder encode",
             "files.fitting": "check_sensor open_for",
             "files.formats": "READERS",
             "files.nmnist": "read_nmnist write_nmnist",

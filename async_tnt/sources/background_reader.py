@@ -1,4 +1,4 @@
-"""Read a source of packets in a background thread, so that it need not wait for their consumer."""
+"""Read a source of packets in a background thread, so that it never waits for their consumer."""
 
 from __future__ import annotations
 
@@ -23,13 +23,12 @@ class BackgroundReader:
     ----------
     source : any iterable of packets, in any form that `async_tnt.event_forms` lists: a camera, a recording, a
         generator. Only the thread iterates it.
-    max_packets : packets that wait at most.
     latest : what happens when the queue is full. False: the source is not read until there is room, so that nothing
         is lost. True: the oldest packets are discarded and their events counted, so that the delay stays bounded
         however slow the consumer is.
-    max_events, copy : as for `PacketQueue`.
-    on_close : called by `close`, for a source that may wait forever for its next packet: it should wake the source up,
-        as the `close` of a camera or a socket does.
+    max_packets, max_events, copy : as for `PacketQueue`.
+    on_close : called by `close` to wake up a source that may wait forever for its next packet, such as the `close` of a
+        camera or a socket.
 
     Raises
     ------
@@ -140,12 +139,7 @@ class BackgroundReader:
     async def aclose(self, timeout_s: float = 1.0) -> bool:
         """`close`, while asyncio's other tasks run."""
         self._stop()
-        loop = asyncio.get_running_loop()
-        deadline_s = loop.time() + timeout_s
-        pause_s = 1e-4
-        while self._thread.is_alive() and loop.time() < deadline_s:
-            await asyncio.sleep(pause_s)
-            pause_s = min(2 * pause_s, 0.01)
+        await asyncio.to_thread(self._thread.join, timeout_s)
         return not self._thread.is_alive()
 
     async def __aenter__(self) -> BackgroundReader:

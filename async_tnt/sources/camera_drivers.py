@@ -10,8 +10,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-WAIT_S = 0.1  # neuromorphic-drivers waits for events outside of Python; this bounds how long `close` takes
-PAUSE_S = 0.001  # dv-processing never waits: it is polled this often, which takes 3 % of a core
+WAIT_S = 0.1  # how long neuromorphic-drivers waits for events at a time, and `close` at most
+PAUSE_S = 0.001  # dv-processing does not wait: it is polled this often, which takes 3 % of a core
 
 NEUROMORPHIC_KINDS = {  # KIND of `camera:KIND`, by neuromorphic-drivers' names of models
     "Prophesee EVK4": ("evk4",),
@@ -35,14 +35,11 @@ ALL_KINDS = sorted({kind for kinds in (*NEUROMORPHIC_KINDS.values(), *DV_KINDS.v
 
 @dataclass
 class Losses:
-    """What a library reports as lost; None where it does not. A device updates its own while it is read."""
+    """What a library reports as lost, see `CameraCounts`. A device updates its own while it is read."""
 
     overflows: int | None = None
-    """Gaps in the stream of events: they were not read in time."""
     dropped: int | None = None
-    """Raw packets of the cable that were dropped."""
     most_waiting: int | None = None
-    """Raw packets that waited in the library's ring, at the worst moment."""
 
 
 class Device(Protocol):
@@ -50,7 +47,7 @@ class Device(Protocol):
 
     sensor: tuple[int, int]
     pause_s: float
-    """How long to wait after `read` returned None; 0 where `read` itself waits."""
+    """How long to sleep after `read` returned None; 0 where `read` itself waits."""
     time_field: str
     """Of its packets."""
     losses: Losses
@@ -60,7 +57,7 @@ class Device(Protocol):
     def read(self) -> np.ndarray | None:
         """The next packet, a structured array in new memory; None if there is none now.
 
-        Returns after 0.2 s at most. If the camera is gone, raises what the library raises, see `is_failure`.
+        Returns after 0.2 s at most. If the camera is gone, raises what the library raises, see `failure`.
         """
 
     def close(self) -> None:
@@ -78,7 +75,7 @@ class FoundCamera:
     serial: str | None
     open: Callable[[], Device]
     problem: str | None = None
-    """Why it may not open, if the library says so."""
+    """Why it may not open, if the library reports it."""
 
     def __str__(self) -> str:
         return self.model if not self.serial else f"{self.model} {self.serial}"
@@ -91,29 +88,28 @@ class Driver(Protocol):
     """With its version."""
 
     def find(self) -> Sequence[FoundCamera]:
-        """The connected cameras. If it cannot look, raises what the library raises."""
+        """The connected cameras. If it cannot search, raises what the library raises."""
 
 
-def is_failure(error: BaseException) -> bool:
-    """Whether a library failed, rather than that the program is being stopped.
+def failure(error: BaseException) -> str:
+    """What a library reports when it fails, in one line.
 
-    Libraries in Rust panic with an exception that `except Exception` does not catch.
-    """
-    return isinstance(error, Exception) or type(error).__name__ == "PanicException"
+    Libraries in Rust panic with an exception that `except Exception` does not catch. dv-processing's messages hold a
+    place in its source, the sentence, and a C++ stack.
 
-
-def first_line(error: BaseException) -> str:
-    """A library's error in one line.
-
-    dv-processing's messages hold a place in its source, the sentence, and a C++ stack.
+    Raises
+    ------
+    The error itself, if the program is being stopped.
 
     Examples
     --------
-    >>> first_line(RuntimeError("/a/b.hpp(88): dv::open()\\nRuntimeError: no such device\\nStacktrace:\\n 0# x"))
+    >>> failure(RuntimeError("/a/b.hpp(88): dv::open()\\nRuntimeError: no such device\\nStacktrace:\\n 0# x"))
     'no such device'
-    >>> first_line(ValueError())
+    >>> failure(ValueError())
     'ValueError'
     """
+    if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+        raise error
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     for line in lines[1:]:
         kind, colon, sentence = line.partition(": ")
@@ -127,7 +123,7 @@ class NeuromorphicDrivers:
 
     Parameters
     ----------
-    library : what has its `list_devices` and `open`; by default the module itself.
+    library : an object with `list_devices` and `open`; by default the module itself.
     """
 
     def __init__(self, library: Any = None) -> None:
@@ -182,7 +178,7 @@ class DvProcessing:
 
     Parameters
     ----------
-    library : what has its `discover` and `open`; by default `dv_processing.io.camera`.
+    library : an object with `discover` and `open`; by default `dv_processing.io.camera`.
     """
 
     def __init__(self, library: Any = None) -> None:
@@ -203,7 +199,7 @@ class DvProcessing:
 
 
 class DvDevice:
-    """One camera, or anything else of `dv_processing.io.InputBase`: recordings and network streams are read alike."""
+    """One camera, or any other `dv_processing.io.InputBase`: recordings and network streams are read alike."""
 
     pause_s = PAUSE_S
     time_field = "timestamp"
@@ -213,11 +209,11 @@ class DvDevice:
         self.losses = Losses()  # the library reports none
         resolution = self.handle.getEventResolution()
         if resolution is None:
-            raise RuntimeError("it sends no events")
+            raise RuntimeError("it has no stream of events")
         self.sensor = int(resolution[0]), int(resolution[1])
 
     def read(self) -> np.ndarray | None:
-        running = self.handle.isRunning()  # asked first: events from before the end can be read after it
+        running = self.handle.isRunning()  # first, as events from before the end can be read after it
         store = self.handle.getNextEventBatch()
         if store is not None:
             return store.numpy()  # a copy: a store is a list of the driver's own packets
@@ -233,5 +229,4 @@ DRIVERS: Mapping[str, Callable[[], Driver]] = {
     "neuromorphic-drivers": NeuromorphicDrivers,
     "dv-processing": DvProcessing,
 }
-"""Library -> its `Driver`. They are asked in this order: the first one waits for events without polling, and counts
-losses."""
+"""Library -> its `Driver`, in the order in which they are tried: the first waits without polling, and counts losses."""

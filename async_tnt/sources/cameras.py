@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, Device, Driver, FoundCamera, first_line, is_failure
+from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, Device, Driver, failure
 from async_tnt.sources.clock import Clock
 from async_tnt.sources.sizes import by
 
-MAX_JUMP_S = 1.0  # a camera's events come in order, and soon
-DAVIS346 = (346, 260)  # dv-processing tells DAVIS cameras apart only when they are open
+MAX_JUMP_S = 1.0  # a camera's events arrive in order and soon
+DAVIS346 = (346, 260)  # dv-processing distinguishes DAVIS models only when they are open
 
 log = logging.getLogger("async_tnt.sources")
 
@@ -27,20 +27,20 @@ class CameraCounts:
     """What a camera has sent so far. None: the library does not report it."""
 
     packets: int
-    """With events in them; others are skipped."""
+    """Those that hold events."""
     events: int
     overflows: int | None
-    """Gaps in the stream of events: they were not read in time."""
+    """Gaps in the stream of events, which were not read in time."""
     dropped: int | None
-    """Raw packets of the cable that were dropped, as the library counts them."""
+    """Raw USB packets that the library dropped."""
     most_waiting: int | None
-    """Raw packets that waited in the library, at the worst moment."""
+    """The largest number of raw USB packets that waited in the library."""
     clock_restarts: int
-    """How often the camera's clock moved back; times go on, see `Clock`."""
+    """How often the camera's clock moved back; times continue, see `Clock`."""
     off_sensor: int
-    """Events left out: they lie off the sensor, so the cable or the driver garbled them."""
+    """Events left out because they lie off the sensor: the cable or the driver garbled them."""
     jumped: int
-    """Events left out: their time jumps, see `Clock`."""
+    """Events left out because their time jumps, see `Clock`."""
 
 
 class Camera:
@@ -134,23 +134,20 @@ class Camera:
             try:
                 events = self._device.read()
             except BaseException as error:
-                if not is_failure(error):
-                    raise
+                reason = failure(error)
                 self.close()
                 raise OSError(
-                    f"{self.name}: the camera is gone after {self._events:,} events ({first_line(error)}); "
+                    f"{self.name}: the camera is gone after {self._events:,} events ({reason}); "
                     "check its cable and power, and open it again"
                 ) from error
-            if events is not None and len(events):
-                events = self._valid(events)
-            if events is None or len(events) == 0:
+            if events is None or not len(events) or not len(events := self._valid(events)):
                 return None
             self._packets += 1
             self._events += len(events)
             return events
 
     def _valid(self, events: np.ndarray) -> np.ndarray:
-        """The same array without events that a cable or a driver garbled; one would make a processor refuse it."""
+        """The packet without the events that the cable or the driver garbled, which a processor would refuse."""
         width, height = self._sensor
         x, y = events["x"].view(np.uint16), events["y"].view(np.uint16)  # below 0 is beyond any sensor
         n = len(events)
@@ -167,7 +164,7 @@ class Camera:
     def close(self) -> None:
         """Stop, end every iteration and release the camera, from any thread; counts stay. May be called again.
 
-        Waits for a read in progress, 0.1 s or so: when it returns, the camera may be opened again.
+        Waits for a read in progress, about 0.1 s; after that the camera may be opened again.
         """
         self._closing.set()
         with self._using:
@@ -175,10 +172,8 @@ class Camera:
                 self._is_open = False
                 try:
                     self._device.close()
-                except BaseException as error:
-                    if not is_failure(error):
-                        raise
-                    log.warning("%s: closing it failed: %s", self.name, first_line(error))  # it is gone already
+                except BaseException as error:  # it is gone already
+                    log.warning("%s: closing it failed: %s", self.name, failure(error))
 
     def __enter__(self) -> Camera:
         return self
@@ -194,73 +189,61 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driv
     ----------
     name : `camera` (the first one found), `camera:KIND` (evk4, evk3, davis346, dvxplorer, ...) or
         `camera:KIND:SERIAL`.
-    drivers : the libraries to ask, in this order, by name.
+    drivers : the libraries to try, in this order, by name.
 
     Returns
     -------
-    Camera, which is running: read it, or its driver's buffer overflows.
+    Camera, which is running: read it, or the buffer of its driver overflows.
 
     Raises
     ------
     ValueError : no such kind of camera.
-    OSError : no such camera is connected, or it cannot be opened; the message says which libraries looked, and what to
-        check.
+    OSError : no such camera is connected, or it cannot be opened; the message names the libraries that searched, and
+        what to check.
     ImportError : no library is installed.
     """
     kind, serial = parse_camera_name(name)
-    missing, absent, searched, problems = [], [], [], []
-    was_found = False
+    problems, searched, n_missing, was_found = [], [], 0, False
     for package, make_driver in drivers.items():
         try:
             driver = make_driver()
         except ImportError as error:
-            missing.append(package)
-            if isinstance(error, ModuleNotFoundError):
-                absent.append(package)
-            else:  # it is installed, but does not load
-                problems.append(f"{package} does not load: {first_line(error)}")
+            n_missing += 1
+            absent = isinstance(error, ModuleNotFoundError)
+            problems.append(f"{package} is not installed" if absent else f"{package} does not load: {failure(error)}")
             continue
         try:
             found = driver.find()
         except BaseException as error:
-            if not is_failure(error):
-                raise
-            problems.append(f"{driver.name} cannot look: {first_line(error)} (no USB here?)")
+            problems.append(f"{driver.name} cannot search: {failure(error)} (no USB here?)")
             continue
         if not found:
             searched.append(driver.name)
         for camera in found:
-            if not _matches(camera, kind, serial):
+            # one that hides its serial number may be the right one; opening it shows why it does
+            if (kind and kind not in camera.kinds) or (serial and camera.serial not in (serial, None)):
                 problems.append(f"{driver.name} found {camera}, which is another camera")
                 continue
             try:
                 opened = Camera(camera.open(), f"{camera} by {driver.name}")
             except BaseException as error:
-                if not is_failure(error):
-                    raise
+                reason = failure(error)
+                problems.append(f"{driver.name} found {camera} but cannot open it: {camera.problem or reason}")
                 was_found = True
-                problem = camera.problem or first_line(error)
-                problems.append(f"{driver.name} found {camera} but cannot open it: {problem}")
                 continue
             if kind != "davis346" or opened.sensor == DAVIS346:
                 return opened
             opened.close()
             problems.append(f"{driver.name} found {camera}, which has {by(opened.sensor)} pixels")
-    if len(missing) == len(drivers):
-        detail = f" ({'; '.join(problems)})" if problems else ""
-        raise ImportError(
-            f"{name}: cameras are read by {' or '.join(missing)}, which are missing: pip install '.[cameras]'{detail}"
-        )
-    message = ["cannot be opened" if was_found else "no camera found"]
+    if n_missing == len(drivers):
+        raise ImportError(f"{name}: {'; '.join(problems)}: cameras need one of them, pip install '.[cameras]'")
     if searched:
-        message.append(f"{' and '.join(searched)} looked")
-    message += problems
-    if absent:
-        message.append(f"{', '.join(absent)}: not installed")
+        problems.insert(0, f"{' and '.join(searched)} found none")
     advice = "Is it plugged in, and used by no other program?"
     if sys.platform.startswith("linux"):
         advice += " Does lsusb show it, and do udev rules let users read it (neuromorphic-drivers-install-udev-rules)?"
-    raise OSError(f"{name}: {'; '.join(message)}. {advice}")
+    problems.insert(0, "cannot be opened" if was_found else "no camera found")
+    raise OSError(f"{name}: {'; '.join(problems)}. {advice}")
 
 
 def parse_camera_name(name: str) -> tuple[str | None, str | None]:
@@ -278,8 +261,3 @@ def parse_camera_name(name: str) -> tuple[str | None, str | None]:
     if kind is not None and kind not in ALL_KINDS:
         raise ValueError(f"{name}: no such kind of camera; known are {', '.join(ALL_KINDS)}")
     return kind, rest[1] if len(rest) == 2 else None
-
-
-def _matches(camera: FoundCamera, kind: str | None, serial: str | None) -> bool:
-    # one that hides its serial number may be the one: opening it says why
-    return (kind is None or kind in camera.kinds) and (serial is None or camera.serial in (serial, None))

@@ -11,24 +11,24 @@ from async_tnt.kernels.jit import compile_only
 class Clock:
     """Drops events whose time jumps, until eight consecutive packets agree that the clock has moved.
 
-    A processor goes by the events' own times, so that one time far ahead closes all its windows, and times that fall
-    back come too late for them. The rule, for a packet that arrives when `passed` microseconds have gone by here since
+    A processor relies on the events' own times: one time far ahead closes all its windows, and after a fall back all
+    times come too late for them. The rule, for a packet that arrives when `passed` microseconds have gone by here since
     the newest event so far, n:
 
         an event jumps   iff   t > n + passed + max_jump   or   t < n - max(1 s - passed, 20 ms)
 
-    Such events are dropped and counted. `passed` lets a camera be still for an hour, as its clock goes on; it also
-    recognises a short recording that is sent again. Where all events of a packet jump, the packet votes for its oldest
-    time; a packet within `max_jump` of the vote before adds to it, any other starts again, and a packet with an event
-    that does not jump ends the vote. With the eighth vote the clock has moved. A clock that moved ahead keeps its
-    times. One that moved back, by a restart or a wrap, gets times that go on: from here on all are shifted, so that the
-    oldest event of this packet takes the time n.
+    Such events are dropped and counted. `passed` allows for a camera that sees nothing for an hour, and reveals a short
+    recording that is sent again. Where all events of a packet jump, the packet votes for its oldest time: within
+    `max_jump` of the previous vote it adds to it, elsewhere it starts a new one; a packet with an event that does not
+    jump ends the vote. With the eighth vote the clock has moved. A clock that moved ahead keeps its times. After one
+    moved back, by a restart or a wrap, times continue: all are shifted from here on, so that the oldest event of this
+    packet takes the time n.
 
     The first packet starts the clock at its oldest event, which lies before the year 2100.
 
     Parameters
     ----------
-    max_jump_s : seconds; None: every time is believed and stays what it is.
+    max_jump_s : seconds; None: every time is trusted and kept as it is.
 
     Attributes
     ----------

@@ -30,11 +30,9 @@ EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32
 MAX_DATAGRAM_BYTES = 65_507
 """What one UDP datagram over IPv4 can hold."""
 
-_PACKED_8 = np.dtype([("t", "<u4"), ("x", "<u2"), ("y_on", "<u2")])
-_TIMED_WORD = np.dtype([("word", "<u4"), ("t", "<u4")])
+_MAX_SIDE = 1 << 15  # of the formats that pack x and y
 _ABSENT = 1 << 31  # SPIF: no time follows
 _KIND = {"t64_x16_y16_on8": T64, "t32_x16_y15_on1": T32, "spif": SPIF, "spif_t32": SPIF_T32}
-_MAX_SIDE = {"t64_x16_y16_on8": 1 << 16, "t32_x16_y15_on1": 1 << 15, "spif": 1 << 15, "spif_t32": 1 << 15}
 
 
 class Decoded(NamedTuple):
@@ -71,45 +69,40 @@ def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
     >>> encode(event).hex(" "), encode(event, "spif").hex(" ")
     ('02 01 00 00 00 00 00 00 03 00 04 00 01', '04 80 03 80')
     """
-    side = _MAX_SIDE[checked_format(format)]
-    for field in ("x", "y"):
-        if len(events) and side < 1 << 16 and int(events[field].max()) >= side:
-            i = int(np.argmax(events[field] >= side))
-            raise ValueError(f"`{field}` must be in [0, {side}) for {format}, got {events[field][i]} at event {i}")
-    if format == "t64_x16_y16_on8":  # our own records, bit for bit
+    if checked_format(format) == "t64_x16_y16_on8":  # our own records, bit for bit
         return events.astype(EVENT_DTYPE, copy=False).tobytes()
+    t, x, y, p = (events[field].astype("<u4") for field in "txyp")  # of t the low half
+    for field, column in (("x", x), ("y", y)):
+        if column.max(initial=0) >= _MAX_SIDE:
+            i = int(np.argmax(column >= _MAX_SIDE))
+            raise ValueError(f"`{field}` must be in [0, {_MAX_SIDE}) for {format}, got {column[i]} at event {i}")
     if format == "t32_x16_y15_on1":
-        packed = np.empty(len(events), _PACKED_8)
-        packed["t"] = events["t"] & 0xFFFFFFFF
-        packed["x"] = events["x"]
-        packed["y_on"] = events["y"] << 1 | events["p"]
-        return packed.tobytes()
-    word = events["x"].astype("<u4") << 16 | events["p"].astype("<u4") << 15 | events["y"]
-    if format == "spif":
-        return (word | _ABSENT).astype("<u4").tobytes()
-    timed = np.empty(len(events), _TIMED_WORD)
-    timed["word"] = word
-    timed["t"] = events["t"] & 0xFFFFFFFF
-    return timed.tobytes()
+        words = np.column_stack([t, y << 17 | p << 16 | x])
+    elif format == "spif":
+        words = _ABSENT | x << 16 | p << 15 | y
+    else:
+        words = np.column_stack([x << 16 | p << 15 | y, t])
+    return words.astype("<u4", copy=False).tobytes()
 
 
 class Decoder:
-    """Bytes of one stream to events. Never raises, whatever the bytes.
+    """Decodes the bytes of one stream to events. Invalid bytes never raise; they are counted.
 
-    Times of 32 bits are unwrapped: each is taken to lie within 2**31 us (36 minutes) of the newest event before it, so
-    the result does not depend on how the stream was cut. `spif` has no time: its events get the time of arrival.
+    Times of 32 bits are unwrapped: each is assumed to lie within 2**31 us (36 minutes) of the newest event before it,
+    so that the result does not depend on how the stream was cut. Events of `spif`, which has no time, get the time of
+    arrival.
 
     Parameters
     ----------
     format : one of `EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: whatever the format can hold.
-    max_jump_s : of the stream's `Clock`. None: every time is believed.
+    max_jump_s : of the stream's `Clock`.
 
     Attributes
     ----------
-    clock : counts the events that it drops; they are malformed, too.
-    malformed : events left out so far, those of `off_sensor` and `clock.jumped` among them.
+    malformed : events left out so far, including the next two.
     off_sensor : events left out because they lie off the sensor.
+    clock : the `Clock`; `clock.jumped` counts the events that it drops.
     """
 
     def __init__(
@@ -168,19 +161,3 @@ class Decoder:
         self.malformed += n - n_good
         self.off_sensor += n_off_sensor
         return events if n_good == n else events[:n_good]
-
-
-def decode(
-    data: bytes | bytearray | memoryview,
-    format: str = "t64_x16_y16_on8",
-    sensor: tuple[int, int] | None = None,
-    arrival_us: int = 0,
-) -> Decoded:
-    """The events of one datagram by itself; `Decoder` goes on from datagram to datagram.
-
-    Examples
-    --------
-    >>> decode(bytes.fromhex("02 01 00 00 00 00 00 00 03 00 04 00 01 ff")).malformed
-    1
-    """
-    return Decoder(format, sensor).decode(data, arrival_us)

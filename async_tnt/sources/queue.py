@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import math
 import threading
 import time
 from collections import deque
@@ -15,7 +17,7 @@ import numpy as np
 from async_tnt.checks import positive_int
 from async_tnt.event_forms import named_columns
 
-YIELD_AFTER_S = 1e-3  # a queue that never runs empty lets asyncio's other tasks run this often
+YIELD_AFTER_S = 1e-3  # how often asyncio's other tasks can run while the queue is never empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,19 +43,19 @@ class QueueCounters:
 
 
 class PacketQueue:
-    """Packets in order of arrival, a bounded number of them.
+    """A bounded queue of packets.
 
-    Any thread may `put`; one reader iterates, with `for` or with `async for`. The queue ends for the reader when
-    `end` was called and the last packet is out.
+    Any thread may `put`; one reader iterates, with `for` or with `async for`, until `end` was called and the queue is
+    empty.
 
     Parameters
     ----------
     max_packets : packets that wait at most.
-    latest : what happens to a packet when the queue is full. False: `put` waits until there is room. True: `put` never
-        waits; the oldest packets are discarded and their events counted, so that the reader skips ahead.
-    max_events : events that wait at most, where packets differ much in size. A single larger packet still passes.
-    copy : whether `put` copies packets: drivers often reuse the memory of a packet for the next one. False is for
-        sources that put each packet in new memory.
+    latest : what happens when the queue is full. False: `put` waits until there is room. True: `put` never waits; the
+        oldest packets are discarded and their events counted, so that the reader skips ahead.
+    max_events : events that wait at most, for packets of very different sizes. A single larger packet still passes.
+    copy : whether `put` copies packets, as drivers often reuse the memory of one for the next. False is for sources
+        that put each packet in new memory.
 
     Raises
     ------
@@ -73,22 +75,22 @@ class PacketQueue:
         self, *, max_packets: int = 64, latest: bool = False, max_events: int | None = None, copy: bool = True
     ) -> None:
         self.max_packets = positive_int("max_packets", max_packets)
-        self.max_events = None if max_events is None else positive_int("max_events", max_events)
+        self.max_events = math.inf if max_events is None else positive_int("max_events", max_events)
         self.latest = bool(latest)
         self.copy = bool(copy)
-        # One lock, re-entrant: garbage collection, which may run at any moment, closes the queue of a forgotten reader.
+        # One lock, re-entrant: garbage collection, which closes the queue of a forgotten reader, may run at any moment.
         lock = threading.RLock()
         self._came = threading.Condition(lock)  # a packet, or the end
         self._room = threading.Condition(lock)
         self._waiting: deque[tuple[Any, int, int]] = deque()  # packet, events, time of arrival in ns
-        self._sleepers: list[tuple[asyncio.AbstractEventLoop, asyncio.Future[None]]] = []
+        self._sleepers: list[asyncio.Future[None]] = []
         self._ended = self._closed = False
         self._error: BaseException | None = None
         self._backlog = self._received = self._handed_out = self._skipped = 0
         self._packets_received = self._packets_handed_out = self._packets_skipped = 0
         self._newest_ns: int | None = None  # arrival of the newest packet handed out
         self._wait_ns = self._longest_wait_ns = 0
-        self._yielded_s = 0.0  # when asyncio's other tasks could last run
+        self._yielded_s = 0.0  # when asyncio's other tasks last had a chance to run
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else "ended" if self._ended else "open"
@@ -108,7 +110,7 @@ class PacketQueue:
         ValueError : after `end`.
         """
         arrived_ns = time.monotonic_ns()
-        packet, n = copied(packet) if self.copy else (packet, n_events_of(packet))
+        packet, n = measured(packet, self.copy)
         with self._came:
             if not self.latest:
                 self.wait_for_room()
@@ -121,7 +123,7 @@ class PacketQueue:
             if self._closed:
                 self._skip_all()
                 return False
-            while len(self._waiting) > 1 and self._is_over():
+            while self.latest and len(self._waiting) > 1 and self._is_over():
                 self._skip_oldest()
             self._came.notify()
             self._wake()
@@ -135,7 +137,7 @@ class PacketQueue:
             return not self._closed
 
     def end(self, error: BaseException | None = None) -> None:
-        """No more packets follow: the reader's loop ends after the last one, or raises `error` there."""
+        """Announce that no packets follow: the reader's loop ends after the last one, or raises `error` there."""
         with self._came:
             if not self._ended:
                 self._ended = True
@@ -143,7 +145,7 @@ class PacketQueue:
             self._wake_all()
 
     def close(self) -> None:
-        """Stop now: waiting packets are discarded, `put` accepts no more, and the reader's loop ends."""
+        """Stop now: discard waiting packets, accept no more, and end the reader's loop."""
         with self._came:
             self._closed = True
             self._error = None
@@ -179,17 +181,17 @@ class PacketQueue:
                         return self._hand_out()
                     self._raise_error()
                     raise StopAsyncIteration
-                sleeper = (loop, loop.create_future())
+                sleeper = loop.create_future()
                 self._sleepers.append(sleeper)
             try:
-                await sleeper[1]  # another task may be faster: hence the loop
+                await sleeper  # another task may be faster: hence the loop
                 self._yielded_s = loop.time()
             finally:
                 with self._came:
                     if sleeper in self._sleepers:  # cancelled
                         self._sleepers.remove(sleeper)
 
-    # -- what is going on --------------------------------------------------------------------------------
+    # -- counts ------------------------------------------------------------------------------------------
 
     @property
     def backlog(self) -> int:
@@ -204,8 +206,7 @@ class PacketQueue:
     @property
     def delay_us(self) -> int:
         """Age of the newest packet handed out: microseconds from its arrival until now. 0 before the first."""
-        newest_ns = self._newest_ns
-        return 0 if newest_ns is None else (time.monotonic_ns() - newest_ns) // 1000
+        return 0 if self._newest_ns is None else (time.monotonic_ns() - self._newest_ns) // 1000
 
     @property
     def counters(self) -> QueueCounters:
@@ -230,16 +231,10 @@ class PacketQueue:
         return bool(self._waiting) or self._ended or self._closed
 
     def _is_full(self) -> bool:
-        if len(self._waiting) >= self.max_packets:
-            return True
-        return self.max_events is not None and bool(self._waiting) and self._backlog >= self.max_events
+        return len(self._waiting) >= self.max_packets or self._backlog >= self.max_events
 
     def _is_over(self) -> bool:
-        """Whether too much waits; only with `latest`, as `put` waits for room otherwise."""
-        if not self.latest:
-            return False
-        most_events = self._backlog if self.max_events is None else self.max_events
-        return len(self._waiting) > self.max_packets or self._backlog > most_events
+        return len(self._waiting) > self.max_packets or self._backlog > self.max_events
 
     def _hand_out(self) -> Any:
         packet, n, arrived_ns = self._waiting.popleft()
@@ -274,11 +269,9 @@ class PacketQueue:
 
     def _wake(self) -> None:
         sleepers, self._sleepers = self._sleepers, []
-        for loop, future in sleepers:
-            try:
-                loop.call_soon_threadsafe(_resolve, future)
-            except RuntimeError:  # that loop is closed, and its tasks are gone
-                continue
+        for sleeper in sleepers:
+            with contextlib.suppress(RuntimeError):  # that loop is closed, and its tasks are gone
+                sleeper.get_loop().call_soon_threadsafe(_resolve, sleeper)
 
 
 def _resolve(future: asyncio.Future[None]) -> None:
@@ -286,37 +279,26 @@ def _resolve(future: asyncio.Future[None]) -> None:
         future.set_result(None)
 
 
-def n_events_of(packet: Any) -> int:
-    """Events in a packet of any form that `async_tnt.event_forms` lists; 0 for anything else."""
-    if isinstance(packet, np.ndarray) and packet.dtype.names is not None and packet.ndim == 1:
-        return len(packet)
-    columns = _columns_of(packet)
-    return 0 if columns is None else columns[0].size
+def measured(packet: Any, copy: bool) -> tuple[Any, int]:
+    """A packet of any form that `async_tnt.event_forms` lists, or a copy of it, and how many events it holds.
 
-
-def copied(packet: Any) -> tuple[Any, int]:
-    """A copy of a packet that nobody else writes to, and how many events it holds.
-
-    A structured array and a tuple of four columns keep their form. Another object that holds events becomes a tuple of
-    four columns (t, x, y, p). None, four plain numbers and anything that is no packet of events are not copied.
+    A structured array and a tuple of four columns keep their form when they are copied; other objects become a tuple of
+    four columns (t, x, y, p). What is not a packet of events counts 0 and is left to its reader to refuse.
     """
-    if isinstance(packet, np.ndarray):
-        return _copied_array(packet), n_events_of(packet)
-    if packet is None or (isinstance(packet, tuple) and all(type(value) is int for value in packet)):
-        return packet, n_events_of(packet)
-    columns = _columns_of(packet)
-    return (packet, 0) if columns is None else (tuple(column.copy() for column in columns), columns[0].size)
-
-
-def _columns_of(packet: Any) -> Any:
+    if isinstance(packet, np.ndarray) and packet.dtype.names is not None and packet.ndim == 1:
+        return _copied(packet) if copy else packet, len(packet)
     try:
-        return named_columns(packet)
-    except (TypeError, ValueError):  # the reader of the packet reports what is wrong with it
-        return None
+        columns = named_columns(packet)
+    except (TypeError, ValueError):
+        return packet, 0
+    if columns is None:
+        return packet, 0
+    is_one_event = isinstance(packet, tuple) and all(type(value) is int for value in packet)
+    return tuple(column.copy() for column in columns) if copy and not is_one_event else packet, columns[0].size
 
 
-def _copied_array(packet: np.ndarray) -> np.ndarray:
-    if type(packet) is not np.ndarray or not packet.flags.c_contiguous or packet.ndim != 1 or packet.dtype.hasobject:
+def _copied(packet: np.ndarray) -> np.ndarray:
+    if type(packet) is not np.ndarray or not packet.flags.c_contiguous or packet.dtype.hasobject:
         return packet.copy()
     copy = np.empty(packet.shape, packet.dtype)
     copy.view(np.uint8)[:] = packet.view(np.uint8)  # as plain bytes: NumPy copies records field by field, 5x slower

@@ -17,18 +17,17 @@ import numpy as np
 
 from async_tnt.sources.datagrams import Decoder
 from async_tnt.sources.udp_socket import (
-    LostDatagrams,
     Waiter,
     ask_for_buffer,
-    buffer_advice,
     checked_timeout,
+    lost_datagrams,
     parse_udp_url,
     resolve,
 )
 
 ROOM = 1 << 16  # more than any datagram: none is ever cut off
 BATCH_BYTES = 1 << 18
-WARN_AFTER = 1000  # malformed events without a single good one: a warning says what may be wrong
+WARN_AFTER = 1000  # malformed events without a single good one, after which a warning names possible reasons
 MOST_DATAGRAMS = 1 << 14  # of one packet, as these may be empty
 
 log = logging.getLogger("async_tnt.sources")
@@ -45,7 +44,7 @@ class NetworkCounts:
     malformed: int
     """Left out: cut off, off the sensor, an impossible polarity or time, a time that jumps."""
     late: int
-    """Handed on, but older than one before: the network or the sender changed their order."""
+    """Handed on, but older than one before: the network or the sender reordered them."""
     lost: int | None
     """Datagrams that the system dropped, mostly because its buffer was full; None where it does not report it."""
     jumped: int = 0
@@ -53,7 +52,7 @@ class NetworkCounts:
     off_sensor: int = 0
     """How many of `malformed` lie off the sensor."""
     clock_restarts: int = 0
-    """How often the sender's clock moved back; times go on, see `Clock`."""
+    """How often the sender's clock moved back; times continue, see `Clock`."""
 
     def summary(self) -> str:
         """One line for people.
@@ -78,20 +77,19 @@ class UdpSource:
 
     Iterating (`for` or `async for`) yields packets: structured arrays of `EVENT_DTYPE`, never empty, each of all
     datagrams that were waiting, or of the one that ended a wait. It ends when `close` is called, from any thread, or
-    after `timeout_s` of silence. Received data never raises: invalid events are dropped and counted, see `counts`. One
-    thread or one task iterates at a time.
+    after `timeout_s` of silence. Invalid events never raise; they are dropped, see `counts`. One thread or one task
+    iterates at a time.
 
     Parameters
     ----------
     address, port : where to listen; by default only this machine can send. Port 0 picks a free one: read `port`.
     format : one of `async_tnt.sources.EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
-    buffer_bytes : receive buffer to ask the system for. If it is smaller, `advice` and the log `async_tnt.sources` say
-        so.
+    buffer_bytes : receive buffer to ask the system for; `advice` and the log `async_tnt.sources` warn if it is smaller.
     timeout_s : silence, in seconds, after which iterating ends; None waits forever.
     max_datagrams : in one packet, at most.
-    max_jump_s : of the stream's `Clock`, which drops events whose time jumps until the next datagrams agree, and shifts
-        the times of a sender that starts again. None: every time is believed and stays what it is.
+    max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the times of a sender that
+        starts again. None: every time is trusted.
     spin_us : how long to poll before sleeping, in microseconds. Waking up a thread is most of the latency; polling
         avoids it and keeps a core busy.
 
@@ -153,14 +151,13 @@ class UdpSource:
         try:
             self._socket.setblocking(False)
             self._socket.bind(where)
-            self.buffer_bytes = ask_for_buffer(self._socket, buffer_bytes)
+            self.buffer_bytes, self.advice = ask_for_buffer(self._socket, buffer_bytes)
             self._waiter = Waiter(self._socket)
         except OSError as error:
             self._socket.close()
             raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
-        self._lost = LostDatagrams(self._socket)
+        self._lost: int | None = None
         self.address, self.port = self._socket.getsockname()[:2]
-        self.advice = buffer_advice(self.buffer_bytes, buffer_bytes)
         if self.advice:
             log.warning("%s", self.advice)
 
@@ -178,7 +175,7 @@ class UdpSource:
 
     @property
     def counts(self) -> NetworkCounts:
-        """Counts up to now; the system is asked for `lost` at this moment."""
+        """Counts up to now."""
         decoder, clock = self._decoder, self._decoder.clock
         return NetworkCounts(
             self._datagrams,
@@ -186,11 +183,17 @@ class UdpSource:
             self._events,
             self._cut + decoder.malformed,
             clock.late,
-            self._lost.read(),
+            self._read_lost(),
             clock.jumped,
             decoder.off_sensor,
             clock.restarts,
         )
+
+    def _read_lost(self) -> int | None:
+        """The system's count; once the socket is closed, the last one."""
+        lost = lost_datagrams(self._socket)
+        self._lost = self._lost if lost is None else lost
+        return self._lost
 
     def summary(self) -> str:
         """The counts so far, in one line for people."""
@@ -275,9 +278,8 @@ class UdpSource:
         except OSError as error:
             if self._socket.fileno() == -1 or error.errno == errno.EBADF:
                 return None
-            # Windows reports a datagram that was too long, or an earlier answer that was refused: not our concern
-        if not filled:
-            self._datagrams += n_datagrams
+            # Windows also reports a datagram that was too long, and an answer that was refused
+        if not n_datagrams:
             return None
         events = self._decoder.decode_datagrams(self._raw, self._ends_seen, self._arrivals_seen, n_datagrams)
         self._datagrams += n_datagrams
@@ -288,7 +290,7 @@ class UdpSource:
         return events if len(events) else None
 
     def _why_no_events(self) -> str:
-        """What may be wrong if all events so far are malformed."""
+        """Possible reasons why all events so far are malformed."""
         decoder = self._decoder
         others = decoder.malformed - decoder.off_sensor
         reasons = []
@@ -305,7 +307,7 @@ class UdpSource:
         """Stop listening and end every iteration, from any thread; counts stay. May be called again."""
         if self._closed:
             return
-        self._lost.read()
+        self._read_lost()
         self._closed = True
         self._waiter.wake()
         if not self._waiter.in_task:  # otherwise the task does it, once its event loop has let go of the socket
@@ -329,7 +331,7 @@ class UdpSource:
         self.close()
 
     def __del__(self) -> None:
-        if hasattr(self, "_lost"):
+        if hasattr(self, "_waiter"):
             self.close()
             self._release()
 

@@ -14,7 +14,7 @@ PACKET_EVENTS = 100  # 1300 bytes of the longest format: fits Ethernet's 1500 wi
 
 
 class UdpSender:
-    """Sends events to one address, whether or not anybody listens.
+    """Sends events to one address, whether or not a program listens.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class UdpSender:
         self.events = self.datagrams = self.bytes = 0
         """Sent so far."""
         self.refused = 0
-        """Datagrams that the other machine or this one refused: mostly nobody listens."""
+        """Datagrams that the other machine or this one refused, mostly because no program listens."""
         family, where = resolve(address, port)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:

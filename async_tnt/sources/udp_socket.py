@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from async_tnt.sources.datagrams import checked_format
 
-LONGEST_S = 86_400.0  # of one wait: a system's `poll` or `select` takes no more than some days
+LONGEST_S = 86_400.0  # of one wait: `poll` and `select` take no more than some days
 _SO_MEMINFO = 55  # Linux 4.12 and newer: nine u32, the last one counts drops
 _MEMINFO = struct.Struct("=9I")
 
@@ -83,45 +83,36 @@ def resolve(host: str, port: int) -> tuple[int, tuple]:
     return family, address
 
 
-def ask_for_buffer(sock: socket.socket, n_bytes: int) -> int:
-    """Ask for this much room for waiting datagrams; returns how much there is, in bytes."""
+def ask_for_buffer(sock: socket.socket, n_bytes: int) -> tuple[int, str | None]:
+    """Ask the system for room for waiting datagrams.
+
+    Returns
+    -------
+    int : how much there is, in bytes.
+    str : advice for the user; None if this is enough.
+    """
     with_overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles the size asked for, and reports that
     before = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
     if before < n_bytes * with_overhead:
         with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, n_bytes)
-    return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // with_overhead
-
-
-def buffer_advice(n_bytes: int, wanted_bytes: int) -> str | None:
-    """Advice for a user who got a smaller buffer than asked for; None if it is large enough."""
-    if n_bytes >= wanted_bytes:
-        return None
-    return (
-        f"the system gives {n_bytes:,} bytes for waiting datagrams of the {wanted_bytes:,} asked for; bursts may be "
-        f"lost (Linux: sudo sysctl net.core.rmem_max={wanted_bytes})"
+    available = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // with_overhead
+    if available >= n_bytes:
+        return available, None
+    return available, (
+        f"the system gives {available:,} bytes for waiting datagrams of the {n_bytes:,} asked for; bursts may be lost "
+        f"(Linux: sudo sysctl net.core.rmem_max={n_bytes})"
     )
 
 
-class LostDatagrams:
-    """Counts the datagrams that the system dropped at one socket; None until it reports them, if it ever does."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        self._socket = sock
-        self._lost: int | None = None
-
-    def read(self) -> int | None:
-        """Ask the system now; for a closed socket, its last answer."""
-        if not sys.platform.startswith("linux"):
-            return None
-        try:
-            info = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
-        except OSError:  # closed, or an older system
-            return self._lost
-        if len(info) == _MEMINFO.size:
-            before = self._lost or 0
-            self._lost = before + (_MEMINFO.unpack(info)[8] - before) % (1 << 32)  # the system's counter has 32 bits
-        return self._lost
+def lost_datagrams(sock: socket.socket) -> int | None:
+    """How many datagrams the system has dropped at a socket; None if it is closed, and where this is not reported."""
+    if not sys.platform.startswith("linux"):
+        return None
+    try:
+        return _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))[8]
+    except (OSError, struct.error):  # closed, or an older system
+        return None
 
 
 class Waiter:
@@ -130,7 +121,7 @@ class Waiter:
     def __init__(self, sock: socket.socket) -> None:
         self._socket = sock
         self._woken = False
-        self._tasks: set[tuple[asyncio.AbstractEventLoop, asyncio.Future[bool]]] = set()
+        self._tasks: set[asyncio.Future[bool]] = set()
         self._wake_out, self._wake_in = socket.socketpair()  # one end becomes readable when the other is closed
         self._poll: Callable[[float | None], list[tuple[int, int]]] | None = None
         if hasattr(select, "poll"):  # faster than `selectors`, which looks each event up in a dictionary
@@ -157,8 +148,7 @@ class Waiter:
         """
         loop = asyncio.get_running_loop()
         came: asyncio.Future[bool] = loop.create_future()
-        entry = (loop, came)
-        self._tasks.add(entry)  # first of all: a thread that calls `wake` from here on leaves the socket to this task
+        self._tasks.add(came)  # first of all: a thread that calls `wake` from here on leaves the socket to this task
         try:
             if self._woken:
                 return False
@@ -174,7 +164,7 @@ class Waiter:
             finally:
                 loop.remove_reader(descriptor)
         finally:
-            self._tasks.discard(entry)  # last of all: from here on the socket may be closed
+            self._tasks.discard(came)  # last of all: from here on the socket may be closed
 
     async def _wait_in_thread(self, timeout_s: float | None, wait: Callable[[float | None], None]) -> bool:
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
@@ -190,18 +180,18 @@ class Waiter:
 
     @property
     def in_task(self) -> bool:
-        """Whether an event loop watches the socket: it must let go before the socket's number is given to another."""
+        """Whether an event loop watches the socket, whose number must not be reused before that loop lets go of it."""
         return bool(self._tasks)
 
     def wake(self) -> None:
         self._woken = True
-        for loop, came in list(self._tasks):
-            if not loop.is_closed():
-                loop.call_soon_threadsafe(_settle, came, False)
+        for came in list(self._tasks):
+            if not came.get_loop().is_closed():
+                came.get_loop().call_soon_threadsafe(_settle, came, False)
         self._wake_in.close()
 
     def close(self) -> None:
-        """Call it when nobody waits any more."""
+        """Release the sockets of `wake`, when no thread or task waits any more."""
         self._wake_in.close()
         self._wake_out.close()
 

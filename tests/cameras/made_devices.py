@@ -1,20 +1,24 @@
 """Cameras without cables: a driver whose devices play what a test wrote down."""
 
 import threading
+from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 
 from async_tnt.sources.camera_drivers import FoundCamera, Losses
+from async_tnt.sources.cameras import open_camera
 
 RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as neuromorphic-drivers has it
 
 
-def made_events(times, sensor=(34, 34), seed=0):
-    rng = np.random.default_rng(seed)
-    events = np.empty(len(times), RECORD)
-    events["t"] = times
-    events["x"], events["y"] = (rng.integers(0, side, len(times)) for side in sensor)
-    events["on"] = rng.integers(0, 2, len(times))
+class PanicException(BaseException):
+    """What libraries in Rust raise."""
+
+
+def made_events(*times):
+    events = np.zeros(len(times), RECORD)
+    events["t"], events["x"] = times, range(len(times))
     return events
 
 
@@ -26,46 +30,34 @@ class PlayedDevice:
 
     time_field = "t"
 
-    def __init__(self, packets, sensor=(34, 34), pause_s=0.0, read_s=0.0):
+    def __init__(self, *packets, sensor=(3400, 34), pause_s=0.0, read_s=0.0):
         self.packets = list(packets)
-        self.sensor = sensor
-        self.pause_s = pause_s
-        self.read_s = read_s
+        self.sensor, self.pause_s, self.read_s = sensor, pause_s, read_s
         self.losses = Losses()
         self.handle = object()
         self.n_reads = self.n_closed = 0
-        self._borrowed = threading.Lock()
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def _borrowed(self):
+        assert self._lock.acquire(blocking=False), "Already borrowed"
+        try:
+            yield
+        finally:
+            self._lock.release()
 
     def read(self):
-        assert self._borrowed.acquire(blocking=False), "Already borrowed"
-        try:
+        with self._borrowed():
             assert not self.n_closed, "read after close"
             self.n_reads += 1
-            if not self.packets:
-                threading.Event().wait(self.read_s)
-                return None
-            packet = self.packets.pop(0)
+            packet = self.packets.pop(0) if self.packets else threading.Event().wait(self.read_s) or None
             if isinstance(packet, BaseException):
                 raise packet
             return packet
-        finally:
-            self._borrowed.release()
 
     def close(self):
-        assert self._borrowed.acquire(blocking=False), "Already borrowed"
-        self.n_closed += 1
-        self._borrowed.release()
-
-
-class PlayedDriver:
-    def __init__(self, found, name="played 1.0"):
-        self.name = name
-        self._found = found
-
-    def find(self):
-        if isinstance(self._found, BaseException):
-            raise self._found
-        return self._found
+        with self._borrowed():
+            self.n_closed += 1
 
 
 def found(device, model="Prophesee EVK4", kinds=("evk4",), serial="00050423", problem=None):
@@ -77,6 +69,23 @@ def found(device, model="Prophesee EVK4", kinds=("evk4",), serial="00050423", pr
     return FoundCamera(model, kinds, serial, open_it, problem)
 
 
+def driver(found, name="played 1.0"):
+    """One that finds these cameras, or raises."""
+
+    def find():
+        if isinstance(found, BaseException):
+            raise found
+        return found
+
+    return SimpleNamespace(name=name, find=find)
+
+
 def drivers(*cameras, name="played"):
     """A table for `open_camera(drivers=...)`."""
-    return {name: lambda: PlayedDriver(list(cameras), f"{name} 1.0")}
+    return {name: lambda: driver(cameras, f"{name} 1.0")}
+
+
+def opened(*packets, **settings):
+    """(a device that plays these, its camera)."""
+    device = PlayedDevice(*packets, **settings)
+    return device, open_camera(drivers=drivers(found(device)))

@@ -4,58 +4,81 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import events_of, random_events
+from made import events_of
 
 from async_tnt.events import EVENT_DTYPE, as_events
-from async_tnt.sources.datagrams import EVENT_BYTES, Decoder, decode, encode
+from async_tnt.sources import EVENT_BYTES, Decoder, encode
 
 FORMATS = tuple(EVENT_BYTES)
 EVENT = events_of([0x1_0000_0203], [0x0405], [0x0607], [1])
+ONE = events_of([5], [1], [2], [1])
 BY_HAND = {
     "t64_x16_y16_on8": "03 02 00 00 01 00 00 00 05 04 07 06 01",
     "t32_x16_y15_on1": "03 02 00 00 05 04 0f 0c",
     "spif": "07 86 05 84",
     "spif_t32": "07 86 05 04 03 02 00 00",
 }
+of_all_formats = pytest.mark.parametrize("format", FORMATS)
 
 
-@pytest.mark.parametrize("format", FORMATS)
+def decode(data, format="t64_x16_y16_on8", sensor=None):
+    return Decoder(format, sensor).decode(data, arrival_us=77)
+
+
+@of_all_formats
 def test_one_event_by_hand(format):
-    assert encode(EVENT, format) == bytes.fromhex(BY_HAND[format])
-    events, malformed = decode(bytes.fromhex(BY_HAND[format]), format, arrival_us=77)
+    data = bytes.fromhex(BY_HAND[format])
+    assert encode(EVENT, format) == data
+    events, malformed = decode(bytearray(data), format)
     t = {"t64_x16_y16_on8": 0x1_0000_0203, "spif": 77}.get(format, 0x203)
-    assert events.tolist() == [(t, 0x0405, 0x0607, 1)] and malformed == 0
+    assert events.tolist() == [(t, 0x0405, 0x0607, 1)] and malformed == 0 and events.flags.writeable
 
 
-@pytest.mark.parametrize("format", FORMATS)
-def test_what_is_encoded_is_decoded(format):
-    events = random_events(500, sensor=(1 << 15, 1 << 15))
-    data = encode(events, format)
-    assert len(data) == 500 * EVENT_BYTES[format]
-    if format == "spif":
-        events["t"] = 77  # it has no time
-    decoded, malformed = decode(data, format, arrival_us=77)
-    assert decoded.dtype == EVENT_DTYPE and decoded.tobytes() == events.tobytes() and malformed == 0
+@of_all_formats
+def test_the_sensors_borders_by_hand(format):
+    events = events_of(range(6), [33, 34, 0, 33, 1280, 0], [19, 0, 20, 0, 720, 0], [1] * 6)
+    decoder, of_any_sensor = Decoder(format, (34, 20)), Decoder(format)
+    decoded, malformed = decoder.decode(encode(events, format))
+    assert decoded["x"].tolist() == [33, 33, 0] and malformed == decoder.malformed == decoder.off_sensor == 3
+    assert len(of_any_sensor.decode(encode(events, format)).events) == 6 and of_any_sensor.off_sensor == 0
 
 
-@pytest.mark.parametrize("format", FORMATS[1:])
-def test_coordinates_without_bits_are_refused(format):
-    with pytest.raises(ValueError, match=rf"`y` must be in \[0, 32768\) for {format}, got 32768 at event 1"):
-        encode(events_of([0, 0], [0, 0], [0, 32768], [0, 0]), format)
+@pytest.mark.parametrize(
+    ("data", "format", "times", "malformed"),
+    [
+        (encode(ONE, "spif_t32"), "spif", [], 2),  # the word, and its time
+        (encode(np.repeat(ONE, 2), "spif"), "spif_t32", [], 1),
+        (events_of([5, 6], [0] * 2, [0] * 2, [1, 2]).tobytes(), "t64_x16_y16_on8", [5], 1),
+        (events_of([5, -1, 2**62, 6], [0] * 4, [0] * 4, [1] * 4).tobytes(), "t64_x16_y16_on8", [5, 6], 2),
+        (encode(ONE)[:-1], "t64_x16_y16_on8", [], 1),
+        # 32 bits: older than the first event and before zero; a wrap; times of malformed events are not followed
+        (encode(events_of([5, 2**32 - 3, 6], [0] * 3, [0] * 3, [0] * 3), "spif_t32"), "spif_t32", [5, 6], 1),
+        (
+            encode(events_of([2**32 - 2, 2**32, 2**32 + 5], [0] * 3, [0] * 3, [0] * 3), "spif_t32"),
+            "spif_t32",
+            [2**32 - 2, 2**32, 2**32 + 5],
+            0,
+        ),
+        (
+            encode(events_of([10, 2**31 + 5, 2**32 - 20, 30], [1, 99, 99, 2], [0] * 4, [0] * 4), "t32_x16_y15_on1"),
+            "t32_x16_y15_on1",
+            [10, 30],
+            2,
+        ),
+    ],
+)
+def test_malformed_events_by_hand(data, format, times, malformed):
+    decoded = decode(data, format, sensor=(34, 34))
+    assert decoded.events["t"].tolist() == times and decoded.malformed == malformed
 
 
-def test_unknown_format():
-    for call in (encode, decode):
+def test_what_a_format_cannot_hold_is_refused():
+    for format in FORMATS[1:]:
+        with pytest.raises(ValueError, match=rf"`y` must be in \[0, 32768\) for {format}, got 32768 at event 1"):
+            encode(events_of([0, 0], [0, 0], [0, 32768], [0, 0]), format)
+    for call in (lambda: encode(EVENT, "aer"), lambda: Decoder("aer")):
         with pytest.raises(ValueError, match=r"`format` must be one of t64_x16_y16_on8, .*, got 'aer'"):
-            call(EVENT[:0], "aer")
-
-
-@given(data=st.binary(max_size=400), format=st.sampled_from(FORMATS), sided=st.booleans())
-def test_any_bytes_become_good_events_and_a_count(data, format, sided):
-    sensor = (300, 200) if sided else None
-    events, malformed = decode(data, format, sensor, arrival_us=5)
-    assert len(events) + malformed == -(-len(data) // EVENT_BYTES[format])
-    assert len(as_events(events, sensor or (1 << 16, 1 << 16))) == len(events)  # the door takes them all
+            call()
 
 
 @given(
@@ -76,40 +99,42 @@ def test_times_of_32_bits_are_unwrapped_however_the_stream_is_cut(steps, cuts, f
     assert decoded.tolist() == events.tolist()
 
 
-def test_an_hour_and_a_half_wraps_once_by_hand():
-    t = [2**32 - 2, 2**32 - 1, 2**32, 2**32 + 5]
-    data = encode(events_of(t, [0] * 4, [0] * 4, [0] * 4), "t32_x16_y15_on1")
-    assert decode(data, "t32_x16_y15_on1").events["t"].tolist() == t
+@st.composite
+def any_datagrams(draw):
+    """Any bytes, or valid events of the first format with any or with nearby times."""
+    times = st.one_of(st.lists(st.integers(0, high), min_size=1, max_size=5) for high in (2**63 - 1, 1000))
+    valid = times.map(lambda t: events_of(t, [1] * len(t), [2] * len(t), [1] * len(t)).tobytes())
+    return draw(st.lists(st.one_of(st.binary(max_size=90), valid), max_size=30))
 
 
-def test_a_malformed_event_does_not_lead_times_astray():
-    t = [10, 2**31 + 5, 2**32 - 20, 30]
-    data = encode(events_of(t, [1, 99, 99, 2], [0] * 4, [0] * 4), "t32_x16_y15_on1")
-    events, malformed = decode(data, "t32_x16_y15_on1", sensor=(34, 34))
-    assert events["t"].tolist() == [10, 30] and malformed == 2
-
-
-def test_older_than_the_first_event_and_before_zero_is_malformed():
-    data = encode(events_of([5, 2**32 - 3, 6], [0] * 3, [0] * 3, [0] * 3), "t32_x16_y15_on1")
-    events, malformed = decode(data, "t32_x16_y15_on1")
-    assert events["t"].tolist() == [5, 6] and malformed == 1
-
-
-def test_spif_words_of_the_other_kind_are_malformed():
-    assert decode(encode(EVENT, "spif_t32"), "spif").malformed == 2  # the word, and its time
-    assert decode(encode(np.repeat(EVENT, 2), "spif"), "spif_t32").malformed == 1
-
-
-def test_a_polarity_beyond_one_and_impossible_times_are_malformed():
-    events = np.repeat(EVENT, 4)
-    events["p"][1] = 2
-    events["t"][2], events["t"][3] = -1, 2**62
-    decoded, malformed = decode(events.tobytes())
-    assert decoded.tolist() == EVENT.tolist() and malformed == 3
-
-
-def test_decoded_events_are_the_callers():
-    data = bytearray(encode(EVENT))
-    events = decode(data).events
-    data[:] = bytes(13)
-    assert events.tolist() == EVENT.tolist() and events.flags.writeable
+@given(
+    datagrams=any_datagrams(),
+    format=st.sampled_from(FORMATS),
+    bound=st.sampled_from([None, 10.0]),
+    sensor=st.sampled_from([None, (34, 34), (30_000, 200)]),
+    cut=st.integers(0, 30),
+)
+def test_any_datagrams_are_counted_to_the_event_however_they_are_batched(datagrams, format, bound, sensor, cut):
+    size = EVENT_BYTES[format]
+    one_by_one, in_two = Decoder(format, sensor, bound), Decoder(format, sensor, bound)
+    parts = [one_by_one.decode(datagram) for datagram in datagrams]
+    whole = [datagram[: len(datagram) // size * size] for datagram in datagrams]
+    n_whole = sum(map(len, whole)) // size
+    n_cut = sum(len(datagram) % size > 0 for datagram in datagrams)
+    batches = [
+        in_two.decode_datagrams(
+            np.frombuffer(b"".join(batch), np.uint8),
+            np.cumsum([0] + [len(d) // size for d in batch])[1:],
+            np.zeros(len(batch), np.int64),
+            len(batch),
+        )
+        for batch in (whole[:cut], whole[cut:])
+    ]
+    events = np.concatenate([np.empty(0, EVENT_DTYPE), *(part.events for part in parts)])
+    assert events.tobytes() == np.concatenate(batches).tobytes()
+    assert in_two.clock.state.tolist() == one_by_one.clock.state.tolist()
+    assert one_by_one.malformed - n_cut == in_two.malformed == n_whole - len(events)
+    assert one_by_one.clock.jumped + one_by_one.off_sensor <= one_by_one.malformed
+    newest_before = np.maximum.accumulate(np.concatenate(([-1], events["t"])))[:-1]
+    assert one_by_one.clock.late == (events["t"] < newest_before).sum()
+    assert len(as_events(events, sensor or (1 << 16, 1 << 16))) == len(events)  # all are valid

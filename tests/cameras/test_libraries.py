@@ -1,0 +1,200 @@
+"""Packets of both camera libraries, through `Camera` to a processor: laws of both, and what only one of them has."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from cameras.libraries import Dv, Neuromorphic
+from hypothesis import given
+from hypothesis import strategies as st
+from made import events_of, random_events
+
+import async_tnt
+from async_tnt.events import as_events
+from async_tnt.kernels.clock import AGREEING_PACKETS as N
+from async_tnt.sources import open_camera, open_recording, sample_recordings
+from async_tnt.sources.camera_drivers import WAIT_S, NeuromorphicDrivers
+
+HOUR_US = 3_600_000_000
+EPOCH_US = 1_700_000_000_000_000  # dv-processing's times count from 1970
+LIBRARIES = {"neuromorphic_drivers": Neuromorphic, "dv_processing": Dv}
+
+
+def library_of(package):
+    return LIBRARIES[package](pytest.importorskip(package, reason="the extra `cameras` is not installed"))
+
+
+@pytest.fixture(params=LIBRARIES, scope="module")
+def library(request):
+    return library_of(request.param)
+
+
+@pytest.fixture(scope="module")
+def neuromorphic():
+    return library_of("neuromorphic_drivers")
+
+
+@pytest.fixture(scope="module")
+def dv():
+    return library_of("dv_processing")
+
+
+def read_until_unplugged(camera):
+    """Its packets as arrays of ours."""
+    came = []
+    with pytest.raises(OSError, match=r"00050423 by (neuromorphic-drivers 0|dv-processing 2)\..*: the camera is gone"):
+        came.extend(camera)
+    return [as_events(packet, camera.sensor) for packet in came]
+
+
+# -- laws of both ----------------------------------------------------------------------------------------
+
+
+@given(lengths=st.lists(st.one_of(st.none(), st.integers(0, 30)), max_size=8), seed=st.integers(0, 2**32))
+def test_every_event_comes_through_once_and_in_order(library, lengths, seed):
+    n = sum(length or 0 for length in lengths)
+    events = random_events(n, seed=seed, sensor=(346, 260), start_us=EPOCH_US)
+    parts = iter(np.split(events, np.cumsum([length for length in lengths if length is not None])[:-1]))
+    packets = [None if length is None else next(parts) for length in lengths]  # None: nothing came
+    camera = library.opened(*(None if packet is None else library.packet_of(packet) for packet in packets))
+    came = read_until_unplugged(camera)
+    assert [packet.tolist() for packet in came] == [p.tolist() for p in packets if p is not None and len(p)]
+    assert (camera.counts.packets, camera.counts.events) == (len(came), n)
+    assert library.lost in camera.summary()
+
+
+def test_a_clock_that_restarts_twice_continues(library):
+    """`Clock` states the rule; its tests are in tests/network/test_clock.py."""
+    times = [HOUR_US, *[0] * N, 900_000, 1_800_000, 2_700_000, *[0] * N]
+    camera = library.opened(*(library.packet_of(events_of([t], [1], [2], [1])) for t in times))
+    came = np.concatenate(read_until_unplugged(camera))
+    assert (came["t"] - HOUR_US).tolist() == [0, 0, 900_000, 1_800_000, 2_700_000, 2_700_000]
+    assert (camera.counts.jumped, camera.counts.clock_restarts) == (2 * (N - 1), 2)
+    assert f"clock restarts: 2, jumps in time: {2 * (N - 1)}" in camera.summary()
+
+
+def test_events_off_the_sensor_are_left_out(library):
+    """neuromorphic-drivers has unsigned coordinates, dv-processing signed ones."""
+    width, height = library.sensor
+    columns = [0, width, width - 1, -1, 3, 3, 3], [0, 0, height - 1, 3, height, height - 1, -1]
+    events = np.zeros(7, [("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1")])
+    events["t"], (events["x"], events["y"]) = range(7), columns
+    camera = library.opened(library.packet_of(events), library.packet_of(events[1:2]))
+    (came,) = read_until_unplugged(camera)
+    assert came["t"].tolist() == [0, 2, 5] and camera.counts.off_sensor == 5
+    assert camera.summary().startswith("1 packets, 3 events (") and "off the sensor: 5" in camera.summary()
+
+
+def test_every_model_opens_by_each_of_its_kinds(library):
+    assert set(library.kinds) == set(library.models)
+    for model, kinds in library.kinds.items():
+        width, height = library.sensor_of(model)
+        corners = events_of([5, 6], [width - 1, 0], [0, height - 1], [1, 0])
+        for kind in kinds:
+            camera = library.opened(library.packet_of(corners, model), model=model, name=f"camera:{kind}:00050423")
+            assert camera.name.startswith(f"{model} 00050423 by ") and camera.sensor == (width, height)
+            (came,) = read_until_unplugged(camera)
+            assert came.tolist() == corners.tolist() and camera.device is None
+
+
+def test_a_recording_played_as_a_camera_gives_its_decisions(library):
+    recording = [as_events(packet, (34, 34)) for packet in open_recording(sample_recordings()[3], packet_events=250)]
+    camera = library.opened(*map(library.packet_of, recording))
+    processor = async_tnt.Processor(async_tnt.load_model("digits"))
+    decisions = [d for packet in read_until_unplugged(camera) for d in processor.push(packet)] + processor.finish()
+    assert [decision.label for decision in decisions] == ["3", "3", "3"]
+
+
+def test_a_silent_camera_waits_in_the_library_or_is_asked_now_and_then(library):
+    camera = library.opened(None)
+    timeout_s = getattr(camera.device, "settings", {}).get("iterator_timeout", 0)
+    assert camera._read() is None and camera.counts.dropped is None
+    assert 0.001 <= timeout_s + camera._device.pause_s <= 0.2  # what `close` may have to wait for
+
+
+# -- neuromorphic-drivers alone --------------------------------------------------------------------------
+
+
+def test_its_packets_are_a_form_of_events_and_not_copied(neuromorphic):
+    packet = neuromorphic.packet_of(random_events(9))
+    assert next(iter(neuromorphic.opened(packet))) is packet.polarity_events
+    assert as_events(packet, (34, 34)).tolist() == random_events(9).tolist()
+    assert len(as_events(neuromorphic.packet_of([]), (34, 34))) == 0
+
+
+def test_frames_and_imu_samples_are_left_out(neuromorphic):
+    frame = neuromorphic.module.Frame()
+    frame.start_t, frame.t, frame.pixels = 1, 2, np.zeros((260, 346), np.uint16)
+    imu = np.zeros(2, np.dtype([("t", "<u8"), *((name, "<f4") for name in "abcdefg")]))
+    others = {"model": "iniVation DAVIS 346", "frames": [frame], "imu_events": imu}
+    packets = [neuromorphic.packet_of(random_events(n), **others) for n in (5, 0)]
+    (came,) = read_until_unplugged(neuromorphic.opened(*packets, model="iniVation DAVIS 346"))
+    assert came.tolist() == random_events(5).tolist()
+
+
+def test_losses_are_counted(neuromorphic):
+    packets = [neuromorphic.packet_of(random_events(9), overflows=overflows) for overflows in ([0, 4], [], [8])]
+    camera = neuromorphic.opened(*packets)
+    assert camera.summary() == "0 packets, 0 events (gaps: 0)"
+    read_until_unplugged(camera)
+    assert camera.summary() == "3 packets, 27 events (gaps: 3, raw packets dropped: 6, at most 11 waiting)"
+    counts = camera.counts
+    assert (counts.overflows, counts.dropped, counts.most_waiting) == (3, 6, 11)
+    assert repr(camera).startswith(f"Camera({camera.name}, closed, CameraCounts(packets=3, events=27, ")
+
+
+def test_a_camera_without_permission(neuromorphic):
+    """As the library lists it: no serial number, and why. Its address is no network address."""
+    nd, asked = neuromorphic.module, []
+
+    def open_it(**settings):
+        asked.append(settings)
+        raise RuntimeError('"1:2" is not a valid IPv4 address')
+
+    listed = [nd.ListedDevice(nd.Name.PROPHESEE_EVK4, nd.Connection.USB_SUPER, "1:2", None, "Access denied")]
+    library = SimpleNamespace(list_devices=lambda: listed, open=open_it)
+    with pytest.raises(OSError, match=r"cannot be opened; .* found Prophesee EVK4 but cannot open it: Access denied"):
+        open_camera("camera:evk4", drivers={"nd": lambda: NeuromorphicDrivers(library)})
+    assert asked == [{"iterator_timeout": WAIT_S, "address": "1:2"}]
+
+
+# -- dv-processing alone ---------------------------------------------------------------------------------
+
+
+def test_a_store_of_several_parts_is_copied(dv):
+    """A store is a list of packets that it may share."""
+    events = random_events(20)
+    store = dv.packet_of(events[:5])
+    store.add(dv.packet_of(events[5:]))
+    camera = dv.opened(store)
+    packet = next(iter(camera))
+    assert as_events(packet, (34, 34)).tolist() == events.tolist()
+    packet["x"] = 99
+    assert as_events(store, (34, 34)).tolist() == events.tolist()
+
+
+def test_a_camera_of_frames_alone(dv):
+    with pytest.raises(OSError, match=r"found DAVIS 00050423 but cannot open it: it has no stream of events"):
+        dv.opened(resolution=None)
+
+
+def test_what_the_library_reports_fits_a_line(dv):
+    with pytest.raises(RuntimeError) as caught:
+        dv.module.io.camera.open("no such serial")
+    camera = dv.opened(dv.packet_of(random_events(7)), caught.value)
+    with pytest.raises(OSError, match=r"is gone after 7 events \(Could not find device with given serial number\); "):
+        list(camera)
+
+
+def test_a_file_of_the_library_read_as_a_camera(dv, tmp_path):
+    """Nothing is played: the library writes events, reads them and ends."""
+    events, path = open_recording(sample_recordings()[3]).read(), str(tmp_path / "a.aedat4")
+    writing = dv.module.io.MonoCameraWriter.EventOnlyConfig("DAVIS346_00000042", (34, 34))
+    writer = dv.module.io.MonoCameraWriter(path, writing)
+    for part in np.array_split(events, 20):
+        writer.writeEvents(dv.packet_of(part))
+    del writer
+    camera = dv.opened_input(dv.module.io.MonoCameraRecording(path))
+    assert camera.sensor == (34, 34)
+    came = read_until_unplugged(camera)
+    assert np.concatenate(came).tolist() == events.tolist() and camera.counts.packets == len(came) > 1

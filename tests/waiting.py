@@ -1,0 +1,25 @@
+"""Wait for a sign from another thread, task or process, for as long as a busy machine may take."""
+
+import threading
+import time
+from contextlib import contextmanager
+
+PATIENCE_S = 60
+
+
+def until(condition):
+    """Return when `condition()` is true."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, "nothing happened"
+        time.sleep(0.0005)
+
+
+@contextmanager
+def meanwhile(function, *args):
+    """Run a function in a thread during the block, which ends when the thread has."""
+    thread = threading.Thread(target=function, args=args, daemon=True)
+    thread.start()
+    yield thread
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
