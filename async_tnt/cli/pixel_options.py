@@ -6,12 +6,11 @@ import argparse
 from pathlib import Path
 
 from async_tnt.cli.output import complain
-from async_tnt.cli.sizes import size_text
+from async_tnt.cli.sizes import parse_size, size_text
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection, Region, difference
 from async_tnt.sources.pixel_selector import PixelSelector
-from async_tnt.sources.sizes import parse_size
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:

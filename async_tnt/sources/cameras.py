@@ -14,7 +14,7 @@ import numpy as np
 
 from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, Device, Driver, FoundCamera, first_line, is_failure
 from async_tnt.sources.clock import Clock
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sensor import by
 
 MAX_JUMP_S = 1.0  # a camera's events come in order, and soon
 DAVIS346 = (346, 260)  # dv-processing tells DAVIS cameras apart only when they are open

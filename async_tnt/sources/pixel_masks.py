@@ -15,8 +15,7 @@ from async_tnt.checks import is_whole, plain_array
 from async_tnt.config import MAX_SIDE
 from async_tnt.files import check_writable, replacing
 from async_tnt.sources.files.npy_arrays import map_npy
-from async_tnt.sources.files.source import Sensor
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sensor import Sensor, by
 
 
 def checked_sensor(sensor: Any) -> Sensor:

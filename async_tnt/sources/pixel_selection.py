@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.sources.files.source import Sensor
 from async_tnt.sources.pixel_filter import check_crop, checked_region
-from async_tnt.sources.pixel_masks import PackedMask, checked_sensor
-from async_tnt.sources.sizes import by
+from async_tnt.sources.pixel_masks import PackedMask
+from async_tnt.sources.sensor import Sensor, by, checked_sensor
 
 Region = tuple[int, int, int, int]
 

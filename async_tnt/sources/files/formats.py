@@ -16,8 +16,9 @@ from async_tnt.sources.files.es import EsSource
 from async_tnt.sources.files.nmnist import SENSOR, read_nmnist
 from async_tnt.sources.files.numpy_files import open_npy, open_npz
 from async_tnt.sources.files.prophesee import DatSource, EvtSource
-from async_tnt.sources.files.source import Sensor, Source
+from async_tnt.sources.files.source import Source
 from async_tnt.sources.files.text_files import open_csv, open_txt
+from async_tnt.sources.sensor import Sensor
 
 Reader = Callable[[Path], Source | tuple[np.ndarray, Sensor | None]]
 

@@ -19,7 +19,6 @@ there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
 
 from __future__ import annotations
 
-import operator
 import os
 import warnings
 from pathlib import Path
@@ -29,6 +28,7 @@ import numpy as np
 
 from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import replacing
+from async_tnt.sources.sensor import checked_sensor
 
 SENSOR = (34, 34)
 """Width and height of N-MNIST's sensor crop, in pixels."""
@@ -156,22 +156,6 @@ def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int]
     if off_sensor[i]:
         return i, f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}"
     return i, f"`t` must never decrease, got {t} us after {events['t'][i - 1]} us at {place}"
-
-
-def checked_sensor(sensor: tuple[int, int]) -> tuple[int, int]:
-    """(width, height) as two Python integers; may exceed a byte's range: N-Caltech101's camera had 304 x 240.
-
-    Raises
-    ------
-    ValueError : not two integers of at least 1.
-    """
-    try:
-        width, height = (operator.index(side) for side in sensor)
-    except (TypeError, ValueError):
-        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {sensor!r}") from None
-    if width < 1 or height < 1:
-        raise ValueError(f"`sensor` must be (width, height), each at least 1, got {sensor!r}")
-    return width, height
 
 
 def _refuse(bad: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:

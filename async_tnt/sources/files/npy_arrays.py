@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from io import BytesIO
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
 MAGIC = b"\x93NUMPY"  # the first bytes of every .npy file
+MAX_HEADER_BYTES = 1 << 16  # NumPy reads what a header claims, up to 4 GiB
 
 
 def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
@@ -41,7 +43,9 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
             warnings.simplefilter("ignore")
             is_v1 = start[6] == 1
             read = np.lib.format.read_array_header_1_0 if is_v1 else np.lib.format.read_array_header_2_0
-            shape, is_fortran, dtype = read(file)
+            length = file.read(2 if is_v1 else 4)
+            header = file.read(min(int.from_bytes(length, "little"), MAX_HEADER_BYTES))
+            shape, is_fortran, dtype = read(BytesIO(length + header))
         claimed = np.broadcast_to(np.empty((), dtype), shape)
     except Exception:  # NumPy evaluates it as a Python literal: SyntaxError, TokenError, RecursionError, ...
         raise ValueError("its header does not describe an array") from None

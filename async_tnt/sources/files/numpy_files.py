@@ -25,11 +25,11 @@ from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     ArraySource,
     CorruptData,
-    Sensor,
     Source,
     events_on_sensor,
     valid_events,
 )
+from async_tnt.sources.sensor import Sensor
 
 ANY_SENSOR = (1 << 16, 1 << 16)  # every pixel that uint16 can hold
 KEPT_EVENTS = 1 << 22  # of a .npz, in 55 MB of memory; a longer one is decompressed again at each pass

@@ -34,12 +34,12 @@ from async_tnt.kernels.jit import compile_only
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     CorruptData,
-    Sensor,
     Source,
     block_columns,
     packed,
     valid_events,
 )
+from async_tnt.sources.sensor import Sensor
 
 MAX_HEADER_BYTES = 1 << 16
 CHUNK_BYTES = 1 << 18

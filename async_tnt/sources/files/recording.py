@@ -13,8 +13,10 @@ import numpy as np
 
 from async_tnt.events import EVENT_DTYPE, LATE_POLICIES
 from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.files.nmnist import checked_sensor, read_nmnist
-from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Sensor, Source, events_on_sensor
+from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
+from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Source, events_on_sensor
+from async_tnt.sources.sensor import Sensor, checked_sensor
 
 COMPRESSED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
 
@@ -186,9 +188,8 @@ def open_recording(
         `.npz`, and a `.npy` of the wrong size, is refused here, with a ValueError.
     unsorted : what to do with events older than one before them: "accept", "drop" them, or "raise" a ValueError when
         reading gets there. `Recording.n_unsorted` counts them.
-    sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` is
-        then of this sensor instead of N-MNIST's 34 x 34, and an event off it is damage. For CSV, NumPy and text it
-        becomes `Recording.sensor`, with which events are compared where they are streamed, not here.
+    sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` has
+        this sensor instead of N-MNIST's 34 x 34. Events are compared with it where they are streamed, not here.
 
     Returns
     -------
@@ -227,8 +228,8 @@ def open_recording(
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}{hint}")
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
-    if sensor is not None and suffix == ".bin":
-        source: Source = ArraySource(read_nmnist(path, sensor=sensor), None)
+    if suffix == ".bin" and sensor not in (None, NMNIST_SENSOR):
+        source: Source = ArraySource(read_nmnist(path, sensor=None), None)
     else:
         found = READERS[suffix](path)
         source = found if isinstance(found, Source) else ArraySource(*found)

@@ -9,10 +9,9 @@ import numpy as np
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.sources.sensor import Sensor
 
 BLOCK_EVENTS = 1 << 16
-
-Sensor = tuple[int, int]
 
 
 class DamagedRecording(UserWarning):

@@ -27,7 +27,8 @@ import numpy as np
 from async_tnt.event_forms import NAMES, the_name
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.text import BLANKS, ODD, ROW_TYPES, SKIPPED, P, T, X, Y, parse_rows
-from async_tnt.sources.files.source import CorruptData, Sensor, Source, block_columns, packed
+from async_tnt.sources.files.source import CorruptData, Source, block_columns, packed
+from async_tnt.sources.sensor import Sensor
 
 CHUNK_BYTES = 1 << 20
 MAX_ROW_BYTES = 1 << 16
