@@ -53,7 +53,7 @@ def learn_mask(
 
     Parameters
     ----------
-    source : an iterable of packets, in any form that `async_tnt.event_forms` lists.
+    source : packets, in any form that `async_tnt.event_forms` lists.
     sensor : (width, height) in pixels.
     factor : how many times more events than plausible a hot pixel has, above 1.
     false_alarms : pixels expected to be found by chance, over the whole sensor.

@@ -44,12 +44,12 @@ def open_source(source: str | os.PathLike[str] | np.ndarray, sensor: tuple[int, 
     ----------
     source : path of a recording (see docs/reference.md), `camera[:KIND[:SERIAL]]` (docs/guide.md),
         `udp://HOST:PORT[?format=...]`, or a structured array of events.
-    sensor : (width, height) that is expected, where the source does not say it. Events off it are dropped and counted
+    sensor : (width, height) that is expected, where the source does not state it. Events off it are dropped and counted
         by a network stream, and an error in a file.
 
     Returns
     -------
-    Iterable of packets: a `Recording`, a `Camera` or `UdpSource`, which are to be closed, or a list of the one array.
+    Iterable of packets: a `Recording`; a `Camera` or `UdpSource`, which the caller closes; or a list of the one array.
 
     Raises
     ------

@@ -42,12 +42,7 @@ class PixelSelector:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
     def sensor_of(self, name: Any, found: Sensor | None) -> Sensor:
-        """(width, height) of a source's camera, before any event is dropped.
-
-        Parameters
-        ----------
-        name : of the source, for messages.
-        found : (width, height) as the source states it; None if it does not.
+        """The sensor of a source's camera, before any event is dropped; `found` as the source states it, if it does.
 
         Raises
         ------
@@ -61,12 +56,7 @@ class PixelSelector:
         return found[0], found[1]
 
     def open(self, path: Path, *, name: str | None = None, strict: bool = False) -> tuple[Recording, Sensor]:
-        """A recording, and the sensor of its events, for `filter_of`.
-
-        Parameters
-        ----------
-        name : of the recording, for messages about its sensor; by default its path.
-        strict : as for `open_recording`.
+        """A recording, and the sensor of its events, for `filter_of`. `name` is for messages; by default its path.
 
         Raises
         ------
@@ -76,20 +66,11 @@ class PixelSelector:
         return recording, self.sensor_of(path if name is None else name, recording.sensor)
 
     def check_events(self, packets: Iterable[Any], name: Any, sensor: Sensor) -> None:
-        """Refuse packets of a source that does not state its sensor, if an event is off this one.
-
-        Raises
-        ------
-        ValueError : names the origin of the sensor and what to do.
-        """
+        """Refuse packets of a source that does not state its sensor, if an event is off this one."""
         check_events(packets, sensor, name, self._origin, self._advice(None))
 
     def filter_of(self, name: Any, sensor: Sensor) -> Callable[[Any], Any]:
-        """The filter for packets of a source with this sensor.
-
-        Parameters
-        ----------
-        name : of the source, for messages; "" for none.
+        """The filter for packets of a source with this sensor. `name` is for messages; "" for none.
 
         Raises
         ------

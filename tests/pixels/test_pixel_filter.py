@@ -146,7 +146,7 @@ WHOLE = r"`roi` must be \(x, y, width, height\) in whole pixels, got "
         ({"roi": 5}, WHOLE + "5"),
         (
             {"crop": True},
-            r"--crop belongs to --roi \(in Python, `crop` to `roi`\): the region that is to be the sensor",
+            r"--crop belongs to --roi \(in Python, `crop` to `roi`\): the region that becomes the sensor",
         ),
         ({"mask": np.zeros((30, 20), bool)}, MASK_RULE + r"shape \(30, 20\); transpose it with .T"),
         ({"mask": np.zeros((20, 31), bool)}, MASK_RULE + r"shape \(20, 31\)"),

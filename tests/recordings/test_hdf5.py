@@ -6,7 +6,6 @@ from io import FileIO
 
 import numpy as np
 import pytest
-from recordings.test_damage import CASES, damaged
 from recordings.test_damage import read as read_damaged
 from recordings.written import FORMATS, SENSOR, dsec, made_events, metavision, written
 
@@ -71,16 +70,6 @@ def test_times_beyond_64_bits_do_not_wrap_into_others(tmp_path, offset_us):
     assert times[3] < 0 and np.delete(times, 3).tolist() == [2_000 + offset_us + i for i in range(4)]
 
 
-def test_metavision_polarity_may_be_minus_one(tmp_path):
-    events = made_events(50)
-    path = written(tmp_path / "metavision.hdf5", events)
-    with h5py.File(path, "a") as file:
-        records = file["CD/events"][:]
-        records["p"] = np.where(records["p"] == 1, 1, -1)
-        file["CD/events"][:] = records
-    np.testing.assert_array_equal(open_recording(path).read(), events)
-
-
 def compressed(path, name):
     hdf5plugin = pytest.importorskip("hdf5plugin", reason="Blosc needs hdf5plugin")
     FORMATS[path.name].write(path, EVENTS, SENSOR, chunks=(1_000,), **getattr(hdf5plugin, name)())
@@ -116,13 +105,10 @@ def test_a_filter_that_nobody_has_is_named(tmp_path, code, hint):
         next(hdf5.read(str(tmp_path / "a.h5")))
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize(
-    "how", [{"compression": "gzip", "shuffle": True}, {"compression": "lzf"}, {"fletcher32": True}]
-)
-def test_h5pys_own_filters_are_read(tmp_path, layout, how):
-    FORMATS[layout].write(tmp_path / layout, EVENTS, SENSOR, chunks=(777,), **how)
-    assert_holds(tmp_path / layout, EVENTS)
+@pytest.mark.parametrize("how", [{"compression": "gzip", "shuffle": True}, {"compression": "lzf"}])
+def test_h5pys_own_filters_are_read(tmp_path, how):
+    metavision(tmp_path / "a.h5", EVENTS, chunks=(777,), **how)
+    assert_holds(tmp_path / "a.h5", EVENTS)
 
 
 def test_a_wrong_checksum_is_damage_where_the_block_begins(tmp_path):
@@ -135,16 +121,6 @@ def test_a_wrong_checksum_is_damage_where_the_block_begins(tmp_path):
     (tmp_path / "dsec.h5").write_bytes(data)
     got, caught = read_damaged(tmp_path / "dsec.h5")
     assert len(got) == 0 and "damaged recording: after event 0" in str(caught[0].message)
-
-
-def test_random_damage_of_blosc_never_crashes(tmp_path):
-    """Blosc of hdf5plugin 7.1 ends its process by a segmentation fault in one of 200 cases or so."""
-    path = compressed(tmp_path / "dsec.h5", "Blosc")
-    data = path.read_bytes()
-    rng = np.random.default_rng(5)
-    for _ in range(max(3, CASES // 100)):
-        path.write_bytes(damaged(data, rng))
-        read_damaged(path)
 
 
 @pytest.mark.parametrize("chunks", [None, (1_000,)])
@@ -210,16 +186,10 @@ def external_link(path, name):
     link_elsewhere(path, name, h5py.ExternalLink("other.h5", f"/{name}"))
 
 
-def soft_link_to_an_external_one(path, name):
+def through_a_linked_group(path, name):
     link_elsewhere(path, name, h5py.SoftLink("/first"))
     with h5py.File(path, "r+") as file:
-        file["first"] = h5py.SoftLink("second")
-        file["second"] = h5py.ExternalLink("other.h5", f"/{name}")
-
-
-def through_a_linked_group(path, name):
-    link_elsewhere(path, name, h5py.SoftLink(f"/group/{name}"))
-    with h5py.File(path, "r+") as file:
+        file["first"] = h5py.SoftLink(f"group/{name}")
         file["group"] = h5py.ExternalLink("other.h5", "/")
 
 
@@ -241,7 +211,7 @@ def virtual(path, name):
         file.create_virtual_dataset("virtual", layout)
 
 
-LINKS = (external_link, soft_link_to_an_external_one, through_a_linked_group)
+LINKS = (external_link, through_a_linked_group)
 STORED = (external_storage, virtual)
 ELSEWHERE = [
     *[(dsec, name, move) for name in ("events/t", "t_offset") for move in LINKS + STORED],

@@ -1,15 +1,12 @@
 """N-MNIST's five-byte format: bytes by hand, round trips, overflow rows, damage."""
 
-import warnings
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from made import random_events
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+from async_tnt.sources.files.recording import sample_recordings
 
 EVENT, OVERFLOW = bytes([1, 2, 0x80, 0, 100]), bytes([49, 240, 0, 0, 100])
 
@@ -92,23 +89,6 @@ def test_damage_names_its_place_and_keeps_the_events_before_it_if_not_strict(tmp
         assert len(read_nmnist(tmp_path / "a.bin", strict=False)) == n_kept
 
 
-@given(raw=st.binary(max_size=200), sensor=st.sampled_from([(34, 34), None]))
-def test_random_bytes_give_events_in_range_or_one_clear_error(tmp_path_factory, raw, sensor):
-    path = tmp_path_factory.getbasetemp() / "fuzz.bin"
-    path.write_bytes(raw)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        kept = read_nmnist(path, strict=False, sensor=sensor)
-    try:
-        events = read_nmnist(path, sensor=sensor)
-    except ValueError as error:
-        assert "damaged N-MNIST recording" in str(error)
-        events = kept
-    np.testing.assert_array_equal(events, kept)
-    assert (np.diff(events["t"]) >= 0).all() and (events["y"] != 240).all()
-    assert sensor is None or ((events["x"] < 34).all() and (events["y"] < 34).all())
-
-
 @pytest.mark.parametrize(
     ("row", "sensor", "message"),
     [
@@ -128,3 +108,11 @@ def test_values_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, row
     with pytest.raises(ValueError, match=message):
         write_nmnist(tmp_path / "a.bin", events_of((5, 0, 0, 0), row), sensor=sensor)
     assert not (tmp_path / "a.bin").exists()
+
+
+def test_a_sample_of_each_digit_is_bundled():
+    samples = sample_recordings()
+    assert {path.name for path in samples.values()} == {f"{digit}.bin" for digit in range(10)}
+    for path in samples.values():
+        events = read_nmnist(path)
+        assert 1_500 < len(events) < 9_000 and 290_000 < events["t"][-1] <= 308_000

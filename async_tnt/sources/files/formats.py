@@ -28,7 +28,7 @@ def _read_bin(path: Path) -> tuple[np.ndarray, Sensor]:
 
 
 def _open_by_content(path: Path) -> Source:
-    """Many programs write `.raw`, `.dat` and `.h5`: the first bytes say which format it is."""
+    """Many programs write `.raw`, `.dat` and `.h5`: the first bytes tell which format it is."""
     with path.open("rb") as file:
         start = file.read(4096)
     if start.startswith(b"\x89HDF\r\n\x1a\n"):

@@ -7,7 +7,7 @@
     byte 4   bits 7-0 of the time, in microseconds
 
 Events are in order of time. At each overflow row the camera's timer had lost 2^13 us: this row and every
-later one is that much later than written. N-Caltech101 uses the same layout on a larger sensor.
+later one is that much later than stored. N-Caltech101 uses the same layout on a larger sensor.
 
 References
 ----------
@@ -52,21 +52,18 @@ def read_nmnist(
 
     Parameters
     ----------
-    path : path of the `.bin` file.
+    path : the `.bin` file.
     strict : True raises at damage; False warns and returns the events before it.
-    sensor : (width, height) that every event must lie on; None for any pixel up to 255, for example to
-        read N-Caltech101 where its camera is not known.
+    sensor : (width, height) that every event must lie on; None for any pixel up to 255.
 
     Returns
     -------
-    Structured array of `EVENT_DTYPE`, in order of time; of length 0 for an empty file. Overflow rows are
-    already applied and removed.
+    Structured array of `EVENT_DTYPE`, in order of time. Overflow rows are already applied and removed.
 
     Raises
     ------
-    ValueError : damage, when `strict`. The message names the file, the place and the rule; what to pass instead is
-        in a note, which the command line does not show.
-    OSError : no such file, a folder, or not readable.
+    ValueError : damage, when `strict`. What to pass instead is in a note, which the command line does not show.
+    OSError : missing, a folder, or not readable.
     """
     path = Path(path)
     raw = path.read_bytes()
@@ -113,13 +110,12 @@ def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int
     ----------
     path : file to write, replaced if it exists.
     events : in any form that `Processor.push` accepts, in order of time.
-    sensor : (width, height) that every event must lie on; None for any pixel the format can hold. On every sensor
-        that is up to 255, without row 240, which marks a timer overflow.
+    sensor : (width, height) that every event must lie on; None for any pixel the format can hold: up to 255, without
+        row 240, which marks a timer overflow.
 
     Raises
     ------
-    TypeError, ValueError : not events, or a value does not fit the format; names field, rule, value and index. Nothing
-        is written then.
+    TypeError, ValueError : not events, or a value does not fit the format. Nothing is written then.
     OSError : the file cannot be written.
     """
     width, height = (256, 256) if sensor is None else checked_sensor(sensor)

@@ -1,7 +1,7 @@
 """Arrays in NumPy's `.npy` form, accepted only if their header fits the bytes that follow it.
 
 NumPy's own reader allocates the memory that a header claims, and reports a damaged one in several lines, some of which
-advise to unpickle the file.
+advise unpickling the file.
 """
 
 from __future__ import annotations
@@ -20,11 +20,7 @@ MAX_HEADER_BYTES = 1 << 16  # NumPy reads what a header claims, up to 4 GiB
 
 
 def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
-    """Read a header, from the first byte up to the array.
-
-    Parameters
-    ----------
-    size : bytes in the file, header and array together.
+    """Read a header, from the first byte up to the array, in a file of `size` bytes.
 
     Returns
     -------
@@ -32,8 +28,8 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
 
     Raises
     ------
-    ValueError : no such header, one of Python objects, or one of an array that does not fill the rest of the file. One
-        line, without the file's name.
+    ValueError : no header, one of Python objects, or of an array that does not fill the rest of the file. One line,
+        without the file's name.
     """
     start = file.read(8)
     if len(start) < 8 or not start.startswith(MAGIC):
@@ -59,12 +55,7 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
 
 
 def map_npy(path: str | os.PathLike[str]) -> np.memmap:
-    """Map the array of a `.npy` file, read-only.
-
-    Raises
-    ------
-    ValueError : damaged, or of another size than its header claims. OSError : missing or not readable.
-    """
+    """Map the array of a `.npy` file, read-only; a ValueError if it is damaged."""
     with Path(path).open("rb") as file:
         try:
             claimed, is_fortran = read_npy_header(file, os.fstat(file.fileno()).st_size)

@@ -38,9 +38,9 @@ class _Totals:
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
-    Each iteration reads the file again and yields packets that are the caller's to change. All formats but `.bin` are
-    read block by block, so that memory does not grow with the file (a `.npz` of up to 4 million events is kept in
-    memory). `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over the file, unless one was made before.
+    Each iteration reads the file again and yields packets that the caller may change. All formats but `.bin` are read
+    block by block, so that memory does not grow with the file (a `.npz` of up to 4 million events is kept in memory).
+    `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over the file, unless one was made before.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Recording:
         return self._counted().duration_us
 
     def read(self) -> np.ndarray:
-        """All events at once: a structured array of `EVENT_DTYPE`, the caller's to change."""
+        """All events at once: a new structured array of `EVENT_DTYPE`."""
         return np.concatenate([np.empty(0, EVENT_DTYPE), *self._blocks()])
 
     def __iter__(self) -> Iterator[np.ndarray]:
@@ -177,15 +177,15 @@ def open_recording(
     unsorted: str = "accept",
     sensor: Sensor | None = None,
 ) -> Recording:
-    """Open a recording; its suffix says the format (`READERS`), its first bytes say which of several.
+    """Open a recording of the format that its suffix means (`READERS`), or its first bytes where it may mean several.
 
     Parameters
     ----------
     path : file to read.
     packet_events : events per packet when iterating; the last packet has what is left.
     strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning; True raises a
-        ValueError when reading gets there. Either way a file of which nothing can be understood, a damaged `.bin` or
-        `.npz`, and a `.npy` of the wrong size, is refused here, with a ValueError.
+        ValueError when reading gets there. Either way, a file that cannot be understood at all, a damaged `.bin` or
+        `.npz`, and a `.npy` of the wrong size are refused here, with a ValueError.
     unsorted : what to do with events older than one before them: "accept", "drop" them, or "raise" a ValueError when
         reading gets there. `Recording.n_unsorted` counts them.
     sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` has

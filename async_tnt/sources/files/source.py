@@ -19,7 +19,7 @@ class DamagedRecording(UserWarning):
 
 
 class CorruptData(Exception):
-    """Raised by a source that cannot read on, with what is wrong and where: "row 17: expected `t x y p`, got 'abc'".
+    """Raised by a source that cannot continue, with what is wrong and where: "row 17: expected `t x y p`, got 'abc'".
 
     `Recording` turns it into a warning or a ValueError.
     """
@@ -41,7 +41,7 @@ class Source(ABC):
 
         Raises
         ------
-        CorruptData : the file cannot be read on. All events before that place have been yielded.
+        CorruptData : reading cannot continue. All events before that place have been yielded.
         OSError : the file is missing or not readable.
         """
 
