@@ -28,8 +28,8 @@ def events_with_a_gap(sensor):
 
 
 # (events, events of a packet)
-CUTS = [(0, 1000), (1, 1000), (150, 100), (140_000, 70_000)]
-MORE_CUTS = [(150, n) for n in (1, 7, 149, 150, 151)]
+CUTS = [(0, 1000), (150, 100), (140_000, 70_000)]
+MORE_CUTS = [(1, 1000), *((150, n) for n in (1, 7, 149, 150, 151))]
 
 
 @pytest.mark.parametrize(
