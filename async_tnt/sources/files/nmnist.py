@@ -26,8 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE, as_events
+from async_tnt.events import as_events
 from async_tnt.files import replacing
+from async_tnt.sources.files.source import packed
 from async_tnt.sources.sensor import checked_sensor
 
 SENSOR = (34, 34)
@@ -76,12 +77,8 @@ def read_nmnist(
     t_us += OVERFLOW_US * np.cumsum(is_overflow)
 
     event_rows = np.flatnonzero(~is_overflow)
-    events = np.empty(len(event_rows), EVENT_DTYPE)
-    events["t"] = t_us[event_rows]
-    events["x"] = rows[event_rows, 0]
-    events["y"] = rows[event_rows, 1]
-    events["p"] = rows[event_rows, 2] >> 7
-
+    columns = t_us, rows[:, 0], rows[:, 1], rows[:, 2] >> 7
+    events = packed([column[event_rows] for column in columns], len(event_rows))
     n_good, problem = _first_problem(events, event_rows, sensor)
     remedy, advice = "Fetch the file again", f"Pass strict=False for the {n_good} events before."
     if problem is not None and "sensor" in problem:
@@ -138,7 +135,7 @@ def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int
 def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int] | None) -> tuple[int, str | None]:
     """The number of events before the first bad one, and what is wrong with it (None: all are good).
 
-    `rows` : which row of the file each event is.
+    rows : the row of the file that each event is from.
     """
     width, height = (256, 256) if sensor is None else checked_sensor(sensor)
     off_sensor = (events["x"] >= width) | (events["y"] >= height)
