@@ -59,13 +59,6 @@ def test_filter_equals_numpy(data, settings):
     assert pixel_filter.counts == PixelCounts()
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
-def test_a_long_packet(sensor):
-    events = random_events(100_000, sensor=sensor)
-    mask = np.random.default_rng(4).random(sensor[::-1]) < 0.3
-    assert PixelFilter(sensor, mask=mask)(events).tobytes() == twin(events, sensor, None, mask, False)[0].tobytes()
-
-
 def test_the_borders_of_a_region_by_hand():
     x, y = np.meshgrid(np.arange(10), np.arange(8))
     events = events_of(np.arange(80), x.ravel(), y.ravel(), np.ones(80))

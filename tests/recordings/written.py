@@ -9,20 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-
-from async_tnt.events import EVENT_DTYPE
+from made import events_of
 
 SENSOR = (320, 240)
 
 
 def made_events(n, seed=0, sensor=SENSOR, step_us=50, start_us=1_000):
     rng = np.random.default_rng(seed)
-    events = np.empty(n, EVENT_DTYPE)
-    events["t"] = start_us + np.cumsum(rng.integers(0, step_us, n))
-    events["x"] = rng.integers(0, sensor[0], n)
-    events["y"] = rng.integers(0, sensor[1], n)
-    events["p"] = rng.integers(0, 2, n)
-    return events
+    t = start_us + np.cumsum(rng.integers(0, step_us, n))
+    return events_of(t, rng.integers(0, sensor[0], n), rng.integers(0, sensor[1], n), rng.integers(0, 2, n))
 
 
 def uzh_text(events, sensor=SENSOR):
