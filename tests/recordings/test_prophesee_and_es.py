@@ -182,17 +182,3 @@ def test_faerys_files_are_read_back(tmp_path, suffix, version):
         events["t"] -= events["t"][0]
     np.testing.assert_array_equal(recording.read(), events)
     assert recording.sensor == (1280, 720)
-
-
-@pytest.mark.parametrize(("make", "most"), [(evt3, 11), (evt2, 1 << 34)])
-def test_times_equal_faerys_where_they_never_step_back(tmp_path, make, most):
-    """Why EVT is not read by faery: it holds a time that steps back in EVT3, and takes it for a wrap in EVT2."""
-    faery = pytest.importorskip("faery", reason="needs the extra `files`")
-    ordered = made_events(2_000)
-    stepping = ordered.copy()
-    stepping["t"][::7] -= 11
-    for events in (ordered, stepping):
-        ours = read(tmp_path / "a.raw", make(events))["t"]
-        theirs = faery.events_stream_from_file(tmp_path / "a.raw").to_array()["t"].astype(np.int64)
-        np.testing.assert_array_equal(ours, events["t"])
-        assert (theirs - ours).max() == 0 if events is ordered else (theirs - ours).max() >= most
