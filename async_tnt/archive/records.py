@@ -196,8 +196,8 @@ def decisions_of(task: Task, processor: Processor, pixels: PixelSelector) -> tup
             selected = select(packet)
             decisions += processor.push(selected)
         except (TypeError, ValueError):
-            if recording.sensor is None:  # an event outside a sensor that an option or the model gives: name it
-                pixels.check_silent([packet], task.recording, sensor)
+            if recording.stated_sensor is None:  # an event outside a sensor that an option or the model gives: name it
+                pixels.check_events([packet], task.recording, sensor)
             raise
         n_events += len(selected)
         seconds += time.perf_counter() - started

@@ -14,8 +14,8 @@ from async_tnt.cli.output import one_line
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
-from async_tnt.sources.files.fitting import check_events, check_sensor, open_for
-from async_tnt.sources.files.recording import Recording
+from async_tnt.sources.files.recording import Recording, open_recording
+from async_tnt.sources.sensor import check_events, check_sensor
 
 DESCRIPTION = f"""Compare the stream with the batch reference (torch) on recordings, for every landmark:
 
@@ -76,10 +76,11 @@ def main(args: argparse.Namespace) -> int:
 def _open_all(paths: list[Path], model: Model) -> Iterator[Recording]:
     """Open recordings one after the other; raise for one that does not fit the model."""
     for path in paths:
-        recording = open_for(path, model.config.sensor)
-        check_sensor(path, recording.sensor, model.config.sensor)
-        if recording.sensor is None:
-            check_events(recording, model.config.sensor, path)
+        sensor = model.config.sensor
+        recording = open_recording(path, sensor=sensor)
+        check_sensor(path, recording.sensor, sensor)
+        if recording.stated_sensor is None:
+            check_events(recording, sensor, path)
         yield recording
 
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.output import one_line
-from async_tnt.cli.sizes import size_of
+from async_tnt.cli.sizes import parse_size
 from async_tnt.progress import progress
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.mask_learning import FACTOR, count_pixels, hot_pixels
 from async_tnt.sources.pixel_masks import check_mask_path, save_mask
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sensor import by
 from async_tnt.views.figure_style import check_picture
 
 DESCRIPTION = """Find the hot pixels of a camera: those with far more events than their neighbours and the whole
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--sensor",
-        type=size_of,
+        type=parse_size,
         metavar="WxH",
         help="the camera's pixels, if the recordings do not state them; a .bin has 34x34 unless given here",
     )

@@ -6,23 +6,22 @@ import argparse
 from pathlib import Path
 
 from async_tnt.cli.output import complain
-from async_tnt.cli.sizes import size_text
+from async_tnt.cli.sizes import parse_size, size_text
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection, Region, difference
 from async_tnt.sources.pixel_selector import PixelSelector
-from async_tnt.sources.sizes import parse_size
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:
-    """--roi, --crop, --mask, and --sensor: for a model that there is."""
+    """--roi, --crop, --mask, and --sensor, for commands with a model."""
     add_selection(parser)
     parser.add_argument(
         "--sensor",
         type=size_text,
         metavar="WxH",
-        help="the camera's pixels, if the recording does not state them; a .bin has 34x34 unless this option or a "
-        "mask gives others. Without --crop, they must be those of the model",
+        help="the camera's pixels, if the recording does not state them. Without --crop, they are those of the model; "
+        "with it, a .bin has 34x34 by default",
     )
 
 
@@ -45,7 +44,7 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
 
 
 def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSelector:
-    """The pixels that a model sees, by the options of `add_pixels`; prints a line if it was trained with others.
+    """The pixels that a model sees, by the options of `add_pixels`; prints a line if it was trained on other ones.
 
     Parameters
     ----------
@@ -79,22 +78,16 @@ def selection_of(args: argparse.Namespace) -> PixelSelection:
 
 
 def parse_roi(text: str) -> Region:
-    """`100,80,34,34` as (100, 80, 34, 34).
-
-    Raises
-    ------
-    ValueError : not four whole numbers.
-    """
+    """`100,80,34,34` as (100, 80, 34, 34). An argparse type."""
     try:
         left, top, width, height = (int(number) for number in text.split(","))
     except ValueError:
-        raise ValueError(f"must be four whole numbers X,Y,WIDTH,HEIGHT, such as 100,80,34,34, got {text!r}") from None
+        raise argparse.ArgumentTypeError(
+            f"must be four whole numbers X,Y,WIDTH,HEIGHT, such as 100,80,34,34, got {text!r}"
+        ) from None
     return left, top, width, height
 
 
 def _roi_text(text: str) -> str:
-    """An argparse type: the region as text, checked; so that a command can repeat it as given."""
-    try:
-        return ",".join(map(str, parse_roi(text)))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+    """The region as text, checked, so that a command keeps it as it was given. An argparse type."""
+    return ",".join(map(str, parse_roi(text)))

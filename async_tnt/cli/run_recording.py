@@ -26,8 +26,8 @@ def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator
     ValueError, OSError : unreadable, or recorded with another sensor than the model's.
     """
     recording, sensor = pixels.open(path)
-    if recording.sensor is None:
-        pixels.check_silent(recording, path, sensor)
+    if recording.stated_sensor is None:
+        pixels.check_events(recording, path, sensor)
     return recording, map(pixels.filter_of(path, sensor), recording)
 
 

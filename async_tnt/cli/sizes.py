@@ -1,20 +1,24 @@
-"""Sizes in pixels as argparse types: `346x260`."""
+"""Sizes in pixels on the command line: `346x260`."""
 
 from __future__ import annotations
 
 import argparse
 
-from async_tnt.sources.sizes import by, parse_size
+from async_tnt.config import MAX_SIDE
+from async_tnt.sources.sensor import by
 
 
-def size_of(text: str) -> tuple[int, int]:
-    """The size as two numbers."""
-    try:
-        return parse_size(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+def parse_size(text: str) -> tuple[int, int]:
+    """`346x260` as (346, 260), which must be two whole numbers in [1, 2**15]. An argparse type."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT in pixels, such as 346x260, got {text!r}")
+    size = int(width), int(height)
+    if not all(1 <= side <= MAX_SIDE for side in size):
+        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT with sides in [1, {MAX_SIDE}] pixels, got {text!r}")
+    return size
 
 
 def size_text(text: str) -> str:
-    """The size as text, checked, so that a command keeps it as it was given."""
-    return by(size_of(text))
+    """The size as text, checked, so that a command keeps it as it was given. An argparse type."""
+    return by(parse_size(text))

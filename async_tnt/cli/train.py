@@ -18,12 +18,12 @@ import numpy as np
 from async_tnt.archive.scores import Scores
 from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.record import command_words, data_folder
+from async_tnt.cli.sizes import parse_size
 from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_writable, write_text
 from async_tnt.networks.model import Model, load_model
 from async_tnt.progress import progress
-from async_tnt.sources.sizes import parse_size
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes

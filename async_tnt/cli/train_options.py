@@ -8,12 +8,12 @@ from pathlib import Path
 
 from async_tnt.cli.options import positive_int
 from async_tnt.cli.pixel_options import add_selection, selection_of
-from async_tnt.cli.sizes import size_text
+from async_tnt.cli.sizes import parse_size, size_text
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.pixel_selector import check_region
-from async_tnt.sources.sizes import by, parse_size
+from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.sensor import by
 from async_tnt.training.settings import PRECISIONS
 
 DESCRIPTION = """\
@@ -287,11 +287,7 @@ def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
     if start is None:
         return pixels
     sensor = start.config.sensor
-    check_region(pixels, sensor)
-    if pixels.crop:
-        return pixels
-    if pixels.sensor not in (None, sensor):
+    if not pixels.crop and pixels.sensor not in (None, sensor):
         raise ValueError(f"--sensor must be the one of --start-from, {by(sensor)}, got {by(pixels.sensor)}")
-    if pixels.mask is not None:
-        pixels.mask.pixels(sensor)  # refuses a mask of another sensor
-    return replace(pixels, sensor=sensor)
+    PixelSelector(pixels, sensor)  # refuses a region or a mask that does not fit the model
+    return pixels if pixels.crop else replace(pixels, sensor=sensor)

@@ -14,7 +14,7 @@ import numpy as np
 
 from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, Device, Driver, failure
 from async_tnt.sources.clock import Clock
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sensor import by
 
 MAX_JUMP_S = 1.0  # a camera's events arrive in order and soon
 DAVIS346 = (346, 260)  # dv-processing distinguishes DAVIS models only when they are open

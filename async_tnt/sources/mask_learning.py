@@ -38,7 +38,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from async_tnt.events import EventDecoder
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixel_filter import count_events
-from async_tnt.sources.pixel_masks import checked_sensor
+from async_tnt.sources.sensor import checked_sensor
 
 BLOCK = 5
 RANK = 4
@@ -53,7 +53,7 @@ def learn_mask(
 
     Parameters
     ----------
-    source : an iterable of packets, in any form that `async_tnt.event_forms` lists.
+    source : packets, in any form that `async_tnt.event_forms` lists.
     sensor : (width, height) in pixels.
     factor : how many times more events than plausible a hot pixel has, above 1.
     false_alarms : pixels expected to be found by chance, over the whole sensor.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 import os
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,8 @@ from async_tnt.events import EVENT_DTYPE, EventDecoder
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixel_filter import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.records import COLUMN_TYPES
-from async_tnt.sources.pixel_masks import checked_mask, checked_sensor, load_mask
-from async_tnt.sources.sizes import by
+from async_tnt.sources.pixel_masks import checked_mask, load_mask
+from async_tnt.sources.sensor import by, checked_sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +31,10 @@ class PixelCounts:
     """Outside the region of interest, masked or not."""
 
     def __add__(self, other: PixelCounts) -> PixelCounts:
-        return PixelCounts(*(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__))
+        return PixelCounts(*map(operator.add, astuple(self), astuple(other)))
 
     def __sub__(self, other: PixelCounts) -> PixelCounts:
-        return PixelCounts(*(getattr(self, name) - getattr(other, name) for name in self.__dataclass_fields__))
+        return PixelCounts(*map(operator.sub, astuple(self), astuple(other)))
 
 
 class PixelFilter:
@@ -41,10 +42,10 @@ class PixelFilter:
 
     Parameters
     ----------
-    sensor : (width, height) of the camera, in pixels.
+    sensor : (width, height) of the camera.
     roi : region of interest (x, y, width, height), its upper left pixel and its size; None: the whole sensor.
-    mask : bool array, shape (H, W) of the whole sensor, True where a pixel's events are dropped; or the path of such a
-        `.npy` file; None: no pixel is masked.
+    mask : bool array of shape (H, W), of the whole sensor, True where a pixel's events are dropped; or the path of such
+        a `.npy` file; None: no pixel is masked.
     crop : shift coordinates to the region's upper left corner.
 
     Attributes
@@ -76,30 +77,24 @@ class PixelFilter:
         compile_only(keep_events, *COLUMN_TYPES, int64, uint8[:, ::1], int64, int64, uint8[::1])
         width, height = checked_sensor(sensor)
         check_crop(crop, roi)
-        left, top, roi_width, roi_height = (
-            (0, 0, width, height) if roi is None else checked_region(roi, (width, height))
-        )
+        self.roi = checked_region((0, 0, width, height) if roi is None else roi, (width, height))
         if isinstance(mask, (str, os.PathLike)):
             mask = load_mask(mask, (width, height))
         elif mask is not None:
             mask = checked_mask(mask, (width, height))
-        self.roi = (left, top, roi_width, roi_height)
         self.crop = bool(crop)
-        self.sensor = (roi_width, roi_height) if crop else (width, height)
+        self.sensor = self.roi[2:] if crop else (width, height)
         self.n_masked_pixels = 0 if mask is None else int(np.count_nonzero(mask))
+        left, top, roi_width, roi_height = self.roi
+        inside = np.s_[top : top + roi_height, left : left + roi_width]
         self._verdicts = np.full((height, width), OUTSIDE, np.uint8)
-        inside = self._verdicts[top : top + roi_height, left : left + roi_width]
-        inside[:] = 0 if mask is None else mask[top : top + roi_height, left : left + roi_width] * np.uint8(MASKED)
+        self._verdicts[inside] = 0 if mask is None else mask[inside] * np.uint8(MASKED)
         self._corner = (left, top) if crop else (0, 0)
         self._decoder = EventDecoder((width, height))
         self.reset()
 
     def __call__(self, events: Any) -> np.ndarray:
-        """Filter a packet, in any form that `async_tnt.event_forms` lists.
-
-        Returns
-        -------
-        Structured array of `async_tnt.EVENT_DTYPE`, in new memory.
+        """The events to keep of a packet in any form that `async_tnt.event_forms` lists: a new array of `EVENT_DTYPE`.
 
         Raises
         ------
@@ -132,7 +127,7 @@ class PixelFilter:
 def check_crop(crop: bool, roi: Any) -> None:
     """Refuse `crop` without a region."""
     if crop and roi is None:
-        raise ValueError("--crop belongs to --roi (in Python, `crop` to `roi`): the region that is to be the sensor")
+        raise ValueError("--crop belongs to --roi (in Python, `crop` to `roi`): the region that becomes the sensor")
 
 
 def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int, int, int, int]:

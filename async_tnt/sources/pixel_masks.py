@@ -15,8 +15,7 @@ from async_tnt.checks import is_whole, plain_array
 from async_tnt.config import MAX_SIDE
 from async_tnt.files import check_writable, replacing
 from async_tnt.sources.files.npy_arrays import map_npy
-from async_tnt.sources.files.source import Sensor
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sensor import Sensor, by
 
 
 def checked_sensor(sensor: Any) -> Sensor:
@@ -38,11 +37,11 @@ def checked_sensor(sensor: Any) -> Sensor:
 
 
 def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
-    """A bool array of shape (H, W), True where a pixel's events are dropped; of this sensor, or of any if it is None.
+    """A mask, if it is a bool array of shape (H, W) of this sensor, or of any if it is None.
 
     Raises
     ------
-    ValueError, TypeError : another type or another shape; the message says which.
+    ValueError, TypeError : of another type or shape.
     """
     rule = f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]"
     if sensor is not None:
@@ -63,13 +62,9 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
 def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.ndarray:
     """Read a mask that `save_mask` or `async-tnt mask` wrote: bool, shape (H, W), True where events are dropped.
 
-    Parameters
-    ----------
-    sensor : (width, height) of the sensor; None: of any.
-
     Raises
     ------
-    ValueError : damaged, or not a mask of this sensor.
+    ValueError : damaged, or not a mask of this sensor (None: of any).
     OSError : missing or not readable.
     """
     mapped = map_npy(path)
@@ -94,12 +89,7 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
 
 
 def check_mask_path(path: str | os.PathLike[str]) -> None:
-    """Check that a mask can be written there, before the work of learning it.
-
-    Raises
-    ------
-    ValueError, OSError : as for `save_mask`.
-    """
+    """Check that `save_mask` can write there, before the work of learning a mask; raises the same errors."""
     path = Path(path)
     if path.suffix.lower() != ".npy":
         raise ValueError(f"{path}: a mask is written as .npy, got the suffix {path.suffix!r}")
@@ -113,7 +103,7 @@ class PackedMask:
     Parameters
     ----------
     size : (width, height) of its sensor.
-    sha256 : `hashlib.sha256(mask.tobytes()).hexdigest()`.
+    sha256 : of the mask's bytes.
     n_pixels : how many are masked.
     packed : the pixels as compressed bits. Every recording sent to a worker takes its mask along; hot pixels of a
         1280x720 sensor pack into 1 to 3 kB instead of 900.
@@ -128,11 +118,11 @@ class PackedMask:
 
     @classmethod
     def of(cls, mask: Any, name: str = "mask") -> PackedMask:
-        """Pack a bool array of shape (H, W), True where a pixel's events are dropped, or the file of one.
+        """Pack a mask: a bool array of shape (H, W), or the file of one.
 
         Raises
         ------
-        ValueError : another type or shape, empty, or a damaged file.
+        ValueError : another type or shape, or a damaged file.
         TypeError : neither an array nor a path. OSError : the file is missing or not readable.
         """
         if isinstance(mask, PackedMask):
@@ -148,12 +138,7 @@ class PackedMask:
         return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), int(mask.sum()), packed, name)
 
     def pixels(self, sensor: Sensor) -> np.ndarray:
-        """The mask itself, for a camera of (width, height): bool, shape (H, W).
-
-        Raises
-        ------
-        ValueError : it is of another sensor.
-        """
+        """The mask itself: bool, shape (H, W); a ValueError if it is not of this sensor."""
         width, height = self.size
         bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
         mask = np.unpackbits(bits, count=width * height).reshape(height, width).view(np.bool_)

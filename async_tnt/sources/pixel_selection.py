@@ -1,4 +1,4 @@
-"""Which pixels a model is to see, as plain values that can be compared, sent and stored."""
+"""Which pixels a model sees, as plain values that can be compared, sent and stored."""
 
 from __future__ import annotations
 
@@ -9,24 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.sources.files.source import Sensor
 from async_tnt.sources.pixel_filter import check_crop, checked_region
-from async_tnt.sources.pixel_masks import PackedMask, checked_sensor
-from async_tnt.sources.sizes import by
+from async_tnt.sources.pixel_masks import PackedMask
+from async_tnt.sources.sensor import Sensor, by, checked_sensor
 
 Region = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, init=False)
 class PixelSelection:
-    """The pixels that a model is to see: frozen, picklable and without state; `PixelSelector` applies it.
+    """The pixels that a model sees: frozen, picklable and without state; `PixelSelector` applies it.
 
     Parameters
     ----------
     roi : region of interest (x, y, width, height); None: the whole sensor.
     crop : the region is the model's sensor: coordinates are shifted to its upper left corner.
     mask : pixels of the whole camera whose events are dropped: whatever `PackedMask.of` accepts; None: no pixel.
-    sensor : (width, height) of the camera, for sources that do not say it.
+    sensor : (width, height) of the camera, for sources that do not state it.
 
     Raises
     ------
@@ -72,7 +71,7 @@ class PixelSelection:
 
     @property
     def camera(self) -> Sensor | None:
-        """(width, height) of the camera, from `sensor` or the mask's size; None where the source must say."""
+        """(width, height) of the camera, from `sensor` or the mask's size; None if the source must state it."""
         return self.sensor if self.mask is None else self.mask.size
 
     @property
@@ -89,9 +88,8 @@ class PixelSelection:
     def about(self) -> dict[str, Any]:
         """Option -> value, short and for JSON, of all that decides which events are seen; {} for all events.
 
-        A mask is described by its size and the first 16 digits of its SHA-256; `sensor` could only repeat that size.
-        Without a mask, `sensor` decides which recordings are of this camera, and so which have results and which
-        errors: results of different sensors must not be mixed.
+        With a mask, `sensor` could only repeat its size. Without one, it decides which recordings are of this camera,
+        and so which have results and which errors: results of different sensors must not be mixed.
         """
         options: dict[str, Any] = {}
         if self.roi is not None:
@@ -106,7 +104,7 @@ class PixelSelection:
 
     @property
     def record(self) -> dict[str, Any]:
-        """For a model's training record: which events it has learned from; {} for all events."""
+        """For a model's training record: which events it learned from; {} for all events."""
         record: dict[str, Any] = {}
         if self.roi is not None:
             record |= {"roi": list(self.roi), "crop": self.crop}
@@ -116,13 +114,13 @@ class PixelSelection:
 
 
 def difference(record: Mapping[str, Any], selection: PixelSelection) -> str:
-    """How a selection differs from the one that a model was trained with, in one line; "" where it does not.
+    """How a selection differs from the one that a model was trained with, in one line; "" if it does not.
 
     Parameters
     ----------
     record : `Model.record`; `async-tnt train` stores its selection in `record["data"]["pixels"]`. Without one, nothing
         differs.
-    selection : what the model is to see now. Cameras are compared where it names one.
+    selection : what the model sees now. Cameras are compared if it names one.
 
     Example
     -------

@@ -6,21 +6,25 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from async_tnt.sources.files.fitting import TRAIN_ONE, check_events, check_sensor, open_for, open_of_known
-from async_tnt.sources.files.recording import Recording
-from async_tnt.sources.files.source import Sensor
+from async_tnt.sources.files.recording import Recording, open_recording
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sensor import TRAIN_ONE, Sensor, by, check_events, check_sensor
+
+NONE_YET = PixelCounts()
 
 
 class PixelSelector:
-    """Drops the events of sources that a model is not to see, and counts them.
+    """Drops the events of sources that a model is not meant to see, and counts them.
 
     Parameters
     ----------
-    selection : what the model is to see.
-    model : (width, height) in pixels that the model is for; None if it is to be trained on the sources.
+    selection : what the model sees.
+    model : (width, height) in pixels that the model is for.
+
+    Attributes
+    ----------
+    expected : (width, height) of the cameras, before any event is dropped; None: the source must state it.
 
     Raises
     ------
@@ -28,99 +32,53 @@ class PixelSelector:
         selection names one; a region off the camera, if that is known.
     """
 
-    def __init__(self, selection: PixelSelection, model: Sensor | None) -> None:
+    def __init__(self, selection: PixelSelection, model: Sensor) -> None:
         self.selection = selection
+        self.expected = selection.camera if selection.crop else model
         self._model = model
         self._filters: dict[Sensor, PixelFilter] = {}
-        if model is not None:
-            check_region(selection, model)
-            if not selection.crop:
-                _check_camera(selection, model)
+        _check_fit(selection, model)
         if self.expected is not None:
             self.filter_of("", self.expected)  # now, so that mistakes show before the first event
 
-    @property
-    def expected(self) -> Sensor | None:
-        """(width, height) of the cameras, before any event is dropped; None: the source must say."""
-        if self.selection.crop or self._model is None:
-            return self.selection.camera
-        return self._model
-
-    @property
-    def said_by(self) -> tuple[str, str]:
-        """Where `expected` comes from, and what to do with another camera, for messages."""
-        if not self.selection.crop and self._model is not None:
-            return "the model is for", self._advice(None)
-        if self.selection.sensor is None and self.selection.mask is not None:
-            return f"{self.selection.mask.name} is a mask of", ""
-        return "--sensor says", ""
-
     def sensor_of(self, name: Any, found: Sensor | None) -> Sensor:
-        """(width, height) of a source's camera, before any event is dropped.
-
-        Parameters
-        ----------
-        name : of the source, for messages.
-        found : (width, height) as the source says; None where it does not.
+        """The sensor of a source's camera, before any event is dropped; `found` as the source states it, if it does.
 
         Raises
         ------
-        ValueError : another one than expected, or unknown.
+        ValueError : not the expected one, or unknown.
         """
-        wanted = self.expected
-        if wanted is not None:
-            check_sensor(name, found, wanted, self.said_by[0], self._advice(found))
-            return wanted
+        if self.expected is not None:
+            check_sensor(name, found, self.expected, self._origin, self._advice(found))
+            return self.expected
         if found is None:
-            option = "--crop" if self.selection.crop else "--roi"
-            raise ValueError(f"{name}: does not say the camera's pixels, which {option} needs: give --sensor WxH")
+            raise ValueError(f"{name}: does not say the camera's pixels, which --crop needs: give --sensor WxH")
         return found[0], found[1]
 
     def open(self, path: Path, *, name: str | None = None, strict: bool = False) -> tuple[Recording, Sensor]:
-        """A recording, and the sensor of its events, for `filter_of`.
-
-        A `.bin` does not say its sensor: the selection does, or `open_for` looks at its events.
-
-        Parameters
-        ----------
-        name : of the recording in messages on its sensor; by default its path.
-        strict : as for `open_recording`.
+        """A recording, and the sensor of its events, for `filter_of`. `name` is for messages; by default its path.
 
         Raises
         ------
         ValueError, OSError : unreadable, or of another sensor than expected.
         """
-        if self.selection.camera is None:
-            recording = open_for(path, self.expected, strict=strict)
-        else:
-            recording = open_of_known(path, strict=strict)
+        recording = open_recording(path, strict=strict, sensor=self.expected)
         return recording, self.sensor_of(path if name is None else name, recording.sensor)
 
-    def check_silent(self, packets: Iterable[Any], name: Any, sensor: Sensor) -> None:
-        """Refuse packets of a source that does not say its sensor, if an event is off this one.
+    def check_events(self, packets: Iterable[Any], name: Any, sensor: Sensor) -> None:
+        """Refuse packets of a source that does not state its sensor, if an event is off this one."""
+        check_events(packets, sensor, name, self._origin, self._advice(None))
+
+    def filter_of(self, name: Any, sensor: Sensor) -> Callable[[Any], Any]:
+        """The filter for packets of a source with this sensor. `name` is for messages; "" for none.
 
         Raises
         ------
-        ValueError : with the origin of the sensor, and what to do.
-        """
-        check_events(packets, sensor, name, *self.said_by)
-
-    def filter_of(self, name: Any, sensor: Sensor | None) -> Callable[[Any], Any]:
-        """The filter for packets of a source with this sensor.
-
-        Parameters
-        ----------
-        name : of the source, for messages; "" for none.
-
-        Raises
-        ------
-        ValueError : the region or the mask does not fit that sensor, or it is None where it must be known.
+        ValueError : the region or the mask does not fit that sensor.
         """
         chosen = self.selection
         if not chosen.leaves_out:
             return _unchanged
-        if sensor is None:
-            sensor = self.sensor_of(name, None)
         if sensor not in self._filters:
             try:
                 mask = None if chosen.mask is None else chosen.mask.pixels(sensor)
@@ -131,17 +89,12 @@ class PixelSelector:
 
     @property
     def counts(self) -> PixelCounts:
-        """Events so far, of all sources; all zero where nothing can be dropped."""
-        return sum((pixel_filter.counts for pixel_filter in self._filters.values()), PixelCounts())
+        """Events so far, of all sources; all zero if nothing can be dropped."""
+        return sum((pixel_filter.counts for pixel_filter in self._filters.values()), NONE_YET)
 
-    def summary(self, since: PixelCounts | None = None) -> str:
-        """What was dropped, in words; "" where nothing came, or nothing can be dropped.
-
-        Parameters
-        ----------
-        since : earlier `counts`; None: from the start.
-        """
-        counts = self.counts if since is None else self.counts - since
+    def summary(self, since: PixelCounts = NONE_YET) -> str:
+        """What was dropped since these earlier `counts`, for people; "" if nothing came, or nothing can be dropped."""
+        counts = self.counts - since
         parts = []
         if counts.received and self.selection.roi is not None:
             parts.append(f"{counts.dropped_outside:,} outside of the region")
@@ -149,15 +102,22 @@ class PixelSelector:
             parts.append(f"{counts.dropped_masked:,} of masked pixels")
         return ", ".join(parts)
 
-    def nothing_left(self, since: PixelCounts | None = None) -> str:
-        """Why a model has seen no event, in words; "" where it has seen one, or nothing came."""
+    def nothing_left(self, since: PixelCounts = NONE_YET) -> str:
+        """Why a model has seen no event since these earlier `counts`; "" if it has seen one, or nothing came."""
         dropped = self.summary(since)
-        kept = (self.counts if since is None else self.counts - since).kept
-        return f"no events are left: {dropped}" if dropped and not kept else ""
+        return f"no events are left: {dropped}" if dropped and self.counts.kept == since.kept else ""
+
+    @property
+    def _origin(self) -> str:
+        """Where `expected` comes from, for messages."""
+        selection = self.selection
+        if not selection.crop:
+            return "the model is for"
+        return "--sensor says" if selection.mask is None or selection.sensor else f"{selection.mask.name} is a mask of"
 
     def _advice(self, found: Sensor | None) -> str:
-        """What to do with a camera of another size, (width, height), than the model is for; None: of an unknown one."""
-        if self.selection.crop or self._model is None:
+        """What to do about a camera of another size than the model is for; None: of an unknown one."""
+        if self.selection.crop:
             return ""
         if found is None:
             return f"; {TRAIN_ONE}, or cut out a part: {_cut_out(self._model)} --sensor WxH"
@@ -165,27 +125,22 @@ class PixelSelector:
         return f"; {TRAIN_ONE}{part}"
 
 
-def check_region(selection: PixelSelection, model: Sensor) -> None:
-    """Refuse a cropped region of another size, (width, height), than the model is for."""
-    region = selection.region
-    if region is not None and region != model:
+def _check_fit(selection: PixelSelection, model: Sensor) -> None:
+    """Refuse a cropped region, or without one a camera, of another size than the model is for."""
+    region, camera, mask = selection.region, selection.camera, selection.mask
+    if region not in (None, model):
         raise ValueError(
             f"--crop: the model is for {by(model)} pixels, got a region of {by(region)}; "
             f"give --roi X,Y,{model[0]},{model[1]}"
         )
-
-
-def _check_camera(selection: PixelSelection, model: Sensor) -> None:
-    """Refuse a selection's camera of another size than the model is for."""
-    camera = selection.camera
-    if camera is None or camera == model:
+    if selection.crop or camera is None or camera == model:
         return
     part = f"give {_cut_out(model)} too, or " if _is_part(model, camera) else ""
-    if selection.mask is None:
+    if mask is None:
         raise ValueError(f"--sensor says {by(camera)} pixels, but the model is for {by(model)}: {part}{TRAIN_ONE}")
     transposed = "; or transpose it with .T" if camera == model[::-1] else ""
     raise ValueError(
-        f"{selection.mask.name}: a mask of a {by(camera)} camera, but the model is for {by(model)} pixels: {part}"
+        f"{mask.name}: a mask of a {by(camera)} camera, but the model is for {by(model)} pixels: {part}"
         f"give the mask of a {by(model)} camera{transposed}"
     )
 

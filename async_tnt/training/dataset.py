@@ -14,10 +14,9 @@ from async_tnt.progress import Bar, no_progress
 from async_tnt.sources.class_folders import find_recordings, name_of
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.files.source import Sensor
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sensor import Sensor, by
 from async_tnt.training.windows import Recordings
 
 MAX_US = 1 << 31  # what a column of int32 holds

@@ -265,7 +265,7 @@ def test_training_on_with_the_same_or_another_region(models, sets, chosen, train
     code, _, err, _ = train(
         sets / "hot", "--start-from", models["clean"], "--mask", sets / "large.npy", name="other mask"
     )
-    assert code == 2 and "a mask of a 64x64 sensor must be" in err and err.count("\n") == 1
+    assert code == 2 and "a mask of a 120x90 camera, but the model is for 64x64 pixels" in err and err.count("\n") == 1
 
 
 def test_a_recording_of_which_nothing_is_left_is_named(sets, tmp_path, train):

@@ -1,10 +1,8 @@
-"""The filter equals its NumPy twin, for every form of events, and counts what it drops."""
-
-from types import SimpleNamespace
+"""The filter equals its NumPy twin and counts what it drops."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of, nasty_streams, random_events
 
@@ -12,28 +10,6 @@ import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
 
-
-def records(events, layout):
-    """The same events in another layout."""
-    packed = np.zeros(len(events), layout)
-    for name in packed.dtype.names:
-        packed[name] = events["p" if name == "on" else name]
-    return packed
-
-
-FORMS = {
-    "ours": lambda e: e,
-    "columns": lambda e: tuple(e[name].copy() for name in "txyp"),
-    "lists": lambda e: tuple(e[name].tolist() for name in "txyp"),
-    "object": lambda e: SimpleNamespace(t=e["t"], x=e["x"], y=e["y"], p=e["p"]),
-    "packet": lambda e: SimpleNamespace(polarity_events=e),
-    "numpy()": lambda e: SimpleNamespace(numpy=lambda: e),
-    "metavision": lambda e: records(e, [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")]),
-    "big-endian": lambda e: records(e, [("t", ">i8"), ("x", ">u2"), ("y", ">u2"), ("p", ">i2")]),
-    "faery": lambda e: records(e, [("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")]),
-    "every second": lambda e: np.repeat(e, 2)[::2],
-    "read-only": lambda e: np.frombuffer(e.tobytes(), e.dtype),
-}
 SENSORS = [(34, 34), (7, 5), (2, 2), (1280, 720), (40, 1)]
 
 
@@ -64,9 +40,8 @@ def filters(draw):
     return sensor, roi, mask, roi is not None and draw(st.booleans())
 
 
-@settings(max_examples=300, deadline=None)
-@given(st.data(), filters(), st.sampled_from(sorted(FORMS)))
-def test_filter_equals_numpy(data, settings, form):
+@given(st.data(), filters())
+def test_filter_equals_numpy(data, settings):
     sensor, roi, mask, crop = settings
     pixel_filter = PixelFilter(sensor, roi, mask, crop=crop)
     total = np.zeros(4, int)
@@ -74,7 +49,7 @@ def test_filter_equals_numpy(data, settings, form):
         events = data.draw(nasty_streams(sensor, 1000, 5))
         before = events.tobytes()
         kept, masked, outside = twin(events, sensor, roi, mask, crop)
-        got = pixel_filter(FORMS[form](events))
+        got = pixel_filter(events)
         assert got.dtype == async_tnt.EVENT_DTYPE and got.tobytes() == kept.tobytes()
         assert events.tobytes() == before
         total += (len(events), len(kept), masked, outside)
@@ -84,122 +59,87 @@ def test_filter_equals_numpy(data, settings, form):
     assert pixel_filter.counts == PixelCounts()
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, 1000, 100_000])
-@pytest.mark.parametrize("sensor", SENSORS)
-def test_packets_of_every_size(n, sensor):
-    events = random_events(n, sensor=sensor)
-    mask = np.random.default_rng(4).random(sensor[::-1]) < 0.3
-    kept, *_ = twin(events, sensor, None, mask, False)
-    assert PixelFilter(sensor, mask=mask)(events).tobytes() == kept.tobytes()
-
-
 def test_the_borders_of_a_region_by_hand():
     x, y = np.meshgrid(np.arange(10), np.arange(8))
     events = events_of(np.arange(80), x.ravel(), y.ravel(), np.ones(80))
     kept = PixelFilter((10, 8), roi=(2, 3, 4, 2))(events)
-    assert sorted(zip(kept["x"].tolist(), kept["y"].tolist(), strict=True)) == [
-        (2, 3),
-        (2, 4),
-        (3, 3),
-        (3, 4),
-        (4, 3),
-        (4, 4),
-        (5, 3),
-        (5, 4),
-    ]
-    kept = PixelFilter((10, 8), roi=(9, 7, 1, 1), crop=True)(events)
-    assert kept.tolist() == [(79, 0, 0, 1)]
+    assert {(int(x), int(y)) for _, x, y, _ in kept} == {(x, y) for x in (2, 3, 4, 5) for y in (3, 4)}
+    assert PixelFilter((10, 8), roi=(9, 7, 1, 1), crop=True)(events).tolist() == [(79, 0, 0, 1)]
 
 
 @pytest.mark.parametrize("nothing", [None, (), [], np.empty(0), ([], [], [], []), random_events(0)])
-def test_no_events(nothing):
+def test_events_may_be_in_any_form(nothing):
     got = PixelFilter((34, 34))(nothing)
     assert got.size == 0 and got.dtype == async_tnt.EVENT_DTYPE
-
-
-def test_a_single_event():
     assert PixelFilter((34, 34))((5, 1, 2, -1)).tolist() == [(5, 1, 2, 0)]
 
 
-def test_packets_that_came_out_stay_as_they_are():
+def test_a_packet_stays_as_it_is_and_is_the_callers():
     pixel_filter = PixelFilter((34, 34))
     first = pixel_filter(random_events(100, seed=1))
     before = first.tobytes()
     pixel_filter(random_events(100, seed=2))
     assert first.tobytes() == before
-    first["x"] = 0  # the caller's to change
+    first["x"] = 0
 
 
-def test_in_front_of_a_stream():
-    recording = open_recording(sample_recordings()[3])
-    mask = np.zeros((34, 34), bool)
-    mask[15:18, 15:18] = True
-    pixel_filter = PixelFilter((34, 34), mask=mask)
-    got = list(async_tnt.stream(map(pixel_filter, recording), "digits", start_us=0))
-    events = recording.read()
-    kept, *_ = twin(events, (34, 34), None, mask, False)
-    assert 0 < len(kept) < len(events)
-    expected = list(async_tnt.stream([kept], "digits", start_us=0))
-    assert [d.logits.tobytes() for d in got] == [d.logits.tobytes() for d in expected]
-
-
-def test_a_crop_feeds_a_model_of_the_regions_size():
-    recording = open_recording(sample_recordings()[3])
-    shifted = recording.read()
+def test_in_front_of_a_stream_it_leaves_out_pixels_and_crops():
+    events = open_recording(sample_recordings()[3]).read()
+    shifted, mask = events.copy(), np.zeros((260, 346), bool)
     shifted["x"] += 100
     shifted["y"] += 60
-    pixel_filter = PixelFilter((346, 260), roi=(100, 60, 34, 34), crop=True)
-    got = list(async_tnt.stream([pixel_filter(shifted)], "digits"))
-    expected = list(async_tnt.stream(recording, "digits"))
-    assert [d.logits.tobytes() for d in got] == [d.logits.tobytes() for d in expected]
+    mask[75:78, 115:118] = True
+    pixel_filter = PixelFilter((346, 260), roi=(100, 60, 34, 34), mask=mask, crop=True)
+    got = list(async_tnt.stream(map(pixel_filter, np.array_split(shifted, 9)), "digits", start_us=0))
+    kept, n_masked, _ = twin(events, (34, 34), None, mask[60:94, 100:134], False)
+    assert n_masked > 0
+    expected = list(async_tnt.stream([kept], "digits", start_us=0))
+    assert [d.logits.tobytes() for d in got] == [d.logits.tobytes() for d in expected] != []
 
 
-def test_mask_from_a_file(tmp_path):
+def test_a_mask_may_be_a_file_and_later_changes_of_an_array_change_nothing(tmp_path):
     mask = np.random.default_rng(0).random((20, 30)) < 0.2
     np.save(tmp_path / "mask.npy", mask)
     events = random_events(1000, sensor=(30, 20))
-    for path in (tmp_path / "mask.npy", str(tmp_path / "mask.npy")):
-        kept = PixelFilter((30, 20), mask=path)(events)
-        assert kept.tobytes() == twin(events, (30, 20), None, mask, False)[0].tobytes()
-
-
-def test_a_mask_that_is_changed_later_changes_nothing():
-    mask = np.zeros((34, 34), bool)
-    pixel_filter = PixelFilter((34, 34), mask=mask)
+    kept = twin(events, (30, 20), None, mask, False)[0].tobytes()
+    of_array = PixelFilter((30, 20), mask=mask)
     mask[:] = True
-    assert len(pixel_filter(random_events(50))) == 50
+    of_files = [PixelFilter((30, 20), mask=path) for path in (tmp_path / "mask.npy", str(tmp_path / "mask.npy"))]
+    for pixel_filter in (of_array, *of_files):
+        assert pixel_filter(events).tobytes() == kept
 
 
-def test_a_wrong_packet_counts_nothing():
+def test_an_invalid_packet_counts_nothing():
     pixel_filter = PixelFilter((34, 34))
     with pytest.raises(ValueError, match=r"^`x` must be in \[0, 34\), got 34 at event 1$"):
         pixel_filter(([1, 2], [3, 34], [0, 0], [1, 1]))
     assert pixel_filter.counts == PixelCounts()
 
 
+SENSOR_RULE = r"`sensor` must be \(width, height\) in whole pixels, got "
 MASK_RULE = r"a mask of a 30x20 sensor must be a bool array of shape \(20, 30\), \(height, width\); got "
 ROI_RULE = r"`roi` \(x, y, width, height\) must lie on the sensor of 30x20 pixels, got "
 NO_ROI = r"`roi` \(x, y, width, height\) must lie on the sensor, x and y at least 0, and hold at least one pixel, got "
+WHOLE = r"`roi` must be \(x, y, width, height\) in whole pixels, got "
 
 
 @pytest.mark.parametrize(
-    "settings, message",
+    ("settings", "message"),
     [
-        ({"sensor": (30,)}, r"`sensor` must be \(width, height\) in whole pixels, got \(30,\)"),
-        ({"sensor": (30.5, 2)}, r"`sensor` must be \(width, height\) in whole pixels, got \(30.5, 2\)"),
+        ({"sensor": (30,)}, SENSOR_RULE + r"\(30,\)"),
+        ({"sensor": (30.5, 2)}, SENSOR_RULE + r"\(30.5, 2\)"),
+        ({"sensor": (True, 20)}, SENSOR_RULE + r"\(True, 20\)"),
         ({"sensor": (30, 40_000)}, r"`sensor` must have sides in \[1, 32768\] pixels, got \(30, 40000\)"),
         ({"roi": (0, 0, 31, 20)}, ROI_RULE + r"\(0, 0, 31, 20\)"),
+        ({"roi": (5, 19, 3, 2)}, ROI_RULE + r"\(5, 19, 3, 2\)"),
         ({"roi": (-1, 0, 3, 2)}, NO_ROI + r"\(-1, 0, 3, 2\)"),
         ({"roi": (5, 5, 3, 0)}, NO_ROI + r"\(5, 5, 3, 0\)"),
-        ({"roi": (5, 19, 3, 2)}, ROI_RULE + r"\(5, 19, 3, 2\)"),
-        ({"roi": (5, 5, 3)}, r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3\)"),
-        ({"roi": (5, 5, 3.0, 1)}, r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3.0, 1\)"),
-        ({"roi": (5, 5, 3, True)}, r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3, True\)"),
-        ({"roi": 5}, r"`roi` must be \(x, y, width, height\) in whole pixels, got 5"),
-        ({"sensor": (True, 20)}, r"`sensor` must be \(width, height\) in whole pixels, got \(True, 20\)"),
+        ({"roi": (5, 5, 3)}, WHOLE + r"\(5, 5, 3\)"),
+        ({"roi": (5, 5, 3.0, 1)}, WHOLE + r"\(5, 5, 3.0, 1\)"),
+        ({"roi": 5}, WHOLE + "5"),
         (
             {"crop": True},
-            r"--crop belongs to --roi \(in Python, `crop` to `roi`\): the region that is to be the sensor",
+            r"--crop belongs to --roi \(in Python, `crop` to `roi`\): the region that becomes the sensor",
         ),
         ({"mask": np.zeros((30, 20), bool)}, MASK_RULE + r"shape \(30, 20\); transpose it with .T"),
         ({"mask": np.zeros((20, 31), bool)}, MASK_RULE + r"shape \(20, 31\)"),
@@ -212,10 +152,8 @@ def test_wrong_arguments(settings, message):
         PixelFilter(**({"sensor": (30, 20)} | settings))
 
 
-def test_what_it_says_of_itself():
+def test_the_representation():
     mask = np.zeros((260, 346), bool)
     mask[3, 4] = True
-    assert (
-        repr(PixelFilter((346, 260), (1, 2, 30, 40), mask, crop=True))
-        == "PixelFilter((346, 260), roi=(1, 2, 30, 40), 1 pixels masked, crop=True)"
-    )
+    expected = "PixelFilter((346, 260), roi=(1, 2, 30, 40), 1 pixels masked, crop=True)"
+    assert repr(PixelFilter((346, 260), (1, 2, 30, 40), mask, crop=True)) == expected

@@ -100,7 +100,8 @@ def test_unknown_model(capsys):
 def test_a_recording_off_the_models_sensor_is_refused(tmp_path, capsys):
     path = random_model(TNTConfig(sensor=(20, 20))).save(tmp_path / "m.safetensors")
     assert main(["run", "--model", str(path), str(SAMPLES[1])]) == 2
-    assert "a sensor of 34x34 pixels, but the model is for 20x20" in capsys.readouterr().err
+    assert "must be in [0, 20), got 2" in (message := capsys.readouterr().err)
+    assert "; the model is for 20x20 pixels; train one for this camera" in message
 
 
 def test_broken_pipe_is_no_error():

@@ -1,4 +1,4 @@
-"""HDF5 files: layouts, compression, damage, and where they may keep their events: in the file itself, in chunks."""
+"""HDF5 files: layouts, compression, and where they may keep their events: in the file itself, in chunks."""
 
 import sys
 from collections import Counter
@@ -6,12 +6,11 @@ from io import FileIO
 
 import numpy as np
 import pytest
-from recordings.test_damage import CASES, damaged, read
+from recordings.test_damage import read as read_damaged
 from recordings.written import FORMATS, SENSOR, dsec, made_events, metavision, written
 
 from async_tnt.sources.files import hdf5
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.files.source import DamagedRecording
 
 h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
 
@@ -19,6 +18,16 @@ EVENTS = made_events(5_000)
 LAYOUTS = ["dsec.h5", "metavision.hdf5"]
 FILTERS = {"Blosc": "32001", "Blosc2": "32026", "Zstd": "32015", "LZ4": "32004"}
 SETS = [f"events/{name}" for name in "txyp"]
+
+
+def read(path):
+    """Columns t, x, y, p: what the reader yields in its child process, here in this one."""
+    _, *blocks = hdf5.read(str(path))
+    return np.concatenate(blocks, axis=1)
+
+
+def assert_holds(path, events):
+    np.testing.assert_array_equal(read(path), [events[name] for name in "txyp"])
 
 
 def replaced(path, **values):
@@ -39,44 +48,26 @@ def replaced(path, **values):
         ({"t": np.zeros(5)}, "must be whole numbers, got float64"),
         ({"t_offset": np.zeros(2, int)}, r"`t_offset` must be one number, got shape \(2,\)"),
         ({"t_offset": np.int64(-(1 << 62))}, r"`t_offset` must be below 2\*\*62 microseconds, got -46"),
+        (None, r"expected events/t, x, y, p \(DSEC\) or CD/events .*, got \['data'\]"),
     ],
 )
 def test_another_layout_is_refused(tmp_path, values, message):
-    with pytest.raises(ValueError, match=rf"a\.h5: not a readable HDF5 file: .*{message}"):
-        open_recording(replaced(tmp_path / "a.h5", **values))
+    if values is not None:
+        replaced(tmp_path / "a.h5", **values)
+    else:
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            file["data"] = np.zeros(3)
+    with pytest.raises(ValueError, match=message):
+        next(hdf5.read(str(tmp_path / "a.h5")))
 
 
-def test_a_file_without_events_is_refused(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["data"] = np.zeros(3)
-    with pytest.raises(ValueError, match=r"expected events/t, x, y, p \(DSEC\) or CD/events .*, got \['data'\]"):
-        open_recording(tmp_path / "a.h5")
-
-
-def test_an_invalid_value_ends_the_reading(tmp_path):
-    path = replaced(tmp_path / "a.h5", p=np.array([0, 1, 0, 7, 1], "u1"))
-    with pytest.warns(DamagedRecording, match="event 3: t = .*, p = 7 is not a valid event"):
-        assert open_recording(path).n_events == 3
-
-
-@pytest.mark.parametrize("offset_us", [1_000, 0, -1_000, 1 << 61])
+@pytest.mark.parametrize("offset_us", [1_000, -1_000, 1 << 61])
 def test_times_beyond_64_bits_do_not_wrap_into_others(tmp_path, offset_us):
     """As int64 they are small negative numbers, which the offset would make times again."""
     t = np.array([2_000, 2_001, 2_002, (1 << 64) - 5, 2_003], "u8")
     path = replaced(tmp_path / "a.h5", t=t, t_offset=np.int64(offset_us))
-    with pytest.warns(DamagedRecording, match="event 3: t = -"):
-        assert open_recording(path).read()["t"].tolist() == [2_000 + offset_us + i for i in range(3)]
-
-
-def test_metavision_polarity_may_be_minus_one(tmp_path):
-    path = tmp_path / "a.hdf5"
-    events = made_events(50)
-    metavision(path, events)
-    with h5py.File(path, "a") as file:
-        records = file["CD/events"][:]
-        records["p"] = np.where(records["p"] == 1, 1, -1)
-        file["CD/events"][:] = records
-    np.testing.assert_array_equal(open_recording(path).read(), events)
+    times = read(path)[0]
+    assert times[3] < 0 and np.delete(times, 3).tolist() == [2_000 + offset_us + i for i in range(4)]
 
 
 def compressed(path, name):
@@ -88,21 +79,21 @@ def compressed(path, name):
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("name", FILTERS)
-def test_hdf5plugins_filters_are_read(tmp_path, layout, name):
-    np.testing.assert_array_equal(open_recording(compressed(tmp_path / layout, name)).read(), EVENTS)
-
-
-@pytest.mark.parametrize("name", FILTERS)
-def test_a_missing_filter_is_named_with_what_to_install(tmp_path, monkeypatch, name):
-    path = compressed(tmp_path / "dsec.h5", name)
+def test_hdf5plugins_filters_are_read_and_named_where_they_are_missing(tmp_path, monkeypatch, layout, name):
+    path = compressed(tmp_path / layout, name)
+    assert_holds(path, EVENTS)
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: code < 256)
     with pytest.raises(ValueError, match=rf"\(filter {FILTERS[name]}\), which is missing: pip install hdf5plugin"):
         next(hdf5.read(str(path)))
 
 
+def test_blosc_is_read_in_the_child_process(tmp_path):
+    np.testing.assert_array_equal(open_recording(compressed(tmp_path / "dsec.h5", "Blosc")).read(), EVENTS)
+
+
 @pytest.mark.parametrize(("code", "hint"), [(0x8ECF, "Prophesee's ECF: install its plugin"), (0x7FFE, "filter 32766")])
-def test_a_filter_is_missing(tmp_path, code, hint):
+def test_a_filter_that_nobody_has_is_named(tmp_path, code, hint):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         group = file.create_group("CD")
         plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
@@ -110,61 +101,44 @@ def test_a_filter_is_missing(tmp_path, code, hint):
         plist.set_filter(code, h5py.h5z.FLAG_OPTIONAL, ())  # else it could not even be written
         dtype = h5py.h5t.py_create(np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")]))
         h5py.h5d.create(group.id, b"events", dtype, h5py.h5s.create_simple((10,)), dcpl=plist)
-    with pytest.raises(ValueError, match=rf"a\.h5: .*: its events are compressed by .*{hint}"):
-        open_recording(tmp_path / "a.h5")
+    with pytest.raises(ValueError, match=rf"its events are compressed by .*{hint}"):
+        next(hdf5.read(str(tmp_path / "a.h5")))
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize(
-    "how", [{"compression": "gzip", "shuffle": True}, {"compression": "lzf"}, {"fletcher32": True}]
-)
-def test_h5pys_own_filters_are_read(tmp_path, layout, how):
-    FORMATS[layout].write(tmp_path / layout, EVENTS, SENSOR, chunks=(777,), **how)
-    np.testing.assert_array_equal(open_recording(tmp_path / layout).read(), EVENTS)
+@pytest.mark.parametrize("how", [{"compression": "gzip", "shuffle": True}, {"compression": "lzf"}])
+def test_h5pys_own_filters_are_read(tmp_path, how):
+    metavision(tmp_path / "a.h5", EVENTS, chunks=(777,), **how)
+    assert_holds(tmp_path / "a.h5", EVENTS)
 
 
-def test_a_broken_check_sum_is_damage_where_the_chunk_begins(tmp_path):
+def test_a_wrong_checksum_is_damage_where_the_block_begins(tmp_path):
+    """A block has several chunks: what is before the broken one is lost, too."""
     dsec(tmp_path / "dsec.h5", EVENTS, chunks=(1_000,), fletcher32=True)
     data = bytearray((tmp_path / "dsec.h5").read_bytes())
     place = data.find((EVENTS["x"][3_000:3_100]).astype("<u2").tobytes())
     assert place > 0
     data[place] ^= 1
     (tmp_path / "dsec.h5").write_bytes(data)
-    got, caught = read(tmp_path / "dsec.h5")
-    assert len(caught) == 1 and "damaged recording: after event 0" in str(caught[0].message)
-    assert len(got) == 0  # a block has more chunks than one: what is before the broken one in it is lost
-
-
-def test_random_damage_of_blosc_never_crashes(tmp_path):
-    """Blosc of hdf5plugin 7.1 ends its process by a segmentation fault in one of 200 cases or so."""
-    path = compressed(tmp_path / "dsec.h5", "Blosc")
-    data = path.read_bytes()
-    rng = np.random.default_rng(5)
-    n_noticed = 0
-    for _ in range(max(5, CASES // 100)):
-        path.write_bytes(damaged(data, rng))
-        got, caught = read(path)
-        n_noticed += got is None or len(caught) > 0
-    assert n_noticed > CASES // 1000
+    got, caught = read_damaged(tmp_path / "dsec.h5")
+    assert len(got) == 0 and "damaged recording: after event 0" in str(caught[0].message)
 
 
 @pytest.mark.parametrize("chunks", [None, (1_000,)])
-def test_a_header_that_claims_a_million_million_events_is_refused_at_once(tmp_path, chunks):
-    """HDF5 makes zeros of what was never written: events at t = 0, in a corner, for hours."""
+def test_a_header_that_claims_events_that_were_never_written_is_refused_at_once(tmp_path, chunks):
+    """HDF5 makes zeros of them: events at t = 0, in a corner, for hours."""
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
         for name, dtype in (("t", "u4"), ("x", "u2"), ("y", "u2"), ("p", "u1")):
             file.create_dataset(f"events/{name}", (10**12 if chunks else 10**6,), dtype, chunks=chunks)
-    with pytest.raises(ValueError, match=r"a\.h5: .*: /events/t claims 10*0 events, but the file holds 0 of"):
-        open_recording(path)
+    with pytest.raises(ValueError, match=r"/events/t claims 10*0 events, but the file holds 0 of"):
+        next(hdf5.read(str(path)))
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_a_file_cut_anywhere_is_refused(tmp_path, name):
     path = written(tmp_path / name, made_events(5))
     data = path.read_bytes()
-    assert len(list(hdf5.read(str(path)))) == 2
-    for size in range(0, len(data), 7):
+    for size in range(0, len(data), 31):
         path.write_bytes(data[:size])
         with pytest.raises((OSError, RuntimeError)):
             next(hdf5.read(str(path)))
@@ -195,9 +169,8 @@ def test_each_chunk_is_read_once(tmp_path, monkeypatch, chunks):
     real = h5py.File
     monkeypatch.setattr(h5py, "File", lambda path, mode: real(watched, mode, rdcc_nbytes=1))  # no chunk fits its cache
     monkeypatch.setattr(hdf5, "BLOCK_EVENTS", 100)
-    _, *blocks = hdf5.read(str(path))
+    assert_holds(path, EVENTS)
     watched.close()
-    np.testing.assert_array_equal(np.concatenate(blocks, axis=1), [EVENTS[name] for name in "txyp"])
     assert {watched.reads[place] for place in places} == {1}
 
 
@@ -213,16 +186,10 @@ def external_link(path, name):
     link_elsewhere(path, name, h5py.ExternalLink("other.h5", f"/{name}"))
 
 
-def soft_link_to_an_external_one(path, name):
+def through_a_linked_group(path, name):
     link_elsewhere(path, name, h5py.SoftLink("/first"))
     with h5py.File(path, "r+") as file:
-        file["first"] = h5py.SoftLink("second")
-        file["second"] = h5py.ExternalLink("other.h5", f"/{name}")
-
-
-def through_a_linked_group(path, name):
-    link_elsewhere(path, name, h5py.SoftLink(f"/group/{name}"))
-    with h5py.File(path, "r+") as file:
+        file["first"] = h5py.SoftLink(f"group/{name}")
         file["group"] = h5py.ExternalLink("other.h5", "/")
 
 
@@ -244,10 +211,10 @@ def virtual(path, name):
         file.create_virtual_dataset("virtual", layout)
 
 
-LINKS = (external_link, soft_link_to_an_external_one, through_a_linked_group)
+LINKS = (external_link, through_a_linked_group)
 STORED = (external_storage, virtual)
 ELSEWHERE = [
-    *[(dsec, name, move) for name in ("events/t", "events/p", "t_offset") for move in LINKS + STORED],
+    *[(dsec, name, move) for name in ("events/t", "t_offset") for move in LINKS + STORED],
     *[(metavision, "CD/events", move) for move in LINKS + STORED],
     *[(dsec, "events", move) for move in LINKS],
     *[(metavision, "CD", move) for move in LINKS],
@@ -261,8 +228,8 @@ def test_values_in_another_file_are_refused(tmp_path, write, name, move):
     move(path, name)
     with h5py.File(path) as file:
         assert name in file  # HDF5 itself would read it
-    with pytest.raises(ValueError, match=r"a\.h5: .*: \S+ must be stored in the file itself, but "):
-        open_recording(path)
+    with pytest.raises(ValueError, match=r"^\S+ must be stored in the file itself, but "):
+        next(hdf5.read(str(path)))
 
 
 def test_links_within_the_file_are_followed(tmp_path):
@@ -273,9 +240,9 @@ def test_links_within_the_file_are_followed(tmp_path):
         file["events"] = h5py.SoftLink("/recorded/left")
         file.move("recorded/left/t", "recorded/left/times")
         file["recorded/left/t"] = h5py.SoftLink("times")
-    np.testing.assert_array_equal(open_recording(path).read(), EVENTS)
+    assert_holds(path, EVENTS)
     with h5py.File(path, "r+") as file:
         del file["recorded/left/t"]
         file["recorded/left/t"] = h5py.SoftLink("t")
-    with pytest.raises(ValueError, match=r"a\.h5: .*: t is a link to a link to a link"):
-        open_recording(path)
+    with pytest.raises(ValueError, match="t is a link to a link to a link"):
+        next(hdf5.read(str(path)))

@@ -9,20 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-
-from async_tnt.events import EVENT_DTYPE
+from made import events_of
 
 SENSOR = (320, 240)
 
 
 def made_events(n, seed=0, sensor=SENSOR, step_us=50, start_us=1_000):
     rng = np.random.default_rng(seed)
-    events = np.empty(n, EVENT_DTYPE)
-    events["t"] = start_us + np.cumsum(rng.integers(0, step_us, n))
-    events["x"] = rng.integers(0, sensor[0], n)
-    events["y"] = rng.integers(0, sensor[1], n)
-    events["p"] = rng.integers(0, 2, n)
-    return events
+    t = start_us + np.cumsum(rng.integers(0, step_us, n))
+    return events_of(t, rng.integers(0, sensor[0], n), rng.integers(0, sensor[1], n), rng.integers(0, 2, n))
 
 
 def uzh_text(events, sensor=SENSOR):
@@ -84,16 +79,11 @@ def evt3(events, sensor=SENSOR):
     return evt_header("3.0", sensor) + struct.pack(f"<{len(out)}H", *out)
 
 
-def dat(events, sensor=SENSOR):
-    header = f"% Data file containing CD events.\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
-    body = (struct.pack("<II", t & 0xFFFFFFFF, p << 28 | y << 14 | x) for t, x, y, p in events.tolist())
-    return header + b"\x0c\x08" + b"".join(body)
-
-
-def dat1(events, sensor=SENSOR):
-    header = f"% Version 1\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
-    body = (struct.pack("<II", t, p << 17 | y << 9 | x) for t, x, y, p in events.tolist())
-    return header + b"\x00\x08" + b"".join(body)
+def dat(events, sensor=SENSOR, version=2):
+    header = f"% Data file\n% Version {version}\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
+    y_bit, p_bit = {2: (14, 28), 1: (9, 17)}[version]
+    body = (struct.pack("<II", t & 0xFFFFFFFF, p << p_bit | y << y_bit | x) for t, x, y, p in events.tolist())
+    return header + (b"\x0c\x08" if version == 2 else b"\x00\x08") + b"".join(body)
 
 
 def es(events, sensor=SENSOR):
@@ -125,12 +115,13 @@ def nmnist(events, sensor=(34, 34)):
     return b"".join(struct.pack(">BBBH", x, y, p << 7 | t >> 16, t & 0xFFFF) for t, x, y, p in events.tolist())
 
 
-def aedat4(path, events, sensor=SENSOR):
+def by_faery(path, events, sensor=SENSOR, version=None):
+    """In the format of the suffix."""
     faery = pytest.importorskip("faery", reason="AEDAT4 needs faery")
     theirs = np.empty(len(events), faery.EVENTS_DTYPE)
     for name, ours in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
         theirs[name] = events[ours]
-    faery.events_stream_from_array(theirs, sensor).to_file(path)
+    faery.events_stream_from_array(theirs, sensor).to_file(path, version=version)
 
 
 def dsec(path, events, sensor=SENSOR, **how):
@@ -141,15 +132,12 @@ def dsec(path, events, sensor=SENSOR, **how):
             values = events[name] - offset if name == "t" else events[name]
             file.create_dataset(f"events/{name}", data=values.astype(dtype), **how)
         file["t_offset"] = np.int64(offset)
-        n_ms = int(events["t"].max() - offset) // 1000 + 1 if len(events) else 1
-        file["ms_to_idx"] = np.searchsorted(events["t"] - offset, 1000 * np.arange(n_ms)).astype("u8")
 
 
 def metavision(path, events, sensor=SENSOR, **how):
     h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
-    records = np.empty(len(events), np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")]))
-    for name in ("x", "y", "p", "t"):
-        records[name] = events[name]
+    records = np.zeros(len(events), [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+    records[["t", "x", "y", "p"]] = events
     with h5py.File(path, "w") as file:
         file.attrs["geometry"] = f"{sensor[0]}x{sensor[1]}"
         file.create_dataset("CD/events", data=records, **how)
@@ -190,7 +178,7 @@ FORMATS = {
     "legacy.raw": _bytes(lambda events, sensor: evt21(events, sensor, "legacy"), (2048, 2048)),
     "evt3.raw": _bytes(evt3, (2048, 2048)),
     "v2.dat": _bytes(dat, (1 << 14, 1 << 14)),
-    "v1.dat": _bytes(dat1, (512, 256)),
+    "v1.dat": _bytes(lambda events, sensor: dat(events, sensor, 1), (512, 256)),
     "dvs.es": _bytes(es, (65535, 65535)),
     "atis.es": _bytes(atis, (65535, 65535)),
     "plain.bin": _bytes(nmnist, (34, 34), linear=False),  # damage anywhere refuses the whole file
@@ -198,7 +186,7 @@ FORMATS = {
     "table.npy": Format(lambda path, events, sensor: np.save(path, table_of(events)), states_sensor=False),
     "packed.npz": Format(lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=sensor)),
     "plain.npz": Format(lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False),
-    "dv.aedat4": Format(aedat4, (32767, 32767)),  # its pixels have 16 bits, signed
+    "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed
     "dsec.h5": Format(dsec, states_sensor=False),
     "metavision.hdf5": Format(metavision),
 }

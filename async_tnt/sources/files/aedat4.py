@@ -24,5 +24,5 @@ def read(path: str) -> Iterator[Any]:
     yield None if track.dimensions is None else [int(side) for side in track.dimensions]
     for found, packet in decoder:
         if found.id == track.id and found.data_type == "events" and len(packet):
-            # a time beyond int64 turns negative, which no time is
+            # a time beyond int64 turns negative, and so invalid
             yield np.array([packet[name].astype(np.int64) for name in ("t", "x", "y", "on")])

@@ -1,4 +1,4 @@
-"""The child of a `ChildSource`: `python child_process.py READER FILE PIPE` sends what a reader makes of a file.
+"""The child of a `ChildSource`: `python child_process.py READER FILE PIPE` sends what a reader reads from a file.
 
 A reader is a script beside this one. Its `read(path)` yields the sensor, (width, height) or None, then blocks of
 events, int64 of shape (4, n): t, x, y, p. It raises an exception where the file cannot be read on.
@@ -46,7 +46,7 @@ def main(reader: str, path: str, pipe: int) -> None:
 
 
 def _alarm(seconds: int) -> None:
-    """Have the system end this process after some seconds, 0: never, if its parent is gone and its library hangs."""
+    """Have the system end this process after some seconds (0: never): its library may hang, and its parent be gone."""
     if hasattr(signal, "alarm"):  # Windows has none
         signal.alarm(seconds)
 

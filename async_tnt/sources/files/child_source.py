@@ -8,7 +8,7 @@ file, `aedat4.py` or `hdf5.py`, and sends what it reads through a pipe, as messa
     a block of events    its columns t, x, y, p: four rows of int64; any number of such messages
     the end              an empty message, then why the file cannot be read on, or another empty one
 
-The child is killed when it has been silent for a minute. It imports nothing of this package, which would take a second.
+The child is killed after a minute of silence. It imports nothing from this package, which would take a second.
 """
 
 from __future__ import annotations
@@ -37,13 +37,8 @@ class ChildSource(Source):
 
     Parameters
     ----------
-    path : the file.
     reader : the script beside this one that reads it.
     format : its name, for messages.
-
-    Raises
-    ------
-    ValueError : the file cannot be read. OSError : it is missing or not readable.
     """
 
     def __init__(self, path: Path, reader: str, format: str) -> None:
@@ -112,16 +107,15 @@ def _inherited(fd: int) -> dict[str, Any]:
 
 def open_aedat4(path: Path) -> Source:
     """Open an AEDAT4 file."""
-    _require("faery", path, "AEDAT4", "files")
-    return ChildSource(path, "aedat4.py", "AEDAT4")
+    return _open(path, "aedat4.py", "AEDAT4", "faery", "files")
 
 
 def open_hdf5(path: Path) -> Source:
     """Open an HDF5 file of events."""
-    _require("h5py", path, "HDF5", "hdf5")
-    return ChildSource(path, "hdf5.py", "HDF5")
+    return _open(path, "hdf5.py", "HDF5", "h5py", "hdf5")
 
 
-def _require(library: str, path: Path, format: str, extra: str) -> None:
+def _open(path: Path, reader: str, format: str, library: str, extra: str) -> Source:
     if find_spec(library) is None:
         raise ImportError(f"{path}: {format} files are read by {library}, which is missing: pip install '.[{extra}]'")
+    return ChildSource(path, reader, format)

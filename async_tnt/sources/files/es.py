@@ -28,12 +28,7 @@ HEADER_BYTES = 20
 
 
 class EsSource(Source):
-    """The events of an Event Stream file.
-
-    Raises
-    ------
-    ValueError : no such header, another version than 2, or events of another type.
-    """
+    """The events of an Event Stream file."""
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:

@@ -16,8 +16,9 @@ from async_tnt.sources.files.es import EsSource
 from async_tnt.sources.files.nmnist import SENSOR, read_nmnist
 from async_tnt.sources.files.numpy_files import open_npy, open_npz
 from async_tnt.sources.files.prophesee import DatSource, EvtSource
-from async_tnt.sources.files.source import Sensor, Source
+from async_tnt.sources.files.source import Source
 from async_tnt.sources.files.text_files import open_csv, open_txt
+from async_tnt.sources.sensor import Sensor
 
 Reader = Callable[[Path], Source | tuple[np.ndarray, Sensor | None]]
 
@@ -27,7 +28,7 @@ def _read_bin(path: Path) -> tuple[np.ndarray, Sensor]:
 
 
 def _open_by_content(path: Path) -> Source:
-    """Many programs write `.raw`, `.dat` and `.h5`: the first bytes say which format it is."""
+    """Many programs write `.raw`, `.dat` and `.h5`: the first bytes tell which format it is."""
     with path.open("rb") as file:
         start = file.read(4096)
     if start.startswith(b"\x89HDF\r\n\x1a\n"):

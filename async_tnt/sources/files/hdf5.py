@@ -44,14 +44,16 @@ def read(path: str) -> Iterator[Any]:
             if len(columns) == 1:
                 columns = [columns[0][name] for name in COLUMNS]
             block = np.array([column.astype(np.int64) for column in columns])
-            if columns[0].dtype.kind == "u":  # beyond int64; it must stay negative with the offset, and so no time
+            if (
+                columns[0].dtype.kind == "u"
+            ):  # beyond int64: with the offset, too, it must stay negative, and so invalid
                 block[0, block[0] < 0] = -1 - abs(offset_us)
             block[0] += offset_us
             yield block
 
 
 class _Rows:
-    """Rows of a data set, of which each chunk is decompressed once: HDF5's own cache does not hold large ones."""
+    """Rows of a data set; each chunk is decompressed once: HDF5's own cache does not hold large ones."""
 
     def __init__(self, data: Any) -> None:
         chunk = data.chunks[0] if data.chunks else BLOCK_EVENTS

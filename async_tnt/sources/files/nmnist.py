@@ -7,7 +7,7 @@
     byte 4   bits 7-0 of the time, in microseconds
 
 Events are in order of time. At each overflow row the camera's timer had lost 2^13 us: this row and every
-later one is that much later than written. N-Caltech101 uses the same layout on a larger sensor.
+later one is that much later than stored. N-Caltech101 uses the same layout on a larger sensor.
 
 References
 ----------
@@ -19,7 +19,6 @@ there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
 
 from __future__ import annotations
 
-import operator
 import os
 import warnings
 from pathlib import Path
@@ -27,8 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE, as_events
+from async_tnt.events import as_events
 from async_tnt.files import replacing
+from async_tnt.sources.files.source import packed
+from async_tnt.sources.sensor import checked_sensor
 
 SENSOR = (34, 34)
 """Width and height of N-MNIST's sensor crop, in pixels."""
@@ -52,21 +53,18 @@ def read_nmnist(
 
     Parameters
     ----------
-    path : path of the `.bin` file.
+    path : the `.bin` file.
     strict : True raises at damage; False warns and returns the events before it.
-    sensor : (width, height) that every event must lie on; None for any pixel up to 255, for example to
-        read N-Caltech101 where its camera is not known.
+    sensor : (width, height) that every event must lie on; None for any pixel up to 255.
 
     Returns
     -------
-    Structured array of `EVENT_DTYPE`, in order of time; of length 0 for an empty file. Overflow rows are
-    already applied and removed.
+    Structured array of `EVENT_DTYPE`, in order of time. Overflow rows are already applied and removed.
 
     Raises
     ------
-    ValueError : damage, when `strict`. The message names the file, the place and the rule; what to pass instead is
-        in a note, which the command line does not show.
-    OSError : no such file, a folder, or not readable.
+    ValueError : damage, when `strict`. What to pass instead is in a note, which the command line does not show.
+    OSError : missing, a folder, or not readable.
     """
     path = Path(path)
     raw = path.read_bytes()
@@ -79,12 +77,8 @@ def read_nmnist(
     t_us += OVERFLOW_US * np.cumsum(is_overflow)
 
     event_rows = np.flatnonzero(~is_overflow)
-    events = np.empty(len(event_rows), EVENT_DTYPE)
-    events["t"] = t_us[event_rows]
-    events["x"] = rows[event_rows, 0]
-    events["y"] = rows[event_rows, 1]
-    events["p"] = rows[event_rows, 2] >> 7
-
+    columns = t_us, rows[:, 0], rows[:, 1], rows[:, 2] >> 7
+    events = packed([column[event_rows] for column in columns], len(event_rows))
     n_good, problem = _first_problem(events, event_rows, sensor)
     remedy, advice = "Fetch the file again", f"Pass strict=False for the {n_good} events before."
     if problem is not None and "sensor" in problem:
@@ -113,13 +107,12 @@ def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int
     ----------
     path : file to write, replaced if it exists.
     events : in any form that `Processor.push` accepts, in order of time.
-    sensor : (width, height) that every event must lie on; None for any pixel the format can hold. On every sensor
-        that is up to 255, without row 240, which marks a timer overflow.
+    sensor : (width, height) that every event must lie on; None for any pixel the format can hold: up to 255, without
+        row 240, which marks a timer overflow.
 
     Raises
     ------
-    TypeError, ValueError : not events, or a value does not fit the format; names field, rule, value and index. Nothing
-        is written then.
+    TypeError, ValueError : not events, or a value does not fit the format. Nothing is written then.
     OSError : the file cannot be written.
     """
     width, height = (256, 256) if sensor is None else checked_sensor(sensor)
@@ -142,7 +135,7 @@ def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int
 def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int] | None) -> tuple[int, str | None]:
     """The number of events before the first bad one, and what is wrong with it (None: all are good).
 
-    `rows` : which row of the file each event is.
+    rows : the row of the file that each event is from.
     """
     width, height = (256, 256) if sensor is None else checked_sensor(sensor)
     off_sensor = (events["x"] >= width) | (events["y"] >= height)
@@ -156,22 +149,6 @@ def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int]
     if off_sensor[i]:
         return i, f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}"
     return i, f"`t` must never decrease, got {t} us after {events['t'][i - 1]} us at {place}"
-
-
-def checked_sensor(sensor: tuple[int, int]) -> tuple[int, int]:
-    """(width, height) as two Python integers; may exceed a byte's range: N-Caltech101's camera had 304 x 240.
-
-    Raises
-    ------
-    ValueError : not two integers of at least 1.
-    """
-    try:
-        width, height = (operator.index(side) for side in sensor)
-    except (TypeError, ValueError):
-        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {sensor!r}") from None
-    if width < 1 or height < 1:
-        raise ValueError(f"`sensor` must be (width, height), each at least 1, got {sensor!r}")
-    return width, height
 
 
 def _refuse(bad: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:

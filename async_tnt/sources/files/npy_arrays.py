@@ -1,7 +1,7 @@
 """Arrays in NumPy's `.npy` form, accepted only if their header fits the bytes that follow it.
 
 NumPy's own reader allocates the memory that a header claims, and reports a damaged one in several lines, some of which
-advise to unpickle the file.
+advise unpickling the file.
 """
 
 from __future__ import annotations
@@ -9,20 +9,18 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from io import BytesIO
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
 MAGIC = b"\x93NUMPY"  # the first bytes of every .npy file
+MAX_HEADER_BYTES = 1 << 16  # NumPy reads what a header claims, up to 4 GiB
 
 
 def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
-    """Read a header, from the first byte up to the array.
-
-    Parameters
-    ----------
-    size : bytes in the file, header and array together.
+    """Read a header, from the first byte up to the array, in a file of `size` bytes.
 
     Returns
     -------
@@ -30,8 +28,8 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
 
     Raises
     ------
-    ValueError : no such header, one of Python objects, or one of an array that does not fill the rest of the file. One
-        line, without the file's name.
+    ValueError : no header, one of Python objects, or of an array that does not fill the rest of the file. One line,
+        without the file's name.
     """
     start = file.read(8)
     if len(start) < 8 or not start.startswith(MAGIC):
@@ -41,7 +39,9 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
             warnings.simplefilter("ignore")
             is_v1 = start[6] == 1
             read = np.lib.format.read_array_header_1_0 if is_v1 else np.lib.format.read_array_header_2_0
-            shape, is_fortran, dtype = read(file)
+            length = file.read(2 if is_v1 else 4)
+            header = file.read(min(int.from_bytes(length, "little"), MAX_HEADER_BYTES))
+            shape, is_fortran, dtype = read(BytesIO(length + header))
         claimed = np.broadcast_to(np.empty((), dtype), shape)
     except Exception:  # NumPy evaluates it as a Python literal: SyntaxError, TokenError, RecursionError, ...
         raise ValueError("its header does not describe an array") from None
@@ -55,12 +55,7 @@ def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
 
 
 def map_npy(path: str | os.PathLike[str]) -> np.memmap:
-    """Map the array of a `.npy` file, read-only.
-
-    Raises
-    ------
-    ValueError : damaged, or of another size than its header claims. OSError : missing or not readable.
-    """
+    """Map the array of a `.npy` file, read-only; a ValueError if it is damaged."""
     with Path(path).open("rb") as file:
         try:
             claimed, is_fortran = read_npy_header(file, os.fstat(file.fileno()).st_size)

@@ -25,11 +25,11 @@ from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     ArraySource,
     CorruptData,
-    Sensor,
     Source,
     events_on_sensor,
     valid_events,
 )
+from async_tnt.sources.sensor import Sensor
 
 ANY_SENSOR = (1 << 16, 1 << 16)  # every pixel that uint16 can hold
 KEPT_EVENTS = 1 << 22  # of a .npz, in 55 MB of memory; a longer one is decompressed again at each pass
@@ -53,12 +53,7 @@ class NpySource(Source):
 
 
 class NpzSource(Source):
-    """The events of a `.npz` file, decompressed block by block.
-
-    Raises
-    ------
-    Exception : a damaged archive (BadZipFile, zlib.error, NotImplementedError, ...), or arrays of another layout.
-    """
+    """The events of a `.npz` file, decompressed block by block. A damaged archive raises exceptions of any type."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -86,7 +81,7 @@ class NpzSource(Source):
                 step = min(BLOCK_EVENTS, *(BLOCK_BYTES // array.row_bytes for array in arrays))
                 for start in range(0, self.n_events, step):
                     yield _columns(*(array.read(min(step, self.n_events - start)) for array in arrays))
-        except Exception as error:  # see above
+        except Exception as error:  # of any type
             raise CorruptData(one_line(error)) from None
 
 
@@ -108,9 +103,8 @@ class _Array:
         if self.row_bytes > MAX_ROW_BYTES:
             raise ValueError(f"{self._name}: an event must take at most {MAX_ROW_BYTES} bytes, got {self.row_bytes}")
         n_skipped = 0 if column is None else column * len(self.claimed) * self.row_bytes
-        while n_skipped > 0 and (
-            data := self._file.read(min(n_skipped, 1 << 20))
-        ):  # `seek` would read 16 MiB at a time
+        # `seek` would read 16 MiB at a time
+        while n_skipped > 0 and (data := self._file.read(min(n_skipped, 1 << 20))):
             n_skipped -= len(data)
 
     def read(self, n: int) -> np.ndarray:
@@ -171,7 +165,7 @@ def _valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
 
 
 def _columns(*arrays: np.ndarray) -> Four:
-    """The columns t, x, y, p of one array of events, or of four arrays, in integers; their values are unchecked."""
+    """The columns t, x, y, p of one array of events, or of four arrays; whole numbers, of unchecked values."""
     array = arrays[0]
     if len(arrays) == 1 and (array.dtype.names is None or array.ndim == 0):
         if array.ndim != 2 or array.shape[1] != 4:
@@ -183,18 +177,12 @@ def _columns(*arrays: np.ndarray) -> Four:
     columns = named_columns(arrays if len(arrays) > 1 else array) or (np.empty(0, np.int64),) * 4
     if not all(c.ndim == 1 and c.dtype.kind in ("iub" if i == 3 else "iu") for i, c in enumerate(columns)):
         t, x, y, p = (column[:0] if column.ndim == 1 else column for column in columns)
-        checked_columns(t, x, y, p, ANY_SENSOR)  # raises, and says what is wrong
+        checked_columns(t, x, y, p, ANY_SENSOR)  # raises an error that names what is wrong
     return columns
 
 
 def open_npy(path: Path) -> Source:
-    """Open a `.npy` recording.
-
-    Raises
-    ------
-    ValueError : damaged, of another size than its header claims, or of another layout.
-    OSError : missing or not readable.
-    """
+    """Open a `.npy` recording; its header is checked."""
     with path.open("rb") as file:
         if file.read(4) == b"PK\x03\x04":
             raise ValueError(f"{path}: a .npy file must hold one array, got a zip archive; rename it to .npz")
@@ -205,13 +193,7 @@ def open_npy(path: Path) -> Source:
 
 
 def open_npz(path: Path) -> Source:
-    """Open a `.npz` recording; all of it is read once.
-
-    Raises
-    ------
-    ValueError : damaged, of another layout, or an event off the stated sensor.
-    OSError : missing or not readable.
-    """
+    """Open a `.npz` recording; all of it is read and checked once."""
     with path.open("rb") as file:
         if file.read(len(MAGIC)) == MAGIC:
             raise ValueError(f"{path}: a .npz file must be a zip archive of arrays, got a single .npy array")
@@ -225,6 +207,6 @@ def open_npz(path: Path) -> Source:
             n_read += len(events)
             if source.n_events <= KEPT_EVENTS:
                 kept.append(events)
-    except Exception as error:  # of many types, where the archive is damaged
+    except Exception as error:  # of any type
         raise ValueError(f"{path}: not a readable NumPy file: {one_line(error)}") from None
     return ArraySource(np.concatenate(kept), source.sensor) if source.n_events <= KEPT_EVENTS else source

@@ -34,12 +34,12 @@ from async_tnt.kernels.jit import compile_only
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     CorruptData,
-    Sensor,
     Source,
     block_columns,
     packed,
     valid_events,
 )
+from async_tnt.sources.sensor import Sensor
 
 MAX_HEADER_BYTES = 1 << 16
 CHUNK_BYTES = 1 << 18
@@ -61,9 +61,9 @@ class Header:
     Attributes
     ----------
     fields : keyword in lower case -> the rest of its line.
-    options : what `% format EVT3;height=720;width=1280` says after the name, in lower case.
+    options : those of `% format EVT3;height=720;width=1280`, in lower case.
     length : bytes of the header.
-    sensor : (width, height), from geometry, format or Width and Height; None if none of them is there.
+    sensor : (width, height), from geometry, format or Width and Height; None without them.
     """
 
     def __init__(self, path: Path) -> None:
@@ -94,7 +94,7 @@ class Header:
 
     @property
     def t0_us(self) -> int:
-        """What faery subtracts from the times when it writes; 0 if the header does not state it."""
+        """What faery subtracted from the times when it wrote the file; 0 if the header does not state it."""
         t0 = self.fields.get("t0", "0")
         if not t0.isdecimal() or len(t0) > 18:
             raise ValueError(f"{self.path}: `% t0` must be whole microseconds, got {t0[:40]!r}")
@@ -114,12 +114,7 @@ class Header:
 
 
 class EvtSource(Source):
-    """The events of a RAW file; triggers and other words are skipped.
-
-    Raises
-    ------
-    ValueError : the header names no version, or an unknown one.
-    """
+    """The events of a RAW file; triggers and other words are skipped."""
 
     def __init__(self, path: Path) -> None:
         header = Header(path)
@@ -173,12 +168,7 @@ class EvtSource(Source):
 
 
 class DatSource(Source):
-    """The events of a DAT file.
-
-    Raises
-    ------
-    ValueError : unknown version, other than pixel events, or a file that ends before the first event.
-    """
+    """The events of a DAT file."""
 
     def __init__(self, path: Path) -> None:
         header = Header(path)

@@ -13,8 +13,10 @@ import numpy as np
 
 from async_tnt.events import EVENT_DTYPE, LATE_POLICIES
 from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.files.nmnist import checked_sensor, read_nmnist
-from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Sensor, Source, events_on_sensor
+from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
+from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Source, events_on_sensor
+from async_tnt.sources.sensor import Sensor, checked_sensor
 
 COMPRESSED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
 
@@ -36,9 +38,9 @@ class _Totals:
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
-    Each iteration reads the file again and yields packets that are the caller's to change. All formats but `.bin` are
-    read block by block, so that memory does not grow with the file (a `.npz` of up to 4 million events is kept in
-    memory). `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over the file, unless one was made before.
+    Each iteration reads the file again and yields packets that the caller may change. All formats but `.bin` are read
+    block by block, so that memory does not grow with the file (a `.npz` of up to 4 million events is kept in memory).
+    `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over the file, unless one was made before.
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class Recording:
         return self._counted().duration_us
 
     def read(self) -> np.ndarray:
-        """All events at once: a structured array of `EVENT_DTYPE`, the caller's to change."""
+        """All events at once: a new structured array of `EVENT_DTYPE`."""
         return np.concatenate([np.empty(0, EVENT_DTYPE), *self._blocks()])
 
     def __iter__(self) -> Iterator[np.ndarray]:
@@ -175,20 +177,19 @@ def open_recording(
     unsorted: str = "accept",
     sensor: Sensor | None = None,
 ) -> Recording:
-    """Open a recording; its suffix says the format (`READERS`), its first bytes say which of several.
+    """Open a recording of the format that its suffix means (`READERS`), or its first bytes where it may mean several.
 
     Parameters
     ----------
     path : file to read.
     packet_events : events per packet when iterating; the last packet has what is left.
     strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning; True raises a
-        ValueError when reading gets there. Either way a file of which nothing can be understood, a damaged `.bin` or
-        `.npz`, and a `.npy` of the wrong size, is refused here, with a ValueError.
+        ValueError when reading gets there. Either way, a file that cannot be understood at all, a damaged `.bin` or
+        `.npz`, and a `.npy` of the wrong size are refused here, with a ValueError.
     unsorted : what to do with events older than one before them: "accept", "drop" them, or "raise" a ValueError when
         reading gets there. `Recording.n_unsorted` counts them.
-    sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` is
-        then of this sensor instead of N-MNIST's 34 x 34, and an event off it is damage. For CSV, NumPy and text it
-        becomes `Recording.sensor`, with which events are compared where they are streamed, not here.
+    sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` has
+        this sensor instead of N-MNIST's 34 x 34. Events are compared with it where they are streamed, not here.
 
     Returns
     -------
@@ -227,8 +228,8 @@ def open_recording(
         raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}{hint}")
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
-    if sensor is not None and suffix == ".bin":
-        source: Source = ArraySource(read_nmnist(path, sensor=sensor), None)
+    if suffix == ".bin" and sensor not in (None, NMNIST_SENSOR):
+        source: Source = ArraySource(read_nmnist(path, sensor=None), None)
     else:
         found = READERS[suffix](path)
         source = found if isinstance(found, Source) else ArraySource(*found)

@@ -9,10 +9,9 @@ import numpy as np
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.kernels.records import MAX_TIME_US
+from async_tnt.sources.sensor import Sensor
 
 BLOCK_EVENTS = 1 << 16
-
-Sensor = tuple[int, int]
 
 
 class DamagedRecording(UserWarning):
@@ -20,7 +19,7 @@ class DamagedRecording(UserWarning):
 
 
 class CorruptData(Exception):
-    """Raised by a source that cannot read on, with what is wrong and where: "row 17: expected `t x y p`, got 'abc'".
+    """Raised by a source that cannot continue, with what is wrong and where: "row 17: expected `t x y p`, got 'abc'".
 
     `Recording` turns it into a warning or a ValueError.
     """
@@ -42,7 +41,7 @@ class Source(ABC):
 
         Raises
         ------
-        CorruptData : the file cannot be read on. All events before that place have been yielded.
+        CorruptData : reading cannot continue. All events before that place have been yielded.
         OSError : the file is missing or not readable.
         """
 

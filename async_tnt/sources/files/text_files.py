@@ -27,7 +27,8 @@ import numpy as np
 from async_tnt.event_forms import NAMES, the_name
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.text import BLANKS, ODD, ROW_TYPES, SKIPPED, P, T, X, Y, parse_rows
-from async_tnt.sources.files.source import CorruptData, Sensor, Source, block_columns, packed
+from async_tnt.sources.files.source import CorruptData, Source, block_columns, packed
+from async_tnt.sources.sensor import Sensor
 
 CHUNK_BYTES = 1 << 20
 MAX_ROW_BYTES = 1 << 16
@@ -44,7 +45,6 @@ class TextSource(Source):
 
     Parameters
     ----------
-    path : the file.
     start, line : the first row: where it begins, in bytes, and its line number, counted from 1.
     roles : what each column is (see `kernels.text`).
     separator : the character between columns; BLANKS: any number of spaces and tabs.
@@ -136,14 +136,7 @@ def open_txt(path: Path) -> Source:
 
 
 def open_uzh_text(path: Path) -> Source:
-    """Open a text file in UZH's layout.
-
-    Raises
-    ------
-    ValueError : its first line is neither the sensor nor an event, or all its times are whole numbers, which may be
-        seconds or microseconds.
-    OSError : missing or not readable.
-    """
+    """Open a text file in UZH's layout; whole numbers as times are refused: they may be seconds or microseconds."""
     rows = [row for row in _first_rows(path) if not row.is_comment]
     sensor: Sensor | None = None
     start, line = 0, 1
@@ -169,13 +162,7 @@ def open_uzh_text(path: Path) -> Source:
 
 
 def open_csv(path: Path) -> Source:
-    """Open a CSV file.
-
-    Raises
-    ------
-    ValueError : no separator, a header that lacks one of the four names, or no header and not four columns.
-    OSError : missing or not readable.
-    """
+    """Open a CSV file; without a header, it must have four columns."""
     rows = _first_rows(path)
     first = next((row for row in rows if not row.is_comment), None)
     if first is None:

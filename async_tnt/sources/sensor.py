@@ -1,0 +1,69 @@
+"""A camera's sensor, (width, height) in pixels: checked, compared with the one that is expected, and in messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from async_tnt.checks import is_whole
+from async_tnt.config import MAX_SIDE
+from async_tnt.events import as_events
+
+Sensor = tuple[int, int]
+
+TRAIN_ONE = "train one for this camera (async-tnt train --help)"
+
+
+def by(size: Sensor) -> str:
+    """(346, 260) as `346x260`."""
+    return f"{size[0]}x{size[1]}"
+
+
+def checked_sensor(sensor: Any) -> Sensor:
+    """(width, height) as two Python integers.
+
+    Raises
+    ------
+    ValueError : not two whole numbers in [1, 2**15].
+    """
+    try:
+        width, height = sensor
+    except (TypeError, ValueError):
+        width = height = None
+    if not (is_whole(width) and is_whole(height)):
+        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {sensor!r}")
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise ValueError(f"`sensor` must have sides in [1, {MAX_SIDE}] pixels, got {sensor!r}")
+    return int(width), int(height)
+
+
+def check_sensor(
+    name: Any, found: Sensor | None, wanted: Sensor, origin: str = "the model is for", advice: str = "; " + TRAIN_ONE
+) -> None:
+    """Refuse a source whose sensor, if it states one, is not the wanted one.
+
+    Parameters
+    ----------
+    name : of the source, for messages.
+    origin : where `wanted` comes from, and `advice`: what to do about another one, for messages.
+    """
+    if found is not None and tuple(found) != wanted:
+        raise ValueError(f"{name}: a sensor of {by(found)} pixels, but {origin} {by(wanted)}{advice}")
+
+
+def check_events(
+    packets: Iterable[Any],
+    sensor: Sensor,
+    name: Any,
+    origin: str = "the model is for",
+    advice: str = "; " + TRAIN_ONE,
+) -> None:
+    """Refuse packets of a source that does not state its sensor, if an event is off the one assumed for it."""
+    try:
+        for packet in packets:  # one by one: a file may be larger than the memory
+            as_events(packet, sensor)
+    except (TypeError, ValueError) as error:
+        if str(error).startswith(str(name)):
+            raise
+        about_sensor = f"; {origin} {by(sensor)} pixels{advice}" if isinstance(error, ValueError) else ""
+        raise ValueError(f"{name}: {error}{about_sensor}") from None
