@@ -16,8 +16,8 @@ import numba
 import numpy as np
 
 from async_tnt.archive.scores import Scores
+from async_tnt.cli.data_options import command_words, data_folder
 from async_tnt.cli.output import complain, one_line
-from async_tnt.cli.record import command_words, data_folder
 from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_writable, write_text
@@ -27,7 +27,7 @@ from async_tnt.sources.sizes import parse_size
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
-from async_tnt.training.run_files import BEST, CURVES, LAST, RUN_FILES, plot_curves
+from async_tnt.training.run_folder import BEST, CURVES, LAST, RUN_FILES, check_run, plot_curves
 from async_tnt.training.settings import TrainSettings, settings_for
 
 __all__ = ["add_arguments", "main"]
@@ -161,18 +161,11 @@ def _read_dataset(
     args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
 ) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
     """DATASET, how to train on it, and what `check_run` compares; another run's folder is refused before it is read."""
-    from async_tnt.training.checkpoint import check_run
-
     if args.test and not (args.dataset / "Test").is_dir():
         raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
     pixels = pixels_of(args, start)
     validation = 0.2 if args.validation is None else args.validation
-    given = {
-        "seed": args.seed,
-        "learning_rate": args.rate,
-        "precision": args.precision,
-        "iterations": args.iterations,
-    }
+    given = {"seed": args.seed, "learning_rate": args.rate, "precision": args.precision, "iterations": args.iterations}
     known = given | {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
     if args.patience is not None:
         known["patience"] = args.patience or None
@@ -216,8 +209,6 @@ def _read_digits(
     args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
 ) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
     """N-MNIST or the bundled samples, in the same way."""
-    from async_tnt.training.checkpoint import check_run
-
     epochs = 20 if args.epochs is None else args.epochs
     settings = TrainSettings(
         epochs=min(epochs, 2) if args.smoke else epochs,

@@ -6,6 +6,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+from async_tnt.cli.data_options import add_folder, add_precision
 from async_tnt.cli.options import positive_int
 from async_tnt.cli.pixel_options import add_selection, selection_of
 from async_tnt.cli.sizes import size_text
@@ -14,7 +15,6 @@ from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.pixel_selector import check_region
 from async_tnt.sources.sizes import by, parse_size
-from async_tnt.training.settings import PRECISIONS
 
 DESCRIPTION = """\
 Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
@@ -58,18 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DATASET",
         help="folder with <class name>/<recordings>, or with Train/<class name>/<recordings> (and Test/...)",
     )
-    data.add_argument(
-        "--nmnist",
-        type=Path,
-        metavar="FOLDER",
-        help="N-MNIST: the folder with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)",
-    )
-    data.add_argument(
-        "--mnist",
-        type=Path,
-        metavar="FOLDER",
-        help="MNIST's IDX files, gzipped or not, for --simulated (default: $TNT_DATA/mnist)",
-    )
+    add_folder(data, "--nmnist", "N-MNIST: the folder with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)")
+    add_folder(data, "--mnist", "MNIST's IDX files, gzipped or not, for --simulated (default: $TNT_DATA/mnist)")
     data.add_argument(
         "--simulated",
         type=int,
@@ -193,12 +183,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="for weights, order, augmentation, split and simulation (default: 0)",
     )
-    learning.add_argument(
-        "--precision",
-        choices=PRECISIONS,
-        default="float32",
-        help="of the networks' products (default: float32); bfloat16 is faster on hardware that supports it",
-    )
+    add_precision(learning)
     learning.add_argument(
         "--translate",
         type=int,

@@ -1,7 +1,7 @@
 """N-MOVING-MNIST: MNIST's digits, each simulated under every motion.
 
 The thesis' set is not published, and it does not name its motions; ours are in `motions`. A set is a folder of
-shards, each with up to `recordings_per_shard` consecutive images under one motion, and `set.json`, which says how
+shards, each with up to `recordings_per_shard` consecutive images under one motion, and `set.json`, which records how
 they were made and is written first. Every recording has its own random generator, seeded by (seed, index of the
 motion, index of the image), so the number of workers and interruptions change nothing.
 """
@@ -40,10 +40,7 @@ class _Job:
     images: np.ndarray
     labels: np.ndarray
     seed: int
-    scene: Scene
-    pixels: PixelModel
-    frame_us: float
-    sensor: tuple[int, int]
+    settings: dict[str, Any]  # of `simulate_digit`
     metadata: dict[str, Any]
 
 
@@ -80,10 +77,10 @@ def build(
     ValueError : an argument out of its range, damaged MNIST files, or a folder with other shards.
     OSError : MNIST missing, or the folder cannot be written.
     """
-    _check_at_least("seed", seed, 0)
-    _check_at_least("digits", digits, 1)
-    _check_at_least("workers", workers, 1)
-    _check_at_least("recordings_per_shard", recordings_per_shard, 1)
+    counts = {"digits": digits, "workers": workers, "recordings_per_shard": recordings_per_shard}
+    for name, n, least in (("seed", seed, 0), *((name, n, 1) for name, n in counts.items())):
+        if n is not None and n < least:
+            raise ValueError(f"`{name}` must be at least {least}, got {n}")
     scene, pixels = scene or Scene(), pixels or PixelModel()
     moving = motions_of(kind)
     images, labels = load_mnist(mnist_folder, split)
@@ -117,10 +114,7 @@ def build(
             images[first : first + recordings_per_shard],
             labels[first : first + recordings_per_shard],
             seed,
-            scene,
-            pixels,
-            frame_us,
-            sensor,
+            {"scene": scene, "pixels": pixels, "frame_us": frame_us, "sensor": sensor},
             {"motion": dataclasses.asdict(motion), **shared},
         )
         for motion in moving
@@ -168,11 +162,6 @@ def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) 
     return dataclasses.replace(made, missing=missing)
 
 
-def _check_at_least(name: str, number: int | None, least: int) -> None:
-    if number is not None and number < least:
-        raise ValueError(f"`{name}` must be at least {least}, got {number}")
-
-
 def _make_shard(job: _Job) -> int:
     """Simulate and write one shard; returns its number of recordings."""
     duration_us, times_us = job.motion.duration_us, job.motion.flow_times_us
@@ -180,17 +169,9 @@ def _make_shard(job: _Job) -> int:
     height, width = job.images.shape[1:]
     for i, image in enumerate(job.images):
         rng = np.random.default_rng((job.seed, job.motion.index, job.first + i))
-        trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.sensor)
+        trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.settings["sensor"])
         flow[i] = np.stack(trajectory.flow(times_us), axis=1)
-        events = simulate_digit(
-            image,
-            rng,
-            trajectory=trajectory,
-            scene=job.scene,
-            pixels=job.pixels,
-            sensor=job.sensor,
-            frame_us=job.frame_us,
-        )
+        events = simulate_digit(image, rng, trajectory=trajectory, **job.settings)
         # The last half microsecond is rounded up to `duration_us`, where the next window begins.
         recordings.append(events[events["t"] < duration_us])
     write_shard(
@@ -200,7 +181,7 @@ def _make_shard(job: _Job) -> int:
         image=job.first + np.arange(len(job.images)),
         flow=flow,
         flow_times_us=times_us,
-        sensor=job.sensor,
+        sensor=job.settings["sensor"],
         duration_us=duration_us,
         metadata=job.metadata,
     )

@@ -17,9 +17,9 @@ from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
-from async_tnt.training.checkpoint import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.evaluation import class_probabilities, confusion_by_recording, share_right
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
+from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import CLASSES, Windows
 

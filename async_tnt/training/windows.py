@@ -55,10 +55,7 @@ class Recordings:
 
     @classmethod
     def from_events(
-        cls,
-        events: Iterable[np.ndarray],
-        labels: Sequence[int] | np.ndarray,
-        names: Sequence[str] | None = None,
+        cls, events: Iterable[np.ndarray], labels: Sequence[int] | np.ndarray, names: Sequence[str] | None = None
     ) -> Recordings:
         """From structured arrays with fields t, x, y, p.
 
