@@ -41,30 +41,26 @@ TITLES = {
 
 
 def main(args: argparse.Namespace) -> int:
-    """Train as `args` say. Returns the exit code: 0, 2 for bad usage or input, 130 when interrupted."""
+    """Run `async-tnt train`. Returns the exit code: 0, or 130 when interrupted."""
     try:
         import torch
         from tnt_reference import Classifier  # noqa: F401
     except ImportError as error:
-        complain(f"training needs torch ({error}); install it with: pip install '.[train]'")
-        return 2
+        raise ImportError(f"training needs torch ({error}); install it with: pip install '.[train]'") from None
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
     run_folder = args.run_folder or Path("runs") / args.out.stem
+    check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
+    for suffix in (NUMBERS, *PICTURES) if args.dataset is not None else ():
+        check_writable(args.out.with_suffix(suffix))
+    check_folder(run_folder, RUN_FILES)
+    check_options(args)
+    if args.threads is not None:
+        torch.set_num_threads(args.threads)
     try:
-        check_writable(args.out, (".safetensors",))  # q.pt beside q.safetensors would share its run folder, its q.json
-        for suffix in (NUMBERS, *PICTURES) if args.dataset is not None else ():
-            check_writable(args.out.with_suffix(suffix))
-        check_folder(run_folder, RUN_FILES)
-        check_options(args)
-        if args.threads is not None:
-            torch.set_num_threads(args.threads)
         return _train(args, run_folder)
     except KeyboardInterrupt:
         complain(f"interrupted; the finished epochs are kept in {run_folder}. Give the same command again to resume.")
         return 130
-    except (ValueError, TypeError, OSError) as error:
-        complain(error)
-        return 2
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
@@ -135,7 +131,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
             write_text(written[-1], json.dumps(numbers, indent=1))
         return written
 
-    written = save()  # and again with the accuracy on Test, which may take long
+    written = save()  # before Test, which may take long; once more with its accuracy
     if args.dataset is not None:
         written += _draw(args.out, scores, result.history)
     if data.tests:
@@ -143,14 +139,14 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         for name, (windows, record) in data.tests.items():
             summary[name] = {**evaluate(pipeline, windows, times_ms=times_ms).to_dict(), **record}
         save()
-    for line in data.left_out:  # again: hours may lie between
+    for line in data.left_out:  # once more: the first time may be hours ago
         print(f"left out: {line}", file=sys.stderr)
     _print_summary(summary, args, written)
     return 0
 
 
 def _config(args: argparse.Namespace) -> TNTConfig:
-    """The volume as the options say; its sensor is the recordings'."""
+    """The volume that the options describe; its sensor is replaced by that of the recordings."""
     names = ("bins", "t_max", "landmark", "polarity", "transform", "remove_flow")
     config = TNTConfig(**{name: getattr(args, name) for name in names})
     grid = parse_size(args.grid) if args.grid else config.grid
@@ -160,7 +156,7 @@ def _config(args: argparse.Namespace) -> TNTConfig:
 def _read_dataset(
     args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
 ) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
-    """DATASET, how to train on it, and what `check_run` compares; another run's folder is refused before it is read."""
+    """DATASET, how to train on it, and what `check_run` compares; checks the run folder before reading the data."""
     if args.test and not (args.dataset / "Test").is_dir():
         raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
     pixels = pixels_of(args, start)
@@ -277,7 +273,7 @@ def _draw(out: Path, scores: Scores | None, history: list[dict[str, float]]) -> 
 
 
 def _command(args: argparse.Namespace) -> str:
-    """The command as it was given, without paths; that there was a mask is kept, as it decides what is learned."""
+    """The command as given, without paths; but --mask is kept, as it decides what is learned."""
     words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged"))
     return words if args.mask is None else f"{words} --mask MASK"
 

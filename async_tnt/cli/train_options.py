@@ -154,7 +154,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--patience",
         type=int,
         metavar="N",
-        help="stop when the validation loss has not fallen for so many epochs; 0: never (default: 0; with DATASET a "
+        help="stop when the validation loss has not fallen for this many epochs; 0: never (default: 0; with DATASET a "
         "fifth of the epochs)",
     )
     learning.add_argument(
@@ -257,11 +257,11 @@ def check_options(args: argparse.Namespace) -> None:
 
 
 def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
-    """Which pixels of DATASET to train on; the sensor of `start`, the model to continue from, is that of its events.
+    """Which pixels of DATASET to train on. With `start`, a model to continue from, the sensor is that model's.
 
     Raises
     ------
-    ValueError, OSError : as for `selection_of`, or a region or sensor that is not the one of `start`.
+    ValueError, OSError : as for `selection_of`; or a region or sensor that differs from that of `start`.
     """
     pixels = selection_of(args)
     if pixels.region is not None and min(pixels.region) < 2:
@@ -276,7 +276,7 @@ def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
     if pixels.crop:
         return pixels
     if pixels.sensor not in (None, sensor):
-        raise ValueError(f"--sensor must be the one of --start-from, {by(sensor)}, got {by(pixels.sensor)}")
+        raise ValueError(f"--sensor must be that of --start-from, {by(sensor)}, got {by(pixels.sensor)}")
     if pixels.mask is not None:
         pixels.mask.pixels(sensor)  # refuses a mask of another sensor
     return replace(pixels, sensor=sensor)

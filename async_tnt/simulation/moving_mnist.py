@@ -67,7 +67,7 @@ def build(
     Parameters
     ----------
     mnist_folder : folder with MNIST's IDX files. out_folder : made if missing.
-    split : "train" or "test". digits : the first so many images; all by default.
+    split : "train" or "test". digits : how many images, from the first on; all by default.
     kind : of motion: "constant" (30 motions), "bell" (30) or "nmnist" (1).
     workers : processes; one per core by default. A script with more than one needs `if __name__ == "__main__":`.
     scene, pixels, frame_us, sensor : as in `simulate_digit`.

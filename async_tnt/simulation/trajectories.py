@@ -165,8 +165,8 @@ def nmnist_saccades(rng: np.random.Generator | None = None) -> Saccades:
     a sum of bell-shaped movements, fitted to the flow measured in 200 of N-MNIST's first 1,000 training
     recordings: per 4 ms, the signed event counts of all of them regressed on the gradient of the log image
     that each one shows, at the displacement that explains most of the counts (about two thirds of their
-    variance in mid-saccade). Velocity and position are thereby measured apart from each other; the integral
-    of the one agrees with the other within 0.12 px (standard deviation).
+    variance in mid-saccade). Velocity and position are thus measured independently; the integral of the one
+    agrees with the other within 0.12 px (standard deviation).
 
     Parameters
     ----------

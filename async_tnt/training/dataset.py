@@ -55,7 +55,7 @@ def read_dataset(
     classes: tuple[str, ...] | None = None,
     progress: Callable[..., Bar] = no_progress,
 ) -> Dataset:
-    """Read `<folder>/<class>/<recording>`, or `<folder>/<part>/<class>/<recording>` where there is such a folder.
+    """Read `<folder>/<class>/<recording>`, or `<folder>/<part>/<class>/<recording>` if that folder exists.
 
     The recordings state their sensor and agree, or `pixels.sensor` gives it to those that do not state one. Recordings
     that cannot be read, have no events, or have an event off the sensor are left out. So are events older than their
@@ -150,10 +150,10 @@ class _Recording:
     Parameters
     ----------
     label : index of its class.
-    events : None where it is left out.
-    sensor : (width, height) as the file states; None where it does not.
+    events : None if it is left out.
+    sensor : (width, height) as the file states it, or None.
     fingerprint : of its events before any is removed.
-    left_out : why it is left out; "" where it is not.
+    left_out : why it is left out, or "".
     n_outside, n_masked : events removed outside of the region, and at masked pixels.
     """
 
@@ -244,7 +244,7 @@ def fingerprint(events: np.ndarray) -> bytes:
 
 
 def _filter(pixels: PixelSelection, sensor: Sensor) -> PixelFilter | None:
-    """The filter of these pixels; None where it would keep all."""
+    """The filter that keeps these pixels; None if it would keep all."""
     if not pixels.leaves_out:
         return None
     mask = None if pixels.mask is None else pixels.mask.pixels(sensor)
@@ -281,7 +281,7 @@ def _leave_out_copies(recordings: Iterable[_Recording]) -> None:
         twin = recorded.setdefault(one.fingerprint, one)
         if twin.label != one.label:
             raise ValueError(
-                f"{twin.name} and {one.name} hold the same events, but are of two classes; remove the wrong one"
+                f"{twin.name} and {one.name} hold the same events but are in two classes; remove the wrong one"
             )
         twin = seen.setdefault((one.label, fingerprint(one.events)), one)
         if twin is not one:

@@ -35,7 +35,7 @@ def read_nmnist_folder(
     ----------
     folder : the folder that holds the digits' folders, such as N-MNIST's Train.
     skip_damaged : leave damaged files out, with a warning each, instead of raising an error.
-    per_digit : read only the first so many recordings of each digit, by name.
+    per_digit : read only the first `per_digit` recordings of each digit, by name.
 
     Raises
     ------

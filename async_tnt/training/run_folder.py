@@ -41,7 +41,7 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
 
 
 def load_checkpoint(run_folder: Path, identity: str) -> dict[str, Any] | None:
-    """The state that `save_checkpoint` wrote into the folder; None where there is none yet.
+    """The state that `save_checkpoint` wrote into the folder; None if there is none yet.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def identity_of(
     start: Model | None,
     classes: tuple[str, ...],
 ) -> str:
-    """All that decides the weights, as JSON: a checkpoint is used only where it is the same."""
+    """Everything that decides the weights, as JSON: training resumes from a checkpoint only if it is the same."""
     data = zlib.crc32(training.recordings.offsets.tobytes())
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):
@@ -89,17 +89,17 @@ def identity_of(
 def check_run(
     run_folder: Path, config: Mapping[str, Any], settings: Mapping[str, Any], sources: Mapping[str, Any] | None = None
 ) -> None:
-    """Refuse a folder that holds another run than the one to be started, before any data is read.
+    """Refuse a folder that holds a run other than the one to be started, before any data is read.
 
     Parameters
     ----------
-    config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known yet.
-    sources : as given to `train`. `pixels`: of `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of
-        those that were not left out, unknown yet; `validation`: the share held out.
+    config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known so far.
+    sources : as given to `train`. `pixels`: `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of
+        those that were not left out, not known yet; `validation`: the share held out.
 
     Raises
     ------
-    ValueError : names what differs. Or the checkpoint is damaged, or of another release.
+    ValueError : it does, and what differs; or the checkpoint is damaged, or of another release.
     """
     state = _read(run_folder / CHECKPOINT)
     if state is None:
@@ -141,7 +141,7 @@ def other_run(run_folder: Path, what: str) -> ValueError:
 
 
 def _flat(identity: dict[str, Any]) -> dict[str, Any]:
-    """Name -> value, without the levels `config` and `settings`."""
+    """Name -> value, with those in `config` and `settings` at the top level."""
     return {**identity.pop("config"), **identity.pop("settings"), **identity}
 
 

@@ -41,13 +41,13 @@ class RealData:
 
 @dataclass(frozen=True)
 class RealFolder:
-    """Where N-MNIST lies, and how much of it is used.
+    """Where N-MNIST is, and how much of it is used.
 
     Parameters
     ----------
     folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
     validation : share of the training recordings that is held out.
-    per_digit : only the first so many recordings of each digit in each folder; None for all.
+    per_digit : only the first `per_digit` recordings of each digit in each folder; None for all.
     skip_damaged : leave damaged recordings out, with a warning each, instead of stopping.
     """
 

@@ -46,7 +46,7 @@ class Run:
 def run_networks(
     runs: list[Run], real: RealFolder, simulated: Path, settings: TrainSettings, folder: Path, workers: int
 ) -> list[dict[str, Any]]:
-    """`run_network` for each of `runs`, in so many processes of one thread each; with one worker, in this process.
+    """`run_network` for each of `runs`, in `workers` processes of one thread each; with one worker, in this process.
 
     Raises
     ------

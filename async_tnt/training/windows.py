@@ -109,8 +109,7 @@ def split_recordings(
     Parameters
     ----------
     fraction : the share, rounded to whole recordings of each class.
-    at_least : hold out at least so many of each class, as far as one is left to train on; no effect with a fraction
-        of 0.
+    at_least : hold out at least this many of each class, but leave one to train on; no effect with a fraction of 0.
 
     Returns
     -------

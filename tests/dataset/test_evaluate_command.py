@@ -8,29 +8,9 @@ from dataset.gestures import bar, write, write_set
 from made import random_model
 
 from async_tnt import Model, Processor, TNTConfig
-from async_tnt.archive.records import moments
 from async_tnt.cli import evaluate
 from async_tnt.sources.files.recording import open_recording
 
-KEYS = {
-    "accuracy",
-    "window_accuracy",
-    "balanced_accuracy",
-    "recordings",
-    "windows",
-    "classes",
-    "per_class",
-    "confusion",
-    "window_confusion",
-    "accuracy_against_time",
-    "decisions",
-    "events",
-    "late",
-    "seconds",
-    "decisions_per_second",
-    "events_per_second",
-    "skipped",
-}
 CLASSES = ("flat", "slanted", "upright")
 
 
@@ -86,7 +66,7 @@ def count_by_hand(model, dataset):
 def test_the_numbers_are_those_of_an_independent_count(model, saved, dataset, program):
     code, printed, err = program("evaluate", saved, dataset, "--json")
     report = json.loads(printed)
-    assert code == 0 and err == "" and set(report) == KEYS and report["classes"] == list(CLASSES)
+    assert code == 0 and err == "" and report["classes"] == list(CLASSES)
     by_recording, by_window, right, decided = count_by_hand(model, dataset)
     assert len(np.unique(by_window.argmax(1))) > 1 or (by_window > 0).sum() > 3  # decisions vary
     np.testing.assert_array_equal(report["confusion"], by_recording)
@@ -134,13 +114,6 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
     assert program("evaluate", saved, folder, "--strict")[0] == 2
 
 
-def test_the_folder_test_is_used_where_there_is_one(saved, tmp_path, program):
-    write_set(tmp_path / "set" / "Train", {"upright": 3, "flat": 3})
-    write_set(tmp_path / "set" / "Test", {"upright": 2}, seed=1)
-    code, printed, _ = program("evaluate", saved, tmp_path / "set", "--json")
-    assert code == 0 and json.loads(printed)["recordings"] == 2
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -170,10 +143,3 @@ def test_a_picture_without_matplotlib_is_refused_before_the_work(saved, dataset,
     monkeypatch.setattr(evaluate, "stream_archive", lambda *words: pytest.fail("it began to stream"))
     code, _, err = program("evaluate", saved, dataset, "--picture", tmp_path / "c.png")
     assert code == 2 and "pip install '.[plot]'" in err
-
-
-@pytest.mark.parametrize("window_us", [1, 7, 10, 105_003])
-def test_moments_are_ten_and_the_last_is_the_windows_end(window_us):
-    found = moments(window_us)
-    assert len(found) == 10 and found[-1] == window_us
-    assert window_us < 10 or all(np.diff(found) > 0)

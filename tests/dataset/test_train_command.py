@@ -116,7 +116,7 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
         (("DATASET", "--patience", "-1"), "`patience` must be at least 1, got -1"),
         (("DATASET", "--batch", "0"), "`batch` must be at least 1, got 0"),
         (("DATASET", "--out", "q.pt"), "--out must end in .safetensors, got q.pt"),
-        (("DATASET", "--start-from", "MODEL", "--sensor", "70x70"), "must be the one of --start-from, 128x128, got 70"),
+        (("DATASET", "--start-from", "MODEL", "--sensor", "70x70"), "must be that of --start-from, 128x128, got 70"),
         (("DATASET", "--start-from", "MODEL", "--grid", "8x8"), "must come without --start-from: the volume is that"),
         (("OTHER", "--start-from", "MODEL"), "unknown class slanted; known are flat, upright"),
         (("OTHER", "--test"), "--test needs a folder Test"),
@@ -130,14 +130,6 @@ def test_errors_are_one_line(words, message, gestures, trained, program, tmp_pat
     code, _, err = program("train", *(known.get(word, word) for word in words))
     assert code == 2 and message in err.splitlines()[-1] and err.count("async-tnt: ") == 1, err
     assert not (tmp_path / "model.safetensors").exists() and not (tmp_path / "runs").exists()
-
-
-@pytest.mark.parametrize("size", ["128", "0x5"])
-def test_a_size_is_two_numbers(size, program, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        program("train", "set", "--sensor", size)
-    err = capsys.readouterr().err
-    assert stopped.value.code == 2 and "--sensor: must be WIDTHxHEIGHT" in err and f"got {size!r}" in err
 
 
 def test_ctrl_c_keeps_the_finished_epochs(gestures, train, monkeypatch):

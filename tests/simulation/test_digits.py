@@ -34,14 +34,6 @@ def test_events_follow_the_stated_flow():
     assert start == pytest.approx(motion.start[0] + 13.5, abs=0.5)  # columns 12-15
 
 
-def test_finer_frames_change_little():
-    coarse, fine = (
-        simulate_digit(BAR, np.random.default_rng(0), frame_us=frame_us, pixels=PixelModel(noise_hz=0))
-        for frame_us in (1_000, 100)
-    )
-    assert len(coarse) == pytest.approx(len(fine), rel=0.02)
-
-
 def test_other_sensors_and_image_sizes():
     rng = np.random.default_rng(0)
     events = simulate_digit(np.ones((5, 60)), rng, trajectory=ConstantVelocity((0.0, 100.0)), sensor=(64, 20))

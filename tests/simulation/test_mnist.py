@@ -62,8 +62,7 @@ def write_folder(folder, images=None, labels=None, suffix=".gz"):
     return folder
 
 
-@pytest.mark.parametrize("suffix", [".gz", ""])
-@pytest.mark.parametrize("split", ["train", "test"])
+@pytest.mark.parametrize(("split", "suffix"), [("train", ".gz"), ("test", "")])
 def test_a_folder_gzipped_or_not(tmp_path, suffix, split):
     images, labels = load_mnist(write_folder(tmp_path, suffix=suffix), split)
     assert images.shape == (3, 28, 28) and images.dtype == labels.dtype == np.uint8

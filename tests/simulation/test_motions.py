@@ -34,13 +34,6 @@ def test_constant_velocity_by_hand():
     np.testing.assert_allclose((dx, dy), [[3.0, 4.0, 8.0], [4.0, 3.5, 1.5]])
 
 
-@pytest.mark.parametrize(("angle", "direction"), [(0, (1, 0)), (90, (0, 1)), (180, (-1, 0)), (270, (0, -1))])
-def test_towards_an_angle_passes_the_centre_at_half_time(angle, direction):
-    motion = ConstantVelocity.towards(angle, 50.0, centre=(3.0, 2.0), duration_us=100_000)
-    np.testing.assert_allclose(motion.position(50_000), (3.0, 2.0))
-    np.testing.assert_allclose(motion.flow(0), 50.0 * np.array(direction), atol=1e-12)
-
-
 def test_saccade_by_hand():
     # s(1/4) = 10/64 - 15/256 + 6/1024 = 0.103515625; peak speed 15/8 of the mean, halfway
     saccade = Saccade(10_000, 40_000, 1.0, 0.0)

@@ -122,7 +122,6 @@ def with_value(index, value):
         ("offsets", with_value(0, 1), "`offsets` must rise from 0 to 17"),
         ("offsets", with_value(4, 16), "`offsets` must rise from 0 to 17"),
         ("offsets", with_value(2, 4), "`offsets` must rise from 0 to 17"),
-        ("offsets", lambda offsets: offsets[:-1], r"`offsets` must have shape \(5,\), got \(4,\)"),
         ("labels", lambda labels: labels[:, None], r"`labels` must have shape \(4,\), got \(4, 1\)"),
         ("image", with_value(3, -1), r"`image` must be in \[0, 2147483648\), got -1 at 3"),
         ("flow", lambda flow: flow[:, 0], r"`flow` must have shape \(4, 1, 2\), got \(4, 2\)"),
@@ -143,12 +142,10 @@ def test_columns_that_break_a_rule_are_not_read(tmp_path, name, change, message)
     ("metadata", "message"),
     [
         (None, "no `shard` in its metadata"),
-        ("{", "its metadata is not JSON"),
         ("[" * 100_000, "its metadata is not JSON"),
         ("[]", "must have the format 'async_tnt.shard'"),
         ('{"format": "async_tnt.shard", "version": 2}', "reads version 1 of the format, got 2"),
         ('{"format": "async_tnt.shard", "version": 1, "sensor": [34, true]}', "`sensor` must be a width and a height"),
-        ('{"format": "async_tnt.shard", "version": 1, "sensor": [3, 4], "duration_us": 1e3}', "must be a whole number"),
     ],
 )
 def test_metadata_that_breaks_a_rule_is_not_read(tmp_path, metadata, message):

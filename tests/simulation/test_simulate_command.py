@@ -50,25 +50,16 @@ def test_a_small_set_with_everything(simulate, program, tmp_path):
     assert program("run", binary / "036deg-5px" / "0" / "00001.bin")[0] == 0
 
 
-def test_json_is_one_object(simulate, tmp_path):
-    code, printed, _ = simulate("--digits", 2, "--json", "--motions", "bell", "--split", "train", "--seed", 4)
-    answer = json.loads(printed)
-    assert code == 0
-    assert answer["recordings"] == 60 and answer["shards"] == 30 and answer["motions"] == "bell"
-    assert answer["bytes"] == sum(path.stat().st_size for path in (tmp_path / "set").glob("*.safetensors"))
-    assert set(answer["statistics"]) == {"simulated", "this set"}
-    assert answer["statistics"]["this set"][ALONG] < -2  # ON events trail
-    parameters = open_set(tmp_path / "set").parameters
-    assert (parameters["seed"], parameters["split"], parameters["kind"]) == (4, "train", "bell")
-
-
 def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(simulate, mnist, tmp_path):
     """Simulations in N-MNIST's layout stand for N-MNIST: numbered from 1 under Test, as officially."""
     nmnist, out = tmp_path / "nmnist", tmp_path / "moving"
     assert simulate("--digits", 8, "--motions", "nmnist", "--bin", nmnist)[0] == 0
     (nmnist / "nmnist").rename(nmnist / "Test")
-    code, printed, _ = simulate("--digits", 8, "--out", out, "--nmnist", nmnist, "--json")
-    columns = json.loads(printed)["statistics"]
+    code, printed, _ = simulate("--digits", 8, "--out", out, "--motions", "bell", "--nmnist", nmnist, "--json")
+    answer = json.loads(printed)
+    assert (answer["recordings"], answer["shards"], answer["motions"]) == (240, 30, "bell")
+    assert answer["bytes"] == sum(path.stat().st_size for path in out.glob("*.safetensors"))
+    columns = answer["statistics"]
     assert code == 0 and list(columns) == ["N-MNIST", "simulated", "this set"]
     for name in ("events per saccade", "active pixels", "ON share", ALONG):
         assert columns["simulated"][name] == pytest.approx(columns["N-MNIST"][name], rel=0.1)  # another seed
@@ -82,19 +73,16 @@ def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(simul
 
     one = sorted((nmnist / "Train").glob("*/*.bin"))[0]
     one.rename(one.with_name("60024.bin"))  # shows another digit
-    code, _, err = simulate("--digits", 8, "--out", out, "--nmnist", nmnist)
+    code, _, err = simulate("--digits", 8, "--out", out, "--motions", "bell", "--nmnist", nmnist)
     assert code == 2 and "60024.bin: MNIST's test image 24, which it should show, is another digit" in err
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--split", "val"], "--split"),
         (["--motions", "circles"], "--motions"),
         (["--digits", "0"], "must be at least 1, got 0"),
-        (["--digits", "some"], "must be a whole number, got 'some'"),
         (["--seed", "-1"], "must be a whole number of at least 0|expected one argument"),
-        (["--mnist"], "expected one argument"),
     ],
 )
 def test_wrong_options_exit_with_2(simulate, tmp_path, options, message, capsys):
@@ -128,11 +116,6 @@ def test_errors_are_one_line_and_exit_code_2(simulate, mnist, tmp_path, monkeypa
     code, printed, err = simulate(*options)
     assert code == 2 and printed == "" and err.startswith("async-tnt: ") and err.count("\n") == 1
     assert message in err and not (tmp_path / "set").exists()
-
-
-def test_without_data_the_message_names_the_option(program, tmp_path):
-    code, _, err = program("simulate", "--out", tmp_path / "set")
-    assert code == 2 and "no data: give --mnist FOLDER, or set TNT_DATA" in err
 
 
 def descendants(pid):

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.simulation.comparison import compare
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
-from async_tnt.simulation.moving_mnist import build
 from async_tnt.simulation.statistics import describe, side_by_side
 from async_tnt.sources.files.nmnist import read_nmnist
 
@@ -64,36 +62,12 @@ def test_centroids_along_and_across_the_motion_by_hand():
 
 @pytest.mark.parametrize("nothing", [[], BY_HAND[:0], [BY_HAND[:0]]])
 def test_nothing_to_measure_is_nan_without_a_warning(nothing):
-    numbers = describe(nothing)
-    assert np.isnan(numbers["ON share"]) and np.isnan(numbers["same-pixel interval, median"])
-
-
-def test_the_table_has_a_row_per_number_and_a_column_per_description():
-    table = side_by_side({"real": {"ON share": 49.8, "active pixels": 26.0}, "simulated": {"ON share": 49.126}})
-    head, on_share, active = table.splitlines()
-    assert head.split() == ["real", "simulated"]
-    assert on_share.split()[-2:] == ["49.80", "49.13"] and "[%]" in on_share
-    assert active.split()[-2:] == ["26.00", "-"]
-
-
-def test_sets_are_like_the_real_recordings(data, real_mnist, tmp_path):
-    made = build(real_mnist, tmp_path, digits=20, kind="bell", workers=1)
-    columns = compare(made, real_mnist, data / "nmnist", n_recordings=60)
-    real, simulated, moving = columns["N-MNIST"], columns["simulated"], columns["this set"]
-    for name in ("events per saccade", "active pixels", "events per active pixel", "ON share"):
-        assert simulated[name] == pytest.approx(real[name], rel=0.12)
-        assert moving[name] == pytest.approx(real[name], rel=0.25)
-    for column in (simulated, moving):
-        for way, margin in (("along", 0.6), ("across", 0.4)):
-            name = f"ON - OFF centroid, {way} the motion"
-            assert column[name] == pytest.approx(real[name], abs=margin)
+    assert np.isnan(describe(nothing)["ON share"])
 
 
 def test_simulations_are_like_the_real_recordings_of_the_same_images(data, real_mnist):
     """Of N-MNIST's first 60: the same pixels, polarity and saccade, and far more so than of another image."""
     paths = sorted((data / "nmnist" / "Train").glob("*/00*.bin"), key=lambda path: path.stem)[:60]
-    if not paths:
-        pytest.skip(f"no recordings of N-MNIST's Train in {data}")
     images, _ = load_mnist(real_mnist, "train")
     real = [read_nmnist(path) for path in paths]
     simulated = [simulate_digit(images[int(path.stem) - 1], np.random.default_rng(i)) for i, path in enumerate(paths)]

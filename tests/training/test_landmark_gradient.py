@@ -41,7 +41,7 @@ def reference_settings(config):
         {"polarity": "split"},
         {"polarity": "unsigned", "t_max": 8.0},
         {"sensor": (64, 40), "bins": 1},
-        {"grid": (20, 28), "bins": 5},
+        {"grid": (20, 28)},
     ],
     ids=str,
 )

@@ -88,15 +88,13 @@ def test_damaged_recordings_of_the_default_folder_are_refused_or_left_out(nmnist
         (["--smoke", "--out", "m.pt"], "--out must end in .safetensors, got m.pt"),
         (["--nmnist", "nowhere"], "no folder nowhere; give --nmnist FOLDER"),
         (["--nmnist", "."], "no folder Train in .; --nmnist must be the folder with N-MNIST's Train/<digit>/*.bin"),
-        (["--smoke", "--t-max", "-1"], "`t_max` must be in"),
         (["--smoke", "--remove-flow"], '`remove_flow` needs landmark="line"'),
         (["--smoke", "--epochs", "0"], "`epochs` must be at least 1, got 0"),
         (["--smoke", "--out", "nowhere/m.safetensors"], "no folder nowhere to write m.safetensors to"),
         (["--smoke", "--test"], "--test must come without --smoke"),
         (["--smoke", "--start-from", "nowhere"], "no model file"),
         (["--smoke", "--grid", "20x20"], "--grid must come with DATASET"),
-        (["--smoke", "--roi", "0,0,3,3"], "--roi must come with DATASET"),
-        (["--smoke", "--mask", "hot.npy"], "--mask must come with DATASET"),
+        (["--smoke", "--roi", "0,0,3,3", "--mask", "hot.npy"], "--roi, --mask must come with DATASET"),
     ],
 )
 def test_errors_are_one_line_and_exit_code_2(words, message, tmp_path, monkeypatch, program):
