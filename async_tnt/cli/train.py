@@ -9,11 +9,9 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
-
-import numba
-import numpy as np
 
 from async_tnt.archive.scores import Scores
 from async_tnt.cli.data_options import command_words, data_folder
@@ -102,7 +100,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         "epochs": n_trained,
         "iterations": int(result.history[-1]["iterations"]),
         "kept": f"epoch {result.best_epoch if keep == 'best' else n_trained}",
-        "versions": _versions(),
+        "versions": {"python": platform.python_version()}
+        | {name: version(name) for name in ("numpy", "numba", "torch")},
     }
     if start is not None:
         names = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
@@ -221,11 +220,6 @@ def _read_digits(
         return sample_data(config), settings, {}
     alternative = "DATASET, a folder with a folder of recordings for each class, or "
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist", alternative=alternative)
-    for name in ("Train", "Test") if args.test else ("Train",):
-        if not (nmnist / name).is_dir():
-            raise FileNotFoundError(
-                f"no folder {name} in {nmnist}; --nmnist must be the folder with N-MNIST's {name}/<digit>/*.bin"
-            )
     data = nmnist_data(
         nmnist,
         config,
@@ -276,17 +270,6 @@ def _command(args: argparse.Namespace) -> str:
     """The command as given, without paths; but --mask is kept, as it decides what is learned."""
     words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged"))
     return words if args.mask is None else f"{words} --mask MASK"
-
-
-def _versions() -> dict[str, str]:
-    import torch
-
-    return {
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "torch": torch.__version__,
-    }
 
 
 def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: list[Path]) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import itertools
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.simulation.motions import NMNIST_SENSOR, Motion, motions_of
 from async_tnt.simulation.scene import Scene
-from async_tnt.simulation.set_manifest import MovingMnist, other_parameters, read_manifest, write_manifest
+from async_tnt.simulation.set_manifest import MovingMnist, other_parameters, read_manifest, shard_names, write_manifest
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
 
@@ -105,10 +106,11 @@ def build(
         "recordings_per_shard": int(recordings_per_shard),
         "mnist_sha256": hashlib.sha256(images.tobytes() + labels.tobytes()).hexdigest(),
     }
-    folder = Path(out_folder)
+    folder, firsts = Path(out_folder), range(0, len(images), recordings_per_shard)
+    names = shard_names(moving, len(images), recordings_per_shard)
     jobs = [
         _Job(
-            folder / f"{motion.name}_{first:05}.safetensors",
+            folder / name,
             motion,
             first,
             images[first : first + recordings_per_shard],
@@ -117,8 +119,7 @@ def build(
             {"scene": scene, "pixels": pixels, "frame_us": frame_us, "sensor": sensor},
             {"motion": dataclasses.asdict(motion), **shared},
         )
-        for motion in moving
-        for first in range(0, len(images), recordings_per_shard)
+        for name, (motion, first) in zip(names, itertools.product(moving, firsts), strict=True)
     ]
     made = MovingMnist(folder, tuple(job.path for job in jobs), moving, parameters)
     folder.mkdir(parents=True, exist_ok=True)

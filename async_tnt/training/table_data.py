@@ -65,11 +65,6 @@ class RealFolder:
         FileNotFoundError : a folder is missing.
         ValueError : a damaged file; the message names it.
         """
-        for name in ("Train", "Test"):
-            if not (self.folder / name).is_dir():
-                raise FileNotFoundError(
-                    f"no folder {name} in {self.folder}; expected N-MNIST's Train/<digit>/*.bin and Test/<digit>/*.bin"
-                )
         train, test = (
             read_nmnist_folder(self.folder / name, per_digit=self.per_digit, skip_damaged=self.skip_damaged)
             for name in ("Train", "Test")

@@ -158,7 +158,7 @@ def test_smoke_makes_its_own_motions_in_two_processes(nmnist, mnist, tmp_path, p
     [
         ([], "no data: give --nmnist FOLDER"),
         (["--nmnist", "nowhere"], "no folder nowhere; give --nmnist FOLDER"),
-        (["--nmnist", "."], "no folder Train in ."),
+        (["--nmnist", "."], "no folder Train; expected N-MNIST's layout"),
         (["--nmnist", "N-MNIST", "--simulated", "."], "no set.json in it"),
         (["--nmnist", "N-MNIST"], "no data: give --mnist FOLDER"),
         (["--nmnist", "damaged"], "00.bin: damaged N-MNIST recording"),

@@ -87,7 +87,7 @@ def test_damaged_recordings_of_the_default_folder_are_refused_or_left_out(nmnist
         ([], "no data: give DATASET, a folder with a folder of recordings for each class, or --nmnist FOLDER, or set"),
         (["--smoke", "--out", "m.pt"], "--out must end in .safetensors, got m.pt"),
         (["--nmnist", "nowhere"], "no folder nowhere; give --nmnist FOLDER"),
-        (["--nmnist", "."], "no folder Train in .; --nmnist must be the folder with N-MNIST's Train/<digit>/*.bin"),
+        (["--nmnist", "."], "no folder Train; expected N-MNIST's layout, Train/<digit>/*.bin and Test/<digit>/*.bin"),
         (["--smoke", "--remove-flow"], '`remove_flow` needs landmark="line"'),
         (["--smoke", "--epochs", "0"], "`epochs` must be at least 1, got 0"),
         (["--smoke", "--out", "nowhere/m.safetensors"], "no folder nowhere to write m.safetensors to"),
