@@ -24,16 +24,7 @@ def add_precision(parser: argparse._ActionsContainer) -> None:
 
 
 def data_folder(given: Path | None, name: str, option: str, *, alternative: str = "") -> Path:
-    """A data folder: as given, or `name` in $TNT_DATA.
-
-    Parameters
-    ----------
-    alternative : another argument that would do, named first in the error.
-
-    Raises
-    ------
-    FileNotFoundError : neither, or no such folder.
-    """
+    """A data folder: as given, or `name` in $TNT_DATA. An error names `option`, after an `alternative` to it."""
     folder = given
     if folder is None:
         root = os.environ.get("TNT_DATA")

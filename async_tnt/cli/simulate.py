@@ -134,13 +134,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def export(made: MovingMnist, folder: Path) -> None:
-    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index + 1.
-
-    Raises
-    ------
-    ValueError : a sensor or duration that N-MNIST's format cannot hold.
-    OSError : the folder cannot be written.
-    """
+    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index + 1."""
     with progress(len(made), "exporting") as bar:
         for shard in made:
             motion = folder / shard.metadata["motion"]["name"]

@@ -232,12 +232,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def check_options(args: argparse.Namespace) -> None:
-    """Refuse options that do not go together.
-
-    Raises
-    ------
-    ValueError : names them.
-    """
+    """Refuse options that do not go together, by a ValueError that names them."""
     if args.dataset is None:
         names = ("sensor", "grid", "window_us", "roi", "crop", "mask")
         given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]
@@ -257,12 +252,7 @@ def check_options(args: argparse.Namespace) -> None:
 
 
 def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
-    """Which pixels of DATASET to train on. With `start`, a model to continue from, the sensor is that model's.
-
-    Raises
-    ------
-    ValueError, OSError : as for `selection_of`; or a region or sensor that differs from that of `start`.
-    """
+    """Which pixels of DATASET to train on; refuses others than those of `start`, a model to continue from."""
     pixels = selection_of(args)
     if pixels.region is not None and min(pixels.region) < 2:
         raise ValueError(

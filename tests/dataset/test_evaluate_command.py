@@ -36,7 +36,8 @@ def dataset(tmp_path_factory):
             events = bar(name, k, duration_us=(20_000, 100_000, 200_000)[k % 3], start_us=10**12 * (k % 2))
             if k == 1:
                 events["t"][700:] += 1_000_000
-            write(folder / name / f"{k}{('.npz', '.npy')[k % 2]}", events)
+            write(folder / "Test" / name / f"{k}{('.npz', '.npy')[k % 2]}", events)
+    write(folder / "Train" / "flat" / "0.npy", bar("flat", 9))  # which is not evaluated
     return folder
 
 
@@ -44,7 +45,7 @@ def count_by_hand(model, dataset):
     """Every number from plain decisions: a Processor for each window of each recording, and no triggers."""
     by_recording, by_window = np.zeros((3, 3), int), np.zeros((3, 3), int)
     right, decided = np.zeros(10), np.zeros(10)
-    for path in sorted(dataset.glob("*/*")):
+    for path in sorted(dataset.glob("Test/*/*")):
         events = open_recording(path).read()
         since = events["t"] - events["t"][0]
         label, total = CLASSES.index(path.parent.name), np.zeros(3)
@@ -84,8 +85,10 @@ def test_the_numbers_are_those_of_an_independent_count(model, saved, dataset, pr
     assert report["decisions_per_second"] == pytest.approx(report["decisions"] / report["seconds"])
 
 
-def test_the_text_names_classes_and_times(saved, dataset, program):
-    code, printed, _ = program("evaluate", saved, dataset)
+def test_the_text_names_classes_and_times_and_the_picture_is_drawn(saved, dataset, program, tmp_path):
+    pytest.importorskip("matplotlib", reason="--picture needs matplotlib (extra `plot`)")
+    code, printed, _ = program("evaluate", saved, dataset, "--picture", tmp_path / "c.png")
+    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
     assert code == 0 and "of 11 recordings right" in printed
     for line in ("flat ", "slanted ", "upright ", "6 ", "60 "):
         assert any(row.startswith(line) for row in printed.splitlines()), line
