@@ -12,12 +12,12 @@ from async_tnt.simulation.simulator import PixelModel, simulate, simulate_events
 BY_HAND = {  # light of one pixel, times in us, settings (thresholds 1 where not stated), events (t, p)
     # L rises by 3.5 in 7,000 us: it reaches 1, 2 and 3 at 2,000, 4,000 and 6,000 us
     "a ramp over three thresholds": ([0, 3.5], [0, 7_000], {}, [(2_000, 1), (4_000, 1), (6_000, 1)]),
-    # up to 2 in 1,000 us with C_on 0.5, then down to 0 with C_off 0.8: from 2 to 1.2 and 0.4
+    # up to 2 in 1,000 us with C_on 0.5, then down to -0.2 with C_off 0.8: from 2 to 1.2 and 0.4, 0.8 / 2.2 ms each
     "ON and OFF thresholds differ": (
-        [0, 2, 0],
+        [0, 2, -0.2],
         [0, 1_000, 2_000],
         {"threshold_on": 0.5, "threshold_off": 0.8},
-        [(250, 1), (500, 1), (750, 1), (1_000, 1), (1_400, 0), (1_800, 0)],
+        [(250, 1), (500, 1), (750, 1), (1_000, 1), (1_364, 0), (1_727, 0)],
     ),
     # 0.6 each: 0.6 + 0.4 of the second frame reaches 1; 2 is reached 0.2/0.6 into the fourth
     "the level carries over": ([0, 0.6, 1.2, 1.8, 2.4], [0, 300, 600, 900, 1_200], {}, [(500, 1), (1_000, 1)]),
