@@ -164,6 +164,7 @@ def _read_dataset(
     known = given | {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
     if args.patience is not None:
         known["patience"] = args.patience or None
+    TrainSettings(**known)  # refuses a value out of its range before the data is read
     volume = {name: value for name, value in config.to_dict().items() if name != "sensor"}
     if pixels.sensor is not None and not pixels.crop:
         volume["sensor"] = pixels.sensor

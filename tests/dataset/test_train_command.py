@@ -128,7 +128,7 @@ def test_errors_are_one_line(words, message, gestures, trained, program, tmp_pat
     known = {"DATASET": gestures, "MODEL": trained, "OTHER": "other"}
     write_set(tmp_path / "other", {"upright": 1, "slanted": 1})
     code, _, err = program("train", *(known.get(word, word) for word in words))
-    assert code == 2 and message in err.splitlines()[-1] and err.count("async-tnt: ") == 1, err
+    assert code == 2 and message in err and err.count("\n") == 1, err
     assert not (tmp_path / "model.safetensors").exists() and not (tmp_path / "runs").exists()
 
 
