@@ -8,6 +8,8 @@ from dataset.gestures import bar, write, write_set
 from made import random_model
 
 from async_tnt import Model, Processor, TNTConfig
+from async_tnt.archive.records import moments
+from async_tnt.archive.scores import score_recordings
 from async_tnt.cli import evaluate
 from async_tnt.sources.files.recording import open_recording
 
@@ -146,3 +148,18 @@ def test_a_picture_without_matplotlib_is_refused_before_the_work(saved, dataset,
     monkeypatch.setattr(evaluate, "stream_archive", lambda *words: pytest.fail("it began to stream"))
     code, _, err = program("evaluate", saved, dataset, "--picture", tmp_path / "c.png")
     assert code == 2 and "pip install '.[plot]'" in err
+
+
+@pytest.mark.parametrize("window_us", [1, 7, 10, 105_003])
+def test_moments_are_ten_and_the_last_is_the_windows_end(window_us):
+    found = moments(window_us)
+    assert len(found) == 10 and found[-1] == window_us
+    assert window_us < 10 or all(np.diff(found) > 0)
+
+
+@pytest.mark.parametrize(
+    ("labels", "windows", "message"), [([], [], "got none"), ([0], [np.empty((0, 2))], "with none")]
+)
+def test_nothing_to_score_is_refused(labels, windows, message):
+    with pytest.raises(ValueError, match=message):
+        score_recordings(["a", "b"], labels, windows)

@@ -152,7 +152,7 @@ def test_a_killed_training_resumes_to_the_same_model(tmp_path):
     """Killed as soon as there is a checkpoint on the disk."""
     write_set(tmp_path / "set", {"upright": 4, "flat": 4})
     words = [sys.executable, "-m", "async_tnt.cli", "train", "../set", "--out", "m.safetensors"]
-    words += ["--epochs", "60", "--patience", "0"]
+    words += ["--epochs", "20", "--patience", "0"]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
     def start(name):
