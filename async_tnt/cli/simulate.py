@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 from async_tnt.archive.executor import available_cores
+from async_tnt.cli.data_options import add_folder, data_folder, seed_number
 from async_tnt.cli.options import positive_int
 from async_tnt.cli.output import complain
-from async_tnt.cli.record import data_folder, seed_number
 from async_tnt.files import check_folder
 from async_tnt.progress import progress
 from async_tnt.simulation.comparison import compare, recordings_by_image
@@ -48,12 +48,7 @@ MNIST is the folder with train-images-idx3-ubyte.gz, t10k-images-idx3-ubyte.gz a
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `async-tnt simulate` to its parser."""
     parser.epilog = EPILOG
-    parser.add_argument(
-        "--mnist",
-        type=Path,
-        metavar="FOLDER",
-        help="MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)",
-    )
+    add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="folder of the set; made if missing")
     parser.add_argument("--split", choices=("train", "test"), default="test", help="of MNIST (default: %(default)s)")
     parser.add_argument(
@@ -68,17 +63,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--workers", type=positive_int, metavar="N", help=f"processes (default: all cores, here {available_cores()})"
     )
-    parser.add_argument(
+    add_folder(
+        parser,
         "--bin",
-        type=Path,
-        metavar="FOLDER",
-        help="also write each recording in N-MNIST's own format: FOLDER/<motion>/<digit>/<image, from 1>.bin",
+        "also write each recording in N-MNIST's own format: FOLDER/<motion>/<digit>/<image, from 1>.bin",
     )
-    parser.add_argument(
+    add_folder(
+        parser,
         "--nmnist",
-        type=Path,
-        metavar="FOLDER",
-        help="N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin, to compare with (default: $TNT_DATA/nmnist "
+        "N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin, to compare with (default: $TNT_DATA/nmnist "
         "where it exists)",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
@@ -141,13 +134,7 @@ def main(args: argparse.Namespace) -> int:
 
 
 def export(made: MovingMnist, folder: Path) -> None:
-    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index + 1.
-
-    Raises
-    ------
-    ValueError : a sensor or duration that N-MNIST's format cannot hold.
-    OSError : the folder cannot be written.
-    """
+    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index + 1."""
     with progress(len(made), "exporting") as bar:
         for shard in made:
             motion = folder / shard.metadata["motion"]["name"]

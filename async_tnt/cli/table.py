@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from async_tnt.archive.executor import available_cores
 from async_tnt.checking.timing import machine
+from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder, seed_number
 from async_tnt.cli.options import positive_int
-from async_tnt.cli.record import command_words, data_folder, seed_number
 from async_tnt.files import check_folder, write_text
-from async_tnt.training.settings import PRECISIONS, TrainSettings
+from async_tnt.training.settings import TrainSettings
 from async_tnt.training.table import ROWS, TRAINED_ON
 
 if TYPE_CHECKING:
@@ -46,24 +46,17 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EPILOG
     data = parser.add_argument_group("data")
-    data.add_argument(
+    add_folder(
+        data,
         "--nmnist",
-        type=Path,
-        metavar="FOLDER",
-        help="N-MNIST: the folder with Train/<digit>/*.bin and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)",
+        "N-MNIST: the folder with Train/<digit>/*.bin and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)",
     )
-    data.add_argument(
+    add_folder(
+        data,
         "--simulated",
-        type=Path,
-        metavar="FOLDER",
-        help="a set made by `async-tnt simulate`; by default the test set of 30 motions is first made in --out",
+        "a set made by `async-tnt simulate`; by default the test set of 30 motions is first made in --out",
     )
-    data.add_argument(
-        "--mnist",
-        type=Path,
-        metavar="FOLDER",
-        help="MNIST's IDX files, to make that set from (default: $TNT_DATA/mnist)",
-    )
+    add_folder(data, "--mnist", "MNIST's IDX files, to make that set from (default: $TNT_DATA/mnist)")
     data.add_argument(
         "--skip-damaged",
         action="store_true",
@@ -91,12 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="steps of the optimizer for each network (default: 60000, the thesis' number)",
     )
     how.add_argument("--batch", type=positive_int, default=64, metavar="N", help="windows per step (default: 64)")
-    how.add_argument(
-        "--precision",
-        choices=PRECISIONS,
-        default="float32",
-        help="of the networks' products (default: float32); bfloat16 is faster on hardware that supports it",
-    )
+    add_precision(how)
     how.add_argument(
         "--workers",
         type=positive_int,
@@ -109,12 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="try everything in a minute or two: 8 recordings a digit, 30 iterations, seed 0, 20 simulated digits",
     )
     out = parser.add_argument_group("results")
-    out.add_argument(
-        "--out",
-        type=Path,
-        metavar="FOLDER",
-        help="networks, results.json, table.md (default: table; with --smoke: table-smoke)",
-    )
+    add_folder(out, "--out", "networks, results.json, table.md (default: table; with --smoke: table-smoke)")
     out.add_argument("--json", action="store_true", help="print the results as one JSON object")
 
 

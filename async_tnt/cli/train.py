@@ -9,15 +9,13 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numba
-import numpy as np
-
 from async_tnt.archive.scores import Scores
+from async_tnt.cli.data_options import command_words, data_folder
 from async_tnt.cli.output import complain, one_line
-from async_tnt.cli.record import command_words, data_folder
 from async_tnt.cli.sizes import parse_size
 from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig
@@ -27,7 +25,7 @@ from async_tnt.progress import progress
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
-from async_tnt.training.run_files import BEST, CURVES, LAST, RUN_FILES, plot_curves
+from async_tnt.training.run_folder import BEST, CURVES, LAST, RUN_FILES, check_run, plot_curves
 from async_tnt.training.settings import TrainSettings, settings_for
 
 __all__ = ["add_arguments", "main"]
@@ -41,30 +39,26 @@ TITLES = {
 
 
 def main(args: argparse.Namespace) -> int:
-    """Train as `args` say. Returns the exit code: 0, 2 for bad usage or input, 130 when interrupted."""
+    """Run `async-tnt train`. Returns the exit code: 0, or 130 when interrupted."""
     try:
         import torch
         from tnt_reference import Classifier  # noqa: F401
     except ImportError as error:
-        complain(f"training needs torch ({error}); install it with: pip install '.[train]'")
-        return 2
+        raise ImportError(f"training needs torch ({error}); install it with: pip install '.[train]'") from None
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
     run_folder = args.run_folder or Path("runs") / args.out.stem
+    check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
+    for suffix in (NUMBERS, *PICTURES) if args.dataset is not None else ():
+        check_writable(args.out.with_suffix(suffix))
+    check_folder(run_folder, RUN_FILES)
+    check_options(args)
+    if args.threads is not None:
+        torch.set_num_threads(args.threads)
     try:
-        check_writable(args.out, (".safetensors",))  # q.pt beside q.safetensors would share its run folder, its q.json
-        for suffix in (NUMBERS, *PICTURES) if args.dataset is not None else ():
-            check_writable(args.out.with_suffix(suffix))
-        check_folder(run_folder, RUN_FILES)
-        check_options(args)
-        if args.threads is not None:
-            torch.set_num_threads(args.threads)
         return _train(args, run_folder)
     except KeyboardInterrupt:
         complain(f"interrupted; the finished epochs are kept in {run_folder}. Give the same command again to resume.")
         return 130
-    except (ValueError, TypeError, OSError) as error:
-        complain(error)
-        return 2
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
@@ -106,7 +100,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         "epochs": n_trained,
         "iterations": int(result.history[-1]["iterations"]),
         "kept": f"epoch {result.best_epoch if keep == 'best' else n_trained}",
-        "versions": _versions(),
+        "versions": {"python": platform.python_version()}
+        | {name: version(name) for name in ("numpy", "numba", "torch")},
     }
     if start is not None:
         names = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
@@ -135,7 +130,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
             write_text(written[-1], json.dumps(numbers, indent=1))
         return written
 
-    written = save()  # and again with the accuracy on Test, which may take long
+    written = save()  # before Test, which may take long; once more with its accuracy
     if args.dataset is not None:
         written += _draw(args.out, scores, result.history)
     if data.tests:
@@ -143,14 +138,14 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         for name, (windows, record) in data.tests.items():
             summary[name] = {**evaluate(pipeline, windows, times_ms=times_ms).to_dict(), **record}
         save()
-    for line in data.left_out:  # again: hours may lie between
+    for line in data.left_out:  # once more: the first time may be hours ago
         print(f"left out: {line}", file=sys.stderr)
     _print_summary(summary, args, written)
     return 0
 
 
 def _config(args: argparse.Namespace) -> TNTConfig:
-    """The volume as the options say; its sensor is the recordings'."""
+    """The volume that the options describe; its sensor is replaced by that of the recordings."""
     names = ("bins", "t_max", "landmark", "polarity", "transform", "remove_flow")
     config = TNTConfig(**{name: getattr(args, name) for name in names})
     grid = parse_size(args.grid) if args.grid else config.grid
@@ -160,22 +155,16 @@ def _config(args: argparse.Namespace) -> TNTConfig:
 def _read_dataset(
     args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
 ) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
-    """DATASET, how to train on it, and what `check_run` compares; another run's folder is refused before it is read."""
-    from async_tnt.training.checkpoint import check_run
-
+    """DATASET, how to train on it, and what `check_run` compares; checks the run folder before reading the data."""
     if args.test and not (args.dataset / "Test").is_dir():
         raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
     pixels = pixels_of(args, start)
     validation = 0.2 if args.validation is None else args.validation
-    given = {
-        "seed": args.seed,
-        "learning_rate": args.rate,
-        "precision": args.precision,
-        "iterations": args.iterations,
-    }
+    given = {"seed": args.seed, "learning_rate": args.rate, "precision": args.precision, "iterations": args.iterations}
     known = given | {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
     if args.patience is not None:
         known["patience"] = args.patience or None
+    TrainSettings(**known)  # refuses a value out of its range before the data is read
     volume = {name: value for name, value in config.to_dict().items() if name != "sensor"}
     if pixels.sensor is not None and not pixels.crop:
         volume["sensor"] = pixels.sensor
@@ -216,8 +205,6 @@ def _read_digits(
     args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
 ) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
     """N-MNIST or the bundled samples, in the same way."""
-    from async_tnt.training.checkpoint import check_run
-
     epochs = 20 if args.epochs is None else args.epochs
     settings = TrainSettings(
         epochs=min(epochs, 2) if args.smoke else epochs,
@@ -234,11 +221,6 @@ def _read_digits(
         return sample_data(config), settings, {}
     alternative = "DATASET, a folder with a folder of recordings for each class, or "
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist", alternative=alternative)
-    for name in ("Train", "Test") if args.test else ("Train",):
-        if not (nmnist / name).is_dir():
-            raise FileNotFoundError(
-                f"no folder {name} in {nmnist}; --nmnist must be the folder with N-MNIST's {name}/<digit>/*.bin"
-            )
     data = nmnist_data(
         nmnist,
         config,
@@ -286,20 +268,9 @@ def _draw(out: Path, scores: Scores | None, history: list[dict[str, float]]) -> 
 
 
 def _command(args: argparse.Namespace) -> str:
-    """The command as it was given, without paths; that there was a mask is kept, as it decides what is learned."""
+    """The command as given, without paths; but --mask is kept, as it decides what is learned."""
     words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged"))
     return words if args.mask is None else f"{words} --mask MASK"
-
-
-def _versions() -> dict[str, str]:
-    import torch
-
-    return {
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "torch": torch.__version__,
-    }
 
 
 def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: list[Path]) -> None:

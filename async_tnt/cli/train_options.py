@@ -6,6 +6,7 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
+from async_tnt.cli.data_options import add_folder, add_precision
 from async_tnt.cli.options import positive_int
 from async_tnt.cli.pixel_options import add_selection, selection_of
 from async_tnt.cli.sizes import parse_size, size_text
@@ -14,7 +15,6 @@ from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.pixel_selector import PixelSelector
 from async_tnt.sources.sensor import by
-from async_tnt.training.settings import PRECISIONS
 
 DESCRIPTION = """\
 Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
@@ -58,18 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DATASET",
         help="folder with <class name>/<recordings>, or with Train/<class name>/<recordings> (and Test/...)",
     )
-    data.add_argument(
-        "--nmnist",
-        type=Path,
-        metavar="FOLDER",
-        help="N-MNIST: the folder with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)",
-    )
-    data.add_argument(
-        "--mnist",
-        type=Path,
-        metavar="FOLDER",
-        help="MNIST's IDX files, gzipped or not, for --simulated (default: $TNT_DATA/mnist)",
-    )
+    add_folder(data, "--nmnist", "N-MNIST: the folder with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)")
+    add_folder(data, "--mnist", "MNIST's IDX files, gzipped or not, for --simulated (default: $TNT_DATA/mnist)")
     data.add_argument(
         "--simulated",
         type=int,
@@ -164,7 +154,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--patience",
         type=int,
         metavar="N",
-        help="stop when the validation loss has not fallen for so many epochs; 0: never (default: 0; with DATASET a "
+        help="stop when the validation loss has not fallen for this many epochs; 0: never (default: 0; with DATASET a "
         "fifth of the epochs)",
     )
     learning.add_argument(
@@ -193,12 +183,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="for weights, order, augmentation, split and simulation (default: 0)",
     )
-    learning.add_argument(
-        "--precision",
-        choices=PRECISIONS,
-        default="float32",
-        help="of the networks' products (default: float32); bfloat16 is faster on hardware that supports it",
-    )
+    add_precision(learning)
     learning.add_argument(
         "--translate",
         type=int,
@@ -247,12 +232,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def check_options(args: argparse.Namespace) -> None:
-    """Refuse options that do not go together.
-
-    Raises
-    ------
-    ValueError : names them.
-    """
+    """Refuse options that do not go together, by a ValueError that names them."""
     if args.dataset is None:
         names = ("sensor", "grid", "window_us", "roi", "crop", "mask")
         given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]
@@ -272,12 +252,7 @@ def check_options(args: argparse.Namespace) -> None:
 
 
 def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
-    """Which pixels of DATASET to train on; the sensor of `start`, the model to continue from, is that of its events.
-
-    Raises
-    ------
-    ValueError, OSError : as for `selection_of`, or a region or sensor that is not the one of `start`.
-    """
+    """Which pixels of DATASET to train on; refuses others than those of `start`, a model to continue from."""
     pixels = selection_of(args)
     if pixels.region is not None and min(pixels.region) < 2:
         raise ValueError(
@@ -288,6 +263,6 @@ def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
         return pixels
     sensor = start.config.sensor
     if not pixels.crop and pixels.sensor not in (None, sensor):
-        raise ValueError(f"--sensor must be the one of --start-from, {by(sensor)}, got {by(pixels.sensor)}")
+        raise ValueError(f"--sensor must be that of --start-from, {by(sensor)}, got {by(pixels.sensor)}")
     PixelSelector(pixels, sensor)  # refuses a region or a mask that does not fit the model
     return pixels if pixels.crop else replace(pixels, sensor=sensor)

@@ -14,7 +14,7 @@ from async_tnt.simulation.trajectories import Trajectory, nmnist_saccades
 from async_tnt.sources.files.nmnist import write_nmnist
 
 FIRST_SAMPLE = 2_000
-"""Index of the first MNIST training image for samples: none that the first recordings of N-MNIST show."""
+"""Index of the first MNIST training image for samples: beyond those that N-MNIST's first recordings show."""
 
 
 def simulate_digit(

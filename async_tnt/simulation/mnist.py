@@ -68,7 +68,7 @@ def _read_idx(path: Path, file: IO[bytes] | gzip.GzipFile) -> np.ndarray:
         raise ValueError(f"{path}: damaged IDX file: shape {shape} of {dtype.name} takes {n_expected} bytes, got {got}")
     try:
         values = np.frombuffer(raw, dtype, offset=n_header).reshape(shape)
-    except ValueError as error:  # over 64 dimensions, or a zero beside sides beyond numpy's limits
+    except ValueError as error:  # over 64 dimensions, or a size of 0 with others beyond numpy's limits
         raise ValueError(f"{path}: damaged IDX file: numpy cannot hold the stated shape: {error}") from error
     return values.astype(dtype.newbyteorder("="))
 

@@ -60,11 +60,7 @@ class Motion:
         return np.arange(0, self.duration_us + 1, FLOW_STEP_US, dtype=np.int64)
 
     def trajectory(
-        self,
-        rng: np.random.Generator,
-        *,
-        image: tuple[int, int] = (28, 28),
-        sensor: tuple[int, int] = NMNIST_SENSOR,
+        self, rng: np.random.Generator, *, image: tuple[int, int] = (28, 28), sensor: tuple[int, int] = NMNIST_SENSOR
     ) -> Trajectory:
         """The displacement over time.
 

@@ -1,7 +1,7 @@
 """N-MOVING-MNIST: MNIST's digits, each simulated under every motion.
 
 The thesis' set is not published, and it does not name its motions; ours are in `motions`. A set is a folder of
-shards, each with up to `recordings_per_shard` consecutive images under one motion, and `set.json`, which says how
+shards, each with up to `recordings_per_shard` consecutive images under one motion, and `set.json`, which records how
 they were made and is written first. Every recording has its own random generator, seeded by (seed, index of the
 motion, index of the image), so the number of workers and interruptions change nothing.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import itertools
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.simulation.motions import NMNIST_SENSOR, Motion, motions_of
 from async_tnt.simulation.scene import Scene
-from async_tnt.simulation.set_manifest import MovingMnist, other_parameters, read_manifest, write_manifest
+from async_tnt.simulation.set_manifest import MovingMnist, other_parameters, read_manifest, shard_names, write_manifest
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
 
@@ -40,10 +41,7 @@ class _Job:
     images: np.ndarray
     labels: np.ndarray
     seed: int
-    scene: Scene
-    pixels: PixelModel
-    frame_us: float
-    sensor: tuple[int, int]
+    settings: dict[str, Any]  # of `simulate_digit`
     metadata: dict[str, Any]
 
 
@@ -70,7 +68,7 @@ def build(
     Parameters
     ----------
     mnist_folder : folder with MNIST's IDX files. out_folder : made if missing.
-    split : "train" or "test". digits : the first so many images; all by default.
+    split : "train" or "test". digits : how many images, from the first on; all by default.
     kind : of motion: "constant" (30 motions), "bell" (30) or "nmnist" (1).
     workers : processes; one per core by default. A script with more than one needs `if __name__ == "__main__":`.
     scene, pixels, frame_us, sensor : as in `simulate_digit`.
@@ -80,10 +78,10 @@ def build(
     ValueError : an argument out of its range, damaged MNIST files, or a folder with other shards.
     OSError : MNIST missing, or the folder cannot be written.
     """
-    _check_at_least("seed", seed, 0)
-    _check_at_least("digits", digits, 1)
-    _check_at_least("workers", workers, 1)
-    _check_at_least("recordings_per_shard", recordings_per_shard, 1)
+    counts = {"digits": digits, "workers": workers, "recordings_per_shard": recordings_per_shard}
+    for name, n, least in (("seed", seed, 0), *((name, n, 1) for name, n in counts.items())):
+        if n is not None and n < least:
+            raise ValueError(f"`{name}` must be at least {least}, got {n}")
     scene, pixels = scene or Scene(), pixels or PixelModel()
     moving = motions_of(kind)
     images, labels = load_mnist(mnist_folder, split)
@@ -108,23 +106,20 @@ def build(
         "recordings_per_shard": int(recordings_per_shard),
         "mnist_sha256": hashlib.sha256(images.tobytes() + labels.tobytes()).hexdigest(),
     }
-    folder = Path(out_folder)
+    folder, firsts = Path(out_folder), range(0, len(images), recordings_per_shard)
+    names = shard_names(moving, len(images), recordings_per_shard)
     jobs = [
         _Job(
-            folder / f"{motion.name}_{first:05}.safetensors",
+            folder / name,
             motion,
             first,
             images[first : first + recordings_per_shard],
             labels[first : first + recordings_per_shard],
             seed,
-            scene,
-            pixels,
-            frame_us,
-            sensor,
+            {"scene": scene, "pixels": pixels, "frame_us": frame_us, "sensor": sensor},
             {"motion": dataclasses.asdict(motion), **shared},
         )
-        for motion in moving
-        for first in range(0, len(images), recordings_per_shard)
+        for name, (motion, first) in zip(names, itertools.product(moving, firsts), strict=True)
     ]
     made = MovingMnist(folder, tuple(job.path for job in jobs), moving, parameters)
     folder.mkdir(parents=True, exist_ok=True)
@@ -168,11 +163,6 @@ def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) 
     return dataclasses.replace(made, missing=missing)
 
 
-def _check_at_least(name: str, number: int | None, least: int) -> None:
-    if number is not None and number < least:
-        raise ValueError(f"`{name}` must be at least {least}, got {number}")
-
-
 def _make_shard(job: _Job) -> int:
     """Simulate and write one shard; returns its number of recordings."""
     duration_us, times_us = job.motion.duration_us, job.motion.flow_times_us
@@ -180,17 +170,9 @@ def _make_shard(job: _Job) -> int:
     height, width = job.images.shape[1:]
     for i, image in enumerate(job.images):
         rng = np.random.default_rng((job.seed, job.motion.index, job.first + i))
-        trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.sensor)
+        trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.settings["sensor"])
         flow[i] = np.stack(trajectory.flow(times_us), axis=1)
-        events = simulate_digit(
-            image,
-            rng,
-            trajectory=trajectory,
-            scene=job.scene,
-            pixels=job.pixels,
-            sensor=job.sensor,
-            frame_us=job.frame_us,
-        )
+        events = simulate_digit(image, rng, trajectory=trajectory, **job.settings)
         # The last half microsecond is rounded up to `duration_us`, where the next window begins.
         recordings.append(events[events["t"] < duration_us])
     write_shard(
@@ -200,7 +182,7 @@ def _make_shard(job: _Job) -> int:
         image=job.first + np.arange(len(job.images)),
         flow=flow,
         flow_times_us=times_us,
-        sensor=job.sensor,
+        sensor=job.settings["sensor"],
         duration_us=duration_us,
         metadata=job.metadata,
     )

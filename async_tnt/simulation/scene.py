@@ -48,12 +48,7 @@ class Scene:
 
 
 def render(
-    image: np.ndarray,
-    dx: np.ndarray,
-    dy: np.ndarray,
-    *,
-    scene: Scene | None = None,
-    sensor: tuple[int, int] = (34, 34),
+    image: np.ndarray, dx: np.ndarray, dy: np.ndarray, *, scene: Scene | None = None, sensor: tuple[int, int] = (34, 34)
 ) -> np.ndarray:
     """Frames of log luminance of an image displaced by (dx, dy) pixels.
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from async_tnt.simulation.shards import Shard, open_shard
 MANIFEST = "set.json"
 FORMAT = "async_tnt.moving_mnist"
 VERSION = 1
+PARAMETERS = ("split", "kind", "digits", "seed", "sensor", "simulator", "recordings_per_shard")  # that readers need
 
 
 @dataclass(frozen=True)
@@ -107,22 +108,19 @@ def read_manifest(folder: Path) -> MovingMnist:
         content = json.loads(path.read_text(encoding="utf-8"))
         if (content["format"], content["version"]) != (FORMAT, VERSION):
             raise ValueError(f"expected {FORMAT} version {VERSION}, got {content['format']} {content['version']}")
-        parameters: Mapping[str, Any] = content["parameters"]
-        moving = tuple(Motion(**motion) for motion in content["motions"])
-        names = [str(name) for name in content["shards"]]
-        if any(Path(name).name != name for name in names):
-            raise ValueError("shards must be plain names of files in this folder")
-        counts = parameters["digits"], parameters["recordings_per_shard"], parameters["seed"]
+        parameters = {name: content["parameters"][name] for name in PARAMETERS}
         width, height = parameters["sensor"]
-        if not all(type(n) is int for n in (*counts, width, height)):
-            raise ValueError(f"expected whole numbers, got {counts} and {parameters['sensor']}")
-        expected = len(moving) * -(-parameters["digits"] // parameters["recordings_per_shard"])
-        if moving != motions_of(parameters["kind"]) or len(names) != expected:
-            raise ValueError(f"expected the motions of kind {parameters['kind']!r} and {expected} shards")
-        absent = [name for name in ("split", "simulator") if name not in parameters]
-        if absent:
-            raise ValueError(f"no {' and no '.join(absent)} among its parameters")
-    except (ValueError, KeyError, TypeError, ArithmeticError, RecursionError) as error:
+        if type(width) is not int or type(height) is not int:
+            raise ValueError(f"`sensor` must be two whole numbers, got {parameters['sensor']}")
+        moving = motions_of(parameters["kind"])
+        names = shard_names(moving, parameters["digits"], parameters["recordings_per_shard"])
+        if content["motions"] != [dataclasses.asdict(motion) for motion in moving] or content["shards"] != names:
+            raise ValueError(f"expected the motions of kind {parameters['kind']!r} and their {len(names)} shards")
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
         what = f"no {error}" if isinstance(error, KeyError) else error
         raise ValueError(f"{path}: damaged, or not a set of this release: {what}") from None
-    return MovingMnist(folder, tuple(folder / name for name in names), moving, dict(parameters))
+    return MovingMnist(folder, tuple(folder / name for name in names), moving, content["parameters"])
+
+
+def shard_names(motions: Sequence[Motion], digits: int, recordings_per_shard: int) -> list[str]:
+    return [f"{m.name}_{first:05}.safetensors" for m in motions for first in range(0, digits, recordings_per_shard)]

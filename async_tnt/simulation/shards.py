@@ -233,10 +233,7 @@ def _check_columns(columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any
     t, offsets, times = columns["t"], columns["offsets"], columns["flow_times_us"]
     n_events, n_recordings, n_times = t.size, columns["labels"].size, times.size
     expected = {
-        "t": (n_events,),
-        "x": (n_events,),
-        "y": (n_events,),
-        "p": (n_events,),
+        **dict.fromkeys("txyp", (n_events,)),
         "offsets": (n_recordings + 1,),
         "labels": (n_recordings,),
         "image": (n_recordings,),

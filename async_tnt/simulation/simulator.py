@@ -67,10 +67,7 @@ class PixelModel:
 
 
 def simulate(
-    log_frames: np.ndarray,
-    frame_times_us: np.ndarray,
-    rng: np.random.Generator,
-    pixels: PixelModel | None = None,
+    log_frames: np.ndarray, frame_times_us: np.ndarray, rng: np.random.Generator, pixels: PixelModel | None = None
 ) -> np.ndarray:
     """Events of a sensor whose pixels differ, begin in random states and add background noise.
 

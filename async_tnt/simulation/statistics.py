@@ -27,22 +27,8 @@ from numpy.typing import ArrayLike
 
 from async_tnt.representations.saccades import SACCADE_CUTS_US
 
-UNITS = {
-    "events per saccade": "",
-    "active pixels": "%",
-    "events per active pixel": "",
-    "same-pixel interval, 5 %": "ms",
-    "same-pixel interval, median": "ms",
-    "ON share": "%",
-    "ON - OFF centroid, along the motion": "px",
-    "ON - OFF centroid, across the motion": "px",
-    "ON - OFF centroid, saccade 1, x": "px",
-    "ON - OFF centroid, saccade 1, y": "px",
-    "ON - OFF centroid, saccade 2, x": "px",
-    "ON - OFF centroid, saccade 2, y": "px",
-    "ON - OFF centroid, saccade 3, x": "px",
-    "ON - OFF centroid, saccade 3, y": "px",
-}
+UNITS = {"active pixels": "%", "same-pixel interval": "ms", "ON share": "%", "ON - OFF centroid": "px"}
+"""What a number's name starts with, before a comma -> its unit; the others have none."""
 
 
 def describe(
@@ -70,8 +56,7 @@ def describe(
 
     Returns
     -------
-    Name -> value, in the units of `UNITS`; three saccades give all its names, another number fewer or more.
-    nan where there is nothing to measure.
+    Name -> value, in the units of `UNITS`; nan where there is nothing to measure.
     """
     if isinstance(recordings, np.ndarray):
         recordings = [recordings]
@@ -121,7 +106,8 @@ def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
     """A table of several descriptions: a column for each, a row for each number; - where one is missing."""
     names = list(dict.fromkeys(name for description in columns.values() for name in description))
     width = max((len(title) for title in columns), default=0) + 3
-    labels = {name: f"{name} [{UNITS[name]}]" if UNITS.get(name) else name for name in names}
+    units = {name: UNITS.get(name.split(",")[0]) for name in names}
+    labels = {name: f"{name} [{unit}]" if unit else name for name, unit in units.items()}
     margin = max([36, *map(len, labels.values())])
     lines = [" " * margin + "".join(f"{title:>{width}}" for title in columns)]
     for name in names:

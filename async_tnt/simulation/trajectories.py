@@ -49,16 +49,11 @@ class ConstantVelocity:
     def __post_init__(self) -> None:
         _check_pair("velocity", self.velocity)
         _check_pair("start", self.start)
-        _check_duration("duration_us", self.duration_us)
+        _check_duration(self.duration_us)
 
     @classmethod
     def towards(
-        cls,
-        angle_deg: float,
-        speed: float,
-        *,
-        centre: tuple[float, float] = (3.0, 3.0),
-        duration_us: int = 105_000,
+        cls, angle_deg: float, speed: float, *, centre: tuple[float, float] = (3.0, 3.0), duration_us: int = 105_000
     ) -> ConstantVelocity:
         """Motion at `speed` pixels per second towards `angle_deg`, passing `centre` at half time.
 
@@ -69,12 +64,10 @@ class ConstantVelocity:
         return cls((vx, vy), (centre[0] - vx * half_s, centre[1] - vy * half_s), duration_us)
 
     def position(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement (dx, dy) at each time, in pixels; each of the shape of `t_us`."""
         t_s = np.asarray(t_us, np.float64) * 1e-6
         return self.start[0] + self.velocity[0] * t_s, self.start[1] + self.velocity[1] * t_s
 
     def flow(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Optical flow (vx, vy) at each time, in pixels per second; each of the shape of `t_us`."""
         shape = np.shape(t_us)
         return np.full(shape, float(self.velocity[0])), np.full(shape, float(self.velocity[1]))
 
@@ -97,7 +90,7 @@ class Saccade:
 
     def __post_init__(self) -> None:
         _check_pair("dx, dy", (self.dx, self.dy))
-        _check_duration("duration_us", self.duration_us)
+        _check_duration(self.duration_us)
 
     def progress(self, t_us: ArrayLike) -> np.ndarray:
         """s, from 0 before the saccade to 1 after it."""
@@ -112,7 +105,7 @@ class Saccade:
 
 @dataclass(frozen=True)
 class Saccades:
-    """Several saccades after one another: (dx, dy)(t) = start + sum of their displacements at t.
+    """Several saccades, one after another: (dx, dy)(t) = start + sum of their displacements at t.
 
     Saccades may overlap; two that do, in different directions, make a curved path.
 
@@ -129,10 +122,9 @@ class Saccades:
 
     def __post_init__(self) -> None:
         _check_pair("start", self.start)
-        _check_duration("duration_us", self.duration_us)
+        _check_duration(self.duration_us)
 
     def position(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement (dx, dy) at each time, in pixels; each of the shape of `t_us`."""
         dx = np.full(np.shape(t_us), float(self.start[0]))
         dy = np.full(np.shape(t_us), float(self.start[1]))
         for saccade in self.saccades:
@@ -142,7 +134,6 @@ class Saccades:
         return dx, dy
 
     def flow(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Optical flow (vx, vy) at each time, in pixels per second; each of the shape of `t_us`."""
         vx, vy = np.zeros(np.shape(t_us)), np.zeros(np.shape(t_us))
         for saccade in self.saccades:
             speed = saccade.speed(t_us)
@@ -163,12 +154,7 @@ _NMNIST_MOVES_X = (  # saccade (0, 1, 2), centre (ms), duration (ms), distance (
     (2, 257.1, 37.2, -2.32),
     (2, 278.6, 41.2, -1.18),
 )
-_NMNIST_MOVES_Y = (
-    (0, 41.5, 79.7, 5.37),
-    (1, 99.9, 32.8, -0.10),
-    (1, 151.9, 75.0, -5.03),
-    (2, 265.6, 52.3, -0.32),
-)
+_NMNIST_MOVES_Y = ((0, 41.5, 79.7, 5.37), (1, 99.9, 32.8, -0.10), (1, 151.9, 75.0, -5.03), (2, 265.6, 52.3, -0.32))
 _NMNIST_DELAY_SD_MS = (0.6, 3.2, 2.4)
 
 
@@ -179,8 +165,8 @@ def nmnist_saccades(rng: np.random.Generator | None = None) -> Saccades:
     a sum of bell-shaped movements, fitted to the flow measured in 200 of N-MNIST's first 1,000 training
     recordings: per 4 ms, the signed event counts of all of them regressed on the gradient of the log image
     that each one shows, at the displacement that explains most of the counts (about two thirds of their
-    variance in mid-saccade). Velocity and position are thereby measured apart from each other; the integral
-    of the one agrees with the other within 0.12 px (standard deviation).
+    variance in mid-saccade). Velocity and position are thus measured independently; the integral of the one
+    agrees with the other within 0.12 px (standard deviation).
 
     Parameters
     ----------
@@ -207,6 +193,6 @@ def _check_pair(name: str, pair: tuple[float, float]) -> None:
         raise ValueError(f"`{name}` must be two finite numbers, got {pair}")
 
 
-def _check_duration(name: str, duration_us: float) -> None:
+def _check_duration(duration_us: float) -> None:
     if not (math.isfinite(duration_us) and duration_us > 0):
-        raise ValueError(f"`{name}` must be a positive number of microseconds, got {duration_us}")
+        raise ValueError(f"`duration_us` must be a positive number of microseconds, got {duration_us}")

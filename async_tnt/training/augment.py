@@ -79,7 +79,7 @@ class Augmentation:
     ----------
     start_ms : shift of the window's start, in milliseconds, either way.
     shift_px : shift in x and in y, in sensor pixels.
-    translate_px : shift by a whole number of pixels besides, in x and in y (the thesis' augmentation).
+    translate_px : an additional shift by a whole number of pixels, in x and in y (the thesis' augmentation).
     rotation_deg : rotation, in degrees, either way.
     scale : change of size, as a fraction.
     shear : shift of x, as a fraction of y.

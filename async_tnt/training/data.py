@@ -62,7 +62,7 @@ def dataset_data(
     ----------
     config : its sensor is replaced by that of the events.
     pixels, sensor_source, classes : as for `read_dataset`.
-    validation : share of each class's recordings to hold out; at least one, where there are two.
+    validation : share of each class's recordings to hold out; at least one, if there are two.
     test : also read `folder/Test`, through the same pixels.
     seed : of the split.
     """
@@ -129,7 +129,7 @@ def nmnist_data(
     skip_damaged: bool = False,
     progress: Callable[..., Bar] = no_progress,
 ) -> TrainingData:
-    """N-MNIST's Train, split by recording, and simulated recordings of MNIST to train on besides.
+    """N-MNIST's Train, split by recording, and simulated recordings of MNIST to train on as well.
 
     Parameters
     ----------

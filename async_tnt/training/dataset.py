@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,21 +54,21 @@ def read_dataset(
     classes: tuple[str, ...] | None = None,
     progress: Callable[..., Bar] = no_progress,
 ) -> Dataset:
-    """Read `<folder>/<class>/<recording>`, or `<folder>/<part>/<class>/<recording>` where there is such a folder.
+    """Read `<folder>/<class>/<recording>`, or `<folder>/<part>/<class>/<recording>` if that folder exists.
 
     The recordings state their sensor and agree, or `pixels.sensor` gives it to those that do not state one. Recordings
-    that cannot be read, that have no events, or an event off the sensor, are left out. So are events older than their
+    that cannot be read, have no events, or have an event off the sensor are left out. So are events older than their
     recording's first one, as in a stream; the others are sorted by time.
 
-    The same recording in two classes is an error: one of its labels is wrong. That is decided by all its events, so
-    two recordings that differ only outside of the region are not the same. A recording that looks to the network like
-    another one of its class is left out: on both sides of the split, it would be learned and then asked for.
+    The same recording in two classes is an error: one of its labels is wrong. All events are compared, so recordings
+    that differ only outside of the region are not the same. A recording that the network could not tell from another
+    one of its class is left out: it might be learned on one side of the split and asked about on the other.
 
     Parameters
     ----------
     pixels : which events to learn from; by default all. The others are removed as if they had never been recorded:
         times count from the first event that is left.
-    sensor_source : what `pixels.sensor` comes from, for messages.
+    sensor_source : where `pixels.sensor` comes from, for messages.
     classes : the class names that may occur; by default the folders there are, at least two.
 
     Raises
@@ -97,7 +97,7 @@ def read_dataset(
                     f"{folder}: all recordings must be of one sensor, got {by(camera)} ({source}) and "
                     f"{by(one.sensor)} ({one.name})"
                 )
-            if camera is not None:  # at once: what the network will not see takes no memory
+            if camera is not None:  # now, so that what the network will not see takes no memory
                 keep = _filter(pixels, camera)
                 for waiting in recordings[n_selected:]:
                     waiting.select(keep, camera)
@@ -107,8 +107,11 @@ def read_dataset(
     kept = [one for one in recordings if one.events is not None]
     empty = [name for label, name in enumerate(names) if label not in {one.label for one in kept}]
     if empty and (classes is None or not kept):  # of given classes, some may have no recordings
-        out = [one for one in recordings if names[one.label] in empty]
-        raise ValueError(f"{folder}: no recording of class {', '.join(empty)} is left; {_advice(out, pixels)}")
+        out = [one.left_out.removesuffix(".") for one in recordings if names[one.label] in empty]
+        raise ValueError(
+            f"{folder}: no recording of class {', '.join(empty)} is left; record some, or remove the folder "
+            f"(left out: {out[0]}{f'; and {len(out) - 1} more' if len(out) > 1 else ''})"
+        )
     if camera is None:
         x, y = (max(int(one.events[axis].max()) for one in kept if one.events is not None) for axis in "xy")
         raise ValueError(
@@ -146,11 +149,10 @@ class _Recording:
     Parameters
     ----------
     label : index of its class.
-    events : None where it is left out.
-    sensor : (width, height) as the file states; None where it does not.
+    events : None if it is left out.
+    sensor : (width, height) as the file states it, or None.
     fingerprint : of its events before any is removed.
-    left_out : why it is left out; "" where it is not.
-    is_unseen : it is left out because no event is at the selected pixels.
+    left_out : why it is left out, or "".
     n_outside, n_masked : events removed outside of the region, and at masked pixels.
     """
 
@@ -160,13 +162,12 @@ class _Recording:
     sensor: Sensor | None = None
     fingerprint: bytes = b""
     left_out: str = ""
-    is_unseen: bool = False
     n_outside: int = 0
     n_masked: int = 0
 
     @classmethod
     def read(cls, path: Path, label: int, sensor: Sensor | None) -> _Recording:
-        """All events of a recording, `sensor` being that of files that do not state it."""
+        """All events of a recording; `sensor` is that of a file that does not state one."""
         one = cls(path, label)
         try:
             recording = open_recording(path, strict=True, sensor=sensor)
@@ -186,7 +187,7 @@ class _Recording:
         return name_of(self.path)
 
     def leave_out(self, why: str) -> _Recording:
-        """`why` without the path: a model's record, which has these lines, may be given away."""
+        """Give the reason by name, not by path: it goes into the model's record, which may be published."""
         self.events, self.left_out = None, why.replace(str(self.path), self.name)
         return self
 
@@ -199,17 +200,18 @@ class _Recording:
         """
         if self.events is None:
             return
-        off = _off_sensor(self.events, sensor)
-        if off:
-            self.leave_out(f"{self.name}: every event must lie on the {by(sensor)} sensor, got {off}.")
-            return
+        for axis, side in zip("xy", sensor, strict=True):
+            off = np.flatnonzero(self.events[axis] >= side)
+            if len(off):
+                got = f"{axis} = {self.events[axis][off[0]]} at event {off[0]}"
+                self.leave_out(f"{self.name}: every event must lie on the {by(sensor)} sensor, got {got}.")
+                return
         seen = self.events if keep is None else keep(self.events)
         if keep is not None:
             self.n_outside, self.n_masked = keep.counts.dropped_outside, keep.counts.dropped_masked
             keep.reset()
         seen = from_first_event(seen)
         if len(seen) == 0:
-            self.is_unseen = True
             self.leave_out(f"{self.name}: no events at the selected pixels")
             return
         if seen["t"][-1] >= MAX_US:
@@ -232,7 +234,7 @@ def from_first_event(events: np.ndarray) -> np.ndarray:
 
 
 def fingerprint(events: np.ndarray) -> bytes:
-    """The same for the same events, in whatever file and whatever time they begin at. At least one event."""
+    """The same for the same events, whatever their file and the time they begin at. At least one event."""
     hashed = hashlib.blake2b(digest_size=16)
     hashed.update((events["t"].astype(np.int64) - np.int64(events["t"][0])).tobytes())
     for name, dtype in (("x", np.uint16), ("y", np.uint16), ("p", np.uint8)):
@@ -241,7 +243,7 @@ def fingerprint(events: np.ndarray) -> bytes:
 
 
 def _filter(pixels: PixelSelection, sensor: Sensor) -> PixelFilter | None:
-    """The filter of these pixels; None where it would keep all."""
+    """The filter that keeps these pixels; None if it would keep all."""
     if not pixels.leaves_out:
         return None
     mask = None if pixels.mask is None else pixels.mask.pixels(sensor)
@@ -278,33 +280,12 @@ def _leave_out_copies(recordings: Iterable[_Recording]) -> None:
         twin = recorded.setdefault(one.fingerprint, one)
         if twin.label != one.label:
             raise ValueError(
-                f"{twin.name} and {one.name} hold the same events, but are of two classes; remove the wrong one"
+                f"{twin.name} and {one.name} hold the same events but are in two classes; remove the wrong one"
             )
         twin = seen.setdefault((one.label, fingerprint(one.events)), one)
         if twin is not one:
             where = "" if twin.fingerprint == one.fingerprint else " at the selected pixels"
             one.leave_out(f"{one.name}: the same events as {twin.name}{where}")
-
-
-def _advice(left_out: Sequence[_Recording], pixels: PixelSelection) -> str:
-    """What to do about classes whose recordings, these, were all left out."""
-    advice = "record some, or remove the folder"
-    if any(one.is_unseen for one in left_out):
-        given = {"--roi": pixels.roi, "--mask": pixels.mask}
-        advice = f"check {' and '.join(option for option, value in given.items() if value is not None)}"
-    if not left_out:
-        return advice
-    first = left_out[0].left_out.removesuffix(".")
-    return f"{advice} (left out: {first}{f'; and {len(left_out) - 1} more' if len(left_out) > 1 else ''})"
-
-
-def _off_sensor(events: np.ndarray, sensor: Sensor) -> str:
-    """The first event off the sensor, in words; "" where there is none."""
-    for axis, side in zip("xy", sensor, strict=True):
-        off = np.flatnonzero(events[axis] >= side)
-        if len(off):
-            return f"{axis} = {events[axis][off[0]]} at event {off[0]}"
-    return ""
 
 
 def _message(error: Exception, path: Path) -> str:

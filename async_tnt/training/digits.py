@@ -20,6 +20,7 @@ from async_tnt.training.windows import Recordings
 FIRST_INDEX = 5_000
 """Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000, some of which are
 held out for validation; the bundled samples show images 2,000 to 2,100."""
+LAYOUT = "expected N-MNIST's layout, Train/<digit>/*.bin and Test/<digit>/*.bin"
 
 
 def read_nmnist_folder(
@@ -35,7 +36,7 @@ def read_nmnist_folder(
     ----------
     folder : the folder that holds the digits' folders, such as N-MNIST's Train.
     skip_damaged : leave damaged files out, with a warning each, instead of raising an error.
-    per_digit : read only the first so many recordings of each digit, by name.
+    per_digit : read only the first `per_digit` recordings of each digit, by name.
 
     Raises
     ------
@@ -44,12 +45,12 @@ def read_nmnist_folder(
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise FileNotFoundError(f"no folder {folder}; expected N-MNIST's layout <digit>/<number>.bin in it")
+        raise FileNotFoundError(f"no folder {folder}; {LAYOUT}")
     paths = []
     for digit in sorted(d for d in folder.iterdir() if d.is_dir() and re.fullmatch("[0-9]", d.name)):
         paths += [(int(digit.name), path) for path in sorted(digit.glob("*.bin"))[:per_digit]]
     if not paths:
-        raise ValueError(f"{folder}: no recordings; expected N-MNIST's layout <digit>/<number>.bin")
+        raise ValueError(f"{folder}: no recordings; {LAYOUT}")
     events, labels, names = [], [], []
     with progress(len(paths), "reading") as bar:
         for label, path in paths:

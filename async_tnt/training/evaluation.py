@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from async_tnt.archive.scores import share_right
 from async_tnt.training.augment import unchanged
 from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.windows import Windows
@@ -21,7 +22,7 @@ class Evaluation:
 
     Parameters
     ----------
-    against_time : milliseconds since the window's start -> share of windows right by the events until then.
+    against_time : milliseconds since the window's start -> share of windows that are right by then.
     confusion : (n_classes, n_classes), windows by true class (row) and decided class (column).
     recording_confusion : the same of recordings, each decided by the mean of its windows' probabilities.
     """
@@ -86,8 +87,12 @@ def confusion_by_recording(probabilities: np.ndarray, windows: Windows) -> np.nd
     recordings, place = np.unique(windows.recording, return_inverse=True)
     total = np.zeros((len(recordings), probabilities.shape[1]))
     np.add.at(total, place, probabilities)
+    return _confusion(windows.recordings.labels[recordings], total)
+
+
+def _confusion(labels: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
     confusion = np.zeros((probabilities.shape[1], probabilities.shape[1]), np.int64)
-    np.add.at(confusion, (windows.recordings.labels[recordings], total.argmax(1)), 1)
+    np.add.at(confusion, (labels, probabilities.argmax(1)), 1)
     return confusion
 
 
@@ -101,15 +106,8 @@ def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...
     """
     labels = windows.labels
     complete = class_probabilities(pipeline, windows)
-    confusion = np.zeros((complete.shape[1], complete.shape[1]), np.int64)
-    np.add.at(confusion, (labels, complete.argmax(1)), 1)
     against_time = {}
     for ms in times_ms:
         early = class_probabilities(pipeline, windows, until_us=round(1e3 * ms))
         against_time[float(ms)] = float((early.argmax(1) == labels).mean())
-    return Evaluation(against_time, confusion, confusion_by_recording(complete, windows))
-
-
-def share_right(confusion: np.ndarray) -> float:
-    """The diagonal's share of a confusion matrix."""
-    return float(np.trace(confusion) / confusion.sum())
+    return Evaluation(against_time, _confusion(labels, complete), confusion_by_recording(complete, windows))

@@ -13,13 +13,14 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
+from async_tnt.archive.scores import share_right
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
-from async_tnt.training.checkpoint import identity_of, load_checkpoint, save_checkpoint
-from async_tnt.training.evaluation import class_probabilities, confusion_by_recording, share_right
+from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
+from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import CLASSES, Windows
 
@@ -51,7 +52,7 @@ def train(
     """Train the thesis' classifier.
 
     After each epoch a checkpoint goes into the run folder. A run that finds one there resumes from it and ends with
-    the same weights as if it had never stopped, as all randomness is drawn from (seed, epoch).
+    the same weights as if it had never stopped: all randomness is drawn from (seed, epoch).
 
     Parameters
     ----------
@@ -171,8 +172,8 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """As many indices as there are labels, every class equally often (within one), in random order.
 
     A class with fewer windows than its share is repeated, each time in another order; of a class with more, each epoch
-    shows others. We sample rather than weight the loss: a rare class in every batch gives steadier steps than a rare
-    one with a large weight, and augmentation makes each repetition different.
+    shows a different part. We sample rather than weight the loss: a rare class in every batch gives steadier steps than
+    one that is seldom shown with a large weight, and augmentation makes each repetition different.
 
     Examples
     --------

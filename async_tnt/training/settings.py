@@ -21,7 +21,7 @@ class TrainSettings:
     Parameters
     ----------
     epochs : passes over the training windows.
-    iterations : steps of the optimizer, in place of `epochs`; the last epoch may be cut short. The thesis has
+    iterations : steps of the optimizer, instead of `epochs`; the last epoch may be cut short. The thesis has
         60,000, with a batch of 64.
     batch : windows per step.
     learning_rate : the highest; it rises over the first 5 % of the steps and falls along a cosine to 0.
@@ -33,7 +33,7 @@ class TrainSettings:
         less where the hardware supports it (AMX, AVX512-BF16, GPUs), no gain elsewhere.
     balance : each epoch shows every class equally often, and the validation loss weights classes equally; else
         windows count equally.
-    patience : stop when the validation loss has not fallen for so many epochs; the best epoch is then the one with
+    patience : stop when the validation loss has not fallen for this many epochs; the best epoch is then the one with
         the lowest validation loss. None trains to the end; the best epoch then has the most windows right.
     """
 
@@ -64,11 +64,11 @@ class TrainSettings:
             raise ValueError(f"`label_smoothing` must be in [0, 1), got {self.label_smoothing}")
 
     def n_epochs(self, n_windows: int) -> int:
-        """Passes over so many training windows, the last one perhaps cut short."""
+        """Passes over `n_windows` training windows; the last one may be cut short."""
         return math.ceil(self.n_iterations(n_windows) / math.ceil(n_windows / self.batch))
 
     def n_iterations(self, n_windows: int) -> int:
-        """Steps in all, for so many training windows."""
+        """All steps, for `n_windows` training windows."""
         return self.iterations or self.epochs * math.ceil(n_windows / self.batch)
 
 

@@ -60,16 +60,10 @@ ROWS = {
     row.name: row
     for row in (
         Row(
-            "baseline",
-            "Baseline",
-            TNTConfig(transform="none", landmark="center"),
-            (0.991, 0.437, 0.442, 0.396, 0.207),
+            "baseline", "Baseline", TNTConfig(transform="none", landmark="center"), (0.991, 0.437, 0.442, 0.396, 0.207)
         ),
         Row(
-            "tnt",
-            "TNT (image centre)",
-            TNTConfig(landmark="center", t_max=T_MAX),
-            (0.981, 0.468, 0.464, 0.592, 0.318),
+            "tnt", "TNT (image centre)", TNTConfig(landmark="center", t_max=T_MAX), (0.981, 0.468, 0.464, 0.592, 0.318)
         ),
         Row(
             "regress",
@@ -131,10 +125,7 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _summary(values: list[float]) -> dict[str, float | None]:
-    return {
-        "mean": float(np.mean(values)),
-        "deviation": float(np.std(values, ddof=1)) if len(values) > 1 else None,
-    }
+    return {"mean": float(np.mean(values)), "deviation": float(np.std(values, ddof=1)) if len(values) > 1 else None}
 
 
 def text_table(table: dict[str, Any]) -> str:

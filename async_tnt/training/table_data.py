@@ -41,13 +41,13 @@ class RealData:
 
 @dataclass(frozen=True)
 class RealFolder:
-    """Where N-MNIST lies, and how much of it is used.
+    """Where N-MNIST is, and how much of it is used.
 
     Parameters
     ----------
     folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
     validation : share of the training recordings that is held out.
-    per_digit : only the first so many recordings of each digit in each folder; None for all.
+    per_digit : only the first `per_digit` recordings of each digit in each folder; None for all.
     skip_damaged : leave damaged recordings out, with a warning each, instead of stopping.
     """
 
@@ -65,11 +65,6 @@ class RealFolder:
         FileNotFoundError : a folder is missing.
         ValueError : a damaged file; the message names it.
         """
-        for name in ("Train", "Test"):
-            if not (self.folder / name).is_dir():
-                raise FileNotFoundError(
-                    f"no folder {name} in {self.folder}; expected N-MNIST's Train/<digit>/*.bin and Test/<digit>/*.bin"
-                )
         train, test = (
             read_nmnist_folder(self.folder / name, per_digit=self.per_digit, skip_damaged=self.skip_damaged)
             for name in ("Train", "Test")

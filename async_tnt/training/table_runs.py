@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,14 +21,13 @@ from async_tnt.simulation.moving_mnist import open_set
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.loop import train
 from async_tnt.training.pipeline import Pipeline, pipeline_of
-from async_tnt.training.run_files import HISTORY, plot_curves
+from async_tnt.training.run_folder import CURVES, plot_curves
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.table import ROWS, columns_of
 from async_tnt.training.table_data import RealData, RealFolder, on_first_saccade, saccade, simulated_windows
 from async_tnt.training.windows import Windows
 
 RESULT = "result.json"
-POLL_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Run:
 def run_networks(
     runs: list[Run], real: RealFolder, simulated: Path, settings: TrainSettings, folder: Path, workers: int
 ) -> list[dict[str, Any]]:
-    """`run_network` for each of `runs`, in so many processes of one thread each; with one worker, in this process.
+    """`run_network` for each of `runs`, in `workers` processes of one thread each; with one worker, in this process.
 
     Raises
     ------
@@ -56,42 +54,17 @@ def run_networks(
     """
     folder.mkdir(parents=True, exist_ok=True)
     task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
-    with _watched(runs, folder, settings), contextlib.closing(run_all(task, runs, workers)) as results:
-        return list(results)
+    done = []
+    with progress(len(runs), "training networks") as bar, contextlib.closing(run_all(task, runs, workers)) as results:
+        for result in results:
+            done.append(result)
+            bar.update()
+    return done
 
 
 def _run_task(run: Run, *, real: RealFolder, simulated: Path, settings: TrainSettings, folder: Path) -> dict[str, Any]:
     torch.set_num_threads(1)  # the cores have a network each
     return run_network(run, real.read(), simulated, settings, folder)
-
-
-@contextlib.contextmanager
-def _watched(runs: list[Run], folder: Path, settings: TrainSettings) -> Iterator[None]:
-    """A progress bar of all iterations, read from the histories that the runs write."""
-    ended = threading.Event()
-    with progress(len(runs) * (settings.iterations or 0), f"{len(runs)} networks") as bar:
-
-        def watch() -> None:
-            before = 0
-            while not ended.wait(POLL_S):
-                now = sum(_iterations(folder / run.name / HISTORY) for run in runs)
-                bar.update(now - before)
-                before = now
-
-        watcher = threading.Thread(target=watch, daemon=True)
-        watcher.start()
-        try:
-            yield
-        finally:
-            ended.set()
-            watcher.join()
-
-
-def _iterations(history: Path) -> int:
-    try:
-        return int(json.loads(history.read_text(encoding="utf-8"))["history"][-1]["iterations"])
-    except (OSError, ValueError, LookupError):  # not started yet
-        return 0
 
 
 def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettings, folder: Path) -> dict[str, Any]:
@@ -143,7 +116,7 @@ def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettin
         "tested_on": tested_on,
         "validation": {name: last_epoch[name] for name in ("per_window", "validation_loss") if name in last_epoch},
     }
-    plot_curves(trained.history, folder / "curves.png")
+    plot_curves(trained.history, folder / CURVES)
     Model(row.config, trained.last.weights, trained.last.classes, result).save(folder / "model.safetensors")
     write_text(finished, json.dumps(result, indent=1))
     return result

@@ -55,10 +55,7 @@ class Recordings:
 
     @classmethod
     def from_events(
-        cls,
-        events: Iterable[np.ndarray],
-        labels: Sequence[int] | np.ndarray,
-        names: Sequence[str] | None = None,
+        cls, events: Iterable[np.ndarray], labels: Sequence[int] | np.ndarray, names: Sequence[str] | None = None
     ) -> Recordings:
         """From structured arrays with fields t, x, y, p.
 
@@ -112,8 +109,7 @@ def split_recordings(
     Parameters
     ----------
     fraction : the share, rounded to whole recordings of each class.
-    at_least : hold out at least so many of each class, as far as one is left to train on; no effect with a fraction
-        of 0.
+    at_least : hold out at least this many of each class, but leave one to train on; no effect with a fraction of 0.
 
     Returns
     -------

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="pictures need matplotlib (extra `plot`)")
 
-from async_tnt.views.figure_confusion import draw_confusion, write_confusion
+from async_tnt.views.figure_confusion import draw_confusion
 
 CONFUSION = np.array([[90, 10, 0], [1, 1, 0], [0, 0, 0]])
 
@@ -17,14 +17,6 @@ def test_colours_are_shares_of_the_row_and_numbers_are_counts():
     assert [text.get_position() for text in axes.texts] == [(0, 0), (1, 0), (0, 1), (1, 1)]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["left", "right", "none"]
     assert (axes.get_ylabel(), axes.get_xlabel()) == ("true", "decided")
-
-
-def test_many_classes_with_long_names_fit(tmp_path):
-    n = 60
-    path = write_confusion(
-        np.eye(n, dtype=int), [f"a class with a name of length {k}" for k in range(n)], tmp_path / "c.png", "many"
-    )
-    assert path.stat().st_size > 10_000
 
 
 def test_a_shape_that_does_not_fit_is_refused():

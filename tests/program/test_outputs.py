@@ -31,7 +31,7 @@ def draw(path):
 
 
 def plot_curves(path):
-    from async_tnt.training.run_files import plot_curves
+    from async_tnt.training.run_folder import plot_curves
 
     plot_curves([{"epoch": 1, "loss": 1.0, "training": 0.5}], path)
 

@@ -1,4 +1,4 @@
-"""A small MNIST of made images, shared by the tests of N-MOVING-MNIST."""
+"""Folders like MNIST's, shared by the tests of the simulator."""
 
 import pytest
 from small_sets import write_small_mnist
@@ -6,5 +6,13 @@ from small_sets import write_small_mnist
 
 @pytest.fixture(scope="session")
 def mnist(tmp_path_factory):
-    """A folder like MNIST's: 24 images."""
+    """24 made images."""
     return write_small_mnist(tmp_path_factory.mktemp("mnist"), 24)
+
+
+@pytest.fixture(scope="session")
+def real_mnist(data):
+    """MNIST itself, or skip."""
+    if not (data / "mnist").is_dir():
+        pytest.skip(f"no mnist in {data}")
+    return data / "mnist"

@@ -1,46 +1,50 @@
-"""The loop learns, says what it did, and an interruption leaves no trace in the weights."""
+"""The loop learns, records what it did, and an interruption leaves no trace in the weights."""
 
 import json
 
 import numpy as np
 import pytest
+from made import events_of
 
 torch = pytest.importorskip("torch")
 
 from async_tnt.config import TNTConfig  # noqa: E402
-from async_tnt.events import EVENT_DTYPE  # noqa: E402
 from async_tnt.networks.model import load_model  # noqa: E402
 from async_tnt.networks.torch_modules import torch_classifier  # noqa: E402
 from async_tnt.progress import Bar  # noqa: E402
+from async_tnt.training import loop  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
-from async_tnt.training.checkpoint import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
-from async_tnt.training.loop import train  # noqa: E402
+from async_tnt.training.loop import balanced_order, batches_of, train  # noqa: E402
 from async_tnt.training.pipeline import Pipeline, export, input_scale, new_pipeline  # noqa: E402
+from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
-from async_tnt.training.windows import CLASSES, Recordings, make_windows  # noqa: E402
+from async_tnt.training.windows import CLASSES, Recordings, Windows, make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
+ONE_EPOCH = TrainSettings(epochs=1, batch=16)
 
 
 def bars(n=24, seed=0):
-    """Recordings of two classes that anyone can tell apart: bars along x, and along y."""
+    """Windows of two classes that anyone can tell apart: bars along x, and along y."""
     rng = np.random.default_rng(seed)
-    recordings, labels = [], []
+    recordings = []
     for k in range(n):
-        events = np.empty(600, EVENT_DTYPE)
-        events["t"] = np.sort(rng.integers(0, 315_000, 600))
-        along, across = rng.integers(8, 26, 600), rng.integers(15, 19, 600)
-        events["x"], events["y"] = (along, across) if k % 2 else (across, along)
-        events["p"] = rng.integers(0, 2, 600)
-        recordings.append(events)
-        labels.append(k % 2)
-    return make_windows(Recordings.from_events(recordings, labels), CONFIG.window_us)
+        t, along, across = np.sort(rng.integers(0, 315_000, 600)), rng.integers(8, 26, 600), rng.integers(15, 19, 600)
+        recordings.append(events_of(t, *((along, across) if k % 2 else (across, along)), rng.integers(0, 2, 600)))
+    return make_windows(Recordings.from_events(recordings, np.arange(n) % 2), CONFIG.window_us)
 
 
-def weights_equal(a, b):
-    return all(np.array_equal(a.weights[name], b.weights[name]) for name in a.weights)
+def relabelled(windows, labels):
+    r = windows.recordings
+    other = Recordings(r.t, r.x, r.y, r.p, r.offsets, np.asarray(labels), r.names)
+    return Windows(other, windows.recording, windows.start_us)
+
+
+def assert_equal(a, b):
+    for name, weights in a.weights.items():
+        np.testing.assert_array_equal(weights, b.weights[name])
 
 
 @pytest.fixture(scope="module")
@@ -48,110 +52,109 @@ def windows():
     return bars()
 
 
-def test_it_learns_what_is_easy(windows, tmp_path):
-    settings = TrainSettings(epochs=4, batch=8, augmentation=Augmentation(rotation_deg=5.0))
+@pytest.fixture(scope="module")
+def trained(windows, tmp_path_factory):
+    """A run of one epoch: its result and its folder."""
+    folder = tmp_path_factory.mktemp("run")
+    return train(CONFIG, windows, windows[:0], ONE_EPOCH, folder), folder
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_it_learns_what_is_easy(precision, windows, tmp_path):
+    settings = TrainSettings(epochs=4, batch=8, augmentation=Augmentation(rotation_deg=5.0), precision=precision)
     result = train(CONFIG, windows, bars(8, seed=1), settings, tmp_path)
     assert result.history[-1]["loss"] < 0.5 * result.history[0]["loss"]
     assert result.history[-1]["per_window"] == 1.0
     assert json.loads((tmp_path / "history.json").read_text())["history"] == result.history
+    assert all(w.dtype == np.float32 for w in result.last.weights.values())
 
 
-class Killed(Exception):
-    pass
+@pytest.mark.parametrize("landmark", ["running", "regressor"])
+def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_path):
+    config, settings = CONFIG.replace(landmark=landmark), TrainSettings(epochs=3, batch=32, seed=5)
+    whole = train(config, windows, windows[:6], settings, tmp_path / "whole")
 
-
-def test_interrupted_and_resumed_equals_uninterrupted(windows, tmp_path):
-    settings = TrainSettings(epochs=3, batch=16, seed=5)
-    whole = train(CONFIG, windows, windows[:6], settings, tmp_path / "whole")
-
-    class KilledInEpoch2(Bar):
+    class InterruptedInEpoch2(Bar):
         def update(self, n=1, title=None):
             super().update(n, title)
-            if self.done == 8:  # of 5 steps an epoch
-                raise Killed
+            if self.done == 5:  # of 3 steps an epoch
+                raise KeyboardInterrupt
 
-    with pytest.raises(Killed):
-        train(CONFIG, windows, windows[:6], settings, tmp_path / "cut", progress=KilledInEpoch2)
-    epochs_run = []
+    with pytest.raises(KeyboardInterrupt):
+        train(config, windows, windows[:6], settings, tmp_path / "cut", progress=InterruptedInEpoch2)
+    epochs = []
     resumed = train(
-        CONFIG,
-        windows,
-        windows[:6],
-        settings,
-        tmp_path / "cut",
-        report=lambda row: epochs_run.append(row["epoch"]),
+        config, windows, windows[:6], settings, tmp_path / "cut", report=lambda row: epochs.append(row["epoch"])
     )
-    assert epochs_run == [2, 3]
-    assert weights_equal(resumed.last, whole.last) and weights_equal(resumed.best, whole.best)
-    assert resumed.history == whole.history
-    other = train(CONFIG, windows, windows[:6], TrainSettings(epochs=3, batch=16, seed=6), tmp_path / "other")
-    assert not weights_equal(other.last, whole.last)
+    assert epochs == [2, 3] and resumed.history == whole.history
+    assert_equal(resumed.last, whole.last), assert_equal(resumed.best, whole.best)
+    if config.needs_regressor:
+        assert np.abs(whole.last.weights["regressor.heatmap.weight"]).max() > 0  # it starts from zero
 
 
-def test_a_finished_run_gives_its_weights_again(windows, tmp_path):
-    settings = TrainSettings(epochs=1, batch=16)
-    first = train(CONFIG, windows, windows[:0], settings, tmp_path)
-    again = train(CONFIG, windows, windows[:0], settings, tmp_path)
-    assert weights_equal(first.last, again.last) and weights_equal(first.last, first.best)
+def test_a_finished_run_gives_its_weights_again(windows, trained):
+    result, folder = trained
+    again = train(CONFIG, windows, windows[:0], ONE_EPOCH, folder)
+    assert_equal(again.last, result.last), assert_equal(result.best, result.last)
 
 
-def test_a_run_folder_of_other_settings_or_data_is_refused(windows, tmp_path):
-    settings = TrainSettings(epochs=1, batch=16)
-    train(CONFIG, windows, windows[:0], settings, tmp_path)
-    with pytest.raises(ValueError, match=r"holds a run with other batch, seed; give another .* delete the folder"):
-        train(CONFIG, windows, windows[:0], TrainSettings(epochs=1, batch=8, seed=1), tmp_path)
-    with pytest.raises(ValueError, match="holds a run with other t_max"):
-        train(CONFIG.replace(t_max=8.0), windows, windows[:0], settings, tmp_path)
-    with pytest.raises(ValueError, match="holds a run with other data"):
-        train(CONFIG, bars(seed=3), windows[:0], settings, tmp_path)
-    state = torch.load(tmp_path / CHECKPOINT)
-    torch.save({**state, "identity": json.dumps({**json.loads(state["identity"]), "format": 2})}, tmp_path / CHECKPOINT)
-    with pytest.raises(ValueError, match=r"checkpoint.pt was written by another release .* remove it to start again"):
-        train(CONFIG, windows, windows[:0], settings, tmp_path)
-    (tmp_path / CHECKPOINT).write_bytes(b"damaged")
-    with pytest.raises(ValueError, match=r"not a readable checkpoint .* remove it"):
-        train(CONFIG, windows, windows[:0], settings, tmp_path)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"settings": TrainSettings(epochs=1, batch=8, seed=1)},
+            "holds a run with other batch, seed; .* delete the folder",
+        ),
+        ({"config": CONFIG.replace(t_max=8.0)}, "holds a run with other t_max"),
+        ({"training": bars(seed=3)}, "holds a run with other data"),
+        ({"training": relabelled(bars(), np.arange(24) // 2 % 2)}, "holds a run with other data"),
+        ({"classes": tuple("9876543210")}, "holds a run with other classes"),
+        ({"training": bars(2)[:0]}, "`training` must hold at least one window"),
+        ({"classes": ("a",)}, r"labels must be in \[0, 1\), one for each class, got 1"),
+    ],
+)
+def test_other_settings_and_data_than_those_of_the_run_folder_are_refused(change, message, windows, trained):
+    given = {"config": CONFIG, "training": windows, "validation": windows[:0], "settings": ONE_EPOCH}
+    with pytest.raises(ValueError, match=message):
+        train(**given | change, run_folder=trained[1])
 
 
-def test_a_damaged_checkpoint_is_not_believed(tmp_path):
-    """Any bit: `torch.load` alone takes weights as they come."""
-    identity = json.dumps({"config": {}, "settings": {}, "format": FORMAT})
+def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
+    """Any bit: `torch.load` alone does not compare checksums."""
+    path, identity = tmp_path / CHECKPOINT, json.dumps({"config": {}, "settings": {}, "format": FORMAT})
     save_checkpoint(tmp_path, {"identity": identity, "history": [], "weights": torch.ones(500)})
-    content = (tmp_path / CHECKPOINT).read_bytes()
-    rng, n_refused = np.random.default_rng(0), 0
-    for at in rng.integers(0, len(content), 300).tolist():
-        damaged = bytearray(content)
-        damaged[at] ^= 1 << int(rng.integers(8))
-        (tmp_path / CHECKPOINT).write_bytes(damaged)
+    content, rng, n_refused = path.read_bytes(), np.random.default_rng(0), 0
+    for at in rng.integers(len(content), size=200).tolist():
+        path.write_bytes(content[:at] + bytes([content[at] ^ 1 << int(rng.integers(8))]) + content[at + 1 :])
         try:
             state = load_checkpoint(tmp_path, identity)
         except ValueError as error:
-            assert "not a readable checkpoint" in str(error)
+            assert "not a readable checkpoint" in str(error) and "remove it to start again" in str(error)
             n_refused += 1
         else:  # padding, or what nobody reads
             assert torch.equal(state["weights"], torch.ones(500)) and state["identity"] == identity
-    assert n_refused > 100
+    assert n_refused > 60
+    older = identity.replace(f'"format": {FORMAT}', '"format": 2')
+    save_checkpoint(tmp_path, {"identity": older, "history": []})
+    with pytest.raises(ValueError, match=r"checkpoint.pt was written by another release .* remove it to start again"):
+        load_checkpoint(tmp_path, identity)
 
 
 def test_the_exported_network_takes_raw_volumes(windows, tmp_path):
     """conv1 absorbs the scale: logits are those of the scaled input, and survive the file."""
+    volumes = BatchVolumes(CONFIG)(windows).astype(np.float64)
+    assert not np.isclose(np.square(volumes).mean(), 1.0, rtol=0.3)
+    assert np.isclose(np.square(volumes * input_scale(CONFIG, windows, n=len(windows))).mean(), 1.0, rtol=1e-5)
     pipeline = new_pipeline(CONFIG, len(CLASSES), 1, windows).eval()
-    volumes = torch.from_numpy(BatchVolumes(CONFIG)(windows[:5]).copy())
     with torch.no_grad():
         scaled = pipeline(windows[:5])
         export(pipeline, CLASSES, {"seed": 1}).save(tmp_path / "m.safetensors")
         model = load_model(tmp_path / "m.safetensors")
-        raw = torch_classifier(model)(volumes)
-        unscaled = pipeline.classifier(volumes)
+        raw = torch_classifier(model)(torch.from_numpy(volumes[:5]).float())
+        unscaled = pipeline.classifier(torch.from_numpy(volumes[:5]).float())
     torch.testing.assert_close(raw, scaled, atol=1e-5, rtol=1e-4)
     assert (scaled - unscaled).abs().max() > 1e-3
     assert model.record == {"seed": 1}
-
-
-def test_the_scale_makes_the_mean_square_one(windows):
-    volumes = BatchVolumes(CONFIG)(windows).astype(np.float64)
-    assert not np.isclose(np.square(volumes).mean(), 1.0, rtol=0.3)
-    assert np.isclose(np.square(volumes * input_scale(CONFIG, windows, n=len(windows))).mean(), 1.0, rtol=1e-5)
 
 
 def test_the_first_weights_depend_on_the_seed_alone(windows):
@@ -160,15 +163,12 @@ def test_the_first_weights_depend_on_the_seed_alone(windows):
     torch.manual_seed(99)
     again, other = (new_pipeline(CONFIG, 10, seed, windows).classifier for seed in (3, 4))
     assert torch.equal(state, torch_after)
-    assert torch.equal(first.fc1.weight, again.fc1.weight)
-    assert not torch.equal(first.fc1.weight, other.fc1.weight)
+    assert torch.equal(first.fc1.weight, again.fc1.weight) and not torch.equal(first.fc1.weight, other.fc1.weight)
 
 
 def test_iterations_end_the_training_within_an_epoch(windows, tmp_path):
     """72 windows, 16 at a time, are 5 steps; 7 steps are an epoch and 2 steps of the next."""
-    settings = TrainSettings(epochs=50, iterations=7, batch=16)
-    assert settings.n_epochs(len(windows)) == 2
-    steps = []
+    settings, steps = TrainSettings(epochs=50, iterations=7, batch=16), []
 
     class Counted(Bar):
         def update(self, n=1, title=None):
@@ -179,22 +179,8 @@ def test_iterations_end_the_training_within_an_epoch(windows, tmp_path):
     assert [row["iterations"] for row in result.history] == [5, 7]
 
 
-def test_products_in_16_bits_learn_as_well(windows, tmp_path):
-    settings = TrainSettings(epochs=3, batch=8, augmentation=None, precision="bfloat16")
-    result = train(CONFIG, windows, bars(8, seed=1), settings, tmp_path)
-    assert result.history[-1]["per_window"] == 1.0
-    assert all(w.dtype == np.float32 for w in result.last.weights.values())
-    exact = train(CONFIG, windows, windows[:0], TrainSettings(epochs=3, batch=8, augmentation=None), tmp_path / "32")
-    assert not weights_equal(result.last, exact.last)
-
-
-def test_no_windows_are_refused(windows, tmp_path):
-    with pytest.raises(ValueError, match="`training` must hold at least one window"):
-        train(CONFIG, windows[:0], windows, TrainSettings(), tmp_path)
-
-
 @pytest.mark.parametrize(
-    ("name", "value", "text"),
+    ("name", "value", "message"),
     [
         ("epochs", 0, "at least 1, got 0"),
         ("iterations", 0, "at least 1, got 0"),
@@ -203,13 +189,13 @@ def test_no_windows_are_refused(windows, tmp_path):
         ("label_smoothing", 1.0, r"in \[0, 1\), got 1.0"),
     ],
 )
-def test_settings_out_of_range_are_refused(name, value, text):
-    with pytest.raises(ValueError, match=rf"`{name}` must be .*{text}"):
+def test_settings_out_of_range_are_refused(name, value, message):
+    with pytest.raises(ValueError, match=rf"`{name}` must be .*{message}"):
         TrainSettings(**{name: value})
 
 
-class CountsOn(torch.nn.Module):
-    """A network whose decision is known: class 1 where the volume's sum is positive."""
+class DecidesByTheSum(torch.nn.Module):
+    """Class 1 where the volume's sum is positive."""
 
     def __init__(self):
         super().__init__()
@@ -224,14 +210,12 @@ def test_evaluation_by_hand():
     """Recording 0: two saccades ON, weakly, one OFF, strongly; recording 1: OFF throughout."""
 
     def recording(*saccades):
-        rows = []
-        for k, (n, p) in enumerate(saccades):
-            rows += [(105_000 * k + 1_000 * (i + 40), 16, 16, p) for i in range(n)]
-        return np.array(rows, EVENT_DTYPE)
+        rows = [(105_000 * k + 1_000 * (i + 40), 16, 16, p) for k, (n, p) in enumerate(saccades) for i in range(n)]
+        return events_of(*np.array(rows).T)
 
     recordings = Recordings.from_events([recording((1, 1), (1, 1), (9, 0)), recording((3, 0), (3, 0), (3, 0))], [1, 0])
-    config = TNTConfig(transform="none")
-    found = evaluate(Pipeline(config, CountsOn()), make_windows(recordings, 105_000), times_ms=(10, 100))
+    pipeline = Pipeline(TNTConfig(transform="none"), DecidesByTheSum())
+    found = evaluate(pipeline, make_windows(recordings, 105_000), times_ms=(10, 100))
     assert found.per_window == pytest.approx(5 / 6)
     np.testing.assert_array_equal(found.confusion, [[3, 0], [1, 2]])
     assert (found.n_windows, found.n_recordings) == (6, 2)
@@ -240,16 +224,54 @@ def test_evaluation_by_hand():
     assert found.to_dict()["against_time_ms"] == {"10": 0.5, "100": 0.83333}
 
 
-def test_training_on_starts_where_the_model_ended(windows, tmp_path):
+def test_continued_training_starts_where_the_model_ended(windows, trained, tmp_path):
     """With a rate of next to nothing, the weights stay those of the model."""
-    first = train(CONFIG, windows, windows[:0], TrainSettings(epochs=1, batch=16), tmp_path / "first").last
+    first = trained[0].last
     still = TrainSettings(epochs=1, batch=16, learning_rate=1e-12, weight_decay=0.0)
-    on = train(CONFIG, windows, windows[:0], still, tmp_path / "on", start=first).last
+    on, new = (
+        train(CONFIG, windows, windows[:0], still, tmp_path / str(m is None), start=m).last for m in (first, None)
+    )
     for name, weights in first.weights.items():
         np.testing.assert_allclose(on.weights[name], weights, rtol=1e-5, atol=1e-7)
-    fresh = train(CONFIG, windows, windows[:0], still, tmp_path / "fresh").last
-    assert not np.allclose(fresh.weights["fc1.weight"], first.weights["fc1.weight"], atol=1e-4)
+    assert not np.allclose(new.weights["fc1.weight"], first.weights["fc1.weight"], atol=1e-4)
     with pytest.raises(ValueError, match="holds a run with other start"):
-        train(CONFIG, windows, windows[:0], still, tmp_path / "on", start=fresh)
+        train(CONFIG, windows, windows[:0], still, tmp_path / "False", start=new)
     with pytest.raises(ValueError, match="`start` must have the configuration and classes of this training"):
         train(CONFIG.replace(t_max=8.0), windows, windows[:0], still, tmp_path / "other", start=first)
+
+
+def test_balance_shows_every_class_equally_often_and_every_window_in_turn():
+    labels = np.array([0] * 90 + [1] * 7 + [2] * 3)
+    order, again, other = (balanced_order(labels, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert len(order) == 100 and sorted(np.bincount(labels[order])) == [33, 33, 34]
+    shown = np.bincount(order, minlength=100)
+    assert shown[:90].max() == 1 and np.ptp(shown[90:97]) <= 1 and np.ptp(shown[97:]) <= 1
+    np.testing.assert_array_equal(order, again)
+    assert not np.array_equal(order, other)
+
+
+@pytest.mark.parametrize(("balance", "expected"), [(True, [36, 36]), (False, [54, 18])])
+def test_each_epoch_shows_all_windows_in_an_order_and_with_augmentation_of_its_own(balance, expected, windows):
+    windows = relabelled(windows, [0] * 18 + [1] * 6)
+    settings = TrainSettings(batch=8, balance=balance)
+    first, again, second = (list(batches_of(CONFIG, windows, settings, epoch)) for epoch in (0, 0, 1))
+    assert np.bincount(np.concatenate([some.labels for some, _ in first])).tolist() == expected
+    orders = [np.concatenate([some.recording for some, _ in epoch]).tolist() for epoch in (first, again, second)]
+    seeds = [np.concatenate([draws.seed for _, draws in epoch]).tolist() for epoch in (first, again, second)]
+    assert orders[0] == orders[1] != orders[2] and seeds[0] == seeds[1] != seeds[2]
+
+
+def test_patience_ends_the_training_and_the_best_epoch_has_the_lowest_loss(windows, tmp_path, monkeypatch):
+    losses = iter([3.0, 1.0, 2.0, 1.5, 0.5])
+    monkeypatch.setattr(loop, "_validate", lambda *_, **more: {"validation_loss": next(losses), "per_window": 0.5})
+    settings = TrainSettings(epochs=5, batch=4, patience=2, balance=True)
+    for _ in range(2):  # given again, it asks for no fifth loss
+        result = train(CONFIG, windows[:8], windows[:8], settings, tmp_path)
+        assert len(result.history) == 4 and result.best_epoch == 2
+
+
+def test_a_rare_class_counts_as_much_in_the_validation_loss(windows, monkeypatch):
+    monkeypatch.setattr(loop, "class_probabilities", lambda *_: np.array([[0.5, 0.5]] * 3 + [[0.75, 0.25]]))
+    four = relabelled(windows, [0, 0, 0, 1] + [0] * 20)[[0, 3, 6, 9]]
+    balanced, plain = (loop._validate(None, four, balance=balance)["validation_loss"] for balance in (True, False))
+    assert balanced == pytest.approx((np.log(2) + np.log(4)) / 2) and plain == pytest.approx(1.25 * np.log(2))

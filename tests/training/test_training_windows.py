@@ -1,61 +1,41 @@
-"""Recordings on disk -> recordings in memory -> windows."""
+"""Recordings on disk or simulated -> recordings in memory -> windows, split by recording."""
+
+import gzip
 
 import numpy as np
 import pytest
+from made import events_of
+from small_sets import idx_bytes
 
-from async_tnt.events import EVENT_DTYPE
-from async_tnt.sources.files.nmnist import write_nmnist
-from async_tnt.training.digits import FIRST_INDEX, read_nmnist_folder, read_samples
+from async_tnt.simulation.digits import FIRST_SAMPLE
+from async_tnt.training.digits import FIRST_INDEX, read_nmnist_folder, read_samples, simulate_recordings
 from async_tnt.training.windows import Recordings, make_windows, split_recordings
 
 
-def recording(times_us, x=5):
-    events = np.zeros(len(times_us), EVENT_DTYPE)
-    events["t"], events["x"], events["y"], events["p"] = times_us, x, 7, 1
-    return events
+def recording(times_us):
+    return events_of(times_us, *(np.full(len(times_us), value) for value in (5, 7, 1)))
 
 
-def write_folder(folder, n=3):
-    for digit in (0, 4):
-        (folder / str(digit)).mkdir(parents=True)
-        for k in range(n):
-            write_nmnist(folder / str(digit) / f"{k:05d}.bin", recording([1_000 * k, 120_000], x=digit + k))
-    return folder
-
-
-def test_a_folder_is_read_in_order_with_its_labels(tmp_path):
-    recordings = read_nmnist_folder(write_folder(tmp_path))
-    assert recordings.names[:4] == ("0/00000.bin", "0/00001.bin", "0/00002.bin", "4/00000.bin")
-    np.testing.assert_array_equal(recordings.labels, [0, 0, 0, 4, 4, 4])
-    np.testing.assert_array_equal(recordings.offsets, [0, 2, 4, 6, 8, 10, 12])
-    np.testing.assert_array_equal(recordings.x, np.repeat([0, 1, 2, 4, 5, 6], 2))
-    np.testing.assert_array_equal(recordings.t[:4], [0, 120_000, 1_000, 120_000])
-    assert len(read_nmnist_folder(tmp_path, per_digit=1)) == 2
-
-
-def test_a_damaged_file_is_refused_by_name_or_left_out_by_name(tmp_path):
-    folder = write_folder(tmp_path)
-    with (folder / "4" / "00001.bin").open("ab") as file:
-        file.write(b"\x01")
-    with pytest.raises(ValueError, match=r"4/00001.bin: damaged .* --skip-damaged"):
-        read_nmnist_folder(folder)
-    with pytest.warns(UserWarning, match=r"left out: .*4/00001.bin"):
-        recordings = read_nmnist_folder(folder, skip_damaged=True)
-    assert "4/00001.bin" not in recordings.names and len(recordings) == 5
-    np.testing.assert_array_equal(recordings.labels, [0, 0, 0, 4, 4])
+def test_a_folder_is_read_in_order_with_its_labels(nmnist):
+    recordings = read_nmnist_folder(nmnist / "Train")
+    assert recordings.names[:5] == ("0/60006.bin", "0/60016.bin", "0/60026.bin", "0/60036.bin", "1/60007.bin")
+    np.testing.assert_array_equal(recordings.labels, np.repeat(np.arange(10), 4))
+    assert len(recordings.offsets) == 41 and recordings.offsets[-1] == len(recordings.t)
+    fewer = read_nmnist_folder(nmnist / "Train", per_digit=1)
+    assert fewer.names == recordings.names[::4]
+    np.testing.assert_array_equal(fewer.x[: fewer.offsets[1]], recordings.x[: recordings.offsets[1]])
 
 
 def test_a_missing_or_empty_folder_is_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere.*<digit>/<number>.bin"):
+    with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere; expected N-MNIST's layout"):
         read_nmnist_folder(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="no recordings; expected N-MNIST's layout"):
         read_nmnist_folder(tmp_path)
 
 
 def test_windows_from_zero_and_from_the_first_event():
-    recordings = Recordings.from_events(
-        [recording([2_000, 104_999, 105_000, 316_000]), recording([]), recording([212_000])], [1, 2, 3]
-    )
+    times = [[2_000, 104_999, 105_000, 316_000], [], [212_000]]
+    recordings = Recordings.from_events(map(recording, times), [1, 2, 3])
     from_zero = make_windows(recordings, 105_000)
     np.testing.assert_array_equal(from_zero.recording, [0, 0, 2])  # none of 0's between 210 and 315 ms
     np.testing.assert_array_equal(from_zero.start_us, [0, 105_000, 210_000])
@@ -66,10 +46,16 @@ def test_windows_from_zero_and_from_the_first_event():
     assert len(make_windows(recordings, 400_000, which=[0])) == 1
 
 
+def test_windows_without_a_duration_reach_to_the_last_event():
+    events = [recording([3, 102, 103, 2_000_000_003]), recording([50]), recording([])]
+    windows = make_windows(Recordings.from_events(events, [0, 1, 1]), 100, first_event=True, duration_us=None)
+    np.testing.assert_array_equal(windows.recording, [0, 0, 0, 1])
+    np.testing.assert_array_equal(windows.start_us, [3, 103, 2_000_000_003, 50])
+
+
 def test_recordings_add_up():
     first = Recordings.from_events([recording([1, 2]), recording([3])], [0, 1])
-    second = Recordings.from_events([recording([4, 5, 6])], [2], ["last"])
-    both = first + second
+    both = first + Recordings.from_events([recording([4, 5, 6])], [2], ["last"])
     np.testing.assert_array_equal(both.t, [1, 2, 3, 4, 5, 6])
     np.testing.assert_array_equal(both.offsets, [0, 2, 3, 6])
     assert len(both) == 3 and both.names == ("0", "1", "last")
@@ -83,20 +69,52 @@ def test_times_must_be_in_order_and_short():
 
 
 def test_a_split_is_by_recording_and_even_over_the_classes():
-    labels = [0] * 40 + [1] * 20
-    recordings = Recordings.from_events([recording([1])] * 60, labels)
+    recordings = Recordings.from_events([recording([1])] * 60, [0] * 40 + [1] * 20)
     train, held_out = split_recordings(recordings, 0.25, np.random.default_rng(0))
     np.testing.assert_array_equal(np.sort(np.concatenate([train, held_out])), np.arange(60))
     np.testing.assert_array_equal(np.bincount(recordings.labels[held_out]), [10, 5])
-    again = split_recordings(recordings, 0.25, np.random.default_rng(0))[1]
-    np.testing.assert_array_equal(held_out, again)
-    assert len(split_recordings(recordings, 0.0, np.random.default_rng(0))[1]) == 0
+    np.testing.assert_array_equal(held_out, split_recordings(recordings, 0.25, np.random.default_rng(0))[1])
     with pytest.raises(ValueError, match=r"`fraction` must be in \[0, 1\), got 1"):
         split_recordings(recordings, 1, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("fraction", "expected"), [(0.1, [1, 1, 0]), (0.5, [5, 2, 0]), (0.99, [9, 2, 0]), (0.0, [0, 0, 0])]
+)
+def test_a_small_class_gives_one_recording_to_the_held_out_and_keeps_one(fraction, expected):
+    recordings = Recordings.from_events([recording([1])] * 14, [0] * 10 + [1] * 3 + [2])
+    _, held_out = split_recordings(recordings, fraction, np.random.default_rng(0), at_least=1)
+    np.testing.assert_array_equal(np.bincount(recordings.labels[held_out], minlength=3), expected)
+
+
+def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_path):
+    """Images with one bar each, only beyond FIRST_INDEX; the label is the bar's place."""
+    images = np.zeros((FIRST_INDEX + 4, 28, 28), np.uint8)
+    labels = np.zeros(len(images), np.uint8)
+    for k in range(4):
+        images[FIRST_INDEX + k, 6:22, 5 + 5 * k : 8 + 5 * k] = 255
+        labels[FIRST_INDEX + k] = k + 1
+    for name, array in (("images-idx3", images), ("labels-idx1", labels)):
+        (tmp_path / f"train-{name}-ubyte.gz").write_bytes(gzip.compress(idx_bytes(array), 1))
+    recordings, again, fewer, other = (
+        simulate_recordings(tmp_path, *words) for words in ((4, 0), (4, 0), (2, 0), (2, 1))
+    )
+    np.testing.assert_array_equal(np.sort(recordings.labels), [1, 2, 3, 4])  # none of the empty ones
+    assert len(make_windows(recordings, 105_000)) == 12 and recordings.names[0].startswith("simulated 500")
+    for r, label in enumerate(recordings.labels):
+        events = slice(recordings.offsets[r], recordings.offsets[r + 1])
+        bar = 3 + 5 * label - 2.5 + 3.5  # its centre in the image, and the image's place on the sensor
+        assert np.median(recordings.x[events]) == pytest.approx(bar, abs=4)
+        assert recordings.t[events].max() > 250_000
+    np.testing.assert_array_equal(recordings.t, again.t)
+    np.testing.assert_array_equal(recordings.t[: len(fewer.t)], fewer.t)  # the first of more
+    assert recordings.names[:2] == fewer.names and not np.array_equal(fewer.t, other.t)
+    with pytest.raises(ValueError, match=r"must be in \[0, 4\], got 5"):
+        simulate_recordings(tmp_path, 5, 0)
 
 
 def test_the_samples_are_ten_digits_of_images_that_training_leaves_out():
     samples = read_samples()
     np.testing.assert_array_equal(samples.labels, range(10))
     assert len(make_windows(samples, 105_000)) == 30
-    assert FIRST_INDEX == 5_000
+    assert FIRST_INDEX > FIRST_SAMPLE + 1_000  # the samples are the first of each digit from there

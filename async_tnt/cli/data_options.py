@@ -1,4 +1,4 @@
-"""Shared by commands that read data sets and record how a result was made."""
+"""Shared by commands that train and simulate: options for data folders, and the command that repeats a result."""
 
 from __future__ import annotations
 
@@ -7,18 +7,24 @@ import os
 from collections.abc import Callable, Collection
 from pathlib import Path
 
+from async_tnt.training.settings import PRECISIONS
+
+
+def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> None:
+    parser.add_argument(option, type=Path, metavar="FOLDER", help=text)
+
+
+def add_precision(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--precision",
+        choices=PRECISIONS,
+        default="float32",
+        help="of the networks' products (default: float32); bfloat16 is faster on hardware that supports it",
+    )
+
 
 def data_folder(given: Path | None, name: str, option: str, *, alternative: str = "") -> Path:
-    """A data folder: as given, or `name` in $TNT_DATA.
-
-    Parameters
-    ----------
-    alternative : another argument that would do, named first in the error.
-
-    Raises
-    ------
-    FileNotFoundError : neither, or no such folder.
-    """
+    """A data folder: as given, or `name` in $TNT_DATA. An error names `option`, after an `alternative` to it."""
     folder = given
     if folder is None:
         root = os.environ.get("TNT_DATA")

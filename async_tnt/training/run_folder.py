@@ -1,26 +1,27 @@
-"""The run folder: checkpoint and history of a training, and whether a training may resume from it."""
+"""The run folder of a training: its checkpoint, history and learning curves, and which training may resume there."""
 
 from __future__ import annotations
 
 import json
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing, write_text
 from async_tnt.networks.model import Model
-from async_tnt.training.run_files import CHECKPOINT, HISTORY
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
 
-FORMAT = 3
+CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"
+LAST, BEST = "last.safetensors", "best.safetensors"
+RUN_FILES = (CHECKPOINT, HISTORY, CURVES, LAST, BEST)
+FORMAT = 3  # of the checkpoint
 SHOWN = 3  # recordings that a refusal names
 
 
@@ -31,6 +32,8 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     ----------
     state : `identity` from `identity_of`, `sources` for `check_run`, `history`, and what else is needed to resume.
     """
+    import torch
+
     with replacing(run_folder / CHECKPOINT) as part:
         torch.save(dict(state), part)
     text = json.dumps({"settings": json.loads(state["identity"]), "history": state["history"]}, indent=1)
@@ -38,7 +41,7 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
 
 
 def load_checkpoint(run_folder: Path, identity: str) -> dict[str, Any] | None:
-    """The state that `save_checkpoint` wrote into the folder; None where there is none yet.
+    """The state that `save_checkpoint` wrote into the folder; None if there is none yet.
 
     Raises
     ------
@@ -62,7 +65,7 @@ def identity_of(
     start: Model | None,
     classes: tuple[str, ...],
 ) -> str:
-    """All that decides the weights, as JSON: a checkpoint is used only where it is the same."""
+    """Everything that decides the weights, as JSON: training resumes from a checkpoint only if it is the same."""
     data = zlib.crc32(training.recordings.offsets.tobytes())
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):
@@ -84,22 +87,19 @@ def identity_of(
 
 
 def check_run(
-    run_folder: Path,
-    config: Mapping[str, Any],
-    settings: Mapping[str, Any],
-    sources: Mapping[str, Any] | None = None,
+    run_folder: Path, config: Mapping[str, Any], settings: Mapping[str, Any], sources: Mapping[str, Any] | None = None
 ) -> None:
-    """Refuse a folder that holds another run than the one to be started, before any data is read.
+    """Refuse a folder that holds a run other than the one to be started, before any data is read.
 
     Parameters
     ----------
-    config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known yet.
-    sources : as given to `train`. `pixels`: of `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of
-        those that were not left out, unknown yet; `validation`: the share held out.
+    config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known so far.
+    sources : as given to `train`. `pixels`: `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of
+        those that were not left out, not known yet; `validation`: the share held out.
 
     Raises
     ------
-    ValueError : names what differs. Or the checkpoint is damaged, or of another release.
+    ValueError : it does, and what differs; or the checkpoint is damaged, or of another release.
     """
     state = _read(run_folder / CHECKPOINT)
     if state is None:
@@ -141,13 +141,15 @@ def other_run(run_folder: Path, what: str) -> ValueError:
 
 
 def _flat(identity: dict[str, Any]) -> dict[str, Any]:
-    """Name -> value, without the levels `config` and `settings`."""
+    """Name -> value, with those in `config` and `settings` at the top level."""
     return {**identity.pop("config"), **identity.pop("settings"), **identity}
 
 
 def _read(path: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
+    import torch
+
     try:
         with zipfile.ZipFile(path) as archive:
             if archive.testzip() is not None:  # torch.load does not compare checksums
@@ -160,3 +162,36 @@ def _read(path: Path) -> dict[str, Any] | None:
     if written != FORMAT:
         raise ValueError(f"{path} was written by another release of async_tnt; remove it to start again")
     return state
+
+
+def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
+    """Loss and accuracy against epochs, as PNG. Returns False, and writes nothing, without matplotlib."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        return False
+    figure = Figure(figsize=(8, 3.2), layout="constrained")
+    losses, accuracies = figure.subplots(1, 2)
+    epochs = [row["epoch"] for row in history]
+    for axes, names in (
+        (losses, {"loss": "training (smoothed labels)", "validation_loss": "validation"}),
+        (
+            accuracies,
+            {
+                "training": "training (augmented)",
+                "per_window": "validation, by window",
+                "per_recording": "validation, by recording",
+            },
+        ),
+    ):
+        for name, label in names.items():
+            if all(name in row for row in history):
+                axes.plot(epochs, [row[name] for row in history], marker=".", label=label)
+        axes.set_xlabel("epoch")
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize="small")
+    losses.set_ylabel("cross entropy")
+    accuracies.set_ylabel("accuracy")
+    with replacing(path) as part:
+        figure.savefig(part, format="png", dpi=120)
+    return True
