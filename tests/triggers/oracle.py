@@ -28,10 +28,6 @@ class Window:
         self.volume.open(start_us)
         self.times: list[int] = []
 
-    def add(self, event: tuple[int, int, int, int]) -> None:
-        self.volume.update_one(*event)
-        self.times.append(event[0])
-
 
 class Oracle:
     """See `Processor` for the settings, which may be changed at any time by `change`."""
@@ -90,7 +86,8 @@ class Oracle:
             return said
         for window in self.windows:
             if window.start_us <= t_us:
-                window.add(event)
+                window.volume.update_one(*event)
+                window.times.append(t_us)
         trigger = "activity" if self._charge(t_us) else ""
         if self.every_events is not None and len(oldest.times) % self.every_events == 0:
             trigger = "every_events"
