@@ -143,7 +143,8 @@ def restored(stream, stopped):
 def test_packets_of_any_size_give_the_same(make, sizes):
     events, whole, cut = events_of(make), make(), make()
     assert fed(whole, events) == fed(cut, events, sizes) != []
-    assert cut.look() == whole.look() and any(whole.look()[0])
+    assert cut.look() == whole.look()
+    assert any(whole.look()[0]) or isinstance(whole, Stream)  # whose window may be closed early
 
 
 @given(data=st.data())
