@@ -213,7 +213,7 @@ class Processor:
         return decisions
 
     def _absorb_until_decision(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
-        """Add events until one makes a decision due (compiled code may go on); returns the first one not added."""
+        """Add events until one makes a decision due (compiled code may add more); returns the first one not added."""
         windows, oldest, state = self._windows, self._windows.oldest, self._triggers.state
         if self._classifier.decides_in_stretches:
             before = oldest.n_late, oldest.n_decided

@@ -167,7 +167,7 @@ class TNTVolume:
             if type(t | x | y | p) is int and self._is_plain:
                 return absorb_one(self._buffer, t, x, y, p * 1)
         except (TypeError, OverflowError):
-            pass  # the decoder says what is wrong
+            pass  # the decoder names the mistake
         return REFUSED
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:

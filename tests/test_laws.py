@@ -1,7 +1,7 @@
 """Laws that hold for everything that takes a stream: volumes of every kind, processors with every trigger.
 
 However the stream is cut into packets; after a reset, in a copy, restored in another object; whatever invalid packets
-came and whatever was read in between: the same decisions, volumes, landmarks and counts, bit for bit.
+arrived and whatever was read in between: the same decisions, volumes, landmarks and counts, bit for bit.
 """
 
 import copy
@@ -124,7 +124,7 @@ def events_of(make, n=400, seed=1, start_us=50):
 
 
 def fed(stream, events, sizes=(400,)):
-    """What came out of a stream cut into packets of these sizes, over and over; 0: one event by `push_one`."""
+    """The outputs of a stream cut into packets of these sizes, over and over; 0: one event by `push_one`."""
     outputs, first, sizes = [], 0, itertools.cycle(sizes)
     while first < len(events):
         size = next(sizes)

@@ -16,8 +16,6 @@ from async_tnt.checks import checked_time, plain_array
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.records import MAX_TIME_US
 
-Array = np.ndarray
-
 
 def move_by_flow(
     t: Any, x: Any, y: Any, flow: Sequence[float], *, start_us: int, window_us: int
@@ -80,7 +78,9 @@ def undo_flow(
     return x - dx, y - dy
 
 
-def _displacements(t: Any, x: Any, y: Any, flow: Sequence[float], start_us: int, window_us: int) -> tuple[Array, ...]:
+def _displacements(
+    t: Any, x: Any, y: Any, flow: Sequence[float], start_us: int, window_us: int
+) -> tuple[np.ndarray, ...]:
     """x, y and v f, checked; each (N,) float64."""
     config = TNTConfig(window_us=window_us)  # checks it
     start_us = checked_time("start_us", start_us)

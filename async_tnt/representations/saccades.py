@@ -56,7 +56,7 @@ def segment(events: Any, cuts_us: Sequence[int]) -> list[np.ndarray]:
     packed = as_events(events, _ANY_SENSOR)
     t = packed["t"]
     if np.all(t[1:] >= t[:-1]):
-        return np.split(packed, np.searchsorted(t, cuts))  # left: an event at a cut lies behind it
+        return np.split(packed, np.searchsorted(t, cuts))  # left: an event at a cut belongs to the piece after it
     piece = np.searchsorted(cuts, t, side="right")  # cuts at or before t
     return [packed[piece == k] for k in range(len(cuts) + 1)]
 

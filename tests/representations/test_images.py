@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from made import events_of, nasty_streams, random_events
 
 from async_tnt.representations import count_image, count_timestamp_image
-from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 SHAPES = [((34, 34), 105_000), ((5, 3), 7), ((2, 2), 1), ((64, 48), 1_000)]  # sensor, window_us
 STARTS = [0, 123_456_789, 1_700_000_000_000_000]
@@ -89,15 +88,6 @@ def test_time_is_a_float64_quotient_of_an_exact_difference_rounded_once():
     for dt, window_us in zip(rng.integers(1 << 24, 1 << 25, 100), rng.integers(1 << 25, 60_000_000, 100), strict=True):
         image = count_timestamp_image(([dt], [0], [0], [0]), start_us=0, window_us=window_us, sensor=(2, 2))
         assert image[3, 0, 0] == np.float32(int(dt) / int(window_us))
-
-
-def test_images_of_recordings_equal_the_reference():
-    for path in list(sample_recordings().values())[:3]:
-        events = open_recording(path).read()
-        at = dict(start_us=int(events["t"][0]), window_us=int(np.ptp(events["t"])) + 1, sensor=(34, 34))
-        counts, four = both_images(events, **at)
-        assert counts.sum() == four[:2].sum() == len(events) > 1_000
-        assert as_bits((counts, four)) == as_bits(reference(events, **at))
 
 
 # -- errors ----------------------------------------------------------------------------------------------------

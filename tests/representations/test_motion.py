@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import nasty_streams, random_events
 
-from async_tnt.representations.images import count_image
 from async_tnt.representations.motion import move_by_flow, undo_flow
 
 AT = dict(start_us=1_000, window_us=1 << 16)  # 2**16 us: every fraction f is exact in float64
@@ -92,23 +91,6 @@ def test_the_reference_is_differentiable_in_the_flow_and_the_coordinates():
     moved_x, _ = tnt_reference.move_by_flow(t, x, y, flow, **AT)
     (slope,) = torch.autograd.grad(moved_x.sum(), flow)  # the sum of f, and nothing of v_y
     assert slope.tolist() == [(29_000 + 59_000) / 65_536, 0]
-
-
-def test_undoing_the_flow_gathers_a_moving_point_in_one_pixel():
-    """400 events of a point that drifts 16 px right and 8 up lie on 17 pixels at least; undone, on one and its
-    neighbours: whole pixels were rounded before and after, by half a pixel at most each time."""
-    t = np.sort(np.random.default_rng(0).integers(0, 105_000, 400))
-    at = dict(start_us=0, window_us=105_000)
-    x, y = (np.rint(c).astype(int) for c in move_by_flow(t, np.full(400, 5), np.full(400, 20), (16, -8), **at))
-    p = np.ones(400, int)
-    blurred = count_image((t, x, y, p), sensor=(34, 34))
-    x, y = (np.rint(c).astype(int) for c in undo_flow(t, x, y, (16, -8), **at))
-    sharp = count_image((t, x, y, p), sensor=(34, 34))
-    assert (blurred > 0).sum() >= 17 and blurred.max() < 60
-    assert sharp[0, 19:22, 4:7].sum() == 400 and sharp[0, 20, 5] > 200
-
-
-# -- errors ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("function", [move_by_flow, undo_flow])

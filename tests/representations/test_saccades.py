@@ -1,4 +1,4 @@
-"""Cutting recordings: nothing is lost, an event at a cut lies behind it, and N-MNIST's saccades look three ways."""
+"""Cutting recordings: nothing is lost, an event at a cut belongs to the piece after it; N-MNIST's saccades."""
 
 from itertools import pairwise
 
@@ -20,7 +20,7 @@ def at_times(*t):
     return events_of(t, range(n), [0] * n, [k % 2 for k in range(n)])  # x tells which is which
 
 
-def test_an_event_at_a_cut_lies_behind_it():
+def test_an_event_at_a_cut_belongs_to_the_piece_after_it():
     pieces = segment(at_times(0, 9, 10, 10, 11, 19, 20), [10, 20, 30])
     assert [piece["t"].tolist() for piece in pieces] == [[0, 9], [10, 10, 11, 19], [20], []]
     assert all(piece.dtype == EVENT_DTYPE for piece in pieces)
@@ -71,10 +71,10 @@ def direction(saccade):
 
 
 def test_real_saccades_look_three_ways_and_cannot_be_found_by_pauses(data):
-    """Up and a little left; down and left; right: the way the digit came from, as `simulation/statistics.py` says.
+    """Up and a little left; down and left; right: opposite to the motion, see `simulation/statistics.py`.
 
-    The rate falls between saccades, but events of noise and of a slow start go on: of 200 borders fewer than a fifth
-    lie within 5 ms of a pause of 2 ms, of which there are several in a recording, anywhere.
+    The rate falls between saccades, but noise and slow starts leave no pause: fewer than a fifth of 200 borders lie
+    within 5 ms of a pause of 2 ms, and pauses of 2 ms are found anywhere in a recording.
     """
     recordings = [p for k in range(10) for p in sorted((data / "nmnist" / "Test" / str(k)).glob("*.bin"))[::10]]
     directions, near, n_rest, n_pauses = [], [], 0, 0
@@ -99,7 +99,7 @@ def test_pauses_by_hand():
     events = at_times(0, 5, 15, 24, 34, 35)
     assert find_pauses(events, 10) == [15, 34]
     assert find_pauses(events, 11) == []
-    assert find_pauses(events[::-1], 10) == [15, 34]  # in order of time, however they come
+    assert find_pauses(events[::-1], 10) == [15, 34]  # in order of time, whatever their order
     assert find_pauses(events[:1], 1) == find_pauses(None, 1) == []
 
 

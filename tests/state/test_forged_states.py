@@ -1,4 +1,4 @@
-"""A state comes from elsewhere: whatever numbers it holds, it is refused, or its stream continues to the end."""
+"""A state may be forged: whatever numbers it holds, it is refused, or its stream continues to the end."""
 
 import itertools
 import os
@@ -90,7 +90,7 @@ def test_every_number(case):
         states += [arrays | {name: forged} for forged in (*forged_numbers(array, rng), *misshapen(array))]
     chosen = rng.permutation(len(states))[:N_FORGED]
     n_refused = sum(refused(case, states[k], about, rest) for k in chosen)
-    assert n_refused > 0.25 * len(chosen)  # the others are of numbers that are not believed anyhow
+    assert n_refused > 0.25 * len(chosen)  # the other numbers are recomputed anyway
 
 
 @of_all_cases

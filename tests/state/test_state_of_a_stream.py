@@ -50,17 +50,6 @@ def test_which_windows_were_closed_early_is_restored(hop_us):
         assert (stream.counts.dropped_decided, stream.counts.dropped_late) == (3, 1)
 
 
-def test_late_events_that_were_dropped_are_restored():
-    events = random_events(200, seed=5, duration_us=1500)
-    events["t"][[20, 60, 130]] = 3
-    whole, stopped = processor(late="drop"), processor(late="drop")
-    whole.push(events[:100]), stopped.push(events[:100])
-    resumed = restored(stopped.save_state(), late="drop")
-    assert seen(resumed) == seen(whole) and resumed.counts.dropped_late == 2
-    assert seen(resumed, resumed.push(events[100:])) == seen(whole, whole.push(events[100:]))
-    assert resumed.counts.dropped_late == 3
-
-
 def test_in_another_process(tmp_path):
     model = random_model(CONFIG, classes=3)
     model.save(tmp_path / "model.safetensors")

@@ -35,17 +35,11 @@ def shift_of_each_bin(landmark, **settings):
     return (centroids[0] - centroids[1])[2:]  # the first bins, at little TNT time, lose events over the border
 
 
-def test_running_landmark_turns_flow_v_into_a_translation_by_half_of_it():
+def test_running_turns_flow_v_into_a_translation_by_half_of_it_and_line_by_all_of_it():
     assert shift_of_each_bin("running") == pytest.approx(V / 2 / T_MAX, abs=0.15)
-
-
-def test_line_landmark_recovers_the_whole_translation():
     shift = shift_of_each_bin("line")
     assert shift[-4:] == pytest.approx(V / T_MAX, abs=0.25)
     assert shift[0] < V / T_MAX - 0.5  # the ridge: few events give the running centroid
-
-
-def test_line_with_flow_removed_takes_the_translation_away():
     assert shift_of_each_bin("line", remove_flow=True)[-4:] == pytest.approx(0, abs=0.15)
 
 

@@ -75,9 +75,8 @@ def test_a_full_replay_buffer_warns_after_the_packet_is_processed():
     assert quiet.counts == strict.counts and quiet.counts.received == 40
 
 
-@pytest.mark.parametrize("number", [np.uint16, np.int32, np.uint64])
-def test_start_may_be_a_numpy_integer(number):
-    decisions, _ = run(events_of(*at([60_100, 70_000_000])), start_us=number(60_000))
+def test_start_may_be_a_numpy_integer():
+    decisions, _ = run(events_of(*at([60_100, 70_000_000])), start_us=np.uint64(60_000))
     assert [d.window_start_us for d in decisions] == [60_000, 70_000_000]
 
 

@@ -66,7 +66,7 @@ def test_an_answer_that_cannot_be_a_landmark(answer, message):
         assert len(str(caught.value)) < 200 and "\n" not in str(caught.value)
     with pytest.raises(ValueError, match="`regressor` must return"):
         volume.close()
-    volume.reset()  # nevertheless
+    volume.reset()  # works without a landmark
     assert volume.n_events == 0 and not volume.array.any()
 
 

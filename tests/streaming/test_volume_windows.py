@@ -105,24 +105,6 @@ def test_events_before_the_open_window_are_dropped_and_counted():
     assert volume.landmark == (3.0, 3.0)
 
 
-@pytest.mark.parametrize(("late", "dropped"), [("accept", 0), ("drop", 3)])
-def test_events_older_than_the_newest_one(late, dropped):
-    volume = opened(late=late)
-    volume.update(([500, 400, 600, 599, 600], [16] * 5, [16] * 5, [1] * 5))
-    volume.update_one(550, 16, 16, 1)
-    assert (volume.counts.received, volume.counts.dropped_late, volume.n_events) == (6, dropped, 6 - dropped)
-
-
-def test_late_raise_refuses_the_whole_packet():
-    volume = opened(late="raise")
-    volume.update_one(500, 16, 16, 1)
-    before = volume.array.tobytes(), volume.counts
-    with pytest.raises(ValueError, match=r"`t` must not run backwards .*got 550 after 600 at event 1"):
-        volume.update(([600, 550], [16, 16], [16, 16], [1, 1]))
-    assert (volume.array.tobytes(), volume.counts) == before
-    volume.update_one(500, 16, 16, 1)
-
-
 def test_numpy_scalars_and_bools_are_events_too():
     plain, numpy = opened(), opened()
     plain.update_one(300, 3, 4, 1), plain.update_one(301, 3, 4, 1)

@@ -56,7 +56,7 @@ def test_no_event_is_lost_or_absorbed_twice(settings, size):
 
 
 def test_the_rest_of_a_packet_is_late_for_a_decoder_that_drops_late_events():
-    """It has seen the whole packet, as `push` says."""
+    """It has seen the whole packet, as documented in `push`."""
     processor = failing(1, every_events=1, late="drop")
     with pytest.raises(RuntimeError):
         processor.push(at([0, 1, 2, 3]))

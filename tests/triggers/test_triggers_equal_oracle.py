@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 from made import events_of, nasty_streams, random_events, random_model
-from triggers.oracle import Oracle, said
+from triggers.oracle import Oracle, as_values
 
 from async_tnt import CompiledClassifier, LeakyIntegrator, Processor, TNTConfig
 
@@ -26,7 +26,7 @@ def uneven(volume: np.ndarray) -> np.ndarray:
 
 @cache
 def compiled(config: TNTConfig) -> CompiledClassifier:
-    """A network with strong opinions, so that confidence comes and goes."""
+    """A network with large logits, so that confidence rises and falls."""
     model = random_model(config, classes=3, widths=(3, 5, 7), seed=4)
     loud = {name: w * 12 for name, w in model.weights.items() if name.startswith("fc2") or name == "fc1.weight"}
     return CompiledClassifier(type(model)(config, model.weights | loud, model.classes))
@@ -75,7 +75,7 @@ def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected
     expected += oracle.finish()
     if oracle.close_calls:
         reject()
-    assert [said(d) for d in decisions + processor.finish()] == expected
+    assert [as_values(d) for d in decisions + processor.finish()] == expected
     counts = processor.counts
     assert counts.received == oracle.received
     assert (counts.dropped_late, counts.dropped_decided) == (oracle.dropped_late, oracle.dropped_decided)
