@@ -9,7 +9,7 @@ from deciding import key, total_and_size
 from held_memory import held
 from made import random_events, random_model, random_regressor_model
 
-from async_tnt import Processor, TNTConfig, stream, warmup
+from async_tnt import Processor, TNTConfig, stream
 from async_tnt.checking.reference import reference_pipeline
 
 CONFIG = TNTConfig(window_us=1000, landmark="regressor", t_max=2.0)
@@ -57,10 +57,6 @@ def test_a_model_whose_transform_is_none_has_no_regressor():
     events = [random_events(200, duration_us=2500)]
     assert [key(d) for d in stream(events, model)] == [key(d) for d in stream(events, plain)]
     assert Processor(model).landmark == (16.5, 16.5)
-
-
-def test_warmup_takes_a_model_and_a_configuration_with_a_regressor():
-    assert warmup(MODEL) > 0 and warmup(CONFIG) > 0
 
 
 def test_processors_of_one_model_in_several_threads():
