@@ -85,7 +85,7 @@ class ReplayBuffer:
             self._raw.open(start_us)
 
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
-        """Store events up to the volume's limit; returns the first one not stored."""
+        """Absorb events up to the volume's limit; returns the first one not absorbed."""
         if self.n + last - first > self._columns.t.size:
             before_limit = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
             self._grow(self.n + int(np.count_nonzero(before_limit)))

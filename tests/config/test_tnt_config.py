@@ -8,7 +8,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -107,7 +106,7 @@ def test_defaults_are_the_thesis():
     assert (config.transform, config.remove_flow) == ("tnt", False)
 
 
-@pytest.mark.parametrize("number", [int, np.int8, np.uint16, np.int32, np.uint64, np.array, torch.tensor])
+@pytest.mark.parametrize("number", [int, np.int8, np.uint16, np.int32, np.uint64, np.array])
 def test_numbers_of_any_type_become_pythons_own(number):
     made = TNTConfig(
         sensor=(number(50), number(40)), grid=[number(20), number(30)], bins=number(7), window_us=number(99)

@@ -68,7 +68,7 @@ BY_HAND = {  # settings, times of events, decisions
 
 
 @pytest.mark.parametrize(("settings", "times", "expected"), BY_HAND.values(), ids=BY_HAND)
-@pytest.mark.parametrize("size", [1, 2, 9])
+@pytest.mark.parametrize("size", [1, 3, 9])
 def test_by_hand(settings, times, expected, size):
     decisions, _ = run(events_of(*at(times)), size, **settings)
     assert summary(decisions) == expected

@@ -34,8 +34,9 @@ def test_first_event_opens_the_window():
     assert (volume.start_us, volume.n_events, volume.newest_us) == (777, 1, 777)
 
 
-def test_window_is_half_open():
-    volume = opened()
+@pytest.mark.parametrize("landmark", ["center", "window"])
+def test_window_is_half_open(landmark):
+    volume = opened(CONFIG.replace(landmark=landmark))
     assert volume.update_one(999, 3, 3, 1) == 0 and volume.start_us == 0
     assert volume.update_one(1000, 3, 3, 1) == 1 and volume.start_us == 1000
     assert volume.n_events == 1
