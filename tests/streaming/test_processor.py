@@ -53,6 +53,11 @@ BY_HAND = {  # settings, times of events, decisions
         (0, 600, 1000),
         [("every_us", 0, 0, 1), ("window", 0, 600, 2), ("end", 1000, 1000, 1)],
     ),
+    "every_us decides nothing twice, and nothing of an empty window": (
+        {"every_us": 5, "every_events": 2, "start_us": 0},
+        (7, 8, 13),
+        [("every_events", 0, 8, 2), ("end", 0, 13, 3)],
+    ),
     "every_events counts within the window": (
         {"every_events": 2},
         (0, 1, 2, 3, 4, 1000, 1001),
@@ -82,10 +87,11 @@ def test_window_is_decided_when_the_first_event_at_or_after_its_end_comes():
     assert summary([processor.fire()]) == [("fire", 1100, 1100, 1)]
 
 
-def test_events_before_the_first_window_are_dropped_and_counted():
-    decisions, processor = run(events_of(*at([5, 7000, 7001])), start_us=7000)
-    assert summary(decisions) == [("end", 7000, 7001, 2)]
-    assert processor.counts.dropped_late == 1 and processor.counts.received == 3
+@pytest.mark.parametrize("hop_us", [None, 300])
+@pytest.mark.parametrize("size", [1, 8])
+def test_events_before_all_open_windows_are_dropped_and_counted_once(hop_us, size):
+    _, processor = run(events_of(*at([5, 7000, 7001, 6, 8600, 7, 9900, 8])), size, start_us=7000, hop_us=hop_us)
+    assert (processor.counts.received, processor.counts.dropped_late) == (8, 4)
 
 
 def test_overlapping_windows_equal_windows_by_themselves():
