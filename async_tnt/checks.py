@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 import sys
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,12 @@ def is_whole(value: Any) -> bool:
     except TypeError:
         return False
     return True
+
+
+def check_number(name: str, value: Any) -> None:
+    """Refuse anything but a real number of any type, which True and False are not."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise TypeError(f"`{name}` must be a number, got {value!r}")
 
 
 def positive_int(name: str, value: Any) -> int:

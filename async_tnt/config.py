@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from numbers import Real
 from typing import Any
 
-from async_tnt.checks import is_whole
+from async_tnt.checks import check_number, is_whole
 
 LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
@@ -78,8 +77,7 @@ class TNTConfig:
             if not low <= value <= high:
                 raise ValueError(f"`{name}` must be in [{low}, {high}], got {value}")
             object.__setattr__(self, name, int(value))
-        if not isinstance(self.t_max, Real) or isinstance(self.t_max, bool):
-            raise TypeError(f"`t_max` must be a number, got {self.t_max!r}")
+        check_number("t_max", self.t_max)
         try:
             t_max = float(self.t_max)
         except OverflowError:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from async_tnt.checked_tensors import Arrays, checked_array
-from async_tnt.checks import positive_int
+from async_tnt.checks import check_number, positive_int
 from async_tnt.kernels import trigger as T
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.kernels.state import NEVER_US
@@ -41,7 +40,7 @@ class LeakyIntegrator:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            _check_number(name, value)
+            check_number(name, value)
             if not value > 0 or (value == math.inf and name != "leak_us"):
                 raise ValueError(f"`{name}` must be a positive number, got {value}")
 
@@ -147,7 +146,7 @@ class Triggers:
 
 
 def _level(name: str, value: Any) -> float:
-    _check_number(name, value)
+    check_number(name, value)
     if not 0 < value <= 1:
         raise ValueError(f"`{name}` must be a probability in (0, 1], got {value}")
     return float(value)
@@ -157,11 +156,6 @@ def _integrator(name: str, value: Any) -> LeakyIntegrator:
     if not isinstance(value, LeakyIntegrator):
         raise TypeError(f"`{name}` must be a LeakyIntegrator(threshold, leak_us), got {value!r}")
     return value
-
-
-def _check_number(name: str, value: Any) -> None:
-    if not isinstance(value, Real) or isinstance(value, bool):
-        raise TypeError(f"`{name}` must be a number, got {value!r}")
 
 
 _CHECKS = {"every_us": positive_int, "every_events": positive_int, "confidence": _level, "activity": _integrator}
