@@ -1,4 +1,4 @@
-"""Named arrays and strings as the bytes of a .safetensors file with a checksum over them: models, states of streams."""
+"""Models and states of streams as .safetensors files: named arrays and strings, with a checksum over them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Arrays = dict[str, np.ndarray]
 
 
 def tensor_bytes(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
-    """`safetensors.numpy.save`, except that the metadata is sorted: there its order changes from call to call.
+    """`safetensors.numpy.save` with sorted metadata, whose order otherwise changes from call to call.
 
     Examples
     --------
@@ -46,8 +46,8 @@ def read_tensors(file: BinaryIO, formats: Collection[str]) -> tuple[dict[str, np
     Raises
     ------
     SafetensorError : it is not a .safetensors file, or NumPy lacks the type of a tensor.
-    ValueError : `format` in its metadata is none of `formats`. Only the header has been read then: tensors of other
-        programs may be huge.
+    ValueError : `format` in its metadata is not one of `formats`. Only the header has been read then, as tensors of
+        other programs may be huge.
     """
     size = file.read(8)
     n_bytes = int.from_bytes(size, "little")
@@ -65,7 +65,7 @@ def read_tensors(file: BinaryIO, formats: Collection[str]) -> tuple[dict[str, np
         tensors = load(size + text + file.read())
     except KeyError as error:
         raise SafetensorError(f"NumPy has no type {error.args[0]}") from None
-    return dict(sorted(tensors.items())), metadata  # `load` gives them in another order at each call
+    return dict(sorted(tensors.items())), metadata  # `load` returns them in a different order each time
 
 
 def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
@@ -78,7 +78,7 @@ def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
 
 
 def state_bytes(arrays: Arrays, about: dict[str, Any]) -> bytes:
-    """The state of a stream: arrays, and what JSON can say, as the content of a file with a checksum."""
+    """The state of a stream: arrays, and `about` as JSON, as the content of a file with a checksum."""
     arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     text = json.dumps(about, sort_keys=True)
     return tensor_bytes(arrays, {"format": STATE_FORMAT, "about": text, "sha256": checksum(arrays, text)})
@@ -89,11 +89,11 @@ def read_state(content: bytes, fixed: Mapping[str, Any] | None = None) -> tuple[
 
     Parameters
     ----------
-    fixed : settings that must be the same under "fixed" in what JSON said.
+    fixed : settings that must be the same under "fixed" in `about`.
 
     Raises
     ------
-    ValueError : it is something else, or damaged, or has other settings; the message names them.
+    ValueError : it is something else, damaged, or has other settings, which the message names.
     """
     try:
         arrays, metadata = read_tensors(io.BytesIO(bytes(content)), (STATE_FORMAT,))
@@ -129,7 +129,7 @@ def checked_array(arrays: Arrays, name: str, dtype: Any, shape: tuple[int, ...])
 
     Raises
     ------
-    ValueError : it is missing, or of another type or shape.
+    ValueError : it is missing, or has another type or shape.
     """
     array = arrays.get(name)
     if array is None or array.dtype != dtype or array.shape != shape:

@@ -1,9 +1,10 @@
-"""What callers pass, checked: whole numbers as Python's int, arrays without a mask, and text for messages."""
+"""Checks of arguments: whole numbers as Python's int, arrays without a mask; and text for messages."""
 
 from __future__ import annotations
 
 import operator
 import sys
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import DTypeLike
 
 
 def is_whole(value: Any) -> bool:
-    """Whether it is a whole number of any type; True and False are not."""
+    """Whether it is a whole number of any type, which True and False are not."""
     if isinstance(value, (bool, np.bool_)):  # the latter: NumPy 1 lets it pass for an index
         return False
     try:
@@ -21,8 +22,14 @@ def is_whole(value: Any) -> bool:
     return True
 
 
+def check_number(name: str, value: Any) -> None:
+    """Refuse anything but a real number of any type, which True and False are not."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise TypeError(f"`{name}` must be a number, got {value!r}")
+
+
 def positive_int(name: str, value: Any) -> int:
-    """A whole number of at least 1, which compiled code can hold."""
+    """A whole number of at least 1 that compiled code can hold."""
     if not is_whole(value):
         raise TypeError(f"`{name}` must be a whole number, got {value!r}")
     if value < 1:
@@ -42,12 +49,7 @@ def checked_time(name: str, t_us: Any) -> int:
 
 
 def plain_array(name: str, values: Any, dtype: DTypeLike | None = None) -> np.ndarray:
-    """`np.asarray`, which silently drops the mask of a masked array, for arrays without one.
-
-    Raises
-    ------
-    TypeError : a masked array.
-    """
+    """`np.asarray`, except that a masked array, whose mask that would silently drop, is a TypeError."""
     refuse_mask(name, values, "`.filled(value)`, or `.data` to use every value")
     return np.asarray(values, dtype)
 
@@ -60,6 +62,6 @@ def refuse_mask(name: str, values: Any, advice: str) -> None:
 
 
 def one_line(error: Exception, limit: int = 300) -> str:
-    """Text from a library or a file, for a message: on one line, and cut after `limit` characters."""
+    """Text from a library or a file for a message: on one line, cut after `limit` characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= limit else text[:limit] + " ..."

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from numbers import Real
 from typing import Any
 
-from async_tnt.checks import is_whole
+from async_tnt.checks import check_number, is_whole
 
 LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
@@ -28,19 +27,19 @@ class TNTConfig:
     grid : the volume's pixels; a sensor of another size is mapped onto it corner to corner.
     bins : B, time bins of the volume.
     window_us : length of a window in microseconds.
-    t_max : TNT time at the end of a window. An object shrinks so many times until then; a smaller value loses
+    t_max : TNT time at the end of a window. An object shrinks by this factor until then; a smaller value loses
         fewer events over the border early in the window.
-    landmark : the point that events are normalized about: `center` of the grid, `running` centroid of the
-        window's events so far, `line`: intercept of their running regression line, `window`: centroid of all
-        the window's events at the moment of reading (buffered and replayed there), `regressor`: what a network
-        makes of the raw event volume at the moment of reading (replayed, too).
+    landmark : the point that events are normalized about: `center` of the grid, `running` centroid of the window's
+        events so far, `line`: the intercept of their running regression line, `window`: the centroid of all the
+        window's events when it is read (they are stored, and replayed then), `regressor`: a network's estimate from
+        the raw event volume when it is read (replayed, too).
     polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add), `split` (ON bins, then OFF bins).
     transform : `tnt`, or `none` for the plain event volume.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
 
     Raises
     ------
-    ValueError, TypeError : a value breaks its rule.
+    ValueError, TypeError : an invalid value; the message names its rule.
 
     Examples
     --------
@@ -78,8 +77,7 @@ class TNTConfig:
             if not low <= value <= high:
                 raise ValueError(f"`{name}` must be in [{low}, {high}], got {value}")
             object.__setattr__(self, name, int(value))
-        if not isinstance(self.t_max, Real) or isinstance(self.t_max, bool):
-            raise TypeError(f"`t_max` must be a number, got {self.t_max!r}")
+        check_number("t_max", self.t_max)
         try:
             t_max = float(self.t_max)
         except OverflowError:
@@ -119,11 +117,11 @@ class TNTConfig:
 
     @property
     def needs_replay(self) -> bool:
-        """Whether the landmark is known only at the moment of reading, so that events are stored until then."""
+        """Whether the landmark is known only when the volume is read, so that events are stored until then."""
         return self.landmark in ("window", "regressor") and self.transform == "tnt"
 
     def to_grid(self, x: float, y: float) -> tuple[float, float]:
-        """Sensor pixels to grid pixels, corner to corner; displacements and flows, too."""
+        """Sensor pixels to grid pixels, corner to corner; also displacements and flows."""
         gain_x, gain_y = self._gains
         return x * gain_x, y * gain_y
 
@@ -134,7 +132,7 @@ class TNTConfig:
 
     @property
     def _gains(self) -> tuple[float, float]:
-        """Grid pixels per sensor pixel: exactly 1 where both are of one size."""
+        """Grid pixels per sensor pixel: exactly 1 if both have the same size."""
         (sensor_w, sensor_h), (width, height) = self.sensor, self.grid
         return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
 

@@ -1,4 +1,4 @@
-"""Decision: what the classifier says about a window at one moment; Counts: what became of the events."""
+"""Decision: the classification of a window at one moment; Counts: what became of the events."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True, eq=False)  # arrays have no truth value to compare by
 class Decision:
-    """What the classifier says about a window at one moment."""
+    """The classification of a window at one moment."""
 
     label: str
     """Name of the likeliest class."""
@@ -22,14 +22,14 @@ class Decision:
     """float32, shape (n_classes,)."""
     window_start_us: int
     time_us: int
-    """Newest event in the window; the window's start if it has none."""
+    """Time of the newest event in the window; the window's start if it has none."""
     events: int
     """Events in the window so far."""
     complete: bool
-    """Whether the window is closed, so that this is its last decision."""
+    """Whether the window is closed: this is its last decision."""
     trigger: str
-    """Why it fired: `window` (closed), `every_us`, `every_events`, `activity`, `confidence` (and closed the window),
-    `fire` (on demand), `end` (of the stream)."""
+    """What caused it: `window` (which closed), `every_us`, `every_events`, `activity`, `confidence` (which closed the
+    window), `fire` (on demand), `end` (of the stream)."""
 
     @property
     def probability(self) -> float:
@@ -54,32 +54,32 @@ class Decision:
 class Counts:
     """What became of the events since the volume was made or reset.
 
-    Every event received is kept or in exactly one of the dropped ones (where windows do not overlap):
-    received = kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_unstored + dropped_decided.
+    Where windows do not overlap, every event is counted once, as kept or as dropped for one reason: received =
+    kept + dropped_outside + dropped_tau_zero + dropped_late + dropped_unstored + dropped_decided.
     """
 
     received: int = 0
     kept: int = 0
     dropped_outside: int = 0
-    """The transform put it outside the grid."""
+    """The transform moved it off the grid."""
     dropped_tau_zero: int = 0
     """At the very start of its window, where TNT time is zero."""
     dropped_late: int = 0
-    """Before the start of every open window and not `dropped_decided`, or late under late="drop"."""
+    """Older than all open windows and not `dropped_decided`, or late under late="drop"."""
     dropped_unstored: int = 0
     """The replay buffer of landmark "window" or "regressor" was full."""
     dropped_decided: int = 0
-    """Late, and the newest window that holds it had been closed early by `confidence`. Remembered are the 1024 windows
-    before the oldest open one; what is older than those counts as `dropped_late`."""
+    """Late, and the newest window that holds it was closed early by `confidence`. The 1024 windows before the oldest
+    open one are remembered; events of older ones count as `dropped_late`."""
 
     @property
     def moved_off(self) -> int:
-        """Events that the transform has no place for: they are part of what it does, and no loss."""
+        """Events that the transform moves off the grid, as it is meant to: they are not lost."""
         return self.dropped_outside + self.dropped_tau_zero
 
     @property
     def lost(self) -> int:
-        """Events that a window should have had, or has no more use for: all others that were dropped."""
+        """Events dropped for any other reason."""
         return self.received - self.kept - self.moved_off
 
     def __add__(self, other: Counts) -> Counts:

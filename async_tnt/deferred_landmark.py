@@ -1,7 +1,7 @@
-"""Landmarks that are known only when the volume is read: events are stored, and replayed about the landmark then.
+"""Landmarks that are known only when the volume is read: events are stored, and then replayed about the landmark.
 
-window      the centroid of all the window's events so far, also of those that could not be stored
-regressor   what a network makes of the raw volume, which is kept up to date in O(1) per event
+window      the centroid of all the window's events so far, including those that could not be stored
+regressor   a network's estimate from the raw volume, which is kept up to date in O(1) per event
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ UNCHANGED_BY_REPLAY = (
 
 
 class ReplayBufferFull(UserWarning):
-    """A window held more events than the replay buffer; the rest is missing from its volume."""
+    """A window held more events than the replay buffer; the others are missing from its volume."""
 
 
 class RawVolume(Protocol):
-    """What a regressor looks at: a `TNTVolume` without the transform."""
+    """What a regressor sees: a `TNTVolume` without the transform."""
 
     @property
     def array(self) -> np.ndarray: ...
@@ -46,15 +46,15 @@ class RawVolume(Protocol):
 
 
 class ReplayBuffer:
-    """The events of one window, and their replay about the landmark of the moment.
+    """The events of one window, and their replay about the landmark.
 
     Parameters
     ----------
     config : of the volume that they are replayed into.
-    capacity : how many events are stored at most; memory grows with need up to that.
-    regressor : the callable of landmark `regressor`, and the raw volume that it is shown; None: landmark `window`. The
-        raw volume holds the stored events and no others, as the replay does: both are functions of the same events,
-        as in the batch reference.
+    capacity : how many events are stored at most; memory grows up to that as needed.
+    regressor : the callable of landmark `regressor` and the raw volume that it sees; None: landmark `window`. The raw
+        volume holds the stored events only, as the replay does, so that both see the same events, as in the batch
+        reference.
     """
 
     def __init__(self, config: TNTConfig, capacity: int, regressor: tuple[Regressor, RawVolume] | None) -> None:
@@ -62,22 +62,21 @@ class ReplayBuffer:
             raise ValueError(f"`replay_events` must be at least 1, got {capacity}")
         self.capacity = capacity
         self._config = config
-        self._regressor: Regressor | None = None
-        self._raw: RawVolume | None = None
-        if regressor is not None:
-            self._regressor, self._raw = regressor
+        self._regressor: Regressor | None
+        self._raw: RawVolume | None
+        self._regressor, self._raw = regressor or (None, None)
         self._columns = empty_columns(min(FIRST_CAPACITY, capacity))
         self.reset()
 
     def reset(self) -> None:
-        """All counts zero; the next window is to be opened."""
+        """All counts zero, no window open."""
         self.n_unstored = 0
-        self._closed_kept = 0  # counts of closed windows; those of the open one change with every replay
+        self._closed_kept = 0  # counts of closed windows; the open window's change with every replay
         self._closed_tau_zero = 0
         self._warning_due = False
 
     def open(self, start_us: int) -> None:
-        """A window begins; its volume is empty."""
+        """Begin a window, without events."""
         self.n = 0
         self._landmark: tuple[float, float] | None = None  # as of the newest event, once it is known
         self._is_replayed = True
@@ -86,7 +85,7 @@ class ReplayBuffer:
             self._raw.open(start_us)
 
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
-        """Absorb events up to the volume's limit; returns the first one that was not absorbed."""
+        """Absorb events up to the volume's limit; returns the first one not absorbed."""
         if self.n + last - first > self._columns.t.size:
             before_limit = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
             self._grow(self.n + int(np.count_nonzero(before_limit)))
@@ -105,18 +104,18 @@ class ReplayBuffer:
         return first
 
     def warn(self) -> None:
-        """Warn that the buffer is full, once a window; after the packet, because a warning may be an error."""
+        """Warn once a window that the buffer is full; after the packet, because a warning may be raised as an error."""
         if self._warning_due:
             self._warning_due = False
             warnings.warn(
-                f"the replay buffer of {self.capacity} events is full; what exceeds it is missing from the "
-                "window's volume and counted as dropped_unstored (raise replay_events, or shorten window_us)",
+                f"the replay buffer of {self.capacity} events is full; further events are missing from the window's "
+                "volume and counted as dropped_unstored (raise replay_events, or shorten window_us)",
                 ReplayBufferFull,
                 stacklevel=5,
             )
 
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
-        """The landmark (x, y) in grid pixels; computed once, until new events come. Not for an empty window."""
+        """The landmark (x, y) in grid pixels of a window with events; computed once, until new events arrive."""
         if self._landmark is None:
             if self._regressor is not None and self._raw is not None:
                 self._landmark = checked_landmark(self._regressor(self._raw.array))
@@ -126,15 +125,13 @@ class ReplayBuffer:
         return self._landmark
 
     def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
-        """Bring a volume's cells and counts up to date: all stored events about the landmark.
+        """Replay the stored events about the landmark, if needed: the volume's cells and counts are then up to date.
 
-        Parameters
-        ----------
         buffer, array : the volume's, see `kernels.readout.empty_volume`.
         """
         if self._is_replayed:
             return
-        landmark = self.landmark(buffer)  # first: if the regressor raises, the volume must stay as it was
+        landmark = self.landmark(buffer)  # first: if the regressor raises, nothing has changed
         ints = buffer.view(np.int64)
         saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
         empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US], next_epoch())
@@ -146,7 +143,7 @@ class ReplayBuffer:
         self._is_replayed = True
 
     def close(self, buffer: np.ndarray, array: np.ndarray) -> None:
-        """The window is over: keep its final counts."""
+        """End the window, and keep its final counts."""
         self.run(buffer, array)
         ints = buffer.view(np.int64)
         self._closed_kept = int(ints[S.KEPT])
@@ -163,7 +160,7 @@ class ReplayBuffer:
 
         Raises
         ------
-        ValueError : a number that cannot have been saved by such a volume.
+        ValueError : a number that such a volume cannot have saved.
         """
         ints = buffer.view(np.int64)
         *counts, warned, _ = checked_array(arrays, "counts", np.int64, (5,)).tolist()
@@ -210,12 +207,7 @@ class ReplayBuffer:
 
 
 def checked_landmark(answer: Any) -> tuple[float, float]:
-    """A regressor's answer as two floats.
-
-    Raises
-    ------
-    ValueError : it is something else, or not finite.
-    """
+    """A regressor's answer as two floats; a ValueError if it is something else, or not finite."""
     try:
         x, y = (float(value) for value in answer)
     except (TypeError, ValueError, OverflowError):
@@ -227,7 +219,7 @@ def checked_landmark(answer: Any) -> tuple[float, float]:
 
 
 def check_regressor(config: TNTConfig, regressor: Any) -> None:
-    """Raise unless there is a regressor exactly where the configuration needs one."""
+    """Raise unless there is a regressor if and only if the configuration needs one."""
     here = f"landmark={config.landmark!r}, transform={config.transform!r}"
     if regressor is None:
         if config.needs_regressor:

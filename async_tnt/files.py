@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and that replace nothing but files."""
+"""Writing files whole or not at all, and replacing nothing but regular files."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ KINDS = {
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = (), *, option: str = "--out") -> Path:
-    """The file to write, that of a symbolic link; refuses, before any work, what `Replacement` could not replace.
+    """The file to write, following a symbolic link; refuses, before any work, what `Replacement` could not replace.
 
     Parameters
     ----------
-    suffixes : of which `path` must have one, in any case; none: it may have any.
-    option : what names the suffixes' file in an error.
+    suffixes : `path` must have one of these, in upper or lower case; empty: any.
+    option : the option that is named in an error about the suffix.
 
     Raises
     ------
     ValueError : another suffix.
-    OSError : something else than a regular file is there, the folder is missing, or there is no permission.
+    OSError : something other than a regular file is there, the folder is missing, or there is no permission.
     """
     if suffixes and path.suffix.lower() not in suffixes:
         raise ValueError(f"{option} must end in {', '.join(suffixes)}, got {path}")
@@ -46,22 +46,12 @@ def check_writable(path: Path, suffixes: Sequence[str] = (), *, option: str = "-
 
 
 def check_own(path: Path) -> None:
-    """Refuse a file that only this package writes, such as a `.part`, where something else has its name, a link too.
-
-    Raises
-    ------
-    OSError.
-    """
+    """An OSError if anything but a regular file, even a link, has the name of a file of this package's own."""
     _regular(path, follow_symlinks=False)
 
 
 def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
-    """Refuse, before any work, a folder that could not be made or written to, or files of these names in it.
-
-    Raises
-    ------
-    OSError.
-    """
+    """An OSError, before any work, if a folder, or these files in it, could not be made or written."""
     there = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
     if not there.is_dir():
         raise NotADirectoryError(f"{there} is not a folder; expected a folder to write to")
@@ -72,18 +62,18 @@ def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
 
 
 def file_of(path: Path) -> Path:
-    """The file itself where `path` is a symbolic link, in whose place another would leave it as it was."""
+    """The file that a symbolic link points to, so that it is replaced and not the link; otherwise `path`."""
     return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 class Replacement:
-    """A file that takes the place of another when it is complete; until then it is NAME.part, at first empty.
+    """A file that replaces another when it is complete; until then it is NAME.part, empty at first.
 
     Parameters
     ----------
-    path : the file to replace, or that of a symbolic link; need not be there. Its permissions stay.
+    path : the file to replace, if there is one, or a symbolic link to it. Its permissions stay.
     shared : several processes may write it at once; each has a `.part` of its own.
-    like : a file whose permissions it gets where it replaces none; None: the usual ones.
+    like : if no file is replaced, one whose permissions the new file gets; None: the usual ones.
 
     Raises
     ------
@@ -95,30 +85,26 @@ class Replacement:
         self.part = _part_of(self._target, f".{os.getpid()}" if shared else "")
         model = self._target if self._target.exists() else like
         self._mode = None if model is None else model.stat().st_mode
-        self.part.unlink(missing_ok=True)  # a kill has left it: anything else of that name is refused
-        # O_EXCL does not follow a link placed there meanwhile; the part is as private as the file that it will replace
+        self.part.unlink(missing_ok=True)  # left by a killed process: anything else is refused
+        # O_EXCL does not follow a link placed there meanwhile; the part is as private as the file that it replaces
         os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666 if model is None else 0o600))
 
     def complete(self) -> None:
-        """Take the file's place."""
+        """Replace the file."""
         if self._mode is not None:
             set_mode(self.part, self._mode)
         self.part.replace(self._target)
 
     def discard(self) -> None:
-        """Leave the file as it was; after `complete` there is nothing to discard."""
+        """Leave the file as it was; nothing happens after `complete`."""
         self.part.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def replacing(path: Path, *, shared: bool = False, like: Path | None = None) -> Iterator[Path]:
-    """Write the file that this gives, a `Replacement.part`: after the block it takes the place of `path`.
+    """Write the file that this yields, a `Replacement.part`: after the block it replaces `path`.
 
-    Where the block fails, `path` stays as it was. A kill leaves the old file or the new one, and maybe a `.part`.
-
-    Raises
-    ------
-    OSError : the file cannot be written.
+    If the block fails, `path` stays as it was. A killed process leaves the old or the new file, and maybe a `.part`.
 
     Examples
     --------
@@ -145,7 +131,7 @@ def write_text(path: Path, text: str, *, shared: bool = False) -> None:
 
 
 def set_mode(path: Path, mode: int) -> None:
-    """Set a file's permissions, where the file system has any."""
+    """Set a file's permissions, if the file system has any."""
     with contextlib.suppress(OSError):
         path.chmod(stat.S_IMODE(mode))
 
@@ -155,7 +141,7 @@ def _part_of(target: Path, process: str = "") -> Path:
 
 
 def _regular(path: Path, *, follow_symlinks: bool) -> os.stat_result | None:
-    """What is there, None for nothing; refuses anything but a regular file."""
+    """The status of a file, None if nothing is there; refuses anything but a regular file."""
     try:
         status = os.stat(path, follow_symlinks=follow_symlinks)
     except FileNotFoundError:

@@ -33,37 +33,34 @@ def _trigger(name: str) -> property:
 
 
 class Processor:
-    """Takes events as they come and classifies windows of them.
+    """Classifies windows of an event stream while the events arrive.
 
-    Windows lie end to end from `start_us`, or else from the first event. A window that closes is classified; one
-    without events is skipped. The decisions do not depend on how the stream is cut into packets.
+    Windows lie end to end, from `start_us` or else from the first event. A window is classified when it closes, and
+    skipped if it holds no events. The decisions do not depend on how the stream is cut into packets.
 
     Parameters
     ----------
     model : a Model, or a TNTConfig together with `classifier`.
     classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during the call)
-        to logits, finite ones; by default the model's own network, compiled, which computes only what has changed
+        to finite logits; by default the model's own network, compiled, which computes only what has changed
         since the last decision. Others are in `async_tnt.networks`.
-    regressor : with landmark `regressor`, see `TNTVolume`; by default the model's own network, compiled. Its errors
-        are treated as the classifier's are, see `push`.
-    classes : class names; by default the model's, or else "0", "1", ...
+    regressor : for landmark `regressor`, see `TNTVolume`; by default the model's own network, compiled. Its errors
+        are treated like those of the classifier, see `push`.
+    classes : class names; by default the model's, or "0", "1", ...
     start_us : start of the first window, in microseconds.
-    hop_us : distance between the starts of windows, by default `window_us`. A smaller one gives overlapping
-        windows; triggers and `fire` then concern the oldest open window, the most complete one.
-    every_us : decide also whenever so much time has passed since the window's start, if events came meanwhile.
-        The decision falls when the first event at or after that moment shows that it has come. With overlapping
-        windows: at those moments of a window at which it is the oldest.
-    every_events : decide also after every so many events of the window.
+    hop_us : distance between the starts of windows, by default `window_us`. With a smaller one windows overlap;
+        triggers and `fire` then concern the oldest open window, the most complete one.
+    every_us : decide also whenever this much time has passed since the window's start, if new events have arrived.
+        The decision is made when the first event at or after that moment arrives, and only for the oldest window.
+    every_events : decide also after every this many events of the window.
     confidence : close the window early, with a last decision, as soon as the likeliest class has this probability.
-        It is looked for at every decision of the other triggers, or after every event if there are none. Events that
-        still come for the window are counted as `dropped_decided`.
+        It is checked at every decision of the other triggers, or after every event if there are none. Events that
+        still arrive for the window are counted as `dropped_decided`.
     activity : a `LeakyIntegrator`: decide also when much happens in little time.
-    late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen. Events before
-        every open window are always dropped and counted.
-    replay_events : see `TNTVolume`.
+    late, replay_events : see `TNTVolume`.
 
     The triggers `every_us`, `every_events`, `confidence` and `activity` are attributes, too, and may be changed at
-    any time; so may `classifier`.
+    any time, as may `classifier`.
 
     Examples
     --------
@@ -92,17 +89,12 @@ class Processor:
     ) -> None:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         self._classifier = WindowClassifier(self.config, classifier, classes)
-        start_us = None if start_us is None else checked_time("start_us", start_us)
+        self._start_us = start_us = None if start_us is None else checked_time("start_us", start_us)
         self._decoder = EventDecoder(self.config.sensor, late)
         self._new_windows = partial(WindowScheduler, self.config, hop_us, start_us, replay_events, regressor)
         self._windows = self._new_windows()
-        hop_us = self._windows.hop_us  # the same settings must be where the stream continues
-        self._fixed: dict[str, Any] = {
-            "config": self.config.to_dict(),
-            "hop_us": hop_us,
-            "start_us": start_us,
-            "late": late,
-        }
+        hop_us = self._windows.hop_us
+        self._fixed = {"config": self.config.to_dict(), "hop_us": hop_us, "start_us": start_us, "late": late}
         self._triggers = Triggers()
         self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
         self.reset()
@@ -116,14 +108,14 @@ class Processor:
         self._windows.reset()
         self._triggers.forget()
         self._choose_paths()
-        if self.start_us is not None:
-            self._open_windows(self.start_us)
+        if self._start_us is not None:
+            self._open_windows(self._start_us)
 
     # -- settings that may change ------------------------------------------------------------------------
 
     @property
     def classifier(self) -> Classifier:
-        """From a volume to logits. A new one takes over at the next decision."""
+        """From a volume to logits. A new one is used from the next decision on."""
         return self._classifier.classifier
 
     @classifier.setter
@@ -132,13 +124,13 @@ class Processor:
 
     @property
     def classes(self) -> tuple[str, ...] | None:
-        """Class names; if nobody gave any, known from the first decision on."""
+        """Class names; if none were given, known from the first decision on."""
         return self._classifier.classes
 
     @property
     def start_us(self) -> int | None:
-        """Start of the first window, in microseconds; None: of the first event."""
-        return self._fixed["start_us"]
+        """Start of the first window, in microseconds; None: at the first event."""
+        return self._start_us
 
     @property
     def late(self) -> str:
@@ -151,16 +143,16 @@ class Processor:
     activity = _trigger("activity")
 
     def _set(self, name: str, value: Any) -> None:
-        """Change a trigger; the open window goes on with it."""
+        """Change a trigger; it applies to the open window, too."""
         self._triggers.set(**{name: value})
         self._choose_paths()
         if len(self._windows):
             oldest = self._windows.oldest
             self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
-            self._windows.set_limit(self._triggers.next_due_us)
+        self._windows.set_limit(self._triggers.next_due_us)
 
     def _choose_paths(self) -> None:
-        """Choose the shortest path: where the settings allow it, a single event goes straight to the open volume."""
+        """Let single events go straight to the open volume where the settings allow it."""
         direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
         self._by_event = self._triggers.by_event
@@ -168,30 +160,27 @@ class Processor:
     # -- events in ---------------------------------------------------------------------------------------
 
     def push(self, events: Any) -> list[Decision]:
-        """Take a packet of events, in any form that `async_tnt.event_forms` lists.
+        """Process a packet of events, in any form that `async_tnt.event_forms` lists.
 
         Columns that are already in the decoder's own form are not copied: do not change them until `push` returns.
 
-        Returns
-        -------
-        The decisions: one for every window that the packet closed and every trigger that fired.
+        Returns one decision for every window that the packet closed and every trigger that fired.
 
         Raises
         ------
-        ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event. The
-            processor is as it was before.
+        ValueError, TypeError : the packet is invalid. The message names field, rule, value and event; nothing changes.
 
-        What the classifier raises passes through. Then the events before that decision have been processed and the rest
-        of the packet has not (but counts for `late`: pushed again, it is late), and the earlier decisions of the packet
-        are lost. The end of a window, and `every_us`, are tried again at the next push; a decision that an event made
-        due has been missed.
+        Errors of the classifier pass through. The events before that decision have then been processed and the rest of
+        the packet has not (but `late` has seen it: pushed again, it is late), and the packet's earlier decisions are
+        lost. The end of a window, and `every_us`, are tried again at the next push; a decision that an event made due
+        has been missed.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
         return self._absorb(self._decoder.decode(events))
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
-        """Take one event: microseconds, pixels, polarity 0/1 or -1/+1. Otherwise as `push`."""
+        """`push` for one event: microseconds, pixels, polarity 0/1 or -1/+1."""
         n_before = self._windows.oldest.n_events if self._by_event else 0
         answer = self._absorb_one(t, x, y, p)
         decisions: list[Decision] = []
@@ -206,7 +195,7 @@ class Processor:
         return decisions
 
     def _absorb(self, columns: Columns) -> list[Decision]:
-        """Add checked events and decide meanwhile."""
+        """Add checked events and make the decisions that become due."""
         windows = self._windows
         decisions: list[Decision] = []
         first, n = 0, columns.n
@@ -224,33 +213,30 @@ class Processor:
         return decisions
 
     def _absorb_until_decision(self, columns: Columns, first: int, decisions: list[Decision]) -> int:
-        """Add events until one makes a decision due, or more in compiled code; returns the first one not added."""
-        windows, triggers = self._windows, self._triggers
-        oldest, error = windows.oldest, None
+        """Add events until one makes a decision due (compiled code may add more); returns the first one not added."""
+        windows, oldest, state = self._windows, self._windows.oldest, self._triggers.state
         if self._classifier.decides_in_stretches:
             before = oldest.n_late, oldest.n_decided
-            absorbed, new, error = self._classifier.decide_stretch(oldest, triggers.state, columns, first, columns.n)
+            absorbed, new, error = self._classifier.decide_stretch(oldest, state, columns, first, columns.n)
             windows.count_absorbed(columns, first, absorbed, before)
+            if error is not None:
+                raise error
         else:
             n_before = oldest.n_events
-            stop, fires = advance_triggers(triggers.state, oldest.buffer, columns.t, first, columns.n)
+            stop, fires = advance_triggers(state, oldest.buffer, columns.t, first, columns.n)
             absorbed = windows.absorb(columns, first, stop)
             new = self._decide_if_due(n_before, fires)
-        if error is not None:
-            raise error
         self._accept(new, oldest.newest_us, decisions)
         return absorbed
 
     def _decide_if_due(self, n_before: int, fires: bool = False) -> list[Decision]:
-        """Decide about the oldest window if its newest event made that due; it held `n_before` events before."""
+        """Decide if the oldest window's newest event made that due; it held `n_before` events before."""
         oldest, triggers = self._windows.oldest, self._triggers
         why = why_due(triggers.state, n_before, oldest.n_events, fires)
         if why == NOT_DUE:
             return []
         decision = self._classifier.decide(oldest, TRIGGER_NAMES[why], confidence=triggers.confidence)
         return [decision] if decision.trigger else []
-
-    # -- time passes -------------------------------------------------------------------------------------
 
     def _advance(self, t_us: int, decisions: list[Decision]) -> None:
         """Let time pass to `t_us`: `every_us` fires, windows close and open on the way."""
@@ -287,8 +273,7 @@ class Processor:
         if new[-1].complete:
             self._windows.close_oldest(early=True)
             self._begin_oldest(now_us)
-            if len(self._windows):
-                self._windows.set_limit(self._triggers.next_due_us)
+            self._windows.set_limit(self._triggers.next_due_us)
 
     def _begin_oldest(self, now_us: int) -> None:
         """Another window has become the oldest, or none is open."""
@@ -300,17 +285,13 @@ class Processor:
     # -- results -----------------------------------------------------------------------------------------
 
     def fire(self) -> Decision:
-        """Classify the open window as it stands. Changes nothing: no trigger, no window, no count.
-
-        Before the first event, and after `finish`, the window is empty (`events` is 0).
-        """
+        """Classify the open window as it is now: an empty one before the first event. Changes nothing."""
         return self._classifier.decide(self._windows.oldest, "fire")
 
     def finish(self) -> list[Decision]:
-        """The stream is over: classify the windows that are still open and hold events, and close them.
+        """End the stream: classify the open windows that hold events, and close them.
 
-        Their `complete` is False and their trigger `end`. Events that follow nevertheless belong to later windows:
-        those before the next window's start are late.
+        Their `complete` is False and their trigger `end`. Events that follow nevertheless belong to later windows.
         """
         decisions = []
         while len(self._windows):
@@ -320,7 +301,7 @@ class Processor:
         return decisions
 
     def volume(self) -> np.ndarray:
-        """The (oldest) open window's volume as it stands: float32, shape (C, H, W), read-only; copy to keep."""
+        """The (oldest) open window's volume as it is now: float32, shape (C, H, W), read-only. Copy it to keep it."""
         return self._windows.oldest.array
 
     @property
@@ -330,28 +311,25 @@ class Processor:
 
     @property
     def counts(self) -> Counts:
-        """What became of the events, see `Counts`. Where windows overlap, `received`, `dropped_late` and
-        `dropped_decided` count an event once, the others once in every window it belongs to."""
+        """What became of the events. Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an
+        event once, the others once for every window that it belongs to."""
         return self._windows.counts(self._decoder.n_dropped)
 
     # -- stop here, continue elsewhere -------------------------------------------------------------------
 
     def save_state(self) -> bytes:
-        """The state of the stream: open windows, counts, triggers, not the classifier.
-
-        After `restore_state`, another processor with the same configuration and settings, in any process, continues
-        with the same volumes and decisions, bit for bit.
-        """
+        """The state of the stream: open windows, counts and triggers, but not the classifier. Another processor with
+        the same configuration and settings, in any process, continues from it bit for bit (`restore_state`)."""
         arrays = self._windows.save() | with_prefix("triggers", self._triggers.save())
-        arrays["door"] = np.array((self._decoder.newest_us, self._decoder.n_dropped), np.int64)
+        arrays["door"] = np.array((self._decoder.newest_us, self._decoder.n_dropped), np.int64)  # the decoder's
         return state_bytes(arrays, {"fixed": self._fixed, "triggers": self._triggers.settings()})
 
     def restore_state(self, state: bytes) -> None:
-        """Continue where `save_state` was called. The triggers are set as they were there.
+        """Continue where `save_state` was called, with the triggers that were set there.
 
         Raises
         ------
-        ValueError : damaged, or of a processor with other settings (the message names them). Nothing has changed then.
+        ValueError : damaged, or of a processor with other settings, which the message names. Nothing changes then.
         """
         arrays, about = read_state(state, self._fixed)
         windows, triggers = self._new_windows(), Triggers()
@@ -359,13 +337,12 @@ class Processor:
             windows.restore(arrays)
             triggers.restore(without_prefix("triggers", arrays), about.get("triggers"))
             newest_us, n_dropped = checked_array(arrays, "door", np.int64, (2,)).tolist()
-            self._decoder.restore(newest_us, n_dropped)
+            self._decoder.restore(newest_us, n_dropped)  # last: it changes this processor
         except (TypeError, ValueError) as error:
             raise ValueError(f"`state` cannot be restored here: {error}") from None
         self._windows, self._triggers = windows, triggers
         self._choose_paths()
-        if len(windows):
-            windows.set_limit(triggers.next_due_us)
+        windows.set_limit(triggers.next_due_us)
 
 
 def _refuse(t: int, x: int, y: int, p: int) -> int:

@@ -9,18 +9,18 @@ import time
 from typing import TextIO
 
 FIRST_S, EVERY_S = 1.0, 0.1
-"""The bar appears when the work takes longer than this, and is drawn again after this; in seconds."""
+"""Seconds until the bar appears, and between its updates."""
 
 
 class Bar:
-    """Work that is done, of `total`. A context manager: the line is cleared when it ends, also by an error.
+    """How much of `total` is done. A context manager: it clears its line at the end, even after an error.
 
     Parameters
     ----------
-    total : units of work; 0 where unknown.
+    total : units of work; 0 if unknown.
     title : what is being done.
     file : a terminal; None shows nothing.
-    done : units that were done before, which do not count towards the rate.
+    done : units done before, which do not count towards the rate.
     """
 
     def __init__(self, total: int, title: str, file: TextIO | None = None, *, done: int = 0) -> None:
@@ -31,7 +31,7 @@ class Bar:
         self._width = 0
 
     def update(self, n: int = 1, title: str | None = None) -> None:
-        """`n` more units are done; from now on it is `title`, where given."""
+        """`n` more units are done; `title`, if given, replaces the title."""
         self.done += n
         self.title = self.title if title is None else title
         if self._file is None or (now := time.monotonic()) < self._next_draw:
@@ -43,14 +43,14 @@ class Bar:
         self._width = len(text)
 
     def clear(self) -> None:
-        """Clear the line, such as before something else is printed. The next update draws it again."""
+        """Clear the line, for example before something else is printed. The next update draws it again."""
         if self._width:
             self._write("\r" + " " * self._width + "\r")
             self._width = 0
 
     def _write(self, text: str) -> None:
         assert self._file is not None  # for mypy: only what is drawn is cleared
-        with contextlib.suppress(OSError, ValueError):  # a terminal that is gone is no reason to stop
+        with contextlib.suppress(OSError, ValueError):  # the work goes on if the terminal is gone
             self._file.write(text)
             self._file.flush()
 
@@ -68,12 +68,12 @@ def progress(total: int, title: str, *, done: int = 0) -> Bar:
 
 
 def no_progress(total: int, title: str, *, done: int = 0) -> Bar:
-    """In the place of `progress`: a bar that shows nothing."""
+    """A bar that shows nothing, in place of `progress`."""
     return Bar(total, title, done=done)
 
 
 def describe(title: str, done: int, total: int, n: int, seconds: float) -> str:
-    """The line of a bar, of which the last `n` units took `seconds`.
+    """The line of a bar whose last `n` units took `seconds`.
 
     Examples
     --------

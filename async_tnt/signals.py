@@ -17,8 +17,8 @@ ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if h
 def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[dict[int, Any]]:
     """Call `handler` for these signals within the block; yields the previous handlers.
 
-    Ignored signals stay ignored: Ctrl-C in a background job, SIGHUP under nohup. Outside of the main thread, which
-    alone can set handlers in Python, nothing changes.
+    Ignored signals stay ignored: Ctrl-C in a background job, SIGHUP under nohup. Outside the main thread nothing
+    changes, as Python can set handlers only there.
     """
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():

@@ -20,13 +20,13 @@ def stream(
     Parameters
     ----------
     source : an iterable of packets, or of single events, in any form that `async_tnt.event_forms` lists.
-    model : a Model, its name or path, a TNTConfig (with `classifier=`, and `regressor=` where its
-        landmark needs one), or a Processor that is to go on.
+    model : a Model, its name or path, a TNTConfig (with `classifier=`, and `regressor=` if its landmark needs one),
+        or a Processor, which continues its stream.
     settings : keyword arguments of `Processor`: `every_us`, `every_events`, `hop_us`, `start_us`, `late`, ...
 
     Yields
     ------
-    Decision : for each window that closes and each trigger; when the source ends, for what is still open.
+    Decision : for each window that closes and each trigger; when the source ends, for the windows still open.
 
     Examples
     --------
@@ -36,7 +36,7 @@ def stream(
     """
     if isinstance(source, (str, Path)):
         raise TypeError(f"`source` must yield events, got the path {source}; open_recording(path) reads a file")
-    return _stream(source, as_processor(model, **settings))  # now, so that mistakes show before the first event
+    return _stream(source, as_processor(model, **settings))  # here: errors are raised before the first event
 
 
 def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
@@ -48,7 +48,7 @@ def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
 async def astream(
     source: AsyncIterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any
 ) -> AsyncIterator[Decision]:
-    """`stream` for an asynchronous source. The classifier runs in the event loop: microseconds at a time."""
+    """`stream` for an asynchronous source. The classifier runs in the event loop, for microseconds at a time."""
     processor = as_processor(model, **settings)
     async for events in source:
         for decision in processor.push(events):
@@ -58,7 +58,7 @@ async def astream(
 
 
 def as_processor(model: Model | TNTConfig | str | Path | Processor, **settings: Any) -> Processor:
-    """A Processor from what `stream` takes."""
+    """A Processor from the arguments of `stream`."""
     if isinstance(model, Processor):
         if settings:
             raise TypeError(f"a Processor has its settings already, got also {', '.join(settings)}")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from async_tnt.checked_tensors import Arrays, checked_array
-from async_tnt.checks import positive_int
+from async_tnt.checks import check_number, positive_int
 from async_tnt.kernels import trigger as T
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.kernels.state import NEVER_US
@@ -20,19 +19,19 @@ from async_tnt.kernels.state import NEVER_US
 class LeakyIntegrator:
     """A leaky integrate-and-fire trigger: it fires when much happens in little time.
 
-    Each event of the window adds `charge` to a potential, which leaks away with time; where it reaches
-    `threshold`, the trigger fires and the potential is zero again:
+    Each event of the window adds `charge` to a potential that leaks away with time. Where the potential reaches
+    `threshold`, the trigger fires and the potential returns to zero:
 
         v <- v exp(-dt / leak_us) + charge
 
-    A steady rate of r events per microsecond holds the potential at r leak_us charge: below the threshold it
-    never fires, above it the more often, the busier the scene.
+    A steady rate of r events per microsecond holds the potential at r leak_us charge. Below the threshold the trigger
+    never fires; above it, the busier the scene, the more often.
 
     Parameters
     ----------
-    threshold : potential at which it fires.
+    threshold : the potential at which it fires.
     leak_us : time constant in microseconds; math.inf for no leak, which is `every_events` across windows.
-    charge : of each event.
+    charge : what each event adds.
     """
 
     threshold: float
@@ -40,15 +39,14 @@ class LeakyIntegrator:
     charge: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("threshold", "leak_us", "charge"):
-            value = getattr(self, name)
-            _check_number(name, value)
+        for name, value in vars(self).items():
+            check_number(name, value)
             if not value > 0 or (value == math.inf and name != "leak_us"):
                 raise ValueError(f"`{name}` must be a positive number, got {value}")
 
 
 class Triggers:
-    """The triggers of one processor, and what they remember of the stream.
+    """The triggers of one processor: their settings, and what they remember of the stream.
 
     Attributes
     ----------
@@ -58,11 +56,11 @@ class Triggers:
 
     def __init__(self) -> None:
         self.every_us: int | None = None
-        self.state = np.zeros(T.SIZE)
-        self._ints = self.state.view(np.int64)
         self.every_events: int | None = None
         self.confidence: float | None = None
         self.activity: LeakyIntegrator | None = None
+        self.state = np.zeros(T.SIZE)
+        self._ints = self.state.view(np.int64)
         self.set()
         self.forget()
 
@@ -75,7 +73,7 @@ class Triggers:
 
         Raises
         ------
-        ValueError, TypeError : a value breaks its rule. Then nothing changes.
+        ValueError, TypeError : an invalid value. Nothing changes then.
         """
         for name, value in settings.items():
             settings[name] = None if value is None else _CHECKS[name](name, value)
@@ -93,7 +91,7 @@ class Triggers:
             self._discharge()
 
     def forget(self) -> None:
-        """Another stream begins: no window, no potential."""
+        """Forget the stream: no window, no potential."""
         self.next_due_us = NEVER_US
         self.n_decided = 0
         self._discharge()
@@ -103,7 +101,7 @@ class Triggers:
         self._ints[T.CHARGED_US] = 0
 
     def schedule(self, now_us: int, start_us: int) -> None:
-        """Set the next moment of `every_us`, the first after `now_us` in a window that starts at `start_us`."""
+        """Set the next moment of `every_us`: the first after `now_us` in a window that starts at `start_us`."""
         self.next_due_us = NEVER_US
         if self.every_us is not None:
             self.next_due_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
@@ -117,7 +115,7 @@ class Triggers:
 
         Raises
         ------
-        TypeError, ValueError : a setting that breaks its rule, or a number that they cannot have remembered.
+        TypeError, ValueError : an invalid setting, or a number that triggers cannot have remembered.
         """
         try:
             settings = {name: settings[name] for name in _CHECKS}
@@ -138,22 +136,17 @@ class Triggers:
 
     def settings(self) -> dict[str, Any]:
         """The settings as JSON values."""
-        activity = None if self.activity is None else vars(self.activity)
-        return {
-            "every_us": self.every_us,
-            "every_events": self.every_events,
-            "confidence": self.confidence,
-            "activity": activity,
-        }
+        settings = {name: getattr(self, name) for name in _CHECKS}
+        return settings | {"activity": self.activity and vars(self.activity)}
 
     @property
     def by_event(self) -> bool:
-        """Whether any single event may make a decision due."""
+        """Whether a single event may make a decision due."""
         return bool(self._ints[T.EVERY_EVENTS] or self._ints[T.EACH_EVENT] or self.activity is not None)
 
 
 def _level(name: str, value: Any) -> float:
-    _check_number(name, value)
+    check_number(name, value)
     if not 0 < value <= 1:
         raise ValueError(f"`{name}` must be a probability in (0, 1], got {value}")
     return float(value)
@@ -163,11 +156,6 @@ def _integrator(name: str, value: Any) -> LeakyIntegrator:
     if not isinstance(value, LeakyIntegrator):
         raise TypeError(f"`{name}` must be a LeakyIntegrator(threshold, leak_us), got {value!r}")
     return value
-
-
-def _check_number(name: str, value: Any) -> None:
-    if not isinstance(value, Real) or isinstance(value, bool):
-        raise TypeError(f"`{name}` must be a number, got {value!r}")
 
 
 _CHECKS = {"every_us": positive_int, "every_events": positive_int, "confidence": _level, "activity": _integrator}

@@ -18,33 +18,32 @@ from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
 from async_tnt.volume_state import new_state, next_epoch, restore_counts, restore_window, save_window
 
-UNOPENED = -1  # LIMIT_US before the first window: every time is at or after it
+UNOPENED = -1  # LIMIT_US before the first window, so that every time is at or after it
 
 
 class TNTVolume:
     """The event volume of one open window, up to date after every event.
 
-    Windows are laid end to end, from the start given to `open` or else from the first event. An event at or
-    after the window's end closes it: the volume then holds the window of that event. (To see every closed
-    window, use `Processor`.)
+    Windows lie end to end, from the start given to `open` or else from the first event. An event at or after the
+    window's end closes it; the volume then holds the window of that event. (To see every closed window, use
+    `Processor`.)
 
     Parameters
     ----------
     config : TNTConfig.
-    late : `accept`, `drop` or `raise`: what to do with an event older than the newest seen. Events before the
-        open window's start are always dropped and counted.
-    replay_events : with landmarks `window` and `regressor` only: how many events of a window are stored for the
-        replay. The rest is counted as `dropped_unstored`, with one warning; a regressor does not see it either.
-    regressor : with landmark `regressor`, and only with it: any callable from the window's raw volume (without
-        the transform: float32, shape (C, H, W), read-only, valid during the call) to a landmark (x, y) in grid
-        pixels, finite. A model's own: `CompiledRegressor(model)`. It is asked when `array`, `landmark` or
-        `counts` is read after new events, and when a window closes; what it raises passes through, and the
-        window stays as it was.
+    late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen. Events before the
+        open window are always dropped and counted.
+    replay_events : for landmarks `window` and `regressor`: how many events of a window are stored for the replay.
+        The rest are counted as `dropped_unstored`, with one warning; a regressor does not see them either.
+    regressor : for landmark `regressor` only: any callable from the window's raw volume (without the transform:
+        float32, shape (C, H, W), read-only, valid during the call) to a finite landmark (x, y) in grid pixels. A
+        model's own is `CompiledRegressor(model)`. It is called when `array`, `landmark` or `counts` is read after
+        new events, and when a window closes. Its errors pass through, and leave the window as it was.
 
     Raises
     ------
-    ValueError, TypeError : a setting breaks its rule, or regressor and landmark do not go together. When read:
-        the regressor's answer is no finite (x, y).
+    ValueError, TypeError : an invalid setting, or regressor and landmark do not go together. When read: the
+        regressor's answer is not a finite (x, y).
 
     Examples
     --------
@@ -70,8 +69,7 @@ class TNTVolume:
         self._buffer = new_state(config)
         self._ints = self._buffer.view(np.int64)
         self._array = np.zeros(config.shape, np.float32)
-        self._view = self._array.view()
-        self._view.flags.writeable = False
+        self._view = _read_only(self._array)
         self._replay = None
         if config.needs_replay:
             raw = config.replace(transform="none", landmark="center")
@@ -87,8 +85,7 @@ class TNTVolume:
         vars(self).update(state)
         self._ints = self._buffer.view(np.int64)  # views of the copied buffer, not copies of the views
         self._ints[S.EPOCH] = next_epoch()  # from now on it differs from the volume that it was copied from
-        self._view = self._array.view()
-        self._view.flags.writeable = False
+        self._view = _read_only(self._array)
 
     def __copy__(self) -> TNTVolume:
         return copy.deepcopy(self)
@@ -99,14 +96,14 @@ class TNTVolume:
     # -- events in ---------------------------------------------------------------------------------------
 
     def open(self, start_us: int) -> None:
-        """Open the window `[start_us, start_us + window_us)`, empty. Windows that follow are laid end to end."""
+        """Open the window `[start_us, start_us + window_us)`, empty. Later windows follow it end to end."""
         start_us = checked_time("start_us", start_us)
         if self._replay is not None:
             self._replay.close(self._buffer, self._array)
         self._empty(start_us, start_us + self.config.window_us)
 
     def close(self) -> None:
-        """End the open window: the volume is empty until an event, or `open`, opens the next."""
+        """Close the open window: the volume is empty until an event, or `open`, opens the next one."""
         if self._replay is not None:
             self._replay.close(self._buffer, self._array)
         self._empty(0, UNOPENED)
@@ -116,10 +113,8 @@ class TNTVolume:
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
     def set_closed_early(self, closed_early: int, hop_us: int) -> None:
-        """Say which windows before the open one were closed before their end, for `dropped_decided`.
-
-        Bit k of `closed_early` is the window that starts k + 1 times `hop_us` before the open one.
-        """
+        """Which windows before the open one were closed before their end, for `dropped_decided`: bit k is the window
+        that starts k + 1 times `hop_us` before the open one."""
         self._ints[S.HOP_US] = hop_us
         words = closed_early.to_bytes(S.REMEMBERED // 8, "little")
         self._ints[S.CLOSED_EARLY : S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS] = np.frombuffer(words, np.int64)
@@ -137,13 +132,11 @@ class TNTVolume:
     def update(self, events: Any) -> int:
         """Add a packet of events, in any form that `async_tnt.event_forms` lists.
 
-        Returns
-        -------
-        int : how many windows the packet closed (those without any event are not counted).
+        Returns how many windows the packet closed, not counting those without events.
 
         Raises
         ------
-        ValueError, TypeError : the packet breaks a rule. Then none of it was added.
+        ValueError, TypeError : the packet is invalid. None of it is added then.
         """
         return self._update(self._decoder.decode(events))
 
@@ -158,7 +151,7 @@ class TNTVolume:
         return n_closed
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
-        """Add one event: microseconds, pixels, polarity 0/1 or -1/+1. Returns and raises as `update`."""
+        """`update` for one event: microseconds, pixels, polarity 0/1 or -1/+1."""
         return 0 if self.absorb_one(t, x, y, p) == ABSORBED else self._update(self._decoder.decode_one(t, x, y, p))
 
     def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
@@ -174,23 +167,22 @@ class TNTVolume:
             if type(t | x | y | p) is int and self._is_plain:
                 return absorb_one(self._buffer, t, x, y, p * 1)
         except (TypeError, OverflowError):
-            pass  # the decoder says what is wrong
+            pass  # the decoder names the mistake
         return REFUSED
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:
-        """Add checked events `first <= i < last` up to the limit; returns the first one that was not added."""
+        """Add checked events `first <= i < last` up to the limit; returns the first one not added."""
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
         return absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)
 
     def _open_next(self, t_us: int) -> int:
-        """Open the window on the grid that holds `t_us`, which lies at or after the open window's end."""
+        """Open the window that holds `t_us`, at or after the open window's end; returns how many that closes."""
         if self._ints[S.LIMIT_US] == UNOPENED:
             self.open(t_us)
             return 0
-        closed = int(self._ints[S.N] > 0)
-        window_us = self.config.window_us
-        self.open(t_us - (t_us - self.start_us) % window_us)
+        closed = int(self.n_events > 0)
+        self.open(t_us - (t_us - self.start_us) % self.config.window_us)
         return closed
 
     def reset(self) -> None:
@@ -208,11 +200,7 @@ class TNTVolume:
         return arrays if self._replay is None else arrays | with_prefix("replay", self._replay.save())
 
     def restore(self, arrays: Arrays, is_open: bool) -> None:
-        """Continue from the `save` of a volume of the same configuration.
-
-        Parameters
-        ----------
-        is_open : False restores the counts alone.
+        """Continue from the `save` of a volume of the same configuration; without an open window, from its counts.
 
         Raises
         ------
@@ -231,8 +219,8 @@ class TNTVolume:
     def array(self) -> np.ndarray:
         """The open window's volume: float32, shape (C, H, W), indexed [bin, y, x].
 
-        A read-only view of one and the same memory: brought up to date by each access to this property, and
-        by nothing else. Copy it to keep it.
+        A read-only view of the same memory each time, updated by each access to this property and by nothing else.
+        Copy it to keep it.
         """
         buffer = self.state()
         if self._ints[S.N_LOG] > self._ints[S.N_READ]:
@@ -240,20 +228,20 @@ class TNTVolume:
         return self._view
 
     def state(self) -> np.ndarray:
-        """The open window's numbers as the kernels lay them out (`kernels.state`), up to date; only to be read."""
+        """The open window's numbers as the kernels lay them out (`kernels.state`), up to date; do not write to it."""
         if self._replay is not None:
             self._replay.run(self._buffer, self._array)
         return self._buffer
 
     @property
     def buffer(self) -> np.ndarray:
-        """The same without a replay, for compiled code that adds events to it."""
+        """The same, but not replayed: for compiled code that adds events to it."""
         return self._buffer
 
     @property
     def landmark(self) -> tuple[float, float]:
-        """The landmark (x, y) in grid pixels after the newest event; the grid's centre where none is defined
-        (no events yet, or transform "none")."""
+        """The landmark (x, y) in grid pixels after the newest event; the grid's centre before the first one, and
+        without the transform."""
         n = int(self._ints[S.N])
         center = (self.config.grid[0] - 1) / 2, (self.config.grid[1] - 1) / 2
         if n == 0 or self.config.landmark == "center" or self.config.transform == "none":
@@ -301,7 +289,7 @@ class TNTVolume:
 
     @property
     def n_late(self) -> int:
-        """Events dropped because they came before the start of their open window."""
+        """Events dropped because they were older than the open window."""
         return int(self._ints[S.LATE])
 
     @property
@@ -318,3 +306,9 @@ class TNTVolume:
     def newest_us(self) -> int:
         """Time of the newest event in the open window; -1 if it has none."""
         return int(self._ints[S.NEWEST_US])
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -1,7 +1,7 @@
-"""A volume's flat buffer, see `kernels.state`: made for a configuration, saved, and restored from elsewhere.
+"""A volume's flat buffer (`kernels.state`): created for a configuration, saved, restored.
 
-Parameters are not saved: they follow from the configuration, and damaged ones must not change where compiled code
-writes. Cells are saved where they are not zero.
+Parameters are not saved: they follow from the configuration, and damaged ones could change where compiled code
+writes. Only cells that are not zero are saved.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _epochs = itertools.count(1)
 
 
 def next_epoch() -> int:
-    """A number for a window's EPOCH that no other window of this process has."""
+    """A number for a window's EPOCH, unique in this process."""
     return next(_epochs)
 
 
@@ -82,14 +82,14 @@ def new_state(config: TNTConfig) -> np.ndarray:
 
 
 def save_window(buffer: np.ndarray, with_cells: bool) -> Arrays:
-    """The open window of a volume, and its counts; all numbers by their bits."""
+    """The open window of a volume and its counts, all numbers by their bits."""
     ints = buffer.view(np.int64)
     places = np.flatnonzero(ints[S.CELLS : ints[S.LOG]]) if with_cells else np.empty(0, np.int64)
     return {"slots": ints[list(SLOTS.values())], "places": places, "cells": buffer[S.CELLS + places]}
 
 
 def restore_counts(buffer: np.ndarray, arrays: Arrays) -> None:
-    """What became of the events, into the buffer of an empty volume."""
+    """Restore what became of the events into the buffer of an empty volume."""
     slots = _slots(arrays)
     received, *parts = (slots[name] for name in ("received", "kept", "late", "tau_zero", "decided"))
     if min(parts) < 0 or not sum(parts) <= received <= MAX_EVENTS:
@@ -98,11 +98,11 @@ def restore_counts(buffer: np.ndarray, arrays: Arrays) -> None:
 
 
 def restore_window(buffer: np.ndarray, arrays: Arrays, config: TNTConfig) -> None:
-    """An open window, into the buffer of an empty volume of the same configuration, whose counts are back.
+    """Restore an open window into the buffer of an empty volume of the same configuration, after its counts.
 
-    Every number that the kernels index or divide with is checked to be one that a stream can have left there, as if an
-    enemy had written the state. The log of touched cells is not saved: readers find that they have missed more than it
-    holds, and read everything.
+    Every number that the kernels index or divide with is checked to be one that a stream can have left there, as a
+    state may be forged. The log of changed cells is not saved: readers find that they have missed more than it holds,
+    and read everything.
     """
     ints = buffer.view(np.int64)
     slots = _slots(arrays)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -43,12 +45,11 @@ class WindowScheduler:
         self.hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
         if self.hop_us > window_us:
             raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {hop_us}")
-        n_volumes = -(-window_us // self.hop_us)
+        n_volumes = math.ceil(window_us / self.hop_us)
         if n_volumes > MAX_OPEN_WINDOWS:
-            raise ValueError(
-                f"`hop_us` must be at least window_us / {MAX_OPEN_WINDOWS} = {-(-window_us // MAX_OPEN_WINDOWS)}, "
-                f"got {self.hop_us}: {n_volumes} windows would be open at once"
-            )
+            smallest = f"window_us / {MAX_OPEN_WINDOWS} = {math.ceil(window_us / MAX_OPEN_WINDOWS)}"
+            got = f"{self.hop_us}: {n_volumes} windows would be open at once"
+            raise ValueError(f"`hop_us` must be at least {smallest}, got {got}")
         self._start_us = start_us
         self.volumes = [TNTVolume(config, replay_events=replay_events, regressor=regressor) for _ in range(n_volumes)]
         self.reset()
@@ -83,7 +84,7 @@ class WindowScheduler:
         return self.oldest.start_us + self._window_us
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:
-        """Add events to all open windows, up to the limit; returns the first one that was not added."""
+        """Add events to all open windows, up to the limit; returns the first one not added."""
         oldest = self._open[0]
         before = oldest.n_late, oldest.n_decided
         absorbed = oldest.absorb(columns, first, last)
@@ -91,13 +92,8 @@ class WindowScheduler:
         return absorbed
 
     def count_absorbed(self, columns: Columns, first: int, absorbed: int, before: tuple[int, int]) -> None:
-        """The oldest window has absorbed the events `first <= i < absorbed`: where windows overlap, count them once,
-        and add them to the others.
-
-        Parameters
-        ----------
-        before : `n_late` and `n_decided` of the oldest window before.
-        """
+        """Where windows overlap, add the events `first <= i < absorbed`, which the oldest has absorbed, to the others,
+        and count them once. `before`: the oldest window's `n_late` and `n_decided` before that."""
         if not self.overlap:
             return
         oldest = self._open[0]
@@ -113,8 +109,8 @@ class WindowScheduler:
             volume.warn()
 
     def open_due(self, t_us: int) -> bool:
-        """Open the windows that hold `t_us` and are not open yet, or else the next one, so that at least one is open;
-        empty ones before them are skipped. Returns whether the oldest is another one."""
+        """Open the windows that hold `t_us`, or else the next one, so that at least one is open; empty ones before them
+        are skipped. Returns whether the oldest window has changed."""
         was_empty = not self._open
         if self._next_start_us is None:
             self._next_start_us = t_us
@@ -134,16 +130,16 @@ class WindowScheduler:
         return was_empty
 
     def set_limit(self, trigger_us: int) -> None:
-        """Make `absorb` stop where something has to happen: a window ends or begins, or at `trigger_us`."""
-        assert self._next_start_us is not None
-        limit_us = min(self.oldest_end_us, self._next_start_us, trigger_us)
-        for volume in self._open:
-            volume.set_limit(limit_us)
+        """Make `absorb` stop where a window ends or begins, or at `trigger_us`."""
+        if self._open and self._next_start_us is not None:
+            limit_us = min(self.oldest_end_us, self._next_start_us, trigger_us)
+            for volume in self._open:
+                volume.set_limit(limit_us)
 
     def close_oldest(self, early: bool = False) -> None:
-        """The oldest window is over, and its volume empty and free for the next one to be opened.
+        """Close the oldest window; its volume is empty and free for the next one to be opened.
 
-        early : before its end. Events that still come for it are counted as `dropped_decided`.
+        early : before its end. Events that still arrive for it are counted as `dropped_decided`.
         """
         volume = self._open.popleft()
         volume.close()
@@ -153,19 +149,18 @@ class WindowScheduler:
             self._inform_oldest()
 
     def _remember(self, hops: int, early: int) -> None:
-        """The window to look back from is now so many hops later; `early`: the one before it was closed early."""
+        """The window to look back from is now this many hops later; `early`: the one before it was closed early."""
         before = self._closed_early << hops if hops < REMEMBERED else 0
         self._closed_early = (before | early) & ((1 << REMEMBERED) - 1)
 
     def _inform_oldest(self) -> None:
-        """The oldest volume counts the late events, so it has to know which windows were closed early."""
+        """Tell the oldest volume, which counts late events, which windows were closed early."""
         if self._closed_early:
             self.oldest.set_closed_early(self._closed_early, self.hop_us)
 
     def save(self) -> Arrays:
         """All volumes, which of them are open, and the counts."""
-        number = {id(volume): k for k, volume in enumerate(self.volumes)}
-        order = [number[id(volume)] for volume in (*self._open, *self._free)]
+        order = [self.volumes.index(volume) for volume in (*self._open, *self._free)]
         next_us = -1 if self._next_start_us is None else self._next_start_us
         counts = [len(self._open), next_us, -1, self._n_received, self._n_late, self._n_decided]
         arrays = {"order": np.array(order, np.int64), "counts": np.array(counts, np.int64)}
@@ -180,7 +175,7 @@ class WindowScheduler:
 
         Raises
         ------
-        ValueError : a number that cannot have been saved by such windows. Some have been restored then: discard them.
+        ValueError : a number that such windows cannot have saved. Some have been restored then: discard this object.
         """
         order = checked_array(arrays, "order", np.int64, (len(self.volumes),)).tolist()
         if sorted(order) != list(range(len(order))):
@@ -218,15 +213,7 @@ class WindowScheduler:
     def counts(self, n_dropped: int) -> Counts:
         """See `Processor.counts`. `n_dropped` : late events that the decoder has dropped."""
         total = sum((volume.counts for volume in self.volumes), Counts())
-        received, late, decided = total.received, total.dropped_late, total.dropped_decided
         if self.overlap:
-            received, late, decided = self._n_received, self._n_late, self._n_decided
-        return Counts(
-            received + n_dropped,
-            total.kept,
-            total.dropped_outside,
-            total.dropped_tau_zero,
-            late + n_dropped,
-            total.dropped_unstored,
-            decided,
-        )
+            once = {"received": self._n_received, "dropped_late": self._n_late, "dropped_decided": self._n_decided}
+            total = replace(total, **once)
+        return total + Counts(received=n_dropped, dropped_late=n_dropped)

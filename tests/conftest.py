@@ -5,13 +5,16 @@ import signal
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parent.parent
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-settings.register_profile("async_tnt", deadline=None)  # how long an example takes depends on what else the machine does
-settings.load_profile("async_tnt")
+# No deadline: how long an example takes depends on what else the machine does. Many more random streams:
+# HYPOTHESIS_PROFILE=deep pytest
+settings.register_profile("ci", deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("deep", settings.get_profile("ci"), max_examples=2000)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 # A shell's background job ignores SIGINT, and so would each program that a test starts to interrupt it.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:

@@ -1,4 +1,4 @@
-"""Ports for the tests: a free one, and knowing when somebody listens there."""
+"""Ports for the tests: a free one, and waiting for a listener."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from async_tnt.sources.udp_sender import UdpSender
 
 
 def free_port(kind=socket.SOCK_DGRAM) -> int:
-    """One of this machine alone that nobody listens at."""
+    """A port of the loopback interface without a listener."""
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
 
 
 def wait_for_listener(port: int, patience_s: float = 60.0) -> None:
-    """Until somebody listens for datagrams there. Who listens gets an empty one.
+    """Wait until a process listens for datagrams there; it receives an empty one.
 
-    To try and bind the port would tell, too, but now and then take it away from the one who is about to.
+    Trying to bind the port would show it, too, but might take the port from the process that is about to.
     """
     deadline = time.monotonic() + patience_s
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -34,11 +34,11 @@ def wait_for_listener(port: int, patience_s: float = 60.0) -> None:
                 return
             except ConnectionError:
                 time.sleep(0.01)
-    raise TimeoutError(f"nobody listens at port {port} after {patience_s} s")
+    raise TimeoutError(f"no listener at port {port} after {patience_s} s")
 
 
 def send_in_parts(port: int, events: np.ndarray, n_parts: int = 40, pause_s: float = 0.002) -> None:
-    """Send once somebody listens: what comes before is lost."""
+    """Send once there is a listener: what is sent before is lost."""
     wait_for_listener(port)
     with UdpSender(port=port) as sender:
         for part in np.array_split(events, n_parts):

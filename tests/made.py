@@ -74,7 +74,7 @@ def _random_regressor(rng: np.random.Generator, channels: int, widths, sharpness
 
 @st.composite
 def nasty_streams(draw, sensor, window_us: int, start_us: int, max_events: int = 60):
-    """Streams that look for trouble: ties, bursts, borders, corners, the window's first and last microsecond,
+    """Streams of hard cases: ties, bursts, borders, corners, the window's first and last microsecond,
     times that run backwards, all at one pixel."""
     n = draw(st.integers(0, max_events))
     inside = st.integers(0, window_us - 1)

@@ -1,10 +1,11 @@
 """Laws that hold for everything that takes a stream: volumes of every kind, processors with every trigger.
 
 However the stream is cut into packets; after a reset, in a copy, restored in another object; whatever invalid packets
-came and whatever was read in between: the same decisions, volumes, landmarks and counts, bit for bit.
+arrived and whatever was read in between: the same decisions, volumes, landmarks and counts, bit for bit.
 """
 
 import copy
+import dataclasses
 import itertools
 import pickle
 from functools import partial
@@ -54,20 +55,24 @@ class Volume:
     def __init__(self, config):
         model = random_regressor_model(config, widths=(3, 4, 5), sharpness=20.0) if config.needs_regressor else None
         self.volume = TNTVolume(config, regressor=model and CompiledRegressor(model))
-        self.push, self.push_one, self.reset = self.volume.update, self.volume.update_one, self.volume.reset
 
-    def __reduce__(self):
-        return _volume_around, (self.volume,)
+    def push(self, events):
+        return [1] * self.volume.update(events)
+
+    def push_one(self, *event):
+        return [1] * self.volume.update_one(*event)
+
+    def reset(self):
+        self.volume.reset()
 
     def look(self):
         volume = self.volume
         return volume.array.tobytes(), volume.landmark, volume.counts, volume.start_us, volume.n_events
 
-
-def _volume_around(volume):
-    made = Volume.__new__(Volume)
-    made.volume, made.push, made.push_one, made.reset = volume, volume.update, volume.update_one, volume.reset
-    return made
+    def __copy__(self):
+        twin = object.__new__(Volume)
+        twin.volume = copy.copy(self.volume)
+        return twin
 
 
 class Stream:
@@ -97,10 +102,13 @@ def _as_values(decision):
 
 
 VOLUMES = {f"volume: {kind}": partial(Volume, config) for kind, config in KINDS.items()}
+# Each setting with both ways of deciding, and with one of the other landmarks.
+OTHERS = zip(itertools.cycle(["line", "window", "regressor"]), SETTINGS)
 PROCESSORS = {
-    f"{kind}, {name}, {'network' if compiled else 'callable'}": partial(Stream, KINDS[kind], compiled, settings)
-    for (kind, compiled), (name, settings) in itertools.product(
-        [("running", True), ("running", False), ("line", True), ("window", True), ("regressor", True)], SETTINGS.items()
+    f"{kind}, {name}, {'network' if compiled else 'callable'}": partial(Stream, KINDS[kind], compiled, SETTINGS[name])
+    for kind, name, compiled in (
+        *itertools.product(["running"], SETTINGS, (True, False)),
+        *((kind, name, True) for kind, name in OTHERS),
     )
 }
 ALL = VOLUMES | PROCESSORS
@@ -116,38 +124,44 @@ def events_of(make, n=400, seed=1, start_us=50):
 
 
 def fed(stream, events, sizes=(400,)):
-    """What came out of a stream cut into packets of these sizes, over and over; 0: one event by `push_one`."""
+    """The outputs of a stream cut into packets of these sizes, over and over; 0: one event by `push_one`."""
     outputs, first, sizes = [], 0, itertools.cycle(sizes)
     while first < len(events):
         size = next(sizes)
-        out = stream.push(events[first : first + size]) if size else stream.push_one(*events[first].tolist())
-        outputs += out if isinstance(out, list) else [out] * (out > 0)
+        outputs += stream.push(events[first : first + size]) if size else stream.push_one(*events[first].tolist())
         first += size or 1
     return outputs
 
 
+def restored(stream, stopped):
+    stream.processor.restore_state(stopped.processor.save_state())
+    return stream
+
+
 @of_all
-@pytest.mark.parametrize("sizes", [(0,), (1,), (2, 0, 7), (399,), (401,)], ids=str)
+@pytest.mark.parametrize("sizes", [(0,), (2, 0, 7), (399,)], ids=str)
 def test_packets_of_any_size_give_the_same(make, sizes):
     events, whole, cut = events_of(make), make(), make()
-    expected, got = fed(whole, events), fed(cut, events, sizes)
+    assert fed(whole, events) == fed(cut, events, sizes) != []
     assert cut.look() == whole.look()
-    if isinstance(whole, Volume):  # which says how many windows a packet closed
-        assert sum(got) == sum(expected) and any(whole.look()[0])
-    else:
-        assert got == expected != []
+    assert any(whole.look()[0]) or isinstance(whole, Stream)  # whose window may be closed early
 
 
 @given(data=st.data())
 def test_any_packets_of_any_stream_give_the_same(data):
+    """A processor may even be saved and restored elsewhere in between."""
     name = data.draw(st.sampled_from(list(ALL)))
     make = ALL[name]
     start_us = data.draw(st.sampled_from([0, 123_456_789, 1_700_000_000_000_000]))
     events = data.draw(nasty_streams(make.args[0].sensor, 3500, start_us, max_events=60))
     sizes = data.draw(st.lists(st.integers(0, 40), min_size=1, max_size=6))
+    stop = data.draw(st.integers(0, 60))
     whole, cut = make(), make()
-    expected, got = fed(whole, events), fed(cut, events, sizes)
-    assert got == expected or (isinstance(whole, Volume) and sum(got) == sum(expected))
+    expected, got = fed(whole, events), fed(cut, events[:stop], sizes)
+    if isinstance(cut, Stream):
+        cut = restored(make(), cut)
+    got += fed(cut, events[stop:], sizes)
+    assert got == expected
     assert cut.look() == whole.look()
 
 
@@ -174,7 +188,7 @@ def test_after_a_reset_it_is_as_new(make):
 @pytest.mark.parametrize(
     ("make", "duplicate"),
     [
-        *((make, lambda volume: _volume_around(copy.copy(volume.volume))) for make in VOLUMES.values()),
+        *itertools.product(VOLUMES.values(), (copy.copy,)),
         *itertools.product(ALL.values(), (copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream)))),
     ],
 )
@@ -190,12 +204,12 @@ def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
 
 
 @pytest.mark.parametrize("make", PROCESSORS.values(), ids=PROCESSORS)
-@pytest.mark.parametrize("stop", [0, 1, 150, 399])
+@pytest.mark.parametrize("stop", [0, 1, 150])
 def test_restored_elsewhere_it_continues_as_if_it_had_not_stopped(make, stop):
     whole, stopped, resumed, events = make(), make(), make(), events_of(make)
     fed(whole, events[:stop]), fed(stopped, events[:stop])
     fed(resumed, events_of(make, n=30, seed=9))  # is forgotten
-    resumed.processor.restore_state(stopped.processor.save_state())
+    restored(resumed, stopped)
     assert resumed.look() == stopped.look() == whole.look()
     assert fed(resumed, events[stop:], (13,)) == fed(whole, events[stop:], (13,))
     assert resumed.look() == whole.look()
@@ -233,13 +247,6 @@ def test_every_event_is_counted_once(make):
     stream, events = make(), events_of(make)
     fed(stream, events, (50,))
     counts = stream.look()[2]
-    dropped = (
-        counts.dropped_outside
-        + counts.dropped_tau_zero
-        + counts.dropped_late
-        + counts.dropped_unstored
-        + counts.dropped_decided
-    )
     assert counts.received == len(events)
     if isinstance(stream, Volume) or "hop_us" not in make.args[2]:  # else once in every window
-        assert counts.kept + dropped == len(events)
+        assert sum(dataclasses.astuple(counts)) == 2 * len(events)  # received, and kept or dropped

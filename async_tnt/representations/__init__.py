@@ -1,9 +1,9 @@
-"""What else events are turned into: images, events moved by a flow, one piece for each saccade.
+"""Other representations of events: images, events moved by optical flow, recordings cut into pieces.
 
     count_image             events per pixel and polarity
     count_timestamp_image   the same, and when each pixel last fired
     move_by_flow            the motion model: events moved by constant optical flow; `undo_flow` moves them back
-    segment                 a recording cut at given times; `split_saccades` at N-MNIST's, `find_pauses` finds some
+    segment                 a recording cut at given times; `split_saccades` cuts N-MNIST's, `find_pauses` finds times
 
 The event volume and the Temporal Normalization Transform are `async_tnt.TNTVolume`.
 """

@@ -1,7 +1,7 @@
-"""Event images: how many events each pixel gave, and when it gave the last one.
+"""Event images: how many events each pixel produced, and when it produced the last one.
 
-An image throws away most of the time that an event volume keeps. It is what the volume is compared with, and it
-is enough for many networks.
+An image discards most of the timing that an event volume keeps. It serves as the baseline for the volume, and it is
+enough for many networks.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from async_tnt.kernels.images import add_counts, add_counts_and_times
 
 
 def count_image(events: Any, *, sensor: tuple[int, int], out: np.ndarray | None = None) -> np.ndarray:
-    """How many events each pixel gave, by polarity.
+    """How many events each pixel produced, by polarity.
 
         I[c, y, x] = #{i : x_i = x, y_i = y, p_i = 1 - c}        c = 0: ON, c = 1: OFF
 
@@ -29,11 +29,11 @@ def count_image(events: Any, *, sensor: tuple[int, int], out: np.ndarray | None 
 
     Returns
     -------
-    int32, shape (2, H, W), indexed [polarity, y, x]; `out` itself where given. Its sum is the number of events.
+    int32, shape (2, H, W), indexed [polarity, y, x]; `out` itself if given. Its sum is the number of events.
 
     Raises
     ------
-    ValueError, TypeError : the events break a rule, or `out` is no such image. `out` is then unchanged.
+    ValueError, TypeError : invalid events, or `out` is not such an image. `out` is then unchanged.
 
     References
     ----------
@@ -59,33 +59,32 @@ def count_image(events: Any, *, sensor: tuple[int, int], out: np.ndarray | None 
 def count_timestamp_image(
     events: Any, *, start_us: int, window_us: int, sensor: tuple[int, int], out: np.ndarray | None = None
 ) -> np.ndarray:
-    """How many events each pixel gave in a window, and when it gave the last one, by polarity: four channels.
+    """How many events each pixel produced in a window, and when it produced the last one, by polarity: four channels.
 
         I[c, y, x]     = #{i : x_i = x, y_i = y, p_i = 1 - c}          c = 0: ON, c = 1: OFF
         I[2 + c, y, x] = max {f_i : x_i = x, y_i = y, p_i = 1 - c}     f_i = (t_i - start_us) / window_us
 
-    Over the events in [start_us, start_us + window_us); others take no part. "Last" means newest, not last to
-    arrive: the order of events does not matter, and of several at one time it does not matter which is taken.
-    A pixel without an event has time 0. So has one whose only events are at the window's very start; the counts
-    tell the two apart.
+    Only events in [start_us, start_us + window_us) count. "Last" means newest, not last to arrive, so the order of
+    events does not matter. A pixel without events has time 0, and so has one whose only events are at the very start
+    of the window; the counts tell the two apart.
 
     Parameters
     ----------
     events : in any form that `async_tnt.event_forms` lists.
     start_us, window_us : the window, in microseconds. EV-FlowNet divides by the newest event's time, which makes
-        it 1; here windows are half-open, so f < 1: the nearest is `start_us=t[0], window_us=t[-1] - t[0] + 1`.
+        it 1; here windows are half-open, so f < 1. The closest is `start_us=t[0], window_us=t[-1] - t[0] + 1`.
     sensor : (width, height) in pixels.
-    out : an earlier result of the same window, to which the events are added, in O(1) per event. However the
-        stream is cut into packets, the result is the same bit for bit.
+    out : an earlier result of the same window, to which the events are added, in O(1) per event. The result has the
+        same bits however the stream is cut into packets.
 
     Returns
     -------
-    float32, shape (4, H, W), indexed [channel, y, x]: count ON, count OFF, time ON, time OFF; `out` itself where
-    given. Counts are exact up to 2**24. Times are divided in float64 and rounded once.
+    float32, shape (4, H, W), indexed [channel, y, x]: count ON, count OFF, time ON, time OFF; `out` itself if given.
+    Counts are exact up to 2**24. Times are divided in float64 and rounded once.
 
     Raises
     ------
-    ValueError, TypeError : the events break a rule, or `out` is no such image. `out` is then unchanged.
+    ValueError, TypeError : invalid events, or `out` is not such an image. `out` is then unchanged.
 
     References
     ----------

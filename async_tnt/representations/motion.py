@@ -1,8 +1,8 @@
 """The motion model: what constant optical flow does to events.
 
-L_v shears space-time: an event at window fraction f goes v f pixels. The L_v are a group: L_v L_w = L_(v + w),
-L_0 leaves everything where it is, and L_-v is the inverse of L_v. Convolutions are not equivariant to it; after
-the Temporal Normalization Transform it is a translation (docs/theory.md).
+L_v shears space-time: it moves an event at window fraction f by v f pixels. The L_v form a group: L_v L_w = L_(v + w),
+L_0 is the identity, and L_-v is the inverse of L_v. Convolutions are not equivariant to it; the Temporal Normalization
+Transform turns it into a translation (docs/theory.md).
 """
 
 from __future__ import annotations
@@ -16,29 +16,27 @@ from async_tnt.checks import checked_time, plain_array
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.records import MAX_TIME_US
 
-Array = np.ndarray
-
 
 def move_by_flow(
     t: Any, x: Any, y: Any, flow: Sequence[float], *, start_us: int, window_us: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where constant optical flow takes events.
+    """Move events by constant optical flow.
 
         L_v (x, y, t) = (x + v_x f, y + v_y f, t)        f = (t - start_us) / window_us
 
-    All events move, those outside the window too: they lie at f < 0 or f >= 1. Moved events lie between pixels,
-    and may lie outside the sensor; they are no longer what the door takes, but what `tnt_reference` takes.
+    Events outside the window move, too, with f < 0 or f >= 1. Moved events lie between pixels and may lie outside the
+    sensor: `tnt_reference` accepts them, volumes and processors do not.
 
-    With v, w and f such that all products and sums are exact in float64 (whole flows, whole pixels, and a window
-    of 2**k microseconds, say), the group's laws hold exactly. Otherwise up to rounding: some 1e-13 px on a sensor
-    of a thousand pixels. L_0 is the identity, always.
+    The group's laws hold exactly if all products and sums are exact in float64 (such as whole flows, whole pixels and
+    a window of 2**k microseconds), and otherwise up to rounding: some 1e-13 px on a sensor of a thousand pixels. L_0
+    is always the identity.
 
     Parameters
     ----------
     t : (N,) integer microseconds.
-    x, y : (N,) coordinates in pixels, whole or not.
+    x, y : (N,) coordinates in pixels, not necessarily whole.
     flow : v = (v_x, v_y), in pixels per window. From pixels per second: v = v_s * window_us * 1e-6.
-    start_us, window_us : where f is 0, and how much later it is 1.
+    start_us, window_us : f is 0 at `start_us`, and 1 `window_us` later.
 
     Returns
     -------
@@ -46,7 +44,7 @@ def move_by_flow(
 
     Raises
     ------
-    ValueError, TypeError : the argument's name, the rule and what came.
+    ValueError, TypeError : an invalid argument; the message names it and its rule.
 
     References
     ----------
@@ -65,9 +63,9 @@ def move_by_flow(
 def undo_flow(
     t: Any, x: Any, y: Any, flow: Sequence[float], *, start_us: int, window_us: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Take constant optical flow out of events: L_v^-1 = L_-v, the inverse of `move_by_flow`.
+    """Remove constant optical flow from events: L_v^-1 = L_-v, the inverse of `move_by_flow`.
 
-    Events of an object that moves by `flow` come to lie where the object was at the window's start (motion
+    Events of an object that moves by `flow` return to where the object was at the window's start (motion
     compensation). Parameters, result and errors are those of `move_by_flow`.
 
     Examples
@@ -80,7 +78,9 @@ def undo_flow(
     return x - dx, y - dy
 
 
-def _displacements(t: Any, x: Any, y: Any, flow: Sequence[float], start_us: int, window_us: int) -> tuple[Array, ...]:
+def _displacements(
+    t: Any, x: Any, y: Any, flow: Sequence[float], start_us: int, window_us: int
+) -> tuple[np.ndarray, ...]:
     """x, y and v f, checked; each (N,) float64."""
     config = TNTConfig(window_us=window_us)  # checks it
     start_us = checked_time("start_us", start_us)

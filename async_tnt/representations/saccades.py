@@ -14,7 +14,7 @@ from async_tnt.events import as_events
 SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
 """Where N-MNIST's saccades begin, and where the third ends, in microseconds (Orchard et al. 2015)."""
 
-_ANY_SENSOR = (MAX_SIDE, MAX_SIDE)  # where a pixel is does not matter here
+_ANY_SENSOR = (MAX_SIDE, MAX_SIDE)  # pixels do not matter here
 
 
 def segment(events: Any, cuts_us: Sequence[int]) -> list[np.ndarray]:
@@ -22,9 +22,9 @@ def segment(events: Any, cuts_us: Sequence[int]) -> list[np.ndarray]:
 
         piece k = {i : cuts_us[k - 1] <= t_i < cuts_us[k]}
 
-    with no bound before the first piece and none after the last. So an event exactly at a cut begins the piece
-    after it, and no event is lost: of K cuts come K + 1 pieces, empty ones included. In each piece events keep
-    their order; if their times never run backwards, the pieces end to end are the input.
+    where the first piece has no lower bound and the last no upper one. An event exactly at a cut belongs to the piece
+    after it, and no event is lost: K cuts make K + 1 pieces, some perhaps empty. Events keep their order within each
+    piece; if times never run backwards, the pieces end to end are the input.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def segment(events: Any, cuts_us: Sequence[int]) -> list[np.ndarray]:
 
     Raises
     ------
-    ValueError, TypeError : the events break a rule, or the cuts do not increase.
+    ValueError, TypeError : invalid events, or the cuts do not increase.
 
     References
     ----------
@@ -56,23 +56,23 @@ def segment(events: Any, cuts_us: Sequence[int]) -> list[np.ndarray]:
     packed = as_events(events, _ANY_SENSOR)
     t = packed["t"]
     if np.all(t[1:] >= t[:-1]):
-        return np.split(packed, np.searchsorted(t, cuts))  # left: an event at a cut lies behind it
+        return np.split(packed, np.searchsorted(t, cuts))  # left: an event at a cut belongs to the piece after it
     piece = np.searchsorted(cuts, t, side="right")  # cuts at or before t
     return [packed[piece == k] for k in range(len(cuts) + 1)]
 
 
 def split_saccades(events: Any, *, start_us: int = 0) -> list[np.ndarray]:
-    """Cut a recording of N-MNIST, or one like it, into its three saccades and the rest.
+    """Cut a recording like those of N-MNIST into its three saccades and the rest.
 
     Parameters
     ----------
     events : in any form that `async_tnt.event_forms` lists.
-    start_us : time of the recording's beginning. N-MNIST's clock begins at 0, which need not be the first event.
+    start_us : when the recording begins. N-MNIST's clock begins at 0, often before the first event.
 
     Returns
     -------
-    list of four structured arrays, together all the events: [0, 105), [105, 210) and [210, 315) ms after
-    `start_us`, and what comes later. Events before `start_us` belong to the first.
+    list of four structured arrays that together hold all events: [0, 105), [105, 210) and [210, 315) ms after
+    `start_us`, and the rest. Events before `start_us` belong to the first.
 
     References
     ----------
@@ -90,13 +90,13 @@ def split_saccades(events: Any, *, start_us: int = 0) -> list[np.ndarray]:
 
 
 def find_pauses(events: Any, gap_us: int) -> list[int]:
-    """Where to cut a recording of unknown course: after each pause of at least `gap_us` without any event.
+    """Where to cut a recording whose parts are not known: after each pause of at least `gap_us` without events.
 
         cuts = {t_i : t_i - t_(i-1) >= gap_us}        times in order
 
-    One event of noise ends a pause, so this is for filtered recordings, or for a `gap_us` far below the sensor's
-    mean time between noise events. The saccades of N-MNIST cannot be found so: there events never stop between two of
-    them (docs/theory.md).
+    A single noise event ends a pause, so this is for filtered recordings, or for a `gap_us` far below the sensor's
+    mean time between noise events. It does not find the saccades of N-MNIST, between which events never stop
+    (docs/theory.md).
 
     Parameters
     ----------

@@ -1,15 +1,13 @@
-"""Count and timestamp images: by hand, against the torch twin bit for bit, and however the stream is cut."""
+"""Count and timestamp images: by hand, against the torch reference bit for bit, and however the stream is cut."""
 
 import numpy as np
 import pytest
 import tnt_reference
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of, nasty_streams, random_events
 
-from async_tnt.representations.images import count_image, count_timestamp_image
-from async_tnt.sources.files.nmnist import read_nmnist
-from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.representations import count_image, count_timestamp_image
 
 SHAPES = [((34, 34), 105_000), ((5, 3), 7), ((2, 2), 1), ((64, 48), 1_000)]  # sensor, window_us
 STARTS = [0, 123_456_789, 1_700_000_000_000_000]
@@ -22,23 +20,16 @@ def both_images(events, *, start_us, window_us, sensor, out=(None, None)):
     )
 
 
-def reference(events, *, start_us, window_us, sensor):
+def as_bits(images):
+    return [np.asarray(image, np.float64).tobytes() for image in images]
+
+
+def reference(events, *, sensor, **window):
     columns = [events[name] for name in "txyp"]
     return (
-        tnt_reference.count_image(*columns, sensor=sensor).numpy(),
-        tnt_reference.count_timestamp_image(*columns, start_us=start_us, window_us=window_us, sensor=sensor).numpy(),
+        tnt_reference.count_image(*columns, sensor=sensor),
+        tnt_reference.count_timestamp_image(*columns, sensor=sensor, **window),
     )
-
-
-def plain_loop(events, *, start_us, window_us, sensor):
-    """The two equations, event by event, in Python's own numbers."""
-    counts, four = np.zeros((2, *sensor[::-1]), int), np.zeros((4, *sensor[::-1]), np.float32)
-    for t, x, y, p in events.tolist():
-        counts[1 - p, y, x] += 1
-        if start_us <= t < start_us + window_us:
-            four[1 - p, y, x] += 1
-            four[3 - p, y, x] = max(four[3 - p, y, x], np.float32((t - start_us) / window_us))
-    return counts, four
 
 
 BY_HAND = events_of(
@@ -60,40 +51,22 @@ def test_by_hand():
     assert four[:2].tolist() == [[[0, 2, 0], [0, 0, 1]], [[0, 2, 0], [1, 0, 0]]]
     assert four[2].tolist() == [[0, 0.25, 0], [0, 0, np.float32(799 / 800)]]
     assert four[3].tolist() == [[0, 0.5, 0], [0, 0, 0]]  # the newest, not the last to arrive; the start is 0
-    for got, expected in zip(both_images(BY_HAND, **AT), reference(BY_HAND, **AT), strict=True):
-        np.testing.assert_array_equal(got, expected)
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.data())
-def test_equals_reference_and_a_plain_loop_bit_for_bit(data):
+def test_any_packets_in_any_order_equal_the_reference_bit_for_bit(data):
     sensor, window_us = data.draw(st.sampled_from(SHAPES))
     start_us = data.draw(st.sampled_from(STARTS))
     begin = data.draw(st.sampled_from([start_us, max(0, start_us - window_us)]))  # some events before the window
-    events = data.draw(nasty_streams(sensor, 3 * window_us, begin))  # and some behind it
+    events = data.draw(nasty_streams(sensor, 3 * window_us, begin))  # and some after it
     at = dict(start_us=start_us, window_us=window_us, sensor=sensor)
-    for got, twin, loop in zip(
-        both_images(events, **at), reference(events, **at), plain_loop(events, **at), strict=True
-    ):
-        assert got.astype(np.float64).tobytes() == twin.astype(np.float64).tobytes()
-        assert got.astype(np.float64).tobytes() == loop.astype(np.float64).tobytes()
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.data())
-def test_any_packets_in_any_order_give_the_same_bits(data):
-    sensor, window_us = data.draw(st.sampled_from(SHAPES))
-    events = data.draw(nasty_streams(sensor, window_us, 0))
-    order = np.random.default_rng(data.draw(st.integers(0, 9))).permutation(events.size)
-    at = dict(start_us=0, window_us=window_us, sensor=sensor)
-    expected = both_images(events, **at)
-    for stream in (events, events[order]):
-        for size in (1, 2, 7, 61):
-            got = both_images(None, **at)
-            for first in range(0, events.size, size):
-                after = both_images(stream[first : first + size], **at, out=got)
-                assert after[0] is got[0] and after[1] is got[1]
-            assert [image.tobytes() for image in got] == [image.tobytes() for image in expected]
+    shuffled = events[np.random.default_rng(data.draw(st.integers(0, 9))).permutation(events.size)]
+    got = both_images(None, **at)
+    size = data.draw(st.sampled_from([1, 2, 7, 61]))
+    for first in range(0, events.size, size):
+        after = both_images(shuffled[first : first + size], **at, out=got)
+        assert after[0] is got[0] and after[1] is got[1]
+    assert as_bits(got) == as_bits(both_images(events, **at)) == as_bits(reference(events, **at))
 
 
 def test_counts_of_windows_laid_end_to_end_sum_to_the_count_image():
@@ -117,84 +90,34 @@ def test_time_is_a_float64_quotient_of_an_exact_difference_rounded_once():
         assert image[3, 0, 0] == np.float32(int(dt) / int(window_us))
 
 
-@pytest.mark.parametrize("nothing", [None, [], events_of([], [], [], [])], ids=["None", "[]", "empty"])
-def test_no_events_give_zeros(nothing):
-    counts, four = both_images(nothing, **AT)
-    assert counts.shape == (2, 2, 3) and four.shape == (4, 2, 3) and not counts.any() and not four.any()
-
-
-def test_all_forms_of_events_give_the_same_image_and_are_left_alone():
-    events = random_events(500)
-    before = events.copy()
-    expected = both_images(events, start_us=0, window_us=105_000, sensor=(34, 34))
-    assert expected[0].sum() == 500
-    minus_one = events["p"].astype(np.int8) * 2 - 1
-    strided = np.repeat(events, 2)[::2]
-    for form in (
-        tuple(events[name] for name in "txyp"),
-        tuple(events[name].tolist() for name in "txyp"),
-        strided,
-        (events["t"], events["x"], events["y"], minus_one),
-    ):
-        got = both_images(form, start_us=0, window_us=105_000, sensor=(34, 34))
-        assert [image.tobytes() for image in got] == [image.tobytes() for image in expected]
-    np.testing.assert_array_equal(events, before)
-
-
-def test_on_recordings_the_images_are_the_digit_and_equal_the_reference():
-    for path in sample_recordings().values():
-        assert_right(open_recording(path).read())
-
-
-def test_on_real_recordings_too(data):
-    paths = [sorted((data / "nmnist" / "Test" / str(digit)).glob("*.bin"))[0] for digit in range(10)]
-    for path in paths:
-        assert_right(read_nmnist(path))
-
-
-def assert_right(events):
-    at = dict(start_us=int(events["t"][0]), window_us=int(np.ptp(events["t"])) + 1, sensor=(34, 34))
-    counts, four = both_images(events, **at)
-    assert counts.sum() == four[:2].sum() == len(events) > 1_000
-    assert 0.99 < four[2:].max() < 1 and ((four[2:] > 0) <= (four[:2] > 0)).all()
-    for got, expected in zip((counts, four), reference(events, **at), strict=True):
-        np.testing.assert_array_equal(got, expected)
-
-
 # -- errors ----------------------------------------------------------------------------------------------------
 
 GOOD = ([1_000], [0], [0], [1])
-BAD_EVENTS = [
-    (([1], [3], [0], [1]), ValueError, r"`x` must be in \[0, 3\), got 3 at event 0"),
-    (([1], [0], [-1], [1]), ValueError, r"`y` must be in \[0, 2\), got -1 at event 0"),
-    (([1], [0], [0], [2]), ValueError, r"`p` must be 0 or 1, or -1 or \+1, got 2 at event 0"),
-    (([0.5], [0], [0], [1]), TypeError, r"`t` must be integer microseconds, got float64"),
-    (([1, 2], [0], [0], [1]), ValueError, r"must have equal lengths, got 2, 1, 1, 1"),
-]
 
 
-@pytest.mark.parametrize(("events", "error", "message"), BAD_EVENTS, ids=lambda a: str(a)[:30])
-def test_bad_events_are_refused_as_at_the_door_and_change_nothing(events, error, message):
+@pytest.mark.parametrize(
+    "events", [([1], [3], [0], [1]), ([1], [0], [-1], [1]), ([0.5], [0], [0], [1]), ([1, 2], [0], [0], [1])], ids=str
+)
+def test_invalid_events_change_nothing(events):
     images = both_images(GOOD, **AT)
-    before = [image.tobytes() for image in images]
-    with pytest.raises(error, match=message):
+    before = as_bits(images)
+    with pytest.raises((ValueError, TypeError)):
         count_image(events, sensor=(3, 2), out=images[0])
-    with pytest.raises(error, match=message):
+    with pytest.raises((ValueError, TypeError)):
         count_timestamp_image(events, **AT, out=images[1])
-    assert [image.tobytes() for image in images] == before
+    assert as_bits(images) == before
 
 
-BAD_SETTINGS = [
-    (dict(sensor=(3, 1)), ValueError, r"`sensor` must have sides of 2 to 32768 pixels, got \(3, 1\)"),
-    (dict(sensor=34), TypeError, r"`sensor` must be two whole numbers \(width, height\), got 34"),
-    (dict(window_us=0), ValueError, r"`window_us` must be in \[1, 3600000000\], got 0"),
-    (dict(window_us=1.5), TypeError, r"`window_us` must be a whole number, got 1.5"),
-    (dict(start_us=-1), ValueError, r"`start_us` must be in \[0, 2\*\*62\), got -1"),
-    (dict(start_us=0.0), TypeError, r"`start_us` must be a whole number of microseconds, got 0.0"),
-]
-
-
-@pytest.mark.parametrize(("bad", "error", "message"), BAD_SETTINGS, ids=lambda a: str(a)[:30])
+@pytest.mark.parametrize(
+    ("bad", "error", "message"),
+    [
+        (dict(sensor=(3, 1)), ValueError, r"`sensor` must have sides of 2 to 32768 pixels, got \(3, 1\)"),
+        (dict(window_us=0), ValueError, r"`window_us` must be in \[1, 3600000000\], got 0"),
+        (dict(start_us=-1), ValueError, r"`start_us` must be in \[0, 2\*\*62\), got -1"),
+        (dict(start_us=0.0), TypeError, r"`start_us` must be a whole number of microseconds, got 0.0"),
+    ],
+    ids=str,
+)
 def test_bad_settings(bad, error, message):
     with pytest.raises(error, match=message):
         count_timestamp_image(GOOD, **{**AT, **bad})
@@ -209,17 +132,17 @@ def read_only():
     return image
 
 
-BAD_OUT = [
-    ([[0]], TypeError, r"`out` must be an array that an earlier call returned, got list"),
-    (np.zeros((2, 3, 2), np.int32), ValueError, r"int32 of shape \(2, 2, 3\), got int32 of shape \(2, 3, 2\)"),
-    (np.zeros((2, 2, 3)), ValueError, r"int32 of shape \(2, 2, 3\), got float64 of shape \(2, 2, 3\)"),
-    (np.zeros((2, 2, 3), ">i4"), ValueError, r"int32 of shape \(2, 2, 3\), got >i4"),
-    (np.zeros((3, 2, 2), np.int32).T, ValueError, r"`out` must be contiguous, aligned and writeable"),
-    (read_only(), ValueError, r"`out` must be contiguous, aligned and writeable"),
-]
-
-
-@pytest.mark.parametrize(("out", "error", "message"), BAD_OUT, ids=lambda a: str(a)[:30])
+@pytest.mark.parametrize(
+    ("out", "error", "message"),
+    [
+        ([[0]], TypeError, r"`out` must be an array that an earlier call returned, got list"),
+        (np.zeros((2, 3, 2), np.int32), ValueError, r"int32 of shape \(2, 2, 3\), got int32 of shape \(2, 3, 2\)"),
+        (np.zeros((2, 2, 3), ">i4"), ValueError, r"int32 of shape \(2, 2, 3\), got >i4"),
+        (np.zeros((3, 2, 2), np.int32).T, ValueError, r"`out` must be contiguous, aligned and writeable"),
+        (read_only(), ValueError, r"`out` must be contiguous, aligned and writeable"),
+    ],
+    ids=lambda a: str(a)[:30],
+)
 def test_bad_out(out, error, message):
     with pytest.raises(error, match=message):
         count_image(GOOD, sensor=(3, 2), out=out)

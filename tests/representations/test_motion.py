@@ -4,21 +4,19 @@ import numpy as np
 import pytest
 import tnt_reference
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from made import nasty_streams, random_events
 
-from async_tnt.representations.images import count_image
 from async_tnt.representations.motion import move_by_flow, undo_flow
 
 AT = dict(start_us=1_000, window_us=1 << 16)  # 2**16 us: every fraction f is exact in float64
-WHOLE = [(8, -3), (-5, 0), (0, 7), (123, -45)]
-DYADIC = [(0.5, -3.25), (-1.75, 12.125)]
-ANY = [(3.7, -11.1), (1 / 3, 0.1), (-0.3, 1e-3), (255.9, -129.3)]
+EXACT = [(8, -3), (0, 7), (0.5, -3.25), (-1.75, 12.125)]
+ANY = [(3.7, -11.1), (5 / 3, 0.1), (255.9, -129.3)]
 
 
-def stream(n=500, seed=0):
-    events = random_events(n, seed=seed, duration_us=AT["window_us"], start_us=AT["start_us"], sensor=(346, 260))
+def stream():
+    events = random_events(500, duration_us=AT["window_us"], start_us=AT["start_us"], sensor=(346, 260))
     return events["t"], events["x"], events["y"]
 
 
@@ -42,14 +40,6 @@ def test_by_hand():
     assert [column.tolist() for column in back] == [[10, 10, 10, 10], [20, 20, 20.5, 20]]
 
 
-def test_pixels_per_second():
-    """100 px/s is 10.5 px per window of 105 ms: after 10 ms the event is 1 px on."""
-    flow = np.multiply((100, 0), 105_000 * 1e-6)
-    assert flow.tolist() == pytest.approx([10.5, 0])
-    x, _ = move_by_flow([10_000], [5], [5], flow, start_us=0, window_us=105_000)
-    assert x[0] == pytest.approx(6)
-
-
 def test_l_0_is_the_identity_exactly():
     t, x, y = stream()
     for at in (AT, dict(start_us=0, window_us=105_000)):
@@ -58,39 +48,28 @@ def test_l_0_is_the_identity_exactly():
         assert moved[0].dtype == moved[1].dtype == np.float64
 
 
-@pytest.mark.parametrize("v", WHOLE + DYADIC, ids=str)
-@pytest.mark.parametrize("w", [*WHOLE[:2], *DYADIC], ids=str)
-def test_a_group_exactly_where_float64_is_exact(v, w):
-    """L_v L_w = L_(v + w) = L_w L_v and L_-v L_v = L_0, to the last bit: f is k / 2**16, v and w are m / 8."""
-    points = stream()
-    both = act(v, act(w, points))
-    assert difference(both, points) > 1
-    assert difference(both, act(np.add(v, w), points)) == 0
-    assert difference(both, act(w, act(v, points))) == 0
-    assert difference(act(np.negative(v), act(v, points)), points) == 0
-
-
-@pytest.mark.parametrize("v", ANY, ids=str)
-@pytest.mark.parametrize("w", ANY, ids=str)
-def test_a_group_up_to_rounding_otherwise(v, w):
-    """Any flow, and a window whose fractions are not exact: to 2e-13 px, four units in the last place of 346 + 256."""
-    at = dict(start_us=1_000, window_us=105_000)
+@pytest.mark.parametrize("v", EXACT + ANY, ids=str)
+@pytest.mark.parametrize("w", EXACT + ANY, ids=str)
+def test_a_group_that_acts_on_events(v, w):
+    """L_v L_w = L_(v + w) = L_w L_v and L_-v L_v = L_0: to the last bit where f is k / 2**16, and v and w are m / 8;
+    otherwise to 2e-13 px, four units in the last place of 346 + 256."""
+    exact = v in EXACT and w in EXACT
+    at = AT if exact else dict(start_us=1_000, window_us=105_000)
+    bound = 0 if exact else 2e-13
     points = stream()
     both = act(v, act(w, points, **at), **at)
-    assert difference(both, act(np.add(v, w), points, **at)) <= 2e-13
-    assert difference(both, act(w, act(v, points, **at), **at)) <= 2e-13
-    assert difference(act(np.negative(v), act(v, points, **at), **at), points) <= 2e-13
+    assert difference(both, points) > 1
+    assert difference(both, act(np.add(v, w), points, **at)) <= bound
+    assert difference(both, act(w, act(v, points, **at), **at)) <= bound
+    assert difference(act(np.negative(v), act(v, points, **at), **at), points) <= bound
 
 
-@pytest.mark.parametrize("v", WHOLE + ANY, ids=str)
+@pytest.mark.parametrize("v", EXACT + ANY, ids=str)
 def test_undo_flow_is_the_action_of_the_opposite_flow_bit_for_bit(v):
     t, x, y = stream()
     np.testing.assert_array_equal(undo_flow(t, x, y, v, **AT), move_by_flow(t, x, y, np.negative(v), **AT))
-    back = undo_flow(*act(v, (t, x, y)), v, **AT)
-    assert difference(back, (x, y)) <= 2e-13
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.data())
 def test_equals_reference_bit_for_bit(data):
     """Both do the operations of the equation, in its order."""
@@ -114,44 +93,28 @@ def test_the_reference_is_differentiable_in_the_flow_and_the_coordinates():
     assert slope.tolist() == [(29_000 + 59_000) / 65_536, 0]
 
 
-def test_undoing_the_flow_gathers_a_moving_point_in_one_pixel():
-    """400 events of a point that drifts 16 px right and 8 up lie on 17 pixels at least; undone, on one and its
-    neighbours: whole pixels were rounded before and after, by half a pixel at most each time."""
-    t = np.sort(np.random.default_rng(0).integers(0, 105_000, 400))
-    at = dict(start_us=0, window_us=105_000)
-    x, y = (np.rint(c).astype(int) for c in move_by_flow(t, np.full(400, 5), np.full(400, 20), (16, -8), **at))
-    p = np.ones(400, int)
-    blurred = count_image((t, x, y, p), sensor=(34, 34))
-    x, y = (np.rint(c).astype(int) for c in undo_flow(t, x, y, (16, -8), **at))
-    sharp = count_image((t, x, y, p), sensor=(34, 34))
-    assert (blurred > 0).sum() >= 17 and blurred.max() < 60
-    assert sharp[0, 19:22, 4:7].sum() == 400 and sharp[0, 20, 5] > 200
-
-
-# -- errors ----------------------------------------------------------------------------------------------------
-
-BAD = [
-    (dict(flow=(1, 2, 3)), ValueError, r"`flow` must be two finite numbers \(v_x, v_y\) in pixels per window"),
-    (dict(flow=(1, float("nan"))), ValueError, r"`flow` must be two finite numbers .* got \(1, nan\)"),
-    (dict(flow="fast"), ValueError, r"`flow` must be two finite numbers .* got 'fast'"),
-    (dict(t=[0.5]), TypeError, r"`t` must be integer microseconds, got float64"),
-    (dict(t=[-1]), ValueError, r"`t` must be in \[0, 2\*\*62\) microseconds, got -1 to -1"),
-    (dict(t=np.array([1 << 63], np.uint64)), ValueError, r"`t` must be in \[0, 2\*\*62\) microseconds"),
-    (dict(t=[1, 2]), ValueError, r"t, x and y must have equal lengths, got 2, 1, 1"),
-    (dict(x=[[1]]), ValueError, r"`x` must have one dimension, got shape \(1, 1\)"),
-    (dict(x=["a"]), TypeError, r"`x` must be numbers, got <U1"),
-    (dict(y=[float("inf")]), ValueError, r"`y` must be finite, got inf at event 0"),
-    (dict(window_us=0), ValueError, r"`window_us` must be in \[1, 3600000000\], got 0"),
-    (dict(start_us=1.0), TypeError, r"`start_us` must be a whole number of microseconds, got 1.0"),
-]
-
-
-@pytest.mark.parametrize(("bad", "error", "message"), BAD, ids=lambda a: str(a)[:30])
-def test_bad_arguments(bad, error, message):
-    arguments = {**dict(t=[5], x=[1], y=[1], flow=(1, 1), start_us=0, window_us=10), **bad}
-    for function in (move_by_flow, undo_flow):
-        with pytest.raises(error, match=message):
-            function(**arguments)
+@pytest.mark.parametrize("function", [move_by_flow, undo_flow])
+@pytest.mark.parametrize(
+    ("bad", "error", "message"),
+    [
+        (dict(flow=(1, 2, 3)), ValueError, r"`flow` must be two finite numbers \(v_x, v_y\) in pixels per window"),
+        (dict(flow=(1, float("nan"))), ValueError, r"`flow` must be two finite numbers .* got \(1, nan\)"),
+        (dict(flow="fast"), ValueError, r"`flow` must be two finite numbers .* got 'fast'"),
+        (dict(t=[0.5]), TypeError, r"`t` must be integer microseconds, got float64"),
+        (dict(t=[-1]), ValueError, r"`t` must be in \[0, 2\*\*62\) microseconds, got -1 to -1"),
+        (dict(t=np.array([1 << 63], np.uint64)), ValueError, r"`t` must be in \[0, 2\*\*62\) microseconds"),
+        (dict(t=[1, 2]), ValueError, r"t, x and y must have equal lengths, got 2, 1, 1"),
+        (dict(x=[[1]]), ValueError, r"`x` must have one dimension, got shape \(1, 1\)"),
+        (dict(x=["a"]), TypeError, r"`x` must be numbers, got <U1"),
+        (dict(y=[float("inf")]), ValueError, r"`y` must be finite, got inf at event 0"),
+        (dict(window_us=0), ValueError, r"`window_us` must be in \[1, 3600000000\], got 0"),
+        (dict(start_us=1.0), TypeError, r"`start_us` must be a whole number of microseconds, got 1.0"),
+    ],
+    ids=str,
+)
+def test_bad_arguments(function, bad, error, message):
+    with pytest.raises(error, match=message):
+        function(**dict(t=[5], x=[1], y=[1], flow=(1, 1), start_us=0, window_us=10) | bad)
 
 
 def test_no_events_and_unsigned_times():

@@ -1,19 +1,18 @@
-"""Cutting recordings: nothing is lost, an event at a cut lies behind it, and N-MNIST's saccades look three ways."""
+"""Cutting recordings: nothing is lost, an event at a cut belongs to the piece after it; N-MNIST's saccades."""
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import tnt_reference
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from made import events_of, nasty_streams, random_events
+from made import events_of, nasty_streams
 
 from async_tnt import EVENT_DTYPE
 from async_tnt.representations.saccades import SACCADE_CUTS_US, find_pauses, segment, split_saccades
 from async_tnt.simulation import statistics
 from async_tnt.sources.files.nmnist import read_nmnist
-from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 
 def at_times(*t):
@@ -21,7 +20,7 @@ def at_times(*t):
     return events_of(t, range(n), [0] * n, [k % 2 for k in range(n)])  # x tells which is which
 
 
-def test_an_event_at_a_cut_lies_behind_it():
+def test_an_event_at_a_cut_belongs_to_the_piece_after_it():
     pieces = segment(at_times(0, 9, 10, 10, 11, 19, 20), [10, 20, 30])
     assert [piece["t"].tolist() for piece in pieces] == [[0, 9], [10, 10, 11, 19], [20], []]
     assert all(piece.dtype == EVENT_DTYPE for piece in pieces)
@@ -33,7 +32,6 @@ def test_times_that_run_backwards_keep_their_order_within_each_piece():
     assert [piece["x"].tolist() for piece in pieces] == [[1, 4], [0, 2, 5], [3]]
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_nothing_is_lost_and_every_event_is_where_the_reference_says(data):
     start_us = data.draw(st.sampled_from([0, 1_700_000_000_000_000]))
@@ -41,24 +39,13 @@ def test_nothing_is_lost_and_every_event_is_where_the_reference_says(data):
     events = data.draw(nasty_streams((34, 34), window_us, start_us))
     offsets = st.one_of(st.integers(0, window_us + 1), st.sampled_from([0, window_us // 2, window_us - 1]))
     cuts = sorted(start_us + cut for cut in data.draw(st.sets(offsets, max_size=5)))
-    pieces = segment(events, cuts)
+    before, pieces = events.copy(), segment(events, cuts)
     assert len(pieces) == len(cuts) + 1
     index = tnt_reference.segment_index(events["t"], cuts).numpy()
     for k, piece in enumerate(pieces):
         assert piece.tobytes() == events[index == k].tobytes()
-    together = np.concatenate(pieces)
-    if (np.diff(events["t"]) >= 0).all():
-        assert together.tobytes() == events.tobytes()
-    assert together.tobytes() == events[np.argsort(index, kind="stable")].tobytes()
-
-
-def test_pieces_are_copies():
-    events = random_events(100)
-    before = events.copy()
-    for piece in segment(events, [50_000]):
-        assert len(piece) > 20
-        piece["x"] = 0
-    np.testing.assert_array_equal(events, before)
+        piece["x"] = 0  # a copy
+    assert (events["x"] == before["x"]).all()
 
 
 def test_split_saccades_at_105_210_and_315_ms_on_any_clock():
@@ -75,61 +62,33 @@ def test_there_is_one_set_of_cuts():
     assert SACCADE_CUTS_US == statistics.SACCADE_CUTS_US == (0, 105_000, 210_000, 315_000)
 
 
-def directions(events):
-    """Degrees, y down, of the ON events' centroid seen from the OFF events', for each of three saccades."""
-    angles = []
-    for saccade in split_saccades(events)[:3]:
-        on = saccade["p"] == 1
-        assert on.sum() > 30 and (~on).sum() > 30
-        dx, dy = (saccade[name][on].mean() - saccade[name][~on].mean() for name in "xy")
-        angles.append(np.degrees(np.arctan2(dy, dx)))
-    return angles
+def direction(saccade):
+    """Degrees, y down, of the ON events' centroid seen from the OFF events'."""
+    on = saccade["p"] == 1
+    assert on.sum() > 30 and (~on).sum() > 30
+    dx, dy = (saccade[name][on].mean() - saccade[name][~on].mean() for name in "xy")
+    return np.degrees(np.arctan2(dy, dx))
 
 
-def assert_three_directions(all_angles):
-    """Up and a little left; down and left; right: the way the digit came from, as `simulation/statistics.py` says."""
-    all_angles = np.array(all_angles)
-    assert (np.abs(all_angles - [-103, 128, 6]) < 20).all()
-    a, b, c = all_angles.T
-    for one, other in ((a, b), (b, c), (c, a)):
-        assert (np.abs((one - other + 180) % 360 - 180) > 75).all()
+def test_real_saccades_look_three_ways_and_cannot_be_found_by_pauses(data):
+    """Up and a little left; down and left; right: opposite to the motion, see `simulation/statistics.py`.
 
-
-def test_the_samples_saccades_look_three_ways_and_nothing_is_lost():
-    all_angles = []
-    for path in sample_recordings().values():
-        events = open_recording(path).read()
-        assert np.concatenate(split_saccades(events)).tobytes() == events.tobytes()
-        all_angles.append(directions(events))
-    assert len(all_angles) == 10
-    assert_three_directions(all_angles)
-
-
-def test_real_saccades_look_three_ways_and_nothing_is_lost(data):
-    all_angles, n_rest = [], 0
-    for digit in range(10):
-        for path in sorted((data / "nmnist" / "Test" / str(digit)).glob("*.bin"))[::10]:
-            events = read_nmnist(path)
-            pieces = split_saccades(events)
-            assert np.concatenate(pieces).tobytes() == events.tobytes()
-            n_rest += len(pieces[3])
-            all_angles.append(directions(events))
-    assert len(all_angles) == 100
+    The rate falls between saccades, but noise and slow starts leave no pause: fewer than a fifth of 200 borders lie
+    within 5 ms of a pause of 2 ms, and pauses of 2 ms are found anywhere in a recording.
+    """
+    recordings = [p for k in range(10) for p in sorted((data / "nmnist" / "Test" / str(k)).glob("*.bin"))[::10]]
+    directions, near, n_rest, n_pauses = [], [], 0, 0
+    for events in map(read_nmnist, recordings):
+        *saccades, rest = split_saccades(events)
+        assert np.concatenate([*saccades, rest]).tobytes() == events.tobytes()
+        directions.append([direction(saccade) for saccade in saccades])
+        n_rest += len(rest)
+        cuts = np.array(find_pauses(events, 2_000))
+        n_pauses += len(cuts)
+        near += [bool((np.abs(cuts - border) < 5_000).any()) for border in SACCADE_CUTS_US[1:3]]
+    assert len(directions) == 100 and (np.abs(np.array(directions) - [-103, 128, 6]) < 20).all()
     assert 0 < n_rest < 300  # some events run past 315 ms: 1.5 a recording
-    assert_three_directions(all_angles)
-
-
-def test_real_saccades_cannot_be_found_by_pauses(data):
-    """The rate falls between saccades, but events of noise and of a slow start go on: of 200 borders fewer than a fifth
-    lie within 5 ms of a pause of 2 ms, of which there are five a recording, anywhere."""
-    n_pauses, near = 0, []
-    for digit in range(10):
-        for path in sorted((data / "nmnist" / "Test" / str(digit)).glob("*.bin"))[::10]:
-            cuts = np.array(find_pauses(read_nmnist(path), 2_000))
-            n_pauses += len(cuts)
-            near += [bool((np.abs(cuts - border) < 5_000).any()) for border in SACCADE_CUTS_US[1:3]]
-    assert len(near) == 200 and n_pauses > 300
-    assert np.mean(near) < 0.2
+    assert n_pauses > 300 and np.mean(near) < 0.2
 
 
 # -- pauses ----------------------------------------------------------------------------------------------------
@@ -140,11 +99,10 @@ def test_pauses_by_hand():
     events = at_times(0, 5, 15, 24, 34, 35)
     assert find_pauses(events, 10) == [15, 34]
     assert find_pauses(events, 11) == []
-    assert find_pauses(events[::-1], 10) == [15, 34]  # in order of time, however they come
+    assert find_pauses(events[::-1], 10) == [15, 34]  # in order of time, whatever their order
     assert find_pauses(events[:1], 1) == find_pauses(None, 1) == []
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.data())
 def test_pauses_equal_the_reference_and_lie_between_pieces(data):
     window_us = data.draw(st.sampled_from([16, 800]))
@@ -158,15 +116,6 @@ def test_pauses_equal_the_reference_and_lie_between_pieces(data):
         assert after["t"].min() - before["t"].max() >= gap_us
     for piece in pieces:
         assert (np.diff(np.sort(piece["t"])) < gap_us).all()
-
-
-def test_pauses_find_bursts_of_unknown_course():
-    bursts = [
-        random_events(200, seed=k, start_us=start, duration_us=20_000)
-        for k, start in enumerate((3_000, 90_000, 150_000))
-    ]
-    pieces = segment(np.concatenate(bursts), find_pauses(np.concatenate(bursts), 10_000))
-    assert [piece.tobytes() for piece in pieces] == [burst.tobytes() for burst in bursts]
 
 
 # -- errors ----------------------------------------------------------------------------------------------------
@@ -187,15 +136,9 @@ def test_bad_cuts(cuts, error, message):
         segment(at_times(1, 2), cuts)
 
 
-@pytest.mark.parametrize("function", [lambda e: segment(e, [5]), split_saccades, lambda e: find_pauses(e, 5)])
-def test_bad_events_are_refused_as_at_the_door(function):
+def test_other_bad_arguments():
     with pytest.raises(ValueError, match=r"`p` must be 0 or 1, or -1 or \+1, got 3 at event 1"):
-        function(([1, 2], [0, 0], [0, 0], [1, 3]))
-    with pytest.raises(TypeError, match="a plain array of shape"):
-        function(np.zeros((4, 4)))
-
-
-def test_bad_gap_and_start():
+        find_pauses(([1, 2], [0, 0], [0, 0], [1, 3]), 5)
     with pytest.raises(ValueError, match=r"`gap_us` must be at least 1, got 0"):
         find_pauses(at_times(1), 0)
     with pytest.raises(TypeError, match=r"`gap_us` must be a whole number of microseconds, got 2.0"):

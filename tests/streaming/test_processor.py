@@ -1,110 +1,111 @@
-"""Processor: which decisions fall when, and that cutting the stream differently changes none of them."""
+"""Processor: which decisions are made when. tests/triggers compares all triggers with an oracle."""
 
+import pytest
 from deciding import CONFIG, at, run, summary, total_and_size
 from made import events_of, random_events
 
 from async_tnt import Processor
 
-# -- windows -----------------------------------------------------------------------------------------------
+BY_HAND = {  # settings, times of events, decisions
+    "windows start where asked": (
+        {"start_us": 0},
+        (5, 999, 1000, 2500),
+        [("window", 0, 999, 2), ("window", 1000, 1000, 1), ("end", 2000, 2500, 1)],
+    ),
+    "empty windows are skipped, however many": (
+        {},
+        (0, 10**14 + 1),
+        [("window", 0, 0, 1), ("end", 10**14, 10**14 + 1, 1)],
+    ),
+    "an event exactly at the end of an empty window skips it": (
+        {"start_us": 0},
+        (0, 2000),
+        [("window", 0, 0, 1), ("end", 2000, 2000, 1)],
+    ),
+    "overlapping windows each hold their own events": (
+        {"hop_us": 500},
+        (0, 400, 700, 1000, 1500, 2400),
+        [
+            ("window", 0, 700, 3),
+            ("window", 500, 1000, 2),
+            ("window", 1000, 1500, 2),
+            ("end", 1500, 2400, 2),
+            ("end", 2000, 2400, 1),
+        ],
+    ),
+    "every_us counts from the window's start": (
+        {"every_us": 200},
+        (100, 150, 350, 360, 900, 1250),
+        [
+            ("every_us", 100, 150, 2),  # at 300
+            ("every_us", 100, 360, 4),  # at 500; at 700 nothing new
+            ("window", 100, 900, 5),  # at 900 the fifth event is new, but shows up at 1100 with the window's end
+            ("end", 1100, 1250, 1),
+        ],
+    ),
+    "every_us decides without the event that shows the time": (
+        {"every_us": 200},
+        (0, 199, 200),
+        [("every_us", 0, 199, 2), ("end", 0, 200, 3)],
+    ),
+    "a moment at the window's end is the window's end": (
+        {"every_us": 500},
+        (0, 600, 1000),
+        [("every_us", 0, 0, 1), ("window", 0, 600, 2), ("end", 1000, 1000, 1)],
+    ),
+    "every_us decides nothing twice, and nothing of an empty window": (
+        {"every_us": 5, "every_events": 2, "start_us": 0},
+        (7, 8, 13),
+        [("every_events", 0, 8, 2), ("end", 0, 13, 3)],
+    ),
+    "every_events counts within the window": (
+        {"every_events": 2},
+        (0, 1, 2, 3, 4, 1000, 1001),
+        [
+            ("every_events", 0, 1, 2),
+            ("every_events", 0, 3, 4),
+            ("window", 0, 4, 5),
+            ("every_events", 1000, 1001, 2),
+            ("end", 1000, 1001, 2),
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize(("settings", "times", "expected"), BY_HAND.values(), ids=BY_HAND)
+@pytest.mark.parametrize("size", [1, 3, 9])
+def test_by_hand(settings, times, expected, size):
+    decisions, _ = run(events_of(*at(times)), size, **settings)
+    assert summary(decisions) == expected
+    assert all(d.complete == (d.trigger == "window") for d in decisions)
 
 
 def test_window_is_decided_when_the_first_event_at_or_after_its_end_comes():
     processor = Processor(CONFIG, classifier=total_and_size)
     assert processor.push(at([100, 1099])) == []
-    (decision,) = processor.push(at([1100]))
-    assert summary([decision]) == [("window", 100, 1099, 2)] and decision.complete
+    assert summary(processor.push(at([1100]))) == [("window", 100, 1099, 2)]
     assert summary([processor.fire()]) == [("fire", 1100, 1100, 1)]
 
 
-def test_windows_start_where_asked():
-    decisions, _ = run(events_of(*at([5, 999, 1000, 2500])), start_us=0)
-    assert summary(decisions) == [("window", 0, 999, 2), ("window", 1000, 1000, 1), ("end", 2000, 2500, 1)]
-    assert [d.complete for d in decisions] == [True, True, False]
-
-
-def test_empty_windows_are_skipped_however_many():
-    decisions, _ = run(events_of(*at([0, 10**14 + 1])))
-    assert summary(decisions) == [("window", 0, 0, 1), ("end", 10**14, 10**14 + 1, 1)]
-
-
-def test_events_before_the_first_window_are_dropped_and_counted():
-    decisions, processor = run(events_of(*at([5, 7000, 7001])), start_us=7000)
-    assert summary(decisions) == [("end", 7000, 7001, 2)]
-    assert processor.counts.dropped_late == 1 and processor.counts.received == 3
-
-
-def test_overlapping_windows_each_hold_their_own_events():
-    decisions, _ = run(events_of(*at([0, 400, 700, 1000, 1500, 2400])), hop_us=500, config=CONFIG)
-    assert summary(decisions) == [
-        ("window", 0, 700, 3),
-        ("window", 500, 1000, 2),
-        ("window", 1000, 1500, 2),
-        ("end", 1500, 2400, 2),
-        ("end", 2000, 2400, 1),
-    ]
+@pytest.mark.parametrize("hop_us", [None, 300])
+@pytest.mark.parametrize("size", [1, 8])
+def test_events_before_all_open_windows_are_dropped_and_counted_once(hop_us, size):
+    _, processor = run(events_of(*at([5, 7000, 7001, 6, 8600, 7, 9900, 8])), size, start_us=7000, hop_us=hop_us)
+    assert (processor.counts.received, processor.counts.dropped_late) == (8, 4)
 
 
 def test_overlapping_windows_equal_windows_by_themselves():
     events = random_events(500, seed=4, duration_us=5000)
-    decisions, _ = run(events, hop_us=300)
+    decisions, overlapping = run(events, hop_us=300)
     for decision in decisions:
         start = decision.window_start_us
         alone, _ = run(events[(events["t"] >= start) & (events["t"] < start + 1000)], start_us=start)
-        assert alone[0].logits.tobytes() == decision.logits.tobytes()
-        assert alone[0].events == decision.events
+        assert alone[0].logits.tobytes() == decision.logits.tobytes() and alone[0].events == decision.events
+    plain = run(events)[1].counts
+    assert overlapping.counts.received == 500 and overlapping.counts.kept > 2.5 * plain.kept
 
 
-# -- triggers ----------------------------------------------------------------------------------------------
-
-
-def test_every_us_counts_from_the_windows_start():
-    decisions, _ = run(events_of(*at([100, 150, 350, 360, 900, 1250])), every_us=200)
-    assert summary(decisions) == [
-        ("every_us", 100, 150, 2),  # at 300
-        ("every_us", 100, 360, 4),  # at 500; at 700 nothing new
-        ("window", 100, 900, 5),  # at 900 the fifth event is new, but shows up at 1100 with the window's end
-        ("end", 1100, 1250, 1),
-    ]
-
-
-def test_every_us_decides_without_the_event_that_shows_the_time():
-    decisions, _ = run(events_of(*at([0, 199, 200])), every_us=200)
-    assert summary(decisions) == [("every_us", 0, 199, 2), ("end", 0, 200, 3)]
-
-
-def test_every_events_counts_within_the_window():
-    decisions, _ = run(events_of(*at([0, 1, 2, 3, 4, 1000, 1001])), every_events=2)
-    assert summary(decisions) == [
-        ("every_events", 0, 1, 2),
-        ("every_events", 0, 3, 4),
-        ("window", 0, 4, 5),
-        ("every_events", 1000, 1001, 2),
-        ("end", 1000, 1001, 2),
-    ]
-
-
-def test_every_event():
-    events = random_events(300, seed=2, duration_us=2500)
-    decisions, _ = run(events, every_events=1)
-    assert [d.events for d in decisions if d.trigger == "every_events"] == [
-        n for w in range(3) for n in range(1, 1 + sum((events["t"] - events["t"][0]) // 1000 == w))
-    ]
-
-
-# -- laws --------------------------------------------------------------------------------------------------
-
-
-def test_counts_with_overlapping_windows_count_received_once():
-    events = random_events(1000, seed=9, duration_us=10_000)
-    _, plain = run(events)
-    _, hop = run(events, hop_us=500, start_us=int(events["t"][0]))
-    assert plain.counts.received == hop.counts.received == 1000
-    c = plain.counts
-    assert c.received == c.kept + c.dropped_outside + c.dropped_tau_zero + c.dropped_late
-    assert hop.counts.kept > 1.5 * c.kept
-
-
-def test_a_stream_may_go_on_after_finish():
+def test_a_stream_may_continue_after_finish():
     processor = Processor(CONFIG, classifier=total_and_size)
     processor.push(at([0, 10]))
     assert summary(processor.finish()) == [("end", 0, 10, 2)]

@@ -1,19 +1,17 @@
-"""stream and astream."""
+"""stream and astream: a source of events in, decisions out."""
 
 import asyncio
+import math
 
-import numpy as np
 import pytest
+from deciding import key
 from made import random_events, random_model
 
 from async_tnt import Processor, TNTConfig, astream, stream
+from async_tnt.sources.playback import replay
 
-CONFIG = TNTConfig(window_us=1000)
+MODEL = random_model(TNTConfig(window_us=1000))
 EVENTS = random_events(400, seed=1, duration_us=4000)
-
-
-def classifier(volume):
-    return [float(volume.sum()), 1.0]
 
 
 def packets(size):
@@ -21,10 +19,14 @@ def packets(size):
 
 
 def keys(decisions):
-    return [(d.trigger, d.window_start_us, d.events, d.logits.tobytes()) for d in decisions]
+    return [key(d) for d in decisions]
 
 
-EXPECTED = keys(stream([EVENTS], CONFIG, classifier=classifier))
+@pytest.fixture(scope="module")
+def expected():
+    decisions = keys(stream([EVENTS], MODEL))
+    assert len(set(decisions)) == 4
+    return decisions
 
 
 @pytest.mark.parametrize(
@@ -36,69 +38,65 @@ EXPECTED = keys(stream([EVENTS], CONFIG, classifier=classifier))
         lambda: [None, EVENTS[:0], EVENTS, None],
         lambda: (tuple(packet[name] for name in "txyp") for packet in packets(33)),
     ],
+    ids=["packets", "records", "tuples", "empty", "columns"],
 )
-def test_any_source_gives_the_same_decisions(source):
-    assert len(EXPECTED) == 4
-    assert keys(stream(source(), CONFIG, classifier=classifier)) == EXPECTED
+def test_any_source_gives_the_same_decisions(source, expected):
+    assert keys(stream(source(), MODEL)) == expected
 
 
-def test_stream_is_lazy():
-    decisions = stream(packets(100), CONFIG, classifier=classifier)
-    assert next(decisions).window_start_us == EVENTS["t"][0]
-
-
-def test_stream_takes_model_path_and_processor(tmp_path):
-    model = random_model(CONFIG)
-    path = model.save(tmp_path / "m.safetensors")
-    expected = keys(stream([EVENTS], model))
-    assert keys(stream([EVENTS], path)) == expected
-    assert keys(stream([EVENTS], str(path))) == expected
-    processor = Processor(model)
-    assert keys(stream([EVENTS], processor)) == expected
-    with pytest.raises(TypeError, match="a Processor has its settings already, got also every_us"):
-        next(stream([EVENTS], processor, every_us=5))
-
-
-def test_settings_reach_the_processor():
-    triggers = {d.trigger for d in stream([EVENTS], CONFIG, classifier=classifier, every_events=10)}
-    assert triggers == {"every_events", "window", "end"}
-
-
-def test_astream_equals_stream():
+def test_astream_equals_stream(expected):
     async def source():
         for packet in packets(70):
             await asyncio.sleep(0)
             yield packet
 
     async def collect():
-        return [decision async for decision in astream(source(), CONFIG, classifier=classifier)]
+        return [decision async for decision in astream(source(), MODEL)]
 
-    assert keys(asyncio.run(collect())) == EXPECTED
+    assert keys(asyncio.run(collect())) == expected
 
 
-def test_two_processors_side_by_side_do_not_touch_each_other():
-    model = random_model(CONFIG)
-    alone = keys(stream([EVENTS], model))
-    a, b = Processor(model), Processor(model)
+def test_stream_is_lazy_and_decisions_keep_their_numbers():
+    decisions, before = [], []
+    for decision in stream(packets(100), MODEL):
+        assert decisions or decision.window_start_us == EVENTS["t"][0]
+        decisions.append(decision)
+        before.append(key(decision))
+    assert keys(decisions) == before
+
+
+def test_the_model_may_be_a_path_or_a_processor(tmp_path, expected):
+    path = MODEL.save(tmp_path / "m.safetensors")
+    processor = Processor(MODEL)
+    for model in (path, str(path), processor):
+        assert keys(stream([EVENTS], model)) == expected
+    with pytest.raises(TypeError, match="a Processor has its settings already, got also every_us"):
+        next(stream([EVENTS], processor, every_us=5))
+
+
+def test_settings_reach_the_processor():
+    triggers = {d.trigger for d in stream([EVENTS], MODEL, every_events=10)}
+    assert triggers == {"every_events", "window", "end"}
+
+
+def test_two_processors_side_by_side_do_not_affect_each_other(expected):
+    a, b = Processor(MODEL), Processor(MODEL)
     got_a, got_b = [], []
     for packet in packets(13):
         got_a += a.push(packet)
         got_b += b.push(packet)
-    assert keys(got_a + a.finish()) == keys(got_b + b.finish()) == alone
-
-
-def test_decisions_keep_their_numbers_when_the_stream_goes_on():
-    decisions, kept = [], []
-    for decision in stream([EVENTS], random_model(CONFIG)):
-        decisions.append(decision)
-        kept.append((decision.logits.copy(), decision.probabilities.copy()))
-    for decision, (logits, probabilities) in zip(decisions, kept, strict=True):
-        assert np.array_equal(decision.logits, logits) and np.array_equal(decision.probabilities, probabilities)
-    assert len({logits.tobytes() for logits, _ in kept}) == len(kept) == 4
+    assert keys(got_a + a.finish()) == keys(got_b + b.finish()) == expected
 
 
 def test_mistakes_show_before_the_first_event():
     with pytest.raises(FileNotFoundError, match="no model file digitz"):
         stream([EVENTS], "digitz")
     with pytest.raises(TypeError, match=r"`source` must yield events, got the path five.bin; open_recording"):
-        stream("five.bin", CONFIG, classifier=classifier)
+        stream("five.bin", MODEL)
+
+
+def test_replay_yields_an_event_out_of_order_with_the_newest_before_it():
+    packets = [EVENTS[:2].copy(), EVENTS[:2].copy()]
+    packets[0]["t"], packets[1]["t"] = (0, 5000), (4000, 5100)
+    parts = [part["t"].tolist() for part in replay(packets, math.inf, packet_us=1000)]
+    assert parts == [[0], [5000], [4000, 5100]]

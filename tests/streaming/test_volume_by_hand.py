@@ -23,6 +23,7 @@ def nonzero(array):
 
 def test_first_event_of_a_raw_window_is_in_bin_0():
     assert nonzero(volume_of(RAW, (0, 5, 7, 1)).array) == {(0, 7, 5): 1.0}
+    assert nonzero(volume_of(RAW, (0, 3, 4, -1)).array) == {(0, 4, 3): -1.0}  # polarity -1 is OFF
 
 
 def test_event_between_two_bins_is_shared_by_its_distance():
@@ -42,12 +43,8 @@ def test_corner_pixels():
 def test_transform_divides_the_distance_from_the_landmark_by_tnt_time():
     # tau = 2 at dt = 200: u = (20 - 16.5) / 2 + 16.5 = 18.25, v = (12 - 16.5) / 2 + 16.5 = 14.25
     array = volume_of(TNT, (200, 20, 12, 1)).array
-    assert nonzero(array) == {
-        (2, 14, 18): 0.5625,
-        (2, 14, 19): 0.1875,
-        (2, 15, 18): 0.1875,
-        (2, 15, 19): 0.0625,
-    }
+    weights = {14: 0.75, 15: 0.25}, {18: 0.75, 19: 0.25}
+    assert nonzero(array) == {(2, v, u): weights[0][v] * weights[1][u] for v in (14, 15) for u in (18, 19)}
 
 
 def test_transform_stretches_before_tnt_time_1():
@@ -56,17 +53,11 @@ def test_transform_stretches_before_tnt_time_1():
     assert nonzero(array) == {(b, v, u): 0.125 for b in (0, 1) for v in (19, 20) for u in (19, 20)}
 
 
-def test_event_exactly_on_the_transformed_border_is_kept():
-    # tau = 1: u = x; x = 33 lies on the border u = W - 1
-    volume = volume_of(TNT, (100, 33, 0, 1))
+def test_the_transformed_border_itself_is_inside():
+    # tau = 1: u = x; x = 33 lies on the border u = W - 1. A microsecond earlier it is past it.
+    volume = volume_of(TNT, (100, 33, 0, 1), (99, 33, 16, 1))
     assert nonzero(volume.array) == {(1, 0, 33): 1.0}
-    assert volume.counts.kept == 1
-
-
-def test_event_a_little_past_the_border_is_dropped_and_counted():
-    volume = volume_of(TNT, (99, 33, 16, 1))
-    assert not volume.array.any()
-    assert volume.counts.dropped_outside == 1
+    assert (volume.counts.kept, volume.counts.dropped_outside) == (1, 1)
 
 
 def test_a_ten_millionth_of_a_pixel_past_the_border_is_outside():
@@ -92,21 +83,24 @@ def test_running_landmark_centres_each_event_on_the_centroid_so_far():
 
 
 def test_line_landmark_is_the_ridge_line_at_the_windows_start():
-    # f = 1/8, 3/8; x = 10, 14: C_xf = 2 * (1/8) * 2 = 1/2, C_ff = 2 / 64; m = (1/2) / (1 + 1/32) = 16/33
-    volume = volume_of(TNT.replace(landmark="line"), (100, 10, 16, 1), (300, 14, 16, 1))
-    assert volume.flow == pytest.approx((16 / 33, 0.0), abs=1e-12)
-    assert volume.landmark == pytest.approx((12 - 16 / 33 / 4, 16.0), abs=1e-12)
+    # f = 1/8, 3/8: C_ff = 2 / 64. x = 10, 14: C_xf = 2 * (1/8) * 2 = 1/2, m_x = (1/2) / (1 + 1/32) = 16/33.
+    # y = 18, 12: C_yf = -3/4, m_y = -24/33.
+    volume = volume_of(TNT.replace(landmark="line"), (100, 10, 18, 1), (300, 14, 12, 1))
+    assert volume.flow == pytest.approx((16 / 33, -24 / 33), abs=1e-12)
+    assert volume.landmark == pytest.approx((12 - 16 / 33 / 4, 15 + 24 / 33 / 4), abs=1e-12)
 
 
 def test_remove_flow_displaces_an_event_from_the_line_itself():
-    # x - l - m f = 14 - 12 - (16/33)(3/8 - 1/4) = 2 - 2/33 at tau = 3: u = 16.5 + 64/99
+    # x - l_x - m_x f = 14 - 12 - (16/33)(3/8 - 1/4) = 2 - 2/33 at tau = 3: u = 16.5 + 64/99
+    # y - l_y - m_y f = 12 - 15 + (24/33)(3/8 - 1/4) = -3 + 3/33:           v = 16.5 - 32/33
     config = TNT.replace(landmark="line", remove_flow=True, polarity="unsigned")
-    array = volume_of(config, (100, 10, 16, 1), (300, 14, 16, 1)).array
+    array = volume_of(config, (100, 10, 18, 1), (300, 14, 12, 1)).array
     assert (array[3] * np.arange(34)).sum() == pytest.approx(16.5 + 64 / 99, abs=1e-5)
+    assert (array[3].T * np.arange(34)).sum() == pytest.approx(16.5 - 32 / 33, abs=1e-5)
 
 
 def test_window_landmark_centres_all_events_on_the_centroid_at_the_read():
-    # centroid 12: event 1 at tau 1: u = 14.5; event 2 at tau 2: u = 17.5
+    # centroid (12, 16): event 1 at tau 1: u = 14.5; event 2 at tau 2: u = 17.5
     volume = volume_of(TNT.replace(landmark="window", polarity="unsigned"), (100, 10, 16, 1), (200, 14, 16, 1))
     array = volume.array
     assert nonzero(array[1]) == {(v, u): 0.25 for v in (16, 17) for u in (14, 15)}
@@ -114,12 +108,8 @@ def test_window_landmark_centres_all_events_on_the_centroid_at_the_read():
 
 
 def test_split_polarity_puts_off_bins_behind_on_bins():
-    array = volume_of(RAW.replace(polarity="split"), (100, 3, 4, 1), (100, 3, 4, 0)).array
-    assert nonzero(array) == {(1, 4, 3): 1.0, (10, 4, 3): 1.0}
-
-
-def test_polarity_minus_one_is_off():
-    assert nonzero(volume_of(RAW, (0, 3, 4, -1)).array) == {(0, 4, 3): -1.0}
+    array = volume_of(RAW.replace(polarity="split"), (100, 3, 4, 1), (225, 5, 7, 0)).array
+    assert nonzero(array) == {(1, 4, 3): 1.0, (9 + 2, 7, 5): 0.75, (9 + 3, 7, 5): 0.25}
 
 
 def test_a_larger_sensor_maps_corner_to_corner():

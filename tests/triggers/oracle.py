@@ -1,7 +1,7 @@
 """The windows and triggers of a Processor in plain Python: integers, floats, lists, one event at a time.
 
 Written from the docstrings, not from the code: time passes to an event's time first, moment by moment, and windows
-close and open on the way; then the event is added to every open window that holds it, and the triggers that look at
+close and open on the way; then the event is added to every open window that holds it, and the triggers that see
 events are asked. The oldest open window is the one that decides.
 
 What a window shows is kept in a TNTVolume of its own, opened by hand.
@@ -16,7 +16,7 @@ import numpy as np
 
 from async_tnt import LeakyIntegrator, TNTConfig, TNTVolume
 
-Said = tuple[str, int, int, int, bool, bytes]
+Values = tuple[str, int, int, int, bool, bytes]
 
 
 class Window:
@@ -27,10 +27,6 @@ class Window:
         self.volume = TNTVolume(config)
         self.volume.open(start_us)
         self.times: list[int] = []
-
-    def add(self, event: tuple[int, int, int, int]) -> None:
-        self.volume.update_one(*event)
-        self.times.append(event[0])
 
 
 class Oracle:
@@ -53,7 +49,7 @@ class Oracle:
         self.decided: set[int] = set()  # starts of windows that confidence closed
         self.newest_us = -1  # of all events, for `late`
         self.potential, self.charged_us = 0.0, 0
-        self.n_said = 0  # events of the oldest window when it last spoke
+        self.n_decided = 0  # events of the oldest window at its last decision
         self.passed_us = 0  # moments up to this one are over
         self.received = self.dropped_late = self.dropped_decided = 0
         self.close_calls = 0  # potentials so near the threshold that exp's last bit decides
@@ -71,7 +67,7 @@ class Oracle:
             self.potential, self.charged_us = 0.0, 0
         vars(self).update(triggers)
 
-    def push(self, event: tuple[int, int, int, int]) -> list[Said]:
+    def push(self, event: tuple[int, int, int, int]) -> list[Values]:
         t_us = event[0]
         self.received += 1
         if self.late != "accept":
@@ -79,7 +75,7 @@ class Oracle:
                 self.dropped_late += 1
                 return []
             self.newest_us = t_us
-        said = self._pass_time(t_us) if self.windows else []
+        decisions = self._pass_time(t_us) if self.windows else []
         self._open_windows(t_us)
         oldest = self.windows[0]
         if t_us < oldest.start_us:
@@ -87,40 +83,41 @@ class Oracle:
             decided = newest_us in self.decided
             self.dropped_decided += decided
             self.dropped_late += not decided
-            return said
+            return decisions
         for window in self.windows:
             if window.start_us <= t_us:
-                window.add(event)
+                window.volume.update_one(*event)
+                window.times.append(t_us)
         trigger = "activity" if self._charge(t_us) else ""
         if self.every_events is not None and len(oldest.times) % self.every_events == 0:
             trigger = "every_events"
         only_confidence = self.confidence is not None and not (self.every_us or self.every_events or self.activity)
         if trigger or only_confidence:
-            said += self._say(oldest, trigger, now_us=max(oldest.times))
-        return said
+            decisions += self._decide(oldest, trigger, now_us=max(oldest.times))
+        return decisions
 
-    def finish(self) -> list[Said]:
-        said = [self._decision(window, "end")[0] for window in self.windows if window.times]
+    def finish(self) -> list[Values]:
+        decisions = [self._decision(window, "end")[0] for window in self.windows if window.times]
         self.windows = []
-        return said
+        return decisions
 
-    def _pass_time(self, t_us: int) -> list[Said]:
+    def _pass_time(self, t_us: int) -> list[Values]:
         """What is due at moments up to `t_us`."""
-        said: list[Said] = []
+        decisions: list[Values] = []
         while self.windows:
             oldest = self.windows[0]
             moment_us = self._next_moment_us(oldest)
             if moment_us <= t_us and moment_us < oldest.end_us:
                 self.passed_us = moment_us
-                if len(oldest.times) > self.n_said:
-                    said += self._say(oldest, "every_us", now_us=t_us)
+                if len(oldest.times) > self.n_decided:
+                    decisions += self._decide(oldest, "every_us", now_us=t_us)
             elif oldest.end_us <= t_us:
                 if oldest.times:
-                    said.append(self._decision(oldest, "window", complete=True)[0])
+                    decisions.append(self._decision(oldest, "window", complete=True)[0])
                 self._close(decided=False, now_us=oldest.end_us)
             else:
                 break
-        return said
+        return decisions
 
     def _next_moment_us(self, window: Window) -> float:
         """The next multiple of `every_us` from the window's start on that is not over."""
@@ -138,16 +135,16 @@ class Oracle:
             self.next_start_us += max(gap, 1) * self.hop_us
         while self.next_start_us <= t_us or not self.windows:
             if not self.windows:
-                self.n_said, self.passed_us = 0, max(t_us, self.next_start_us)
+                self.n_decided, self.passed_us = 0, max(t_us, self.next_start_us)
             self.windows.append(Window(self.config, self.next_start_us))
             self.next_start_us += self.hop_us
 
     def _close(self, decided: bool, now_us: int) -> None:
-        """The oldest window is over; the next one speaks from now on."""
+        """Close the oldest window; the next one decides from now on."""
         oldest = self.windows.pop(0)
         if decided:
             self.decided.add(oldest.start_us)
-        self.n_said, self.passed_us = 0, now_us
+        self.n_decided, self.passed_us = 0, now_us
 
     def _charge(self, t_us: int) -> bool:
         """v <- v exp(-dt / leak_us) + charge; True, and zero again, where it reaches the threshold."""
@@ -164,8 +161,8 @@ class Oracle:
         self.potential = 0.0
         return True
 
-    def _say(self, oldest: Window, trigger: str, now_us: int) -> list[Said]:
-        """A decision of the oldest window, with a look at confidence."""
+    def _decide(self, oldest: Window, trigger: str, now_us: int) -> list[Values]:
+        """A decision of the oldest window, which may close it."""
         decision, probability = self._decision(oldest, trigger)
         if self.confidence is not None:
             self.close_calls += 0 < abs(probability - self.confidence) < 1e-12
@@ -174,17 +171,17 @@ class Oracle:
                 return [("confidence", *decision[1:4], True, decision[5])]
         if not trigger:
             return []
-        self.n_said = len(oldest.times)
+        self.n_decided = len(oldest.times)
         return [decision]
 
-    def _decision(self, window: Window, trigger: str, complete: bool = False) -> tuple[Said, float]:
+    def _decision(self, window: Window, trigger: str, complete: bool = False) -> tuple[Values, float]:
         logits = np.asarray(self.classify(window.volume.array), np.float32)
         probability = 1 / math.fsum(math.exp(float(v) - float(max(logits))) for v in logits)
         newest_us, n = max(window.times), len(window.times)
         return (trigger, window.start_us, newest_us, n, complete, logits.tobytes()), probability
 
 
-def said(decision) -> Said:
+def as_values(decision) -> Values:
     """A Processor's decision in the oracle's form."""
     return (
         decision.trigger,
