@@ -17,11 +17,11 @@ if TYPE_CHECKING:  # for type checkers and editors; `X as X` re-exports
     from async_tnt.decision import Decision as Decision
     from async_tnt.deferred_landmark import ReplayBufferFull as ReplayBufferFull
     from async_tnt.events import EVENT_DTYPE as EVENT_DTYPE
-    from async_tnt.networks.classifier import CompiledClassifier as CompiledClassifier
+    from async_tnt.networks.compiled import CompiledClassifier as CompiledClassifier
+    from async_tnt.networks.compiled import CompiledRegressor as CompiledRegressor
     from async_tnt.networks.model import Model as Model
     from async_tnt.networks.model import bundled_models as bundled_models
     from async_tnt.networks.model import load_model as load_model
-    from async_tnt.networks.regressor import CompiledRegressor as CompiledRegressor
     from async_tnt.processor import Processor as Processor
     from async_tnt.sources.background_reader import BackgroundReader as BackgroundReader
     from async_tnt.sources.files.recording import open_recording as open_recording
@@ -38,8 +38,8 @@ __version__ = "0.1.0"
 _MODULES = {
     "EVENT_DTYPE": "events",
     "BackgroundReader": "sources.background_reader",
-    "CompiledClassifier": "networks.classifier",
-    "CompiledRegressor": "networks.regressor",
+    "CompiledClassifier": "networks.compiled",
+    "CompiledRegressor": "networks.compiled",
     "Counts": "decision",
     "Decision": "decision",
     "LeakyIntegrator": "triggers",

@@ -33,8 +33,8 @@ from async_tnt.archive.job import Task, job_of, task_of
 from async_tnt.archive.records import evaluate_recording, moments
 from async_tnt.checking.timing import machine
 from async_tnt.cli.options import writable_file
+from async_tnt.engines import choose_engine
 from async_tnt.files import write_text
-from async_tnt.networks.engines import choose_engine
 from async_tnt.progress import progress
 from async_tnt.sources.class_folders import find_recordings
 from async_tnt.sources.files.recording import open_recording, sample_recordings

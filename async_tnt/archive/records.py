@@ -17,7 +17,7 @@ from async_tnt import __version__
 from async_tnt.archive.job import Job, Task, sha256_of
 from async_tnt.compile_ahead import warmup
 from async_tnt.decision import Decision
-from async_tnt.networks.engines import Engine, choose_engine
+from async_tnt.engines import Engine, choose_engine
 from async_tnt.networks.model import UncheckedModelWarning
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector

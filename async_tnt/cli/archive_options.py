@@ -17,7 +17,7 @@ from async_tnt.archive.results import check_out
 from async_tnt.cli.options import paths_of, positive_int, triggers_of
 from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.pixel_options import selector_of
-from async_tnt.networks.engines import choose_engine
+from async_tnt.engines import choose_engine
 from async_tnt.progress import progress as progress_bar
 
 SHOWN = 20  # errors that are printed one by one

@@ -22,7 +22,7 @@ from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected, print_decisions, watch_decisions
 from async_tnt.cli.run_source import run_source
 from async_tnt.compile_ahead import warmup
-from async_tnt.networks.engines import ENGINES, choose_engine
+from async_tnt.engines import ENGINES, choose_engine
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: when it fell, for which
 window, the label and its probability, and the microseconds from the last event to the decision. A line

@@ -11,7 +11,7 @@ import numpy as np
 from async_tnt.cli.live_view import LiveView, decide_often
 from async_tnt.cli.output import Line, complain, one_line
 from async_tnt.decision import Decision
-from async_tnt.networks.engines import Engine
+from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selector import PixelSelector

@@ -8,7 +8,7 @@ import time
 from async_tnt.cli.live_packets import LivePackets, live_packets
 from async_tnt.cli.live_view import LiveView, decide_often
 from async_tnt.cli.output import Line, complain
-from async_tnt.networks.engines import Engine
+from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
 

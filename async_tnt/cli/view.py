@@ -14,8 +14,8 @@ from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected
 from async_tnt.compile_ahead import warmup
+from async_tnt.engines import choose_engine
 from async_tnt.files import check_writable
-from async_tnt.networks.engines import choose_engine
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selector import PixelSelector

@@ -9,7 +9,7 @@ from async_tnt.archive.collect import Progress, collect
 from async_tnt.archive.executor import executor_of
 from async_tnt.archive.job import Job, job_of, task_of
 from async_tnt.archive.records import run_recording
-from async_tnt.networks.engines import choose_engine
+from async_tnt.engines import choose_engine
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_masks import PackedMask, save_mask

@@ -14,8 +14,8 @@ from async_tnt.archive.executor import executor_of
 from async_tnt.archive.job import job_of, task_of
 from async_tnt.archive.records import run_recording
 from async_tnt.cli import main
+from async_tnt.engines import choose_engine
 from async_tnt.files import Replacement, replacing, write_text
-from async_tnt.networks.engines import choose_engine
 from async_tnt.simulation.shards import write_shard
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import sample_recordings

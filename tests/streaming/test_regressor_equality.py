@@ -10,7 +10,7 @@ from async_tnt import TNTConfig
 from async_tnt.checking.equality import check_recording, configurations
 from async_tnt.cli import main
 from async_tnt.deferred_landmark import ReplayBuffer
-from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.sources.files.recording import sample_recordings
 
 MODEL = random_regressor_model(regressor_widths=(9, 20, 8), sharpness=5.0)

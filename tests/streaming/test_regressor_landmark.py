@@ -8,7 +8,7 @@ from made import nasty_streams, random_events, random_regressor_model
 
 from async_tnt import Counts, ReplayBufferFull, TNTConfig, TNTVolume
 from async_tnt.checking.reference import reference_kept, reference_volume
-from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.torch_modules import landmark_function
 
 SHAPES = [  # sensor, grid, bins, window_us, t_max

@@ -11,8 +11,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model, load_model
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
-from async_tnt.networks.torch_modules import landmark_function, torch_classifier
-from async_tnt.networks.torch_network import TorchClassifier
+from async_tnt.networks.torch_modules import TorchClassifier, landmark_function, torch_classifier
 from async_tnt.processor import Processor
 
 ENGINES = ("compiled", "onnx", "torch")
@@ -82,7 +81,7 @@ def _of_file(path: Path) -> Engine:
     classifier = OnnxClassifier(path)
     if classifier.exported is None:
         raise ValueError(
-            f"{path}: an ONNX network without a configuration of this package, which says how events become its "
+            f"{path}: an ONNX network without a configuration of this package, which defines how events become its "
             "volume; a Python program can give one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
         )
     networks: dict[str, Any] = {"classifier": classifier}
@@ -93,7 +92,7 @@ def _of_file(path: Path) -> Engine:
             raise FileNotFoundError(f"no file {beside}: the landmark network of {path}, which `export` wrote beside it")
         regressor = OnnxRegressor(beside)
         if regressor.exported is None or regressor.exported.weights != classifier.exported.weights:
-            raise ValueError(f"{beside} is not the landmark network of {path}: they are of two models")
+            raise ValueError(f"{beside} is not the landmark network of {path}: they are from two models")
         networks["regressor"] = regressor
     return Engine("onnx", config, classifier.exported.classes, networks)
 

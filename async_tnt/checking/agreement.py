@@ -11,9 +11,8 @@ import numpy as np
 from async_tnt.checking.equality import LOGIT_BOUND, REGRESSED_LANDMARK_BOUND, Comparison, closed_volumes
 from async_tnt.deferred_landmark import Regressor
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.networks.regressor import CompiledRegressor
 from async_tnt.processor import Classifier
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording, sample_recordings

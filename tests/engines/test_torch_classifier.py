@@ -8,7 +8,7 @@ import torch
 from made import random_events
 
 from async_tnt import Processor, TNTConfig
-from async_tnt.networks.torch_network import TorchClassifier
+from async_tnt.networks import TorchClassifier
 
 VOLUME = np.random.default_rng(0).normal(size=(2, 6, 5)).astype(np.float32)
 VOLUME.flags.writeable = False
@@ -25,17 +25,29 @@ def module(*layers):
     return torch.nn.Sequential(*layers, torch.nn.Flatten(), torch.nn.Linear(60, 3))
 
 
-def expected(net, volume=VOLUME):
+def expected(net):
     with torch.no_grad():
-        return net(torch.tensor(volume)[None])[0].numpy()
+        return net(torch.tensor(VOLUME)[None])[0].numpy()
 
 
-def test_a_module_gets_a_batch_of_one_and_gives_numpy():
-    net = module()
-    logits = TorchClassifier(net)(VOLUME)
-    assert type(logits) is np.ndarray and logits.dtype == np.float32 and logits.shape == (3,)
-    assert np.array_equal(logits, expected(net))
-    assert logits.flags.writeable and logits.base is None
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_batch_of_one_goes_in_and_numpy_comes_out():
+    net = module(torch.nn.ReLU(), torch.nn.Dropout(0.5)).eval()
+    program = torch.export.export(net, (torch.zeros(1, 2, 6, 5),))
+    scripted = torch.jit.trace(net, torch.zeros(1, 2, 6, 5))
+    for other in (net, scripted, program, program.module(), lambda volume: net(volume)[0]):
+        for volume in (VOLUME, VOLUME.astype(np.float64), np.asfortranarray(VOLUME)):
+            logits = TorchClassifier(other)(volume)
+            assert type(logits) is np.ndarray and logits.dtype == np.float32 and logits.shape == (3,)
+            assert logits.flags.writeable and logits.base is None
+            assert np.allclose(logits, expected(net), atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype, atol", [(torch.float64, 1e-6), (torch.bfloat16, 0.1), (torch.float16, 0.01)])
+def test_a_module_of_another_type_than_float32(dtype, atol):
+    reference = expected(module())
+    logits = TorchClassifier(module().to(dtype))(VOLUME)
+    assert logits.dtype == np.float32 and np.allclose(logits, reference, atol=atol)
 
 
 def test_eval_and_inference_mode():
@@ -47,13 +59,12 @@ def test_eval_and_inference_mode():
             return volume.sum().reshape(1, 1)
 
     net = torch.nn.Sequential(Watching(), torch.nn.Dropout(0.9)).train()
-    classify = TorchClassifier(net)
-    assert np.isclose(classify(VOLUME), VOLUME.sum(), atol=1e-4).all()
+    assert np.isclose(TorchClassifier(net)(VOLUME), VOLUME.sum(), atol=1e-4).all()
     assert seen == [(False, True, (1, 2, 6, 5), torch.float32)] and not net.training
     assert not torch.is_inference_mode_enabled()
 
 
-def test_what_works_in_place_or_keeps_its_input_does_not_touch_the_window():
+def test_a_module_that_works_in_place_or_keeps_its_input_does_not_touch_the_window():
     kept = []
 
     def greedy(volume):
@@ -64,46 +75,18 @@ def test_what_works_in_place_or_keeps_its_input_does_not_touch_the_window():
     processor = Processor(config, classifier=TorchClassifier(greedy))
     processor.push(random_events(300, sensor=(5, 6), duration_us=900))
     before = processor.volume().copy()
-    assert before.any()
     processor.fire()
-    assert np.array_equal(processor.volume(), before)
+    assert before.any() and np.array_equal(processor.volume(), before)
     first = kept[0].clone()
     processor.push(random_events(300, sensor=(5, 6), duration_us=900, start_us=90, seed=1))
     processor.fire()
     assert torch.equal(kept[0], first) and not torch.equal(kept[1], first)
 
 
-def test_a_module_of_another_type_than_float32():
-    for dtype, atol in ((torch.float64, 1e-6), (torch.bfloat16, 0.1), (torch.float16, 0.01)):
-        net = module()
-        reference = expected(net)
-        logits = TorchClassifier(net.to(dtype))(VOLUME)
-        assert logits.dtype == np.float32 and np.allclose(logits, reference, atol=atol)
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_torchscript_and_exported_programs():
-    net = module(torch.nn.ReLU(), torch.nn.Dropout(0.5)).eval()
-    example = torch.zeros(1, 2, 6, 5)
-    scripted = torch.jit.trace(net, example)
-    program = torch.export.export(net, (example,))
-    for other in (scripted, program, program.module(), lambda volume: net(volume)[0]):
-        assert np.allclose(TorchClassifier(other)(VOLUME), expected(net), atol=1e-6)
-
-
-def test_any_float_volume():
-    net = module()
-    for volume in (VOLUME.astype(np.float64), np.asfortranarray(VOLUME), VOLUME[:, ::-1, :]):
-        assert np.allclose(TorchClassifier(net)(volume), expected(net, volume.astype(np.float32).copy()), atol=1e-6)
-
-
-def test_threads_are_torchs():
-    for threads in (2, 1):
+def test_threads_are_those_of_torch():
+    for threads, found in ((2, 2), (1, 1), (2, 2), (None, 2)):
         TorchClassifier(module(), threads=threads)
-        assert torch.get_num_threads() == threads
-    torch.set_num_threads(2)
-    TorchClassifier(module(), threads=None)
-    assert torch.get_num_threads() == 2
+        assert torch.get_num_threads() == found
 
 
 @pytest.mark.parametrize(
