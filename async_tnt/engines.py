@@ -49,7 +49,7 @@ def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine
     ------
     ImportError : the engine is not installed.
     FileNotFoundError : no such file.
-    ValueError : the file is damaged, or an .onnx file of other people, which lacks the configuration.
+    ValueError : the file is damaged, or an .onnx file of another program, which lacks the configuration.
     """
     if engine not in (*ENGINES, None):
         raise ValueError(f"`engine` must be one of {', '.join(ENGINES)}, got {engine!r}")

@@ -1,4 +1,4 @@
-"""WindowClassifier: any classifier, its class names, and the decisions that it makes of windows."""
+"""WindowClassifier: any classifier, its class names, and its decisions about windows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROWS = 256  # decisions made in one compiled call, at most
 def networks_of(
     model: Model | TNTConfig, classifier: Classifier | None, regressor: Any, classes: Sequence[str] | None
 ) -> tuple[TNTConfig, Classifier, Any, Sequence[str] | None]:
-    """What decides: configuration, classifier, regressor and class names as passed, otherwise those of the model."""
+    """Configuration, classifier, regressor and class names: those passed, otherwise those of the model."""
     if isinstance(model, Model):
         classes = model.classes if classes is None else classes
         classifier = CompiledClassifier(model) if classifier is None else classifier
@@ -50,7 +50,7 @@ class WindowClassifier:
 
     Attributes
     ----------
-    classes : class names; if nobody gave any, "0", "1", ... from the first answer on.
+    classes : class names; if none were given, "0", "1", ... after the first answer.
     decides_in_stretches : whether `decide_stretch` can be called.
     """
 

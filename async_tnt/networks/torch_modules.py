@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt.checks import positive_int
 from async_tnt.networks.model import Model
 
 if TYPE_CHECKING:
@@ -84,14 +85,14 @@ class TorchClassifier:
     Parameters
     ----------
     module : as above. Its logits are a tensor of any shape that has one axis longer than 1, as (1, n_classes).
-        Modules are put into eval mode where they stand: call `module.train()` before training goes on.
-    threads : given to `torch.set_num_threads`, once, here. That is process wide: it holds for all of torch in this
-        process, also for other classifiers and for a training beside them. None leaves it as it is.
+        Modules are put into eval mode in place: call `module.train()` before training continues.
+    threads : given to `torch.set_num_threads`, once, here. That is process-wide: it also applies
+        to other classifiers and to training in this process. None leaves it unchanged.
 
     Raises
     ------
     ImportError : torch is not installed.
-    TypeError : `module` cannot be called; (when called) it returns something else than a tensor.
+    TypeError : `module` cannot be called; (when called) it does not return a tensor.
     ValueError : `threads` is less than 1; (when called) the logits have another shape.
     """
 
@@ -105,14 +106,10 @@ class TorchClassifier:
         if not callable(module):
             raise TypeError(f"`module` must be callable, got {type(module).__name__}")
         if threads is not None:
-            if not isinstance(threads, int) or isinstance(threads, bool):
-                raise TypeError(f"`threads` must be a whole number or None, got {threads!r}")
-            if threads < 1:
-                raise ValueError(f"`threads` must be at least 1, got {threads}")
-            torch.set_num_threads(threads)
+            torch.set_num_threads(positive_int("threads", threads))
         self.module = module
         self._torch = torch
-        self._like = torch.empty(0)  # on the device and of the type that the module wants
+        self._like = torch.empty(0)  # on the device and of the type of the module
         if isinstance(module, torch.nn.Module):
             with suppress(NotImplementedError):  # of an exported program, which keeps the mode it was exported in
                 module.eval()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from engines.foreign import network
 from hypothesis import HealthCheck, given, settings
-from incremental.cases import NETWORKS
+from incremental.cases import LARGE, NETWORKS
 from made import nasty_streams, random_events, random_regressor_model
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, TNTConfig, TNTVolume, load_model
@@ -35,7 +35,7 @@ def assert_same_logits(volume, compiled, *others):
         assert logits.argmax() == expected.argmax()
 
 
-@pytest.mark.parametrize("tested", NETWORKS, ids=str)
+@pytest.mark.parametrize("tested", [*NETWORKS, LARGE], ids=str)
 def test_logits_are_the_same(tested):
     classifiers, volume = engines(tested.model()), tested.volume()
     for packet in [None, *np.split(random_events(900, sensor=tested.config.sensor, seed=4, duration_us=8000), 3)]:

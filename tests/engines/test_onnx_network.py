@@ -178,9 +178,9 @@ def test_a_network_that_fails_later(capfd):
     "threads, error, message",
     [
         (0, ValueError, "at least 1, got 0"),
-        (1.5, TypeError, "whole numbers"),
-        (True, ValueError, "at least 1, got True"),
-        ("1", TypeError, "whole numbers"),
+        (1.5, TypeError, "a whole number, got 1.5"),
+        (True, TypeError, "a whole number, got True"),
+        ("1", TypeError, "a whole number, got '1'"),
     ],
 )
 def test_wrong_threads(threads, error, message):

@@ -107,8 +107,8 @@ def test_wrong_answers(answer, error, message):
     "settings, error, message",
     [
         ({"threads": 0}, ValueError, "`threads` must be at least 1, got 0"),
-        ({"threads": 1.5}, TypeError, r"`threads` must be a whole number or None, got 1\.5"),
-        ({"threads": True}, TypeError, "`threads` must be a whole number or None, got True"),
+        ({"threads": 1.5}, TypeError, r"`threads` must be a whole number, got 1\.5"),
+        ({"threads": True}, TypeError, "`threads` must be a whole number, got True"),
         ({"module": 5}, TypeError, "`module` must be callable, got int"),
     ],
 )

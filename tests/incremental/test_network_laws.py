@@ -9,17 +9,15 @@ import pickle
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from incremental.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network, of_all
-from made import events_of, nasty_streams, random_events
+from made import nasty_streams, random_events
 
 from async_tnt import CompiledClassifier, TNTConfig, TNTVolume, load_model, volume_state
 from async_tnt.kernels import layout as L
 from async_tnt.kernels import state as S
 from async_tnt.kernels.sync_input import NUMBERS_PER_LOGGED
-from async_tnt.networks.torch_modules import torch_classifier
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
@@ -60,19 +58,6 @@ def test_after_long_packets(network):
     events = random_events(5000, seed=3, duration_us=9000, sensor=network.config.sensor)
     events["t"][::17] = np.maximum(events["t"][::17] - 500, 0)  # out of order within a block
     logits_after_packets(network, events, [100, 2, 1300, 7])
-
-
-@pytest.mark.parametrize("network", [*NETWORKS, LARGE], ids=str)
-def test_within_1e_4_of_the_torch_reference(network):
-    classifier, volume, reference = network.classifier(), network.volume(), torch_classifier(network.model())
-    for packet in [None, *np.split(random_events(600, seed=4, duration_us=6000, sensor=network.config.sensor), 3)]:
-        volume.update(packet)
-        with torch.inference_mode():
-            expected = reference(torch.tensor(volume.array)).numpy()
-        logits = classifier.refresh(volume)
-        assert np.abs(logits - expected).max() <= 1e-4 * max(1.0, np.abs(expected).max())
-        assert logits.argmax() == expected.argmax()
-    assert volume.array.any() and (np.ptp(logits) > 0 or network.classes == 1)
 
 
 def test_on_recordings_with_the_bundled_model(data):
@@ -207,21 +192,6 @@ def test_the_log_is_followed_where_that_pays():
     volume.update(([2000] * (n + 1), [17] * (n + 1), [17] * (n + 1), [1] * (n + 1)))
     classifier.refresh(volume)
     assert maps[far_away] == 0
-
-
-def test_cells_that_cancel_leave_no_trace():
-    """Opposite events at one place: the cells come back to zero, and so do the logits of an empty window."""
-    network = Network((8, 8), 2, (3, 5, 7), 3, transform="none")
-    classifier, volume = network.classifier(), network.volume()
-    empty = classifier.refresh(volume).tobytes()  # no window open yet
-    assert empty == network.dense()(np.zeros(network.config.shape, np.float32)).tobytes()
-    volume.open(0)
-    for k in range(700):
-        volume.update(events_of([100, 100], [k % 8] * 2, [k % 7] * 2, [1, 0]))
-        if k % 3 == 0:
-            assert classifier.refresh(volume).tobytes() == empty
-    volume.update_one(100, 3, 3, 1)
-    assert classifier.refresh(volume).tobytes() != empty
 
 
 @of_all
