@@ -7,7 +7,7 @@
     TorchClassifier             any torch module, TorchScript or exported program
     to_onnx                     a Model's classifier as an ONNX network; `regressor_to_onnx` its landmark network
 
-onnx, onnxruntime (extra `onnx`) and torch are imported only when something of them is asked.
+onnx, onnxruntime (extra `onnx`) and torch are imported only when they are needed.
 """
 
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
