@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numba import njit
 
+import async_tnt.kernels.classify  # noqa: F401 (which registers the kernels below)
 from async_tnt.kernels.conv import PLACES
 from async_tnt.kernels.conv_pool import CELLS_1, CELLS_2, FILTERS_1, FILTERS_2, SEEN_1
 from async_tnt.kernels.dense import UNITS
