@@ -185,7 +185,7 @@ def test_threads_reach_onnxruntime(threads):
     if before:
         assert len(os.listdir(tasks)) - before == threads - 1  # the caller's own works, too
     assert np.allclose(net(VOLUME), linear(VOLUME), atol=1e-5)
-    with pytest.raises(ValueError, match="^`threads` must be at least 1, got 0$"):
+    with pytest.raises(ValueError, match=r"^`threads` must be at least 1, got 0$"):
         OnnxClassifier(network(), threads=0)
 
 

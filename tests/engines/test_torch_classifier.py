@@ -104,9 +104,9 @@ def test_wrong_answers(answer, error, message):
 
 
 def test_wrong_settings():
-    with pytest.raises(ValueError, match="^`threads` must be at least 1, got 0$"):
+    with pytest.raises(ValueError, match=r"^`threads` must be at least 1, got 0$"):
         TorchClassifier(len, threads=0)
-    with pytest.raises(TypeError, match="^`module` must be callable, got int$"):
+    with pytest.raises(TypeError, match=r"^`module` must be callable, got int$"):
         TorchClassifier(5)
 
 
