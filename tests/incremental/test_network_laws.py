@@ -196,18 +196,17 @@ def test_the_log_is_followed_where_that_pays():
 
 @of_all
 def test_a_used_volume_equals_a_fresh_one(network):
-    """Also to a classifier that has seen it before; of every landmark, after windows of few events and of many."""
-    fresh, used, classifier = network.volume(), network.volume(), network.classifier()
+    """Of every landmark, after windows of few events and of many. The networks' part is in the laws above."""
+    fresh, used = network.volume(), network.volume()
     for n in (700, 9, 0):
         used.open(0)
         used.update(random_events(n, seed=n, duration_us=WINDOW_US, sensor=network.config.sensor))
-        assert used.array.any() == (n > 0) and classifier.refresh(used).shape == (network.classes,)
+        assert used.array.any() == (n > 0)
     events = random_events(200, seed=5, duration_us=WINDOW_US, sensor=network.config.sensor)
     for volume in (fresh, used):
         volume.open(0)
         volume.update(events)
     assert used.array.tobytes() == fresh.array.tobytes() and used.landmark == fresh.landmark
-    assert classifier.refresh(used).tobytes() == network.dense()(fresh.array).tobytes()
 
 
 # -- as a callable -----------------------------------------------------------------------------------------------
