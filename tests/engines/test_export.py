@@ -14,7 +14,7 @@ from made import random_model, random_regressor_model
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.checking import agreement
-from async_tnt.networks import OnnxClassifier, OnnxRegressor, onnx_export, regressor_to_onnx, to_onnx
+from async_tnt.networks import OnnxClassifier, onnx_export, regressor_to_onnx, to_onnx
 
 REGRESSOR_MODEL = random_regressor_model(TNTConfig(landmark="regressor"), widths=(4, 4, 8), regressor_widths=(3, 4, 5))
 
@@ -50,16 +50,6 @@ def test_metadata_come_back():
     model = Model(config, weights, ("null", 'ein\n"s"', "二"), {"seed": 5, "said": ["ü", 1.5, None]})
     net = OnnxClassifier(to_onnx(model))
     assert (net.config, net.classes, net.exported.record) == (config, model.classes, model.record)
-
-
-def test_two_networks_of_one_model_know_each_other():
-    weights = {**REGRESSOR_MODEL.weights, "fc2.bias": REGRESSOR_MODEL.weights["fc2.bias"] + 1}
-    mine, other, theirs = (
-        OnnxClassifier(to_onnx(REGRESSOR_MODEL)),
-        OnnxRegressor(regressor_to_onnx(replace(REGRESSOR_MODEL, weights=weights))),
-        OnnxRegressor(regressor_to_onnx(REGRESSOR_MODEL)),
-    )
-    assert mine.exported.weights == theirs.exported.weights != other.exported.weights
 
 
 def test_what_cannot_be_exported(monkeypatch):

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from engines.foreign import TensorProto, linear, network, node, onnx
-from made import random_events, random_model
+from made import random_model
 
-from async_tnt import Processor, TNTConfig
+from async_tnt import TNTConfig
 from async_tnt.networks import OnnxClassifier, OnnxRegressor, to_onnx
 
 VOLUME = np.random.default_rng(1).normal(size=(2, 6, 5)).astype(np.float32)
@@ -198,16 +198,6 @@ def test_copies_and_pickles_open_the_network_again(tmp_path):
         for duplicate in (copy.copy(net), copy.deepcopy(net), pickle.loads(pickle.dumps(net))):
             assert duplicate is not net and np.array_equal(duplicate(volume), net(volume))
             assert (duplicate.threads, duplicate.config, duplicate.classes) == (2, net.config, net.classes)
-
-
-def test_a_copy_of_a_processor_continues():
-    net = OnnxClassifier(to_onnx(random_model(TNTConfig(window_us=1000), widths=(2, 2, 2))))
-    original = Processor(net.config, classifier=net)
-    original.push(random_events(300, duration_us=2500))
-    duplicate = copy.deepcopy(original)
-    more = random_events(300, duration_us=2500, start_us=2500, seed=1)
-    for ours, theirs in zip(original.push(more), duplicate.push(more), strict=True):
-        assert np.array_equal(ours.logits, theirs.logits)
 
 
 @pytest.mark.parametrize("dtype", [TensorProto.FLOAT, TensorProto.DOUBLE])

@@ -84,18 +84,6 @@ def test_never_more_than_nine_cells_of_any_map(landmark):
     assert most == [9, 9, 9]
 
 
-def test_several_events_reach_no_more_than_each_alone():
-    together, at_most, at_least = Layers(), np.zeros((17, 17), bool), np.zeros((17, 17), bool)
-    for t, x, y, p in [(100, 3, 5, 1), (200, 30, 5, 0), (300, 4, 6, 1), (400, 17, 31, 1)]:
-        alone = Layers()
-        for layers in (alone, together):
-            layers.volume.update_one(t, x, y, p)
-        at_least |= np.outer(reached(y, y, 17), reached(x, x, 17))  # untransformed, an event is all in its pixel
-        at_most |= alone.steps()[0]
-    found = together.steps()[0]
-    assert not (at_least & ~found).any() and not (found & ~at_most).any() and at_least.sum() == 12
-
-
 def test_what_changes_no_cell_marks_nothing():
     """Events that the transform drops (at TNT time zero, or off the grid), and events that cancel."""
     layers = Layers(transform="tnt", landmark="center")
