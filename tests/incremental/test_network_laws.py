@@ -209,6 +209,17 @@ def test_a_used_volume_equals_a_fresh_one(network):
     assert used.array.tobytes() == fresh.array.tobytes() and used.landmark == fresh.landmark
 
 
+@of_all
+def test_unsigned_cells_sum_to_the_number_of_kept_events(network):
+    """At each read, whether it follows the log or reads all cells of the bins that changed."""
+    volume = network.volume(network.config.replace(polarity="unsigned"))
+    volume.open(0)
+    for packet in np.split(random_events(300, seed=6, duration_us=WINDOW_US, sensor=network.config.sensor), [1, 3, 40]):
+        volume.update(packet)
+        assert volume.array.sum() == pytest.approx(volume.counts.kept, rel=1e-5)
+    assert volume.counts.kept > 20
+
+
 # -- as a callable -----------------------------------------------------------------------------------------------
 
 
