@@ -58,8 +58,8 @@ def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine
     if is_onnx(name_or_path):
         if engine not in ("onnx", None):
             raise ValueError(
-                f"{name_or_path}: an .onnx file runs by engine onnx, not {engine}; that runs the .safetensors file "
-                "or bundled model it was made from"
+                f"{name_or_path}: an .onnx file runs with engine onnx, not {engine}, which needs the .safetensors file "
+                "or bundled model it was exported from"
             )
         return _of_file(Path(name_or_path))
     model = load_model(name_or_path)
@@ -84,14 +84,14 @@ def _of_file(path: Path) -> Engine:
     if classifier.exported is None:
         raise ValueError(
             f"{path}: an ONNX network without a configuration of this package, which defines how events become its "
-            "volume; a Python program can give one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
+            "volume; a Python program can provide one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
         )
     networks: dict[str, Any] = {"classifier": classifier}
     config = classifier.exported.config
     if config.needs_regressor:
         beside = regressor_path(path)
         if not beside.exists():
-            raise FileNotFoundError(f"no file {beside}: the landmark network of {path}, which `export` wrote beside it")
+            raise FileNotFoundError(f"no file {beside}: `async-tnt export` writes the landmark network of {path} there")
         regressor = OnnxRegressor(beside)
         if regressor.exported is None or regressor.exported.weights != classifier.exported.weights:
             raise ValueError(f"{beside} is not the landmark network of {path}: they are from two models")

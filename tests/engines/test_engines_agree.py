@@ -157,17 +157,17 @@ def test_files_that_do_not_belong_together_or_here_give_one_line(program, folder
     foreign.write_bytes(network())
     others = f"{tmp_path}/m.regressor.onnx is not the landmark network of {m}: they are from two models"
     assert_one_line(program, others, "--model", m)
-    missing = f"no file {tmp_path}/o.regressor.onnx: the landmark network of {o}, which `export` wrote beside it"
+    missing = f"no file {tmp_path}/o.regressor.onnx: `async-tnt export` writes the landmark network of {o} there"
     assert_one_line(program, missing, "--model", o)
     no_config = (
         f"{foreign}: an ONNX network without a configuration of this package, which defines how events become its "
-        "volume; a Python program can give one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
+        "volume; a Python program can provide one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
     )
     assert_one_line(program, no_config, "--model", foreign)
     assert_one_line(program, "no file no.onnx", "--model", "no.onnx")
     only_onnx = (
-        f"{m}: an .onnx file runs by engine onnx, not torch; that runs the .safetensors file or bundled model it was "
-        "made from"
+        f"{m}: an .onnx file runs with engine onnx, not torch, which needs the .safetensors file or bundled model it "
+        "was exported from"
     )
     assert_one_line(program, only_onnx, "--model", m, "--engine", "torch")
     only_run = (
