@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from incremental.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network, of_all
-from made import nasty_streams, random_events
+from made import events_of, nasty_streams, random_events
 
 from async_tnt import CompiledClassifier, TNTConfig, TNTVolume, load_model, volume_state
 from async_tnt.kernels import layout as L
@@ -218,6 +218,19 @@ def test_unsigned_cells_sum_to_the_number_of_kept_events(network):
         volume.update(packet)
         assert volume.array.sum() == pytest.approx(volume.counts.kept, rel=1e-5)
     assert volume.counts.kept > 20
+
+
+@of_all
+def test_an_event_exactly_at_a_windows_end_belongs_to_the_next_window(network):
+    """In a packet as alone, also where events are stored for a replay."""
+    events = events_of([0, WINDOW_US - 1, WINDOW_US, WINDOW_US + 5], [1, 2, 1, 2], [1, 1, 2, 2], [1, 0, 1, 1])
+    packet, single = network.volume(), network.volume()
+    packet.update(events)
+    for event in events.tolist():
+        single.update_one(*event)
+    for volume in (packet, single):
+        assert (volume.start_us, volume.n_events) == (WINDOW_US, 2)
+    assert packet.array.tobytes() == single.array.tobytes()
 
 
 # -- as a callable -----------------------------------------------------------------------------------------------
