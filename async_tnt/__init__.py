@@ -17,11 +17,11 @@ if TYPE_CHECKING:  # for type checkers and editors; `X as X` re-exports
     from async_tnt.decision import Decision as Decision
     from async_tnt.deferred_landmark import ReplayBufferFull as ReplayBufferFull
     from async_tnt.events import EVENT_DTYPE as EVENT_DTYPE
-    from async_tnt.networks.classifier import CompiledClassifier as CompiledClassifier
+    from async_tnt.networks.compiled import CompiledClassifier as CompiledClassifier
+    from async_tnt.networks.compiled import CompiledRegressor as CompiledRegressor
     from async_tnt.networks.model import Model as Model
     from async_tnt.networks.model import bundled_models as bundled_models
     from async_tnt.networks.model import load_model as load_model
-    from async_tnt.networks.regressor import CompiledRegressor as CompiledRegressor
     from async_tnt.processor import Processor as Processor
     from async_tnt.sources.background_reader import BackgroundReader as BackgroundReader
     from async_tnt.sources.files.recording import open_recording as open_recording
@@ -46,9 +46,8 @@ if not TYPE_CHECKING:  # type checkers use the imports above; __getattr__ would 
             "decision": "Counts Decision",
             "deferred_landmark": "ReplayBufferFull",
             "events": "EVENT_DTYPE",
-            "networks.classifier": "CompiledClassifier",
+            "networks.compiled": "CompiledClassifier CompiledRegressor",
             "networks.model": "Model bundled_models load_model",
-            "networks.regressor": "CompiledRegressor",
             "processor": "Processor",
             "sources.background_reader": "BackgroundReader",
             "sources.files.recording": "open_recording",

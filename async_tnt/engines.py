@@ -12,8 +12,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model, load_model
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
-from async_tnt.networks.torch_modules import landmark_function, torch_classifier
-from async_tnt.networks.torch_network import TorchClassifier
+from async_tnt.networks.torch_modules import TorchClassifier, landmark_function, torch_classifier
 from async_tnt.processor import Processor
 
 ENGINES = ("compiled", "onnx", "torch")
@@ -52,15 +51,15 @@ def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine
     ------
     ImportError : the engine is not installed.
     FileNotFoundError : no such file.
-    ValueError : the file is damaged, or an .onnx file of other people, which lacks the configuration.
+    ValueError : the file is damaged, or an .onnx file of another program, which lacks the configuration.
     """
     if engine not in (*ENGINES, None):
         raise ValueError(f"`engine` must be one of {', '.join(ENGINES)}, got {engine!r}")
     if is_onnx(name_or_path):
         if engine not in ("onnx", None):
             raise ValueError(
-                f"{name_or_path}: an .onnx file runs by engine onnx, not {engine}; that runs the .safetensors file "
-                "or bundled model it was made from"
+                f"{name_or_path}: an .onnx file runs with engine onnx, not {engine}, which needs the .safetensors file "
+                "or bundled model it was exported from"
             )
         return _of_file(Path(name_or_path))
     model = load_model(name_or_path)
@@ -84,18 +83,18 @@ def _of_file(path: Path) -> Engine:
     classifier = OnnxClassifier(path)
     if classifier.exported is None:
         raise ValueError(
-            f"{path}: an ONNX network without a configuration of this package, which says how events become its "
-            "volume; a Python program can give one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
+            f"{path}: an ONNX network without a configuration of this package, which defines how events become its "
+            "volume; a Python program can provide one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
         )
     networks: dict[str, Any] = {"classifier": classifier}
     config = classifier.exported.config
     if config.needs_regressor:
         beside = regressor_path(path)
         if not beside.exists():
-            raise FileNotFoundError(f"no file {beside}: the landmark network of {path}, which `export` wrote beside it")
+            raise FileNotFoundError(f"no file {beside}: `async-tnt export` writes the landmark network of {path} there")
         regressor = OnnxRegressor(beside)
         if regressor.exported is None or regressor.exported.weights != classifier.exported.weights:
-            raise ValueError(f"{beside} is not the landmark network of {path}: they are of two models")
+            raise ValueError(f"{beside} is not the landmark network of {path}: they are from two models")
         networks["regressor"] = regressor
     return Engine("onnx", config, classifier.exported.classes, networks)
 

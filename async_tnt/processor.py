@@ -22,8 +22,8 @@ from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
-from async_tnt.networks.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.triggers import LeakyIntegrator, Triggers
+from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
 
 

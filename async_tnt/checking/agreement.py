@@ -11,9 +11,8 @@ import numpy as np
 from async_tnt.checking.equality import LOGIT_BOUND, REGRESSED_LANDMARK_BOUND, Comparison, closed_volumes
 from async_tnt.deferred_landmark import Regressor
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.networks.regressor import CompiledRegressor
 from async_tnt.processor import Classifier
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -27,15 +26,15 @@ class Agreement:
     """How far two engines differ on some windows."""
 
     recordings: str
-    """Which: `bundled samples`, or `made streams` for sensors of another size."""
+    """`bundled samples`, or `made streams` for sensors of another size."""
     logits: Comparison = field(default_factory=lambda: Comparison("logits", "", LOGIT_BOUND))
     """Differences, as a share of the window's largest logit where that is above 1."""
     plain_logits: Comparison = field(default_factory=lambda: Comparison("logits", "", math.inf))
-    """The same differences as they are, for the report."""
+    """The same differences, absolute, for the report."""
     n_differ: int = 0
     """Windows of another class."""
     landmarks: Comparison = field(default_factory=lambda: Comparison("landmark, px", "", REGRESSED_LANDMARK_BOUND))
-    """Nothing, where the model has no landmark network."""
+    """Empty if the model has no landmark network."""
 
     @property
     def holds(self) -> bool:
@@ -43,8 +42,8 @@ class Agreement:
 
 
 def compare_engines(model: Model, classifier: Classifier, regressor: Regressor | None = None) -> Agreement:
-    """Hold networks against the model's compiled ones, on windows of the bundled samples, or of made streams where
-    the model is for another sensor. Landmark networks are compared on the raw volumes of the same windows.
+    """Compare networks with the model's compiled ones, on windows of the bundled samples, or of made streams if the
+    model is for another sensor. Landmark networks are compared on the raw volumes of the same windows.
 
     Parameters
     ----------

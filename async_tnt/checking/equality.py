@@ -27,9 +27,8 @@ from async_tnt.checking.reference import (
 )
 from async_tnt.config import LANDMARKS, TNTConfig
 from async_tnt.deferred_landmark import Regressor
-from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.networks.regressor import CompiledRegressor
 from async_tnt.networks.torch_modules import landmark_function
 from async_tnt.processor import Processor
 from async_tnt.volume import TNTVolume

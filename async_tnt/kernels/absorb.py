@@ -8,7 +8,7 @@ The second and third run in vector registers. One event takes the same steps in 
 formulas of `landmark` and `splat`, and floating point is strict (no fastmath, no contraction), so how a
 stream is cut cannot matter.
 
-Landmarks that are known only at the moment of reading have their events stored for a replay instead.
+For landmarks that are known only when the volume is read, events are stored and replayed then.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from .landmark import block_of, displace, displace_fixed, displace_line, displac
 from .records import MAX_TIME_US
 from .splat import add_event, grid_of, place_event
 
-ABSORBED, AT_LIMIT, REFUSED = 0, 1, 2  # what absorb_one returns
+ABSORBED, AT_LIMIT, REFUSED = range(3)  # what absorb_one returns
 
 
 @compiled

@@ -10,7 +10,7 @@ from .forward import forward
 from .jit import compiled, compiled_without_gil
 from .sync_input import set_input, sync_input
 
-DONE, FULL, CLOSE, NOT_FINITE = 0, 1, 2, 3  # why absorb_and_decide returned
+DONE, FULL, CLOSE, NOT_FINITE = range(4)  # why absorb_and_decide returned
 DECISION_FIELDS = 4  # of a decision in `notes`: events, newest time, trigger, class
 
 

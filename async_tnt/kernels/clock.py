@@ -1,4 +1,4 @@
-"""Repair the times of a stream of packets. `async_tnt.sources.clock` states the rule, with an example."""
+"""Repair the times of a stream of packets. The rule, with an example, is in `async_tnt.sources.clock`."""
 
 import numpy as np
 from numba import int64, uint8
@@ -10,7 +10,7 @@ NEWEST, NEWEST_ARRIVAL, OFFSET, CANDIDATE, VOTES, JUMPED, LATE, RESTARTS = range
 INITIAL = (-1, 0, 0, 0, 0, 0, 0, 0)
 AGREEING_PACKETS = 8
 BACK_US = 1_000_000  # further back, a time is a jump rather than out of order
-REORDERED_US = 20_000  # the same after a pause, which tells a sender that starts again from a network that reorders
+REORDERED_US = 20_000  # the same after a pause, to tell a restarted sender from a network that reorders
 LATEST_START_US = 4_102_444_800_000_000  # the year 2100 on a clock that counts from 1970: a stream starts before that
 NO_LIMIT = -1
 ARGUMENTS = (uint8[::1], int64, int64, int64, int64, int64, int64, int64[::1])
@@ -26,9 +26,9 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
     start, n, size : int. First byte of the packet, its events, and bytes of one event.
     time_at : int. Offset of the time, int64 or uint64, within a record.
     arrival : int. Microseconds on the receiver's clock.
-    max_jump : int. Microseconds, or NO_LIMIT: every time is believed.
-    clock : int64, shape (8,). What the stream leaves for the next packet; updated in place. Its times are the sender's,
-        without the offset.
+    max_jump : int. Microseconds, or NO_LIMIT: every time is accepted.
+    clock : int64, shape (8,). The state between packets; updated in place. Its times are the sender's, without the
+        offset.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
     else:
         passed = max(arrival - clock[NEWEST_ARRIVAL], 0)
         low, high = newest - max(BACK_US - passed, REORDERED_US), newest + passed + max_jump
-    if newest >= 0:  # mostly no time jumps: one look at each
+    if newest >= 0:  # usually no time jumps: one pass finds out
         smallest, largest, n_late = newest, newest, 0
         for i in range(n):
             t = load(records, start + i * size + time_at, np.int64)

@@ -1,9 +1,8 @@
 """A plain 3x3 convolution at batch size one, for the landmark network, which is computed whole at each read.
 
-Feature maps are stored with a frame of zeros and as one long row: then a 3x3 convolution is nine shifted reads
-of that row, without borders, which runs in vector registers. What it computes at the frame's places is never
-read. A network's output depends on the order of its sums: here input channel by input channel, tap by tap,
-each product added with one rounding.
+Feature maps are stored with a frame of zeros, as one long row: a 3x3 convolution is then nine shifted reads of that
+row, without borders, in vector registers. Its values at the frame's places are never read. Sums run input channel by
+input channel, tap by tap, each product added with one rounding.
 
 The sums of 8 filters at two registers of neighbouring places stay in registers: each weight is read once for all
 places, each input once for 8 filters. LLVM would read and write the outputs for each input channel.

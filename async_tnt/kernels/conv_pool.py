@@ -3,8 +3,8 @@
     pooled[Y, X, f] = mean over the 2x2 places (2Y + r, 2X + q) of ReLU(conv[.., f])
     conv[y, x, f] = bias[f] + sum over taps (i, j) and channels c of w[i, j, c, f] in[y + i, x + j, c]
 
-A register holds filters of one place, so that a tile may be as small as one or two pooled cells: an event touches
-few places, and little more than those should be computed. Each weight is read once for all places of a tile, each
+A register holds filters of one place, so a tile may be as small as one or two pooled cells: an event touches few
+places, and little more than those should be computed. Each weight is read once for all places of a tile, each
 input once for all its filters. How a map is cut into tiles changes no bit (see `simd`).
 
 The first convolution sums channel by channel and leaves out those in which a tile sees only zeros: many bins of an
@@ -119,7 +119,7 @@ class _Tile:
         return [self._simd.load(self._weights, self._simd.add(at, f)) for f in self._lanes]
 
     def add_products(self, sums, at, pixels):
-        """One tap of one channel, its weights from `at` on, for every place, whose input is at its pointer."""
+        """One tap of one channel for every place: weights from `at` on, inputs by `pixels`, place -> pointer."""
         weights, totals, new = self.load(at), iter(sums), []
         for place in self.places:
             value = self._simd.spread(pixels[place])

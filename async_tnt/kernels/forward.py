@@ -2,9 +2,9 @@
 
     conv 3x3, ReLU, 2x2 mean -> the same -> dense, ReLU -> dense
 
-Each layer computes its dirty cells, keeps them, and marks as dirty what they reach of the next layer if they have
-changed. With everything dirty it is the plain forward pass: there is no other one, so that an update and a whole pass
-cannot differ in a bit.
+Each layer computes its dirty cells, keeps them, and marks as dirty the cells of the next layer that depend on those
+that changed. With everything dirty this is the plain forward pass. There is no second implementation of it, so an
+update and a whole pass cannot differ in a bit.
 """
 
 import numpy as np
@@ -131,8 +131,7 @@ def mark_dirty(layout, dirty, which, n_rows, n_columns, y_lo, y_hi, x_lo, x_hi):
 
 @inlined
 def _list_active(maps, inputs, pitch, n_channels, layout):
-    """List the channels in which a tile sees anything in `layout` from ACTIVE on; returns how many. At least one:
-    the sum over none is that over zeros."""
+    """List the channels that are not all zero in a tile, in `layout` from ACTIVE on; returns how many, at least one."""
     layout[L.ACTIVE] = 0
     n_active = 0
     for c in range(n_channels):

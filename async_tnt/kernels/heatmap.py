@@ -56,7 +56,7 @@ def draw_heatmap(maps, weights, exponent):
 def centroid(exponent, width, height):
     """The expectation (x, y) under a softmax over the heatmap's places; nan if an exponent is inf or nan.
 
-    A common factor does not move the centroid: the largest cell counts as 1, so that exp cannot overflow.
+    A common factor does not move the centroid: cells are relative to the largest, so exp cannot overflow.
     Distances are taken from the middle: a uniform heatmap gives it exactly.
     """
     largest = exponent[0]

@@ -72,8 +72,8 @@ def cells_to_float32(buffer, array, n_intervals):
 
 @inlined
 def strides_of(ints):
-    """Numbers in a row and in an interval of cells, and from an ON cell to its OFF twin: values for the functions
-    below, read once, which the compiler then knows not to change."""
+    """Numbers in a row and in an interval of cells, and from an ON cell to its OFF cell. Read once and passed as values
+    to the functions below: the compiler then knows that no store changes them."""
     return ints[S.ROW], ints[S.PLANE], ints[S.OFF_SHIFT]
 
 
@@ -90,7 +90,7 @@ def cell_at(strides, corner):
 
 @inlined
 def parts_of(strides, b, y, x):
-    """Where the two numbers lie whose sum is the volume at (b, y, x): the lower bin's weight of interval b and the
+    """Indices of the two numbers whose sum is the volume at (b, y, x): the lower bin's weight of interval b and the
     upper bin's of the interval before; and whether b is a first bin, which has no interval before it."""
     row, plane, off_shift = strides
     lower = S.CELLS + b * plane + y * row + 2 * x

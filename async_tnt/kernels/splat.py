@@ -75,7 +75,7 @@ def place_event(grid, dt, on, num_x, num_y, den):
     keep = on_grid(u, grid.max_u) & on_grid(v, grid.max_v)
     u = u if keep else 0.0
     v = v if keep else 0.0
-    u_floor = np.trunc(u)  # the floor of what is not negative (-1e-9 counts as 0)
+    u_floor = np.trunc(u)  # equals floor, as u >= 0 (-1e-9 counts as 0)
     v_floor = np.trunc(v)
     b_floor = np.trunc(b)
     sign = grid.sign_on if on else grid.sign_off
@@ -94,7 +94,7 @@ def add_event(buffer, corner, row, y_frac, x_frac, lower, upper):
     Parameters
     ----------
     buffer : float64, the volume's `state`. Updated in place.
-    corner : uint64, so that Numba leaves out its test for a negative index; not checked here.
+    corner : uint64, which spares Numba's test for a negative index; not checked here.
     row : uint64. Distance to the next row.
     y_frac, x_frac, lower, upper : as `place_event` returns them.
     """

@@ -14,9 +14,9 @@ because a volume is promised to 1e-6 of its largest cell even after thousands of
 it, which float32 sums would lose; `readout.cells_to_float32` rounds to float32 once, when the volume is read.
 
 The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and
-emptying a large volume cost what changed in it and not its size. It is as long as that pays: following a
-longer log would cost more than reading all cells. A reader of the cells keeps the number of corners it has
-seen, and the EPOCH in which it counted: a number that no other window of this process ever gets.
+emptying a large volume cost what changed in it and not its size. Beyond that length, following
+the log would cost more than reading all cells. A reader of the cells keeps the number of corners it has
+seen, and the EPOCH of the window it counted in: a number that is unique within the process.
 """
 
 # buffer: parameters of the volume
@@ -42,7 +42,7 @@ SENSOR_W = 17
 SENSOR_H = 18
 ROW = 19  # numbers in a row of cells: 2 (W + 1)
 PLANE = 20  # numbers in an interval: 2 (H + 1) (W + 1)
-OFF_SHIFT = 21  # numbers between an ON cell and its OFF twin ("split"), else 0
+OFF_SHIFT = 21  # numbers between an ON cell and its OFF cell ("split"), else 0
 LOG = 22  # where the log begins
 LOG_SIZE = 23  # a power of two, at least BLOCK
 # ints: the open window

@@ -1,6 +1,6 @@
-"""Bring a classifier's input up to date, and mark as dirty what of its maps can no longer be right.
+"""Bring a classifier's input up to date, and mark the cells of its first map that depend on a change as dirty.
 
-Only numbers that differ are marked, so that events which the transform dropped cost nothing further.
+Only values that differ are marked, so events that the transform dropped cost nothing further.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ NUMBERS_PER_LOGGED = 100  # one logged event, scattered in memory, costs as much
 
 @compiled
 def sync_input(buffer, layout, maps, dirty):
-    """Make the input that of a volume, from its cells:
+    """Copy a volume to the input, from its cells:
 
         input[y + 1, c, x + 1] = cells[c, y, x, 0] + cells[c - 1, y, x, 1], rounded to float32 as in `readout`
 
@@ -42,7 +42,7 @@ def sync_input(buffer, layout, maps, dirty):
 
 @compiled
 def set_input(volume, layout, maps, dirty):
-    """Make the input that of an array (C, H, W), and mark everything as dirty."""
+    """Copy an array (C, H, W) to the input, and mark everything as dirty."""
     n_channels, height, width = volume.shape
     for c in range(n_channels):
         for y in range(height):
@@ -114,8 +114,8 @@ def round_cells(buffer, lower, upper, n, maps, at, changed):
 
 @inlined
 def round_eight_plain(buffer, lower, upper, maps, at, changed):
-    """`round_cells` of eight. LLVM does find vector code for it, three times slower than this: every other number is
-    wanted, and flags go to another place than values."""
+    """`round_cells` of eight. LLVM's own vector code for it is three times slower: it needs every other number, and
+    flags go to another place than values."""
     round_cells(buffer, lower, upper, 8, maps, at, changed)
 
 
@@ -129,7 +129,7 @@ def round_eight(simd, buffer, lower, upper, maps, at, changed):
         mask = ir.Constant(ir.VectorType(ir.IntType(32), 8), list(range(0, 16, 2)))
         return builder.shuffle_vector(simd.load(buffer, index, pairs), ir.Constant(pairs, ir.Undefined), mask)
 
-    # a select and not a branch: what is read at `lower` without use is in the cache already
+    # a select, not a branch: an unused read at `lower` is in the cache already
     is_first = builder.icmp_signed("==", upper, lower)
     uppers = builder.select(is_first, ir.Constant(doubles, [0.0] * 8), every_other(upper))
     value = builder.fptrunc(builder.fadd(every_other(lower), uppers), singles)

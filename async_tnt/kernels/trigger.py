@@ -16,11 +16,11 @@ CHARGE = 3  # what each event adds
 POTENTIAL = 4
 # ints
 EVERY_EVENTS = 5  # 0: not by number
-EACH_EVENT = 6  # 1: classify at every event, since no other trigger says when to test the confidence
+EACH_EVENT = 6  # 1: classify at every event, as no other trigger determines when to test the confidence
 CHARGED_US = 7  # newest time up to which the potential has leaked
 SIZE = 8
 
-NOT_DUE, LOOK, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE = 0, 1, 2, 3, 4  # LOOK: only whether it is confident enough
+NOT_DUE, LOOK, BY_EVENTS, BY_ACTIVITY, BY_CONFIDENCE = range(5)  # LOOK: decide only if confident enough
 
 
 @compiled
@@ -76,7 +76,7 @@ def why_due(trigger, n_before, n, fires):
     Parameters
     ----------
     trigger : float64, see above.
-    fires : bool. What `advance_triggers` said of activity.
+    fires : bool. As `advance_triggers` returned it.
 
     Returns
     -------

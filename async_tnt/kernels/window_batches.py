@@ -20,7 +20,7 @@ from .readout import cell_at, cells_to_float32, empty_volume, strides_of
 from .splat import grid_of, place_event
 
 OWN, MEAN, GIVEN = 0, 1, 2
-"""Landmark: that of the volume's mode; the centroid of the window's events; given for each window."""
+"""Landmark: by the volume's mode; the centroid of the window's events; given for each window."""
 
 
 @compiled
@@ -147,7 +147,7 @@ def _select_events(ints, scratch, columns, windows, window):
 
 @compiled
 def _uniform(seed, i):
-    """A number in [0, 1) that belongs to (seed, i): the i-th of the generator SplitMix64.
+    """The i-th number in [0, 1) of the generator SplitMix64 with this seed.
 
     Steele, Lea, Flood 2014, Fast Splittable Pseudorandom Number Generators, with their constants. Each event gets
     the same number whichever others are drawn, and in whatever order.

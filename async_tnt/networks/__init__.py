@@ -7,15 +7,14 @@
     TorchClassifier             any torch module, TorchScript or exported program
     to_onnx                     a Model's classifier as an ONNX network; `regressor_to_onnx` its landmark network
 
-onnx, onnxruntime (extra `onnx`) and torch are imported only when something of them is asked.
+onnx, onnxruntime (extra `onnx`) and torch are imported only when they are needed.
 """
 
-from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model, UncheckedModelWarning, bundled_models, load_model
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
-from async_tnt.networks.regressor import CompiledRegressor
-from async_tnt.networks.torch_network import TorchClassifier
+from async_tnt.networks.torch_modules import TorchClassifier
 
 __all__ = [
     "CompiledClassifier",

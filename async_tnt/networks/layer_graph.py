@@ -15,9 +15,9 @@ only `weight`. Sides are [y, x], paddings [top, left, bottom, right].
     dense              weights
     heatmap_centroid   to (x, y) in grid pixels: the mean place under a softmax over all places
 
-Every parameter is written, so that no reader needs defaults. Networks of other ops or parameters can be written in the
-same format: a release that does not run them says so when it loads the file. This one runs one graph for each
-configuration, the one that `layer_graph` returns.
+Every parameter is written, so readers need no defaults. Networks of other ops or parameters can be written in the same
+format: a release that cannot run them refuses the file. This one runs one graph for each configuration, the one that
+`layer_graph` returns.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def _chain(*steps: Step) -> list[Layer]:
 
 
 def _conv(name: str, prefix: str = "", side: int = 3, roles: tuple[str, ...] = ("weight", "bias")) -> Step:
-    """One that keeps the size."""
+    """A convolution that keeps the size."""
     weights = {role: f"{prefix}{name}.{role}" for role in roles}
     sides = {"kernel": [side, side], "stride": [1, 1], "padding": [side // 2] * 4, "dilation": [1, 1]}
     return name, "conv", {"weights": weights, **sides, "groups": 1}

@@ -113,7 +113,7 @@ def _up(n: int, step: int) -> int:
 
 
 class VolumeInput:
-    """Passes volumes to a kernel in one form, that of `TNTVolume.array`, so that it is compiled only once."""
+    """Passes volumes to a kernel in one form, that of `TNTVolume.array`, so the kernel is compiled only once."""
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self.shape = shape

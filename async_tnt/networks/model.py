@@ -23,17 +23,17 @@ FORMAT = "async_tnt 2"
 UNCHECKED_FORMAT = "async_tnt 1"  # the one before, without a checksum
 LAYERS = ("conv1", "conv2", "fc1", "fc2")
 REGRESSOR_LAYERS = ("regressor.conv1", "regressor.conv2", "regressor.conv3")
-HEATMAP = "regressor.heatmap.weight"  # no bias: the centroid would not feel it
+HEATMAP = "regressor.heatmap.weight"  # no bias: it would not move the centroid
 REGRESSOR_HINT = '; those of the regressor belong to landmark="regressor" with transform="tnt", and only to that'
 
 
 class UncheckedModelWarning(UserWarning):
-    """A model file of a format without a checksum: damage to its weights cannot be noticed."""
+    """A model file has no checksum, so damage to its weights cannot be detected."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
 class Model:
-    """What a trained classifier needs: how events become a volume, and what becomes of the volume.
+    """A trained classifier: how events become a volume, and the weights of the network that reads it.
 
     Parameters
     ----------
@@ -70,12 +70,12 @@ class Model:
     def save(self, path: str | Path) -> Path:
         """Write the model to a .safetensors file; returns its path.
 
-        An existing file is replaced at once, when the new one is complete; it stays where that fails.
+        An existing file is replaced in one step when the new one is complete, and kept if that fails.
 
         Raises
         ------
-        OSError : the file cannot be written, or what is there is no file.
-        TypeError : the record holds what JSON cannot.
+        OSError : the file cannot be written, or its path is not that of a regular file.
+        TypeError : the record holds something that JSON cannot represent.
         """
         path = Path(path)
         metadata = {
@@ -100,7 +100,7 @@ def bundled_models() -> tuple[str, ...]:
 
 
 def load_model(name_or_path: str | Path) -> Model:
-    """A bundled model by its name, such as "digits", or any model file by its path.
+    """Load a bundled model by its name, such as "digits", or any model file by its path.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def load_model(name_or_path: str | Path) -> Model:
 
     Warns
     -----
-    UncheckedModelWarning : the file is of format 1, which has no checksum.
+    UncheckedModelWarning : the file has format 1, which has no checksum.
     """
     if str(name_or_path) in bundled_models():
         path = Path(str(resources.files("async_tnt") / "assets" / f"{name_or_path}.safetensors"))
@@ -141,7 +141,7 @@ def load_model(name_or_path: str | Path) -> Model:
 
 
 def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> Model:
-    """What a file holds, checked; raises NotImplementedError for a network that only another release can run."""
+    """The model in a file, checked; raises NotImplementedError for a network that only another release can run."""
     checked = metadata["format"] == FORMAT
     needed = ("config", "classes", "record", "network", "sha256") if checked else ("config", "classes")
     missing = [name for name in needed if name not in metadata]
@@ -170,7 +170,7 @@ def _float32(name: str, values: Any) -> np.ndarray:
     if array.dtype.kind not in "fiu":
         raise TypeError(f"`{name}` must be an array of numbers, got {array.dtype}")
     with np.errstate(over="ignore"):  # becomes inf, which `_check_weights` refuses
-        return np.ascontiguousarray(array, np.float32).copy()  # its own, whatever becomes of the given one
+        return np.ascontiguousarray(array, np.float32).copy()  # a copy: the given one may change
 
 
 def _check_weights(weights: Mapping[str, np.ndarray], config: TNTConfig, classes: tuple[str, ...]) -> None:

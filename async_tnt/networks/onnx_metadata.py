@@ -1,4 +1,4 @@
-"""What an exported network says of itself: a Model's configuration, classes and record, in the file's metadata."""
+"""The metadata of an exported network: a Model's configuration, classes, record and checksums."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class Exported:
 
 
 def metadata_of(model: Model, network: str) -> dict[str, str]:
-    """What `read_metadata` reads: strings, as ONNX wants them.
+    """What `read_metadata` reads, as strings, which ONNX requires.
 
     Raises
     ------
-    TypeError : the record holds what JSON cannot.
+    TypeError : the record holds something that JSON cannot represent.
     """
     return {
         "format": FORMAT,
@@ -58,7 +58,7 @@ def seal(made: onnx.ModelProto) -> None:
 
 
 def is_damaged(metadata: Mapping[str, str], content: bytes) -> bool:
-    """Whether a file of ours is not as `seal` left it; False where it never had a checksum."""
+    """Whether a file of ours differs from what `seal` wrote; False where it never had a checksum."""
     return "sha256" in metadata and metadata["sha256"] != _checksum(content, metadata["sha256"])
 
 
@@ -67,11 +67,11 @@ def _checksum(content: bytes, sha256: str) -> str:
 
 
 def read_metadata(metadata: Mapping[str, str]) -> Exported | None:
-    """What is in a file's metadata; None where the file is other people's.
+    """A file's metadata; None where another program wrote the file.
 
     Raises
     ------
-    ValueError : ours, but of another version, or damaged.
+    ValueError : our file, but of another version, or damaged.
     """
     written = metadata.get("format", "")
     if not written.startswith(FORMAT.split()[0] + " "):

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import one_line
+from async_tnt.checks import one_line, positive_int
 from async_tnt.networks.onnx_metadata import CLASSIFIER, REGRESSOR, Exported
-from async_tnt.networks.onnx_session import DTYPES, check_input, check_output, open_session, source_of, whole_number
+from async_tnt.networks.onnx_session import DTYPES, check_input, check_output, open_session, source_of
 
 
 class _OnnxNetwork:
@@ -22,7 +22,7 @@ class _OnnxNetwork:
     output_types: tuple[str, ...] = ()
 
     def __init__(self, path_or_bytes: Any, *, threads: int = 1, shape: Sequence[int] | None = None) -> None:
-        self.threads = whole_number("threads", threads)
+        self.threads = positive_int("threads", threads)
         self._source = source = source_of(path_or_bytes)
         self._name = name = f"the ONNX network of {len(source):_} bytes" if isinstance(source, bytes) else source
         self._session, inputs, outputs, exported = open_session(source, name, self.threads)
@@ -52,9 +52,9 @@ class _OnnxNetwork:
     def _bind(self, input_name: str, output: Any) -> tuple[np.ndarray, np.ndarray, Any]:
         """Memory that the network reads from and writes to, bound once.
 
-        That is the fastest way that onnxruntime has. For `digits` on one Xeon core: 50 us, where `session.run` takes
-        52 to 57 (each time it checks a dictionary and makes a list and an array), an `io_binding` bound anew for each
-        volume 55, and `run_with_ort_values` 93.
+        This is the fastest way that onnxruntime offers. For `digits` on one Xeon core: 50 us, where `session.run` takes
+        52 to 57 (it checks a dictionary and makes a list and an array), an `io_binding` for each volume 55, and
+        `run_with_ort_values` 93.
         """
         try:
             volume = np.zeros((1, *self.shape), np.float32)
@@ -86,21 +86,21 @@ class OnnxClassifier(_OnnxNetwork):
 
     `Processor(config, classifier=OnnxClassifier("net.onnx"))` decides by any network of one input, float32 of shape
     (1, C, H, W) or with an open batch, and one output, float32 logits of any shape that has one axis longer than 1.
-    What `to_onnx` or `async-tnt export` wrote brings its configuration and classes along:
+    Files by `to_onnx` or `async-tnt export` hold their configuration and classes:
     `Processor(net.config, classifier=net, classes=net.classes)`.
 
     Parameters
     ----------
     path_or_bytes : an .onnx file's path, its content, or an `onnx.ModelProto`.
-    threads : of onnxruntime, for the work within a node and between nodes, at least 1. With 1 it makes no thread of
-        its own; with more its threads sleep between calls instead of spinning.
+    threads : of onnxruntime, within a node and between nodes, at least 1. With 1 it starts no threads; with more,
+        they sleep between calls instead of spinning.
     shape : (C, H, W), for networks that leave these sides open.
 
     Attributes
     ----------
     shape : (C, H, W).
     n_classes : logits.
-    config, classes : TNTConfig and names, of files that this package wrote; None for others.
+    config, classes : TNTConfig and names, if this package wrote the file; else None.
 
     Holds scratch memory: one instance per thread. Copies and pickles open the network again, from the same path or
     bytes.
@@ -109,8 +109,8 @@ class OnnxClassifier(_OnnxNetwork):
     ------
     ImportError : onnxruntime is not installed.
     FileNotFoundError : no such file.
-    ValueError, TypeError : the file is damaged, its network takes or gives something else; (when called) the volume's
-        shape is another.
+    ValueError, TypeError : the file is damaged, or its network has other inputs or outputs; (when called) the volume
+        has another shape.
     """
 
     kind, answer, output_types = CLASSIFIER, "logits (1, n_classes)", ("tensor(float)",)

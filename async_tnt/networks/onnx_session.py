@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 import os
 import warnings
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.checks import one_line
+from async_tnt.checks import one_line, positive_int
 from async_tnt.config import MAX_CELLS
 from async_tnt.networks.model import UncheckedModelWarning
 from async_tnt.networks.onnx_metadata import Exported, is_damaged, read_metadata
@@ -39,7 +38,7 @@ def source_of(path_or_bytes: Any) -> str | bytes:
 
 
 def import_onnxruntime() -> Any:
-    """The library, its telemetry off unless the user's environment says otherwise.
+    """The library, with telemetry off unless the user's environment turns it on.
 
     Raises
     ------
@@ -56,19 +55,19 @@ def import_onnxruntime() -> Any:
 def open_session(
     source: str | bytes, name: str, threads: int
 ) -> tuple[onnxruntime.InferenceSession, list[Any], list[Any], Exported | None]:
-    """The session, what goes in, what comes out, and what the file says of itself."""
+    """The session, its inputs and outputs, and the metadata if the file is ours."""
     onnxruntime = import_onnxruntime()
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = threads
-    for pool in ("intra_op", "inter_op"):  # a helper that spins takes a core from whoever delivers the events
+    for pool in ("intra_op", "inter_op"):  # a spinning helper thread would take a core from the source of the events
         options.add_session_config_entry(f"session.{pool}.allow_spinning", "0")
-    options.log_severity_level = 4  # what goes wrong is raised; nothing but that is said
+    options.log_severity_level = 4  # errors are raised; nothing else is printed
     try:
         session = onnxruntime.InferenceSession(
             source,
             options,
             providers=["CPUExecutionProvider"],
-            enable_fallback=0,  # or it prints that it tries again
+            enable_fallback=0,  # otherwise it prints that it tries again
         )
         inputs, outputs = session.get_inputs(), session.get_outputs()
         metadata = session.get_modelmeta().custom_metadata_map
@@ -88,13 +87,13 @@ def open_session(
             warnings.warn(
                 f"{name} has no checksum, so damage to it would go unnoticed; export it again",
                 UncheckedModelWarning,
-                stacklevel=4,  # whoever made the OnnxClassifier
+                stacklevel=4,  # the caller of OnnxClassifier
             )
     return session, inputs, outputs, exported
 
 
 def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
-    """The shape (C, H, W) of the volumes that a network takes, or that it is to take where it leaves that open."""
+    """The shape (C, H, W) of a network's volumes; `shape` where it leaves sides open."""
     if len(inputs) != 1:
         raise ValueError(f"the network must have one input, a volume, got {len(inputs)}{_listed(inputs)}")
     (volume,) = inputs
@@ -113,7 +112,7 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
         shape = sides[1:]
     elif len(shape) != 3:
         raise ValueError(f"`shape` must be (C, H, W), got {shape!r}")
-    channels, height, width = (whole_number("shape", side) for side in shape)
+    channels, height, width = (positive_int("shape", side) for side in shape)
     for side, wanted in zip(sides[1:], (channels, height, width), strict=True):
         if isinstance(side, int) and side != wanted:
             raise ValueError(f"`shape` must fit the network's input {_spelled(sides)}, got {tuple(shape)}")
@@ -142,13 +141,3 @@ def _spelled(sides: Sequence[Any]) -> str:
 def _type_name(name: str) -> str:
     """In NumPy's words: float16 and int64 have one name here and there."""
     return np.dtype(DTYPES[name]).name if name in DTYPES else name.removeprefix("tensor(").removesuffix(")")
-
-
-def whole_number(name: str, value: Any) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError:
-        raise TypeError(f"`{name}` must hold whole numbers, got {value!r}") from None
-    if number < 1 or isinstance(value, bool):
-        raise ValueError(f"`{name}` must be at least 1, got {value!r}")
-    return number

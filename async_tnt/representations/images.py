@@ -13,7 +13,7 @@ import numpy as np
 from async_tnt.checks import checked_time
 from async_tnt.config import TNTConfig
 from async_tnt.events import EventDecoder
-from async_tnt.kernels.images import add_counts, add_counts_and_times
+from async_tnt.kernels.pixels import add_counts, add_counts_and_times
 
 
 def count_image(events: Any, *, sensor: tuple[int, int], out: np.ndarray | None = None) -> np.ndarray:

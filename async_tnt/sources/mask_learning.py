@@ -37,7 +37,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from async_tnt.events import EventDecoder
 from async_tnt.kernels.jit import compile_only
-from async_tnt.kernels.pixel_filter import count_events
+from async_tnt.kernels.pixels import count_events
 from async_tnt.sources.sensor import checked_sensor
 
 BLOCK = 5

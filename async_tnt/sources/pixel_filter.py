@@ -13,7 +13,7 @@ from numba import int64, uint8
 from async_tnt.checks import is_whole
 from async_tnt.events import EVENT_DTYPE, EventDecoder
 from async_tnt.kernels.jit import compile_only
-from async_tnt.kernels.pixel_filter import MASKED, OUTSIDE, keep_events
+from async_tnt.kernels.pixels import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.records import COLUMN_TYPES
 from async_tnt.sources.pixel_masks import checked_mask, load_mask
 from async_tnt.sources.sensor import by, checked_sensor

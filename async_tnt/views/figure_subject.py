@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
+from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.networks.regressor import CompiledRegressor
 from async_tnt.views.coordinates import Coordinates, transformed
 from async_tnt.volume import TNTVolume
 

@@ -6,7 +6,7 @@ from decoding.bad_events import MASKED, SENSOR
 
 from async_tnt import Model, load_model
 from async_tnt.events import EventDecoder
-from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.representations.motion import move_by_flow
 from async_tnt.simulation.scene import render
 from async_tnt.simulation.simulator import simulate_events

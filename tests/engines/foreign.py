@@ -1,4 +1,4 @@
-"""ONNX networks that other people might bring: of any inputs, outputs, types and shapes."""
+"""ONNX networks as other programs write them: of any inputs, outputs, types and shapes."""
 
 import numpy as np
 import pytest
@@ -6,49 +6,37 @@ import pytest
 onnx = pytest.importorskip("onnx", reason="onnx is not installed (extra `onnx`)")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (extra `onnx`)")
 
-helper, TensorProto = onnx.helper, onnx.TensorProto
+node, TensorProto = onnx.helper.make_node, onnx.TensorProto
+WEIGHTS = {"w": np.random.default_rng(0).normal(size=(60, 3)), "b": np.random.default_rng(1).normal(size=3)}
 
 
 def network(
+    nodes=None,
     *,
     inputs=(("image", (1, 2, 6, 5)),),
     outputs=(("scores", (1, 3)),),
     dtype=TensorProto.FLOAT,
     output_dtype=None,
-    nodes=None,
     weights=None,
     metadata=None,
-    opset=13,
 ):
     """Flatten and Gemm, unless `nodes` are given."""
-    size = 2 * 6 * 5
     if nodes is None:
-        nodes = [
-            helper.make_node("Flatten", [inputs[0][0]], ["flat"]),
-            helper.make_node("Gemm", ["flat", "w", "b"], [outputs[0][0]]),
-        ]
-        rng = np.random.default_rng(0)
-        kind = helper.tensor_dtype_to_np_dtype(dtype)
-        weights = {"w": rng.normal(size=(size, 3)).astype(kind), "b": rng.normal(size=3).astype(kind)}
-    output_dtype = dtype if output_dtype is None else output_dtype
-    graph = helper.make_graph(
+        nodes = [node("Flatten", [inputs[0][0]], ["flat"]), node("Gemm", ["flat", "w", "b"], [outputs[0][0]])]
+        weights = {name: w.astype(onnx.helper.tensor_dtype_to_np_dtype(dtype)) for name, w in WEIGHTS.items()}
+    info = onnx.helper.make_tensor_value_info
+    graph = onnx.helper.make_graph(
         nodes,
         "foreign",
-        [helper.make_tensor_value_info(name, dtype, shape) for name, shape in inputs],
-        [helper.make_tensor_value_info(name, output_dtype, shape) for name, shape in outputs],
+        [info(name, dtype, shape) for name, shape in inputs],
+        [info(name, dtype if output_dtype is None else output_dtype, shape) for name, shape in outputs],
         [onnx.numpy_helper.from_array(w, name) for name, w in (weights or {}).items()],
     )
-    made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=7)
-    helper.set_model_props(made, metadata or {})
+    made = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 13)], ir_version=7)
+    onnx.helper.set_model_props(made, metadata or {})
     return made.SerializeToString()
 
 
 def linear(volume):
     """What `network()` computes, in NumPy."""
-    rng = np.random.default_rng(0)
-    w, b = rng.normal(size=(60, 3)).astype(np.float32), rng.normal(size=3).astype(np.float32)
-    return volume.reshape(1, -1) @ w + b
-
-
-def node(kind, inputs, outputs, **attributes):
-    return helper.make_node(kind, inputs, outputs, **attributes)
+    return (volume.reshape(-1) @ WEIGHTS["w"] + WEIGHTS["b"]).astype(np.float32)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,52 +13,30 @@ from engines.foreign import onnx
 from made import random_model, random_regressor_model
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
-from async_tnt.checking.agreement import compare_engines
-from async_tnt.cli import main
-from async_tnt.networks import onnx_export
-from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
-from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
+from async_tnt.checking import agreement
+from async_tnt.networks import OnnxClassifier, onnx_export, regressor_to_onnx, to_onnx
 
 REGRESSOR_MODEL = random_regressor_model(TNTConfig(landmark="regressor"), widths=(4, 4, 8), regressor_widths=(3, 4, 5))
 
 
 def test_the_graph_is_the_one_of_the_equation():
     made = to_onnx(load_model("digits"))
-    assert [node.op_type for node in made.graph.node] == [
-        "Conv",
-        "Relu",
-        "AveragePool",
-        "Conv",
-        "Relu",
-        "AveragePool",
-        "Flatten",
-        "Gemm",
-        "Relu",
-        "Gemm",
-    ]
-    (volume,), (logits,) = made.graph.input, made.graph.output
-    assert (volume.name, _sides(volume)) == ("volume", [1, 9, 34, 34])
-    assert (logits.name, _sides(logits)) == ("logits", [1, 10])
+    halves = 2 * ["Conv", "Relu", "AveragePool"]
+    assert [node.op_type for node in made.graph.node] == [*halves, "Flatten", "Gemm", "Relu", "Gemm"]
+    shapes = [(v.name, [side.dim_value for side in v.type.tensor_type.shape.dim]) for v in made.graph.input]
+    shapes += [(v.name, [side.dim_value for side in v.type.tensor_type.shape.dim]) for v in made.graph.output]
+    assert shapes == [("volume", [1, 9, 34, 34]), ("logits", [1, 10])]
     assert made.ir_version <= 8 and made.opset_import[0].version <= 17
     onnx.checker.check_model(made, full_check=True)
 
 
-def _sides(value):
-    return [side.dim_value for side in value.type.tensor_type.shape.dim]
-
-
-def test_weights_are_initializers_bit_by_bit():
-    model = load_model("digits")
-    weights = {w.name: onnx.numpy_helper.to_array(w) for w in to_onnx(model).graph.initializer}
-    assert weights.keys() == model.weights.keys()
-    for name, w in weights.items():
-        assert w.dtype == np.float32 and np.array_equal(w, model.weights[name])
-
-
-def test_each_file_holds_the_weights_of_its_network_only():
-    for made, prefix in ((to_onnx(REGRESSOR_MODEL), False), (regressor_to_onnx(REGRESSOR_MODEL), True)):
-        names = {w.name for w in made.graph.initializer} & REGRESSOR_MODEL.weights.keys()
-        assert names == {name for name in REGRESSOR_MODEL.weights if name.startswith("regressor.") == prefix}
+@pytest.mark.parametrize("export, prefix", [(to_onnx, False), (regressor_to_onnx, True)])
+def test_weights_are_initializers_bit_by_bit_and_each_files_own(export, prefix):
+    model = REGRESSOR_MODEL
+    found = {w.name: onnx.numpy_helper.to_array(w) for w in export(model).graph.initializer}
+    assert found.keys() & model.weights.keys() == {n for n in model.weights if n.startswith("regressor.") == prefix}
+    for name in found.keys() & model.weights.keys():
+        assert found[name].dtype == np.float32 and found[name].tobytes() == model.weights[name].tobytes()
 
 
 def test_the_same_model_gives_the_same_bytes():
@@ -66,101 +45,74 @@ def test_the_same_model_gives_the_same_bytes():
 
 
 def test_metadata_come_back():
-    config = TNTConfig(
-        sensor=(40, 30), grid=(20, 16), bins=3, polarity="split", t_max=2.5, landmark="line", remove_flow=True
-    )
-    made = random_model(config, classes=3, widths=(2, 3, 4))
-    model = Model(config, made.weights, ("null", 'ein\n"s"', "二"), {"seed": 5, "said": ["ü", 1.5, None]})
+    config = TNTConfig(sensor=(40, 30), grid=(20, 16), bins=3, polarity="split", landmark="line", remove_flow=True)
+    weights = random_model(config, classes=3, widths=(2, 3, 4)).weights
+    model = Model(config, weights, ("null", 'ein\n"s"', "二"), {"seed": 5, "said": ["ü", 1.5, None]})
     net = OnnxClassifier(to_onnx(model))
-    assert (net.config, net.classes) == (config, model.classes)
-    assert net.exported.record == model.record and net.exported.network == "classifier"
+    assert (net.config, net.classes, net.exported.record) == (config, model.classes, model.record)
 
 
-def test_two_networks_of_one_model_know_each_other():
-    marks = {
-        net.exported.weights
-        for net in (OnnxClassifier(to_onnx(REGRESSOR_MODEL)), OnnxRegressor(regressor_to_onnx(REGRESSOR_MODEL)))
-    }
-    assert len(marks) == 1
-    weights = {**REGRESSOR_MODEL.weights, "fc2.bias": REGRESSOR_MODEL.weights["fc2.bias"] + 1}
-    other = replace(REGRESSOR_MODEL, weights=weights)
-    assert OnnxRegressor(regressor_to_onnx(other)).exported.weights not in marks
-
-
-def test_only_a_model_with_a_regressor_has_one():
+def test_what_cannot_be_exported(monkeypatch):
     with pytest.raises(ValueError, match=r"the model has no regressor: .* got landmark='running', transform='tnt'"):
         regressor_to_onnx(random_model())
-
-
-def test_weights_too_large_for_one_file(monkeypatch):
     monkeypatch.setattr(onnx_export, "MAX_BYTES", 1000)
     with pytest.raises(ValueError, match=r"less than 2 GiB, the classifier's weights are [\d_]+ bytes"):
+        to_onnx(random_model())
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(ImportError, match=r"^ONNX networks are written by onnx and run by .* '\.\[onnx\]' \(.*\)$"):
         to_onnx(random_model())
 
 
 # -- the command -------------------------------------------------------------------------------------------
 
 
-def test_export_writes_checks_and_says(tmp_path, capsys):
+def test_export_writes_the_file_and_checks_it(tmp_path, program):
     out = tmp_path / "digits.onnx"
-    assert main(["export", "digits", "--out", str(out)]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert said[0] == f"{out} ({out.stat().st_size / 1e3:.0f} kB): volume (1, 9, 34, 34) -> logits (1, 10)"
-    assert "30 windows of bundled samples: logits within " in said[1] and said[1].endswith("no classes differ")
-    assert os.listdir(tmp_path) == ["digits.onnx"]
+    code, text, _ = program("export", "digits", "--out", out)
+    first, second = text.splitlines()
+    assert code == 0 and os.listdir(tmp_path) == ["digits.onnx"]
+    assert first == f"{out} ({out.stat().st_size / 1e3:.0f} kB): volume (1, 9, 34, 34) -> logits (1, 10)"
+    assert "30 windows of bundled samples: logits within " in second and second.endswith("no classes differ")
     assert out.read_bytes() == to_onnx(load_model("digits")).SerializeToString()
-
-
-def test_export_json(tmp_path, capsys):
-    out = tmp_path / "m.onnx"
-    assert main(["export", "digits", "--out", str(out), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(program("export", "digits", "--out", out, "--json")[1])
     assert report["agrees"] and report["files"] == {str(out): out.stat().st_size} and report["windows"] == 30
     assert 0 < report["largest_logit_difference"] <= 1e-4 and report["classes_that_differ"] == 0
     assert report["largest_landmark_difference_px"] is None
 
 
-def test_export_of_a_model_with_a_regressor(tmp_path, capsys):
+def test_export_of_a_model_with_a_regressor(tmp_path, program):
     path = REGRESSOR_MODEL.save(tmp_path / "m.safetensors")
-    assert main(["export", str(path), "--out", str(tmp_path / "m.onnx"), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(program("export", path, "--out", tmp_path / "m.onnx", "--json")[1])
     assert sorted(os.listdir(tmp_path)) == ["m.onnx", "m.regressor.onnx", "m.safetensors"]
-    assert 0 < report["largest_landmark_difference_px"] <= 1e-4
     assert list(report["files"]) == [str(tmp_path / "m.onnx"), str(tmp_path / "m.regressor.onnx")]
-    assert main(["export", str(path), "--out", str(tmp_path / "m.onnx")]) == 0
-    said = capsys.readouterr().out
-    assert "m.regressor.onnx (" in said and "-> landmark (1, 2)\n" in said and "landmarks within " in said
+    assert 0 < report["largest_landmark_difference_px"] <= 1e-4
+    text = program("export", path, "--out", tmp_path / "m.onnx")[1]
+    assert "m.regressor.onnx (" in text and "-> landmark (1, 2)\n" in text and "landmarks within " in text
 
 
-def test_a_model_for_another_sensor_is_checked_on_made_streams(tmp_path, capsys):
+def test_a_model_for_another_sensor_is_checked_on_made_streams(tmp_path, program):
     model = random_model(TNTConfig(sensor=(60, 40), grid=(30, 20), bins=4), classes=5, widths=(3, 4, 5))
     path = model.save(tmp_path / "m.safetensors")
-    assert main(["export", str(path), "--out", str(tmp_path / "m.onnx"), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(program("export", path, "--out", tmp_path / "m.onnx", "--json")[1])
     assert report["recordings"] == "made streams" and report["windows"] >= 6
     assert 0 < report["largest_logit_difference"] <= 1e-4
 
 
-@pytest.mark.parametrize(
-    "network, name",
-    [("to_onnx", "conv1.weight"), ("to_onnx", "fc2.bias"), ("regressor_to_onnx", "regressor.conv1.weight")],
-)
+@pytest.mark.parametrize("function, name", [("to_onnx", "fc2.bias"), ("regressor_to_onnx", "regressor.conv1.weight")])
 @pytest.mark.parametrize("existing", [None, b"what was there"])
-def test_nothing_is_written_where_the_networks_do_not_agree(network, name, existing, tmp_path, monkeypatch, capsys):
-    right = getattr(onnx_export, network)
+def test_nothing_is_written_where_the_networks_do_not_agree(function, name, existing, tmp_path, monkeypatch, program):
+    right = getattr(onnx_export, function)
     wrong = {**REGRESSOR_MODEL.weights, name: REGRESSOR_MODEL.weights[name] * np.float32(1.01)}
-    monkeypatch.setattr(onnx_export, network, lambda model: right(replace(model, weights=wrong)))
-    path = REGRESSOR_MODEL.save(tmp_path / "m.safetensors")
-    out = tmp_path / "m.onnx"
+    monkeypatch.setattr(onnx_export, function, lambda model: right(replace(model, weights=wrong)))
+    path, out = REGRESSOR_MODEL.save(tmp_path / "m.safetensors"), tmp_path / "m.onnx"
     if existing:
         out.write_bytes(existing)
-    assert main(["export", str(path), "--out", str(out)]) == 1
-    assert capsys.readouterr().out.endswith("they do NOT agree: nothing is written\n")
+    code, text, _ = program("export", path, "--out", out)
+    assert code == 1 and text.endswith("they do NOT agree: nothing is written\n")
+    code, text, _ = program("export", path, "--out", out, "--json")
+    assert code == 1 and json.loads(text)["agrees"] is False and json.loads(text)["files"] == {}
     assert sorted(os.listdir(tmp_path)) == (["m.onnx"] if existing else []) + ["m.safetensors"]
     assert not existing or out.read_bytes() == existing
-    assert main(["export", str(path), "--out", str(out), "--json"]) == 1
-    report = json.loads(capsys.readouterr().out)
-    assert report["agrees"] is False and report["files"] == {}
 
 
 def test_one_class_that_differs_is_one_too_many():
@@ -172,70 +124,55 @@ def test_one_class_that_differs_is_one_too_many():
         logits = network(volume)
         return -logits if len(calls) == 7 else logits
 
-    agreement = compare_engines(model, sometimes_wrong)
-    assert agreement.n_differ == 1 and not agreement.logits.holds
-    agreement = compare_engines(model, network)
-    assert agreement.n_differ == 0 and agreement.holds
-    agreement.n_differ = 1  # two logits that are nearly equal, and another one is the largest
-    assert agreement.logits.holds and not agreement.holds
-    assert compare_engines(model, network).holds
-    assert not compare_engines(model, lambda volume: network(volume) * np.nan).holds
+    found = agreement.compare_engines(model, sometimes_wrong)
+    assert found.n_differ == 1 and not found.logits.holds
+    found = agreement.compare_engines(model, network)
+    assert found.n_differ == 0 and found.holds
+    found.n_differ = 1  # two logits that are nearly equal, and another one is the largest
+    assert found.logits.holds and not found.holds
+    assert not agreement.compare_engines(model, lambda volume: network(volume) * np.nan).holds
 
 
 @pytest.mark.parametrize(
-    "argv, message",
+    "model, out, message",
     [
-        (["digits", "--out", "{}/m.pt"], "--out must end in .onnx, got {}/m.pt"),
-        (["digits", "--out", "{}/no/m.onnx"], "no folder {}/no to write m.onnx to"),
-        (["digits", "--out", "{}/folder.onnx"], "{}/folder.onnx is a folder, expected a regular file or a new name"),
-        (["digitz", "--out", "{}/m.onnx"], "no model file digitz, and no bundled model of that name (bundled: digits)"),
+        ("digits", "m.pt", "--out must end in .onnx, got {}/m.pt"),
+        ("digits", "no/m.onnx", "no folder {}/no to write m.onnx to"),
+        ("digits", "folder.onnx", "{}/folder.onnx is a folder, expected a regular file or a new name"),
+        ("digitz", "m.onnx", "no model file digitz, and no bundled model of that name (bundled: digits)"),
         (
-            ["{}/x.onnx", "--out", "{}/m.onnx"],
-            "{}/x.onnx: an .onnx file can only be run (async-tnt run --model); here "
-            "a bundled model (digits) or a .safetensors file is needed",
+            "x.onnx",
+            "m.onnx",
+            "x.onnx: an .onnx file can only be run (async-tnt run --model); here a bundled model (digits) or a "
+            ".safetensors file is needed",
         ),
     ],
 )
-def test_wrong_arguments_give_one_line(argv, message, tmp_path, capsys):
+def test_wrong_arguments_give_one_line(model, out, message, tmp_path, program):
     (tmp_path / "folder.onnx").mkdir()
-    assert main(["export", *(word.format(tmp_path) for word in argv)]) == 2
-    assert capsys.readouterr() == ("", f"async-tnt: {message.format(tmp_path)}\n")
+    assert program("export", model, "--out", tmp_path / out) == (2, "", f"async-tnt: {message.format(tmp_path)}\n")
     assert os.listdir(tmp_path) == ["folder.onnx"]
 
 
 @pytest.mark.parametrize(
-    "missing, message",
-    [
-        ("onnx", "ONNX networks are written by onnx and run by onnxruntime: pip install '.[onnx]' ("),
-        ("onnxruntime", "ONNX networks are run by onnxruntime: pip install '.[onnx]' ("),
-    ],
+    "missing, message", [("onnx", "written by onnx and run by onnxruntime"), ("onnxruntime", "run by onnxruntime")]
 )
-def test_export_without_its_packages(missing, message, tmp_path, monkeypatch, capsys):
+def test_export_without_its_packages(missing, message, tmp_path, monkeypatch, program):
     monkeypatch.setitem(sys.modules, missing, None)
-    assert main(["export", "digits", "--out", str(tmp_path / "m.onnx")]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"async-tnt: {message}") and said.count("\n") == 1
+    code, _, error = program("export", "digits", "--out", tmp_path / "m.onnx")
+    assert code == 2 and re.fullmatch(
+        rf"async-tnt: ONNX networks are {message}: pip install '\.\[onnx\]' \(.*\)\n", error
+    )
     assert not os.listdir(tmp_path)
 
 
-def test_to_onnx_without_onnx(monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(
-        ImportError,
-        match=r"^ONNX networks are written by onnx and run by onnxruntime: pip install '\.\[onnx\]' \(.*\)$",
-    ):
-        to_onnx(random_model())
-
-
-def test_an_interrupted_export_leaves_nothing(tmp_path, monkeypatch, capsys):
-    from async_tnt.networks import agreement
-
+def test_an_interrupted_export_leaves_nothing(tmp_path, monkeypatch, program):
     def interrupt(*arguments):
         assert os.listdir(tmp_path) == ["m.onnx.part"]
         raise KeyboardInterrupt
 
     monkeypatch.setattr(agreement, "compare_engines", interrupt)
-    assert main(["export", "digits", "--out", str(tmp_path / "m.onnx")]) == 130
+    assert program("export", "digits", "--out", tmp_path / "m.onnx")[0] == 130
     assert not os.listdir(tmp_path)
 
 

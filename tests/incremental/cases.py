@@ -1,101 +1,71 @@
-"""What the tests of the incremental classifier share: configurations of every kind, with models, volumes, streams."""
+"""The networks that the laws of this folder hold for, each with its configuration. Another one is one line more."""
 
 from __future__ import annotations
 
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
-import tnt_reference
-import torch
+import pytest
 from made import random_model
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, TNTConfig, TNTVolume
 
 WINDOW_US = 4000
-LANDMARKS = {
-    "center": {"landmark": "center"},
-    "running": {"landmark": "running"},
-    "line": {"landmark": "line"},
-    "flow": {"landmark": "line", "remove_flow": True},
-    "window": {"landmark": "window"},
-    "regressor": {"landmark": "regressor"},
-    "none": {"transform": "none"},
-}
 
 
-class Case(NamedTuple):
-    """A configuration and a network."""
+class Network:
+    """A grid, bins, widths of the layers and a number of classes; `settings` are those of TNTConfig.
 
-    grid: tuple[int, int]
-    bins: int
-    polarity: str
-    landmark: str
-    widths: tuple[int, int, int]
-    classes: int
-    sensor: tuple[int, int] | None = None
+    The laws use the methods below and nothing else of it.
+    """
+
+    def __init__(self, grid: tuple[int, int], bins: int, widths: tuple[int, ...], classes: int, **settings) -> None:
+        defaults = {"sensor": grid, "grid": grid, "bins": bins, "window_us": WINDOW_US, "t_max": 2.0}
+        self.config = TNTConfig(**defaults | settings)
+        self.widths, self.classes = widths, classes
 
     def __str__(self) -> str:
-        grid, widths = ("x".join(map(str, numbers)) for numbers in (self.grid, self.widths))
-        return f"{grid}-{self.bins}-{self.polarity}-{self.landmark}-{widths}-{self.classes}"
+        grid, widths = ("x".join(map(str, numbers)) for numbers in (self.config.grid, self.widths))
+        landmark = "none" if self.config.transform == "none" else self.config.landmark
+        return f"{grid}-{self.config.bins}-{self.config.polarity}-{landmark}-{widths}-{self.classes}"
 
-    @property
-    def config(self) -> TNTConfig:
-        sensor = self.sensor or self.grid
-        return TNTConfig(
-            sensor=sensor,
-            grid=self.grid,
-            bins=self.bins,
-            polarity=self.polarity,
-            window_us=WINDOW_US,
-            t_max=2.0,
-            **LANDMARKS[self.landmark],
-        )
-
-    def volume(self) -> TNTVolume:
-        regressor = CompiledRegressor(model_of(self)) if self.config.needs_regressor else None
-        return TNTVolume(self.config, regressor=regressor)
+    @cache  # noqa: B019 (the networks of the list below live as long as the tests)
+    def model(self, seed: int = 0) -> Model:
+        """Random weights; the same model each time."""
+        model = random_model(self.config, classes=self.classes, widths=self.widths, seed=seed, sharpness=30.0)
+        if self.widths > (1, 1, 1):
+            return model
+        alive = {name: np.abs(w) for name, w in model.weights.items() if not name.startswith("fc2")}
+        return Model(model.config, model.weights | alive, model.classes)  # otherwise one ReLU may hide all changes
 
     def classifier(self, seed: int = 0) -> CompiledClassifier:
-        return CompiledClassifier(model_of(self, seed))
+        return CompiledClassifier(self.model(seed))
+
+    @cache  # noqa: B019
+    def dense(self, seed: int = 0) -> CompiledClassifier:
+        """The standard that updates are compared with: called with arrays only, and so computing everything."""
+        return self.classifier(seed)
+
+    def volume(self, config: TNTConfig | None = None) -> TNTVolume:
+        config = config or self.config
+        return TNTVolume(config, regressor=CompiledRegressor(self.model()) if config.needs_regressor else None)
 
 
-CASES = [
-    Case((4, 4), 1, "signed", "none", (1, 1, 1), 1),
-    Case((5, 7), 2, "unsigned", "running", (3, 5, 7), 2),
-    Case((6, 4), 9, "split", "line", (1, 1, 1), 10),
-    Case((7, 5), 1, "split", "center", (17, 33, 65), 37),
-    Case((8, 8), 2, "signed", "regressor", (3, 5, 7), 2),
-    Case((8, 8), 9, "split", "window", (16, 32, 64), 10),
-    Case((13, 9), 9, "signed", "flow", (40, 20, 130), 37, (20, 14)),
-    Case((34, 34), 9, "signed", "running", (16, 32, 64), 10),
-    Case((34, 34), 9, "signed", "none", (16, 32, 64), 10),
-    Case((34, 34), 2, "split", "flow", (17, 33, 65), 2),
-    Case((40, 30), 9, "unsigned", "line", (3, 5, 7), 1),
+NETWORKS = [
+    Network((4, 4), 1, (1, 1, 1), 1, transform="none"),
+    Network((5, 7), 2, (3, 5, 7), 2, polarity="unsigned"),
+    Network((6, 4), 9, (1, 1, 1), 10, polarity="split", landmark="line"),
+    Network((7, 5), 1, (17, 33, 65), 37, polarity="split", landmark="center"),
+    Network((8, 8), 2, (3, 5, 7), 2, landmark="regressor"),
+    Network((8, 8), 9, (16, 32, 64), 10, polarity="split", landmark="window"),
+    Network((13, 9), 9, (40, 20, 130), 37, landmark="line", remove_flow=True, sensor=(20, 14)),
+    Network((34, 34), 9, (16, 32, 64), 10),
+    Network((34, 34), 9, (16, 32, 64), 10, transform="none"),
+    Network((34, 34), 2, (17, 33, 65), 2, polarity="split", landmark="line", remove_flow=True),
+    Network((40, 30), 9, (3, 5, 7), 1, polarity="unsigned", landmark="line"),
 ]
-LARGE = Case((346, 260), 9, "signed", "running", (16, 32, 64), 10)
+LARGE = Network((346, 260), 9, (16, 32, 64), 10)
+SMALL, DIGITS = NETWORKS[1], NETWORKS[7]
 
-
-@cache
-def model_of(case: Case, seed: int = 0) -> Model:
-    """Random weights; the same model each time."""
-    model = random_model(case.config, classes=case.classes, widths=case.widths, seed=seed, sharpness=30.0)
-    if case.widths > (1, 1, 1):
-        return model
-    alive = {name: np.abs(w) for name, w in model.weights.items() if not name.startswith("fc2")}
-    return Model(model.config, model.weights | alive, model.classes)  # or else one ReLU may end it all
-
-
-@cache
-def dense_of(case: Case, seed: int = 0) -> CompiledClassifier:
-    """What is held to be right: a classifier that is only ever called with arrays, and so computes everything."""
-    return case.classifier(seed)
-
-
-def reference_of(model: Model) -> tnt_reference.Classifier:
-    """The torch reference with the model's weights."""
-    widths = tuple(len(model.weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
-    reference = tnt_reference.Classifier(model.config.channels, model.config.grid, len(model.classes), widths)
-    names = reference.state_dict().keys()
-    reference.load_state_dict({name: torch.tensor(model.weights[name]) for name in names})
-    return reference
+of_all = pytest.mark.parametrize("network", NETWORKS, ids=str)
+of_some = pytest.mark.parametrize("network", [NETWORKS[k] for k in (2, 3, 5, 7)], ids=str)

@@ -1,8 +1,7 @@
-"""A small model, its parts and files of any content; for the tests in this folder."""
+"""A small model, with a landmark network and without, and files of any content; for the tests in this folder."""
 
 import json
 
-import numpy as np
 from made import random_model
 
 from async_tnt import TNTConfig
@@ -11,28 +10,26 @@ from async_tnt.networks.layer_graph import layer_graph
 from async_tnt.networks.model import FORMAT
 
 SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)
+WITH_REGRESSOR = SMALL.replace(landmark="regressor")
+CLASSES = ("a", "b", "c")
 
 
-def small_model(seed=0):
-    return random_model(SMALL, classes=3, widths=(2, 3, 4), seed=seed)
+def small_model(seed=0, config=SMALL):
+    return random_model(config, classes=3, widths=(2, 3, 4), regressor_widths=(5, 6, 7), seed=seed)
 
 
-def changed(**weights):
+def changed(config=SMALL, **weights):
     """The small model's weights with some replaced, or left out (None)."""
-    weights = {name.replace("__", "."): values for name, values in weights.items()}
-    weights = {**small_model().weights, **weights}
+    weights = small_model(config=config).weights | {name.replace("__", "."): w for name, w in weights.items()}
     return {name: values for name, values in weights.items() if values is not None}
 
 
 def assert_same(one, other):
-    assert one.config == other.config
-    assert one.classes == other.classes
-    assert one.record == other.record
+    assert (one.config, one.classes, one.record) == (other.config, other.classes, other.record)
     assert one.weights.keys() == other.weights.keys()
     for name, values in one.weights.items():
-        assert values.dtype == other.weights[name].dtype == np.float32
-        assert values.shape == other.weights[name].shape
-        assert values.tobytes() == other.weights[name].tobytes()
+        assert values.dtype == other.weights[name].dtype == "float32"
+        assert values.shape == other.weights[name].shape and values.tobytes() == other.weights[name].tobytes()
 
 
 def write_file(path, weights, of=SMALL, /, **changes):
@@ -43,7 +40,7 @@ def write_file(path, weights, of=SMALL, /, **changes):
     values = {
         "format": FORMAT,
         "config": json.dumps(of.to_dict()),
-        "classes": '["a", "b", "c"]',
+        "classes": json.dumps(CLASSES),
         "record": "{}",
         "network": json.dumps(layer_graph(of)),
         **changes,

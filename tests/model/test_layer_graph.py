@@ -1,4 +1,4 @@
-"""The layer graph in a model file says what the network computes, and only a graph that can be run is loaded."""
+"""The layer graph in a model file states what the network computes, and only a graph that can be run is loaded."""
 
 import json
 import re
@@ -6,14 +6,12 @@ import re
 import numpy as np
 import pytest
 import torch
-from made import random_model, random_regressor_model
-from model.small import SMALL, changed, write_file
+from model.small import SMALL, WITH_REGRESSOR, changed, small_model, write_file
 from safetensors import safe_open
 from torch.nn import functional
 
-from async_tnt import CompiledClassifier, TNTConfig, load_model
+from async_tnt import CompiledClassifier, CompiledRegressor, load_model
 from async_tnt.networks.layer_graph import layer_graph
-from async_tnt.networks.regressor import CompiledRegressor
 
 
 def centroid(heatmap):
@@ -48,69 +46,58 @@ def run(layers, tensors, volume):
     return values[layers[-1]["name"]].flatten().numpy()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_graph_gives_the_compiled_networks_answers(tmp_path, seed):
-    config = TNTConfig(sensor=(9, 8), grid=(13, 6 + seed), bins=2)
-    model = random_regressor_model(config, classes=3, widths=(2, 3, 4), regressor_widths=(5, 6, 7), seed=seed)
+@pytest.mark.parametrize("grid", [(13, 6), (13, 7), (5, 8)])
+def test_the_graph_gives_the_compiled_networks_answers(tmp_path, grid):
+    model = small_model(seed=1, config=WITH_REGRESSOR.replace(grid=grid))
     with safe_open(model.save(tmp_path / "m"), "numpy") as file:
         graph = json.loads(file.metadata()["network"])
         tensors = {name: file.get_tensor(name) for name in model.weights}
-    volume = np.random.default_rng(seed).normal(size=config.shape).astype(np.float32)
+    volume = np.random.default_rng(1).normal(size=model.config.shape).astype(np.float32)
     logits = run(graph["classifier"], tensors, volume)
     assert np.ptp(logits) > 1e-3
     np.testing.assert_allclose(CompiledClassifier(model)(volume), logits, atol=1e-4)  # summation order in float32
-    landmark = run(graph["regressor"], tensors, volume)
-    np.testing.assert_allclose(CompiledRegressor(model)(volume), landmark, atol=1e-4)
+    np.testing.assert_allclose(CompiledRegressor(model)(volume), run(graph["regressor"], tensors, volume), atol=1e-4)
     assert not tensors
-
-
-def test_without_a_regressor_there_is_one_network(tmp_path):
-    with safe_open(random_model(SMALL, classes=3, widths=(2, 3, 4)).save(tmp_path / "m"), "numpy") as file:
-        assert list(json.loads(file.metadata()["network"])) == ["classifier"]
-
-
-def edited(edit):
-    graph = layer_graph(SMALL)
-    edit(graph["classifier"])
-    return graph
+    assert list(layer_graph(SMALL)) == ["classifier"]
 
 
 BATCH_NORM = {"op": "batch_norm", "name": "bn1", "inputs": ["conv1"], "weights": {"weight": "bn1.weight"}}
 
 
 @pytest.mark.parametrize(
-    ("graph", "message"),
+    "edit, message",
     [
+        (lambda layers: layers.insert(1, BATCH_NORM), "layer 1 of its classifier has op 'batch_norm', expected 'relu'"),
+        (lambda layers: layers[3].update(groups=2), "layer 3 of its classifier has groups 2, expected 1"),
         (
-            edited(lambda layers: layers.insert(1, BATCH_NORM)),
-            "layer 1 of its classifier has op 'batch_norm', expected 'relu'",
-        ),
-        (edited(lambda layers: layers[3].update(groups=2)), "layer 3 of its classifier has groups 2, expected 1"),
-        (
-            edited(lambda layers: layers[0].update(kernel=[5, 5])),
+            lambda layers: layers[0].update(kernel=[5, 5]),
             "layer 0 of its classifier has kernel [5, 5], expected [3, 3]",
         ),
         (
-            edited(lambda layers: layers[8].update(inputs=["fc1", "flatten"])),
+            lambda layers: layers[8].update(inputs=["fc1", "flatten"]),
             "layer 8 of its classifier has inputs ['fc1', 'flatten'], expected ['fc1']",
         ),
-        (edited(lambda layers: layers[6].update(axis=1)), "layer 6 of its classifier has axis 1, expected nothing"),
-        (
-            edited(lambda layers: layers.append({"op": "softmax"})),
-            "layer 10 of its classifier has op 'softmax', expected nothing",
-        ),
-        (edited(lambda layers: layers.append({})), "layer 10 of its classifier has op nothing, expected nothing"),
-        (edited(lambda layers: layers.pop()), "layer 9 of its classifier has op nothing, expected 'dense'"),
-        (edited(lambda layers: layers.insert(0, 5)), "layer 0 of its classifier has op 5, expected 'conv'"),
-        (
-            layer_graph(SMALL.replace(landmark="regressor")),
-            "its networks are classifier, regressor, expected classifier",
-        ),
-        ({}, "its networks are none, expected classifier"),
+        (lambda layers: layers[6].update(axis=1), "layer 6 of its classifier has axis 1, expected nothing"),
+        (lambda layers: layers.append({}), "layer 10 of its classifier has op nothing, expected nothing"),
+        (lambda layers: layers.pop(), "layer 9 of its classifier has op nothing, expected 'dense'"),
+        (lambda layers: layers.insert(0, 5), "layer 0 of its classifier has op 5, expected 'conv'"),
     ],
 )
-def test_a_network_of_another_release_is_refused_by_name(tmp_path, graph, message):
-    path = write_file(tmp_path / "m", changed(), network=json.dumps(graph))
-    expected = f"{path} holds a network that this release cannot run: {message}"
-    with pytest.raises(ValueError, match=f"^{re.escape(expected)}$"):
+def test_a_network_of_another_release_is_refused_by_name(tmp_path, edit, message):
+    graph = layer_graph(SMALL)
+    edit(graph["classifier"])
+    assert_cannot_run(tmp_path / "m", graph, message)
+
+
+def test_other_networks_than_the_configurations_are_refused(tmp_path):
+    assert_cannot_run(tmp_path / "m", {}, "its networks are none, expected classifier")
+    both = "its networks are classifier, regressor, expected classifier"
+    assert_cannot_run(tmp_path / "m", layer_graph(WITH_REGRESSOR), both)
+
+
+def assert_cannot_run(path, graph, message):
+    write_file(path, changed(), network=json.dumps(graph))
+    with pytest.raises(
+        ValueError, match=f"^{re.escape(f'{path} holds a network that this release cannot run: {message}')}$"
+    ):
         load_model(path)

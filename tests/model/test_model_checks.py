@@ -4,140 +4,135 @@ import re
 
 import numpy as np
 import pytest
-from model.small import SMALL, changed, write_file
+from model.small import CLASSES, SMALL, WITH_REGRESSOR, changed, small_model, write_file
 
 from async_tnt import Model, load_model
 
-ALL = "conv1.bias, conv1.weight, conv2.bias, conv2.weight, fc1.bias, fc1.weight, fc2.bias, fc2.weight"
-WRONG = [
-    ({"fc2__bias": None}, ValueError, f"`weights` must hold {ALL}, got {ALL.replace('fc2.bias, ', '')}"),
-    ({"fc3__bias": np.zeros(1)}, ValueError, f"`weights` must hold {ALL}, got {ALL}, fc3.bias"),
-    (
-        {"conv1__weight": np.zeros((2, 3, 3, 3))},
-        ValueError,
-        "`conv1.weight` must have shape (2, 2, 3, 3) here, got (2, 3, 3, 3)",
-    ),
-    (
-        {"conv1__weight": np.zeros((2, 2, 5, 5))},
-        ValueError,
-        "`conv1.weight` must have shape (2, 2, 3, 3) here, got (2, 2, 5, 5)",
-    ),
-    ({"conv1__weight": np.float32(1)}, ValueError, "`conv1.weight` must have shape (1, 2, 3, 3) here, got (1,)"),
-    ({"conv1__bias": np.zeros(3)}, ValueError, "`conv1.bias` must have shape (2,) here, got (3,)"),
-    ({"conv1__bias": np.zeros((2, 1))}, ValueError, "`conv1.bias` must have shape (2,) here, got (2, 1)"),
-    (
-        {"conv2__weight": np.zeros((3, 5, 3, 3))},
-        ValueError,
-        "`conv2.weight` must have shape (3, 2, 3, 3) here, got (3, 5, 3, 3)",
-    ),
-    (
-        {"conv2__weight": np.zeros((3, 2, 3))},
-        ValueError,
-        "`conv2.weight` must have shape (3, 2, 3, 3) here, got (3, 2, 3)",
-    ),
-    ({"conv2__bias": np.zeros(2)}, ValueError, "`conv2.bias` must have shape (3,) here, got (2,)"),
-    ({"fc1__weight": np.zeros((4, 4))}, ValueError, "`fc1.weight` must have shape (4, 3) here, got (4, 4)"),
-    ({"fc1__bias": np.zeros(5)}, ValueError, "`fc1.bias` must have shape (4,) here, got (5,)"),
-    ({"fc2__weight": np.zeros((4, 4))}, ValueError, "`fc2.weight` must have shape (3, 4) here, got (4, 4)"),
-    ({"fc2__weight": np.zeros((3, 5))}, ValueError, "`fc2.weight` must have shape (3, 4) here, got (3, 5)"),
-    ({"fc2__bias": np.zeros(4)}, ValueError, "`fc2.bias` must have shape (3,) here, got (4,)"),
-    *[
-        ({f"{layer}__bias": np.full(n, value)}, ValueError, f"`{layer}.weight` and its bias must be finite numbers")
-        for layer, n in (("conv1", 2), ("conv2", 3), ("fc1", 4), ("fc2", 3))
-        for value in (np.nan, np.inf, -np.inf, 1e39)  # beyond float32
-    ],
-    (
-        {"conv2__weight": np.full((3, 2, 3, 3), np.nan)},
-        ValueError,
-        "`conv2.weight` and its bias must be finite numbers",
-    ),
-    (
-        {"conv1__weight": np.zeros((0, 2, 3, 3))},
-        ValueError,
-        "every layer must have at least one filter or unit, got widths (0, 3, 4)",
-    ),
-    (
-        {"fc1__weight": np.zeros((0, 3))},
-        ValueError,
-        "every layer must have at least one filter or unit, got widths (2, 3, 0)",
-    ),
-    ({"fc1__bias": np.zeros(4, complex)}, TypeError, "`fc1.bias` must be an array of numbers, got complex128"),
-    ({"fc1__bias": np.array(["a"] * 4)}, TypeError, "`fc1.bias` must be an array of numbers, got <U1"),
-    ({"fc1__bias": [None] * 4}, TypeError, "`fc1.bias` must be an array of numbers, got object"),
-    ({"fc1__bias": np.zeros(4, bool)}, TypeError, "`fc1.bias` must be an array of numbers, got bool"),
-]
+CLASSIFIER = "conv1.bias, conv1.weight, conv2.bias, conv2.weight, fc1.bias, fc1.weight, fc2.bias, fc2.weight"
+REGRESSOR = (
+    "regressor.conv1.bias, regressor.conv1.weight, regressor.conv2.bias, regressor.conv2.weight, "
+    "regressor.conv3.bias, regressor.conv3.weight, regressor.heatmap.weight"
+)
+ALL = f"{CLASSIFIER}, {REGRESSOR}"
+HINT = '; those of the regressor belong to landmark="regressor" with transform="tnt", and only to that'
+SHAPES = {  # of the small model
+    "conv1.weight": (2, 2, 3, 3),
+    "conv1.bias": (2,),
+    "conv2.weight": (3, 2, 3, 3),
+    "conv2.bias": (3,),
+    "fc1.weight": (4, 3),
+    "fc1.bias": (4,),
+    "fc2.weight": (3, 4),
+    "fc2.bias": (3,),
+    "regressor.conv1.weight": (5, 2, 3, 3),
+    "regressor.conv1.bias": (5,),
+    "regressor.conv2.weight": (6, 5, 3, 3),
+    "regressor.conv2.bias": (6,),
+    "regressor.conv3.weight": (7, 6, 3, 3),
+    "regressor.conv3.bias": (7,),
+    "regressor.heatmap.weight": (1, 7, 1, 1),
+}
 
 
-@pytest.mark.parametrize(("weights", "error", "message"), WRONG)
-def test_wrong_weights(weights, error, message):
-    with pytest.raises(error, match=f"^{re.escape(message)}$"):
-        Model(SMALL, changed(**weights), ("a", "b", "c"))
-
-
-@pytest.mark.parametrize(("weights", "message"), [(weights, m) for weights, error, m in WRONG if error is ValueError])
-def test_wrong_weights_in_a_file(tmp_path, weights, message):
+def assert_refused(message, path, weights, config=WITH_REGRESSOR):
+    """By Model, and by `load_model` as a damaged file."""
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        Model(config, weights, CLASSES)
     with np.errstate(over="ignore"):
-        arrays = {name: np.asarray(values, np.float32) for name, values in changed(**weights).items()}
-    write_file(tmp_path / "m", arrays)
-    with pytest.raises(
-        ValueError, match=f"^{re.escape(str(tmp_path / 'm'))} holds a damaged model: {re.escape(message)}$"
-    ):
-        load_model(tmp_path / "m")
+        write_file(path, {name: np.asarray(w, np.float32) for name, w in weights.items()}, config)
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{path} holds a damaged model: {message}')}$"):
+        load_model(path)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_each_array_has_its_shape(name, tmp_path):
+    """One side more, one axis more, one axis less. The first side of most weights is the layer's width, and free."""
+    shape = SHAPES[name]
+    fixed = 1 if name.endswith("weight") and name not in ("fc2.weight", "regressor.heatmap.weight") else 0
+    wrong = [(*shape[:k], shape[k] + 1, *shape[k + 1 :]) for k in range(fixed, len(shape))]
+    for other in [*wrong, (*shape, 1), shape[:-1]] if len(shape) > 1 else [*wrong, (*shape, 1)]:
+        message = f"`{name}` must have shape {shape} here, got {other}"
+        assert_refused(message, tmp_path / "m", changed(WITH_REGRESSOR, **{name: np.zeros(other)}))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e39])  # the last: beyond float32
+def test_each_array_is_finite(name, value, tmp_path):
+    layer = name.removesuffix(".bias").removesuffix(".weight")
+    pair = "" if layer.endswith("heatmap") else " and its bias"
+    values = np.zeros(SHAPES[name])
+    values.flat[-1] = value
+    weights = changed(WITH_REGRESSOR, **{name: values})
+    assert_refused(f"`{layer}.weight`{pair} must be finite numbers", tmp_path / "m", weights)
 
 
 @pytest.mark.parametrize(
-    ("config", "classes", "record", "error", "message"),
+    "name, widths", [("conv1", "(0, 3, 4)"), ("fc1", "(2, 3, 0)"), ("regressor.conv2", "(5, 0, 7)")]
+)
+def test_no_layer_is_empty(name, widths, tmp_path):
+    weights = changed(WITH_REGRESSOR, **{f"{name}.weight": np.zeros((0, *SHAPES[f"{name}.weight"][1:]))})
+    message = f"every layer must have at least one filter or unit, got widths {widths}"
+    assert_refused(message, tmp_path / "m", weights)
+
+
+def test_exactly_the_arrays_of_the_configuration(tmp_path):
+    """Those of a landmark network where the landmark needs one, and only there."""
+    one_less, one_more = ALL.replace("fc2.bias, ", ""), ALL.replace("fc2.weight", "fc2.weight, fc3.bias")
+    path, whole, plain = tmp_path / "m", changed(WITH_REGRESSOR), changed(SMALL)
+    assert_refused(f"`weights` must hold {ALL}, got {one_less}", path, changed(WITH_REGRESSOR, fc2__bias=None))
+    assert_refused(f"`weights` must hold {ALL}, got {one_more}", path, whole | {"fc3.bias": np.zeros(1)})
+    less = ALL.replace(", regressor.heatmap.weight", "")
+    more = ALL.replace("regressor.heatmap", "regressor.heatmap.bias, regressor.heatmap")
+    without_heatmap = changed(WITH_REGRESSOR, regressor__heatmap__weight=None)
+    assert_refused(f"`weights` must hold {ALL}, got {less}{HINT}", path, without_heatmap)
+    assert_refused(
+        f"`weights` must hold {ALL}, got {more}{HINT}", path, whole | {"regressor.heatmap.bias": np.zeros(1)}
+    )
+    assert_refused(f"`weights` must hold {ALL}, got {CLASSIFIER}{HINT}", path, plain)
+    for changes in ({"landmark": "window"}, {"transform": "none"}):
+        config = WITH_REGRESSOR.replace(**changes)
+        assert_refused(f"`weights` must hold {CLASSIFIER}, got {ALL}{HINT}", path, whole, config)
+    assert small_model(config=WITH_REGRESSOR.replace(transform="none")).weights.keys() == plain.keys()
+
+
+@pytest.mark.parametrize(
+    "changes, message",
     [
-        (SMALL, ("a", "b"), {}, ValueError, "`fc2.weight` must have shape (2, 4) here, got (3, 4)"),
-        (SMALL, (), {}, ValueError, "`classes` must hold at least one name"),
-        (SMALL, "abc", {}, TypeError, "`classes` must be a tuple or list of names, got 'abc'"),
-        (SMALL, None, {}, TypeError, "`classes` must be a tuple or list of names, got None"),
-        (
-            SMALL,
-            {"a": 1, "b": 2, "c": 3},
-            {},
-            TypeError,
-            "`classes` must be a tuple or list of names, got {'a': 1, 'b': 2, 'c': 3}",
-        ),
-        (SMALL, ("a", "b", "c"), None, TypeError, "`record` must be a mapping, got None"),
-        (SMALL, ("a", "b", "c"), [1], TypeError, "`record` must be a mapping, got [1]"),
-        (
-            SMALL.replace(bins=3),
-            ("a", "b", "c"),
-            {},
-            ValueError,
-            "`conv1.weight` must have shape (2, 3, 3, 3) here, got (2, 2, 3, 3)",
-        ),
-        (
-            SMALL.replace(polarity="split"),
-            ("a", "b", "c"),
-            {},
-            ValueError,
-            "`conv1.weight` must have shape (2, 4, 3, 3) here, got (2, 2, 3, 3)",
-        ),
-        (
-            SMALL.replace(grid=(8, 8)),
-            ("a", "b", "c"),
-            {},
-            ValueError,
-            "`fc1.weight` must have shape (4, 12) here, got (4, 3)",
-        ),
-        (
-            SMALL.replace(grid=(3, 8)),
-            ("a", "b", "c"),
-            {},
-            ValueError,
-            "`grid` must be at least (4, 4) for two 2x2 poolings, got (3, 8)",
-        ),
-        (
-            SMALL.replace(grid=(8, 2)),
-            ("a", "b", "c"),
-            {},
-            ValueError,
-            "`grid` must be at least (4, 4) for two 2x2 poolings, got (8, 2)",
-        ),
+        ({"bins": 3}, "`conv1.weight` must have shape (2, 3, 3, 3) here, got (2, 2, 3, 3)"),
+        ({"polarity": "split"}, "`conv1.weight` must have shape (2, 4, 3, 3) here, got (2, 2, 3, 3)"),
+        ({"grid": (8, 8)}, "`fc1.weight` must have shape (4, 12) here, got (4, 3)"),
+        ({"grid": (3, 8)}, "`grid` must be at least (4, 4) for two 2x2 poolings, got (3, 8)"),
+        ({"grid": (8, 2)}, "`grid` must be at least (4, 4) for two 2x2 poolings, got (8, 2)"),
     ],
 )
-def test_wrong_parts(config, classes, record, error, message):
+def test_weights_of_another_configuration(changes, message, tmp_path):
+    assert_refused(message, tmp_path / "m", changed(), SMALL.replace(**changes))
+
+
+NAMES = "`classes` must be a tuple or list of names, got "
+
+
+@pytest.mark.parametrize(
+    "classes, record, error, message",
+    [
+        (("a", "b"), {}, ValueError, "`fc2.weight` must have shape (2, 4) here, got (3, 4)"),
+        ((), {}, ValueError, "`classes` must hold at least one name"),
+        ("abc", {}, TypeError, NAMES + "'abc'"),
+        (None, {}, TypeError, NAMES + "None"),
+        ({"a": 1}, {}, TypeError, NAMES + "{'a': 1}"),
+        (CLASSES, None, TypeError, "`record` must be a mapping, got None"),
+        (CLASSES, [1], TypeError, "`record` must be a mapping, got [1]"),
+    ],
+)
+def test_wrong_classes_and_records(classes, record, error, message):
     with pytest.raises(error, match=f"^{re.escape(message)}$"):
-        Model(config, changed(), classes, record)
+        Model(SMALL, changed(), classes, record)
+
+
+@pytest.mark.parametrize(
+    "values, dtype",
+    [(np.zeros(4, complex), "complex128"), (np.array(["a"] * 4), "<U1"), ([None] * 4, "object"), ([True] * 4, "bool")],
+)
+def test_weights_that_are_not_numbers(values, dtype):
+    with pytest.raises(TypeError, match=f"^`fc1.bias` must be an array of numbers, got {dtype}$"):
+        Model(SMALL, changed(fc1__bias=values), CLASSES)

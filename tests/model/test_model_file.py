@@ -3,107 +3,80 @@
 import json
 import os
 import re
-import threading
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from made import random_model
-from model.small import SMALL, assert_same, changed, small_model
+from made import random_events, random_model
+from model.small import CLASSES, SMALL, WITH_REGRESSOR, assert_same, changed, small_model, write_format_1
 from safetensors import safe_open
 from safetensors.numpy import load_file
 
-from async_tnt import CompiledClassifier, Model, TNTConfig, bundled_models, load_model
-from async_tnt.networks.torch_modules import torch_classifier
+from async_tnt import CompiledClassifier, CompiledRegressor, Model, TNTConfig, bundled_models, load_model
+from async_tnt.networks.model import UncheckedModelWarning
 
-SHAPES = [  # configuration, classes, widths
-    (TNTConfig(), 10, (16, 32, 64)),
-    (TNTConfig(polarity="split"), 10, (16, 32, 64)),
-    (SMALL, 3, (2, 3, 4)),
-    (TNTConfig(sensor=(346, 260), grid=(4, 4), bins=1), 1, (1, 1, 1)),
-    (TNTConfig(sensor=(346, 260), grid=(35, 7), polarity="split", bins=3, landmark="window"), 2, (5, 7, 130)),
-    (TNTConfig(grid=(6, 31), landmark="line", remove_flow=True, t_max=2.0, polarity="unsigned"), 11, (20, 3, 1)),
-    (TNTConfig(transform="none", window_us=1, grid=(17, 4)), 4, (9, 33, 6)),
+MODELS = [
+    random_model(),
+    small_model(config=WITH_REGRESSOR),
+    random_model(TNTConfig(sensor=(346, 260), grid=(4, 4), bins=1), classes=1, widths=(1, 1, 1)),
+    random_model(TNTConfig(grid=(35, 7), polarity="split", bins=3, landmark="window"), classes=2, widths=(5, 7, 130)),
+    random_model(TNTConfig(grid=(6, 31), landmark="line", remove_flow=True), classes=11, widths=(20, 3, 1)),
+    random_model(TNTConfig(transform="none", window_us=1, grid=(17, 4)), classes=4, widths=(9, 33, 6)),
 ]
 
 
-# -- there and back ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("config", "classes", "widths"), SHAPES)
-def test_save_and_load(tmp_path, config, classes, widths):
-    model = random_model(config, classes=classes, widths=widths)
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model.config.grid))
+def test_save_and_load(tmp_path, model):
     path = model.save(tmp_path / "some.safetensors")
-    assert path == tmp_path / "some.safetensors"
+    assert path == tmp_path / "some.safetensors" and os.listdir(tmp_path) == ["some.safetensors"]
+    volume = np.random.default_rng(0).normal(size=model.config.shape).astype(np.float32)
     for came_back in (load_model(path), load_model(str(path))):
         assert_same(came_back, model)
         assert list(came_back.weights) == sorted(model.weights)  # as what is made of them depends on their order
-    assert [p.name for p in tmp_path.iterdir()] == ["some.safetensors"]
+        assert CompiledClassifier(came_back)(volume).tobytes() == CompiledClassifier(model)(volume).tobytes()
+        if model.config.needs_regressor:
+            assert CompiledRegressor(came_back)(volume) == CompiledRegressor(model)(volume)
 
 
-@pytest.mark.parametrize(("config", "classes", "widths"), SHAPES)
-def test_any_widths_and_grids_compute_what_torch_computes(tmp_path, config, classes, widths):
-    model = load_model(random_model(config, classes=classes, widths=widths).save(tmp_path / "m"))
-    volume = np.random.default_rng(0).normal(size=config.shape).astype(np.float32)
-    with torch.no_grad():
-        expected = torch_classifier(model)(torch.from_numpy(volume)[None])[0].numpy()
-    logits = CompiledClassifier(model)(volume)
-    assert np.ptp(expected) > 1e-3 or classes == 1
-    np.testing.assert_allclose(logits, expected, atol=1e-4)  # summation order in float32
-
-
-def test_weights_of_extreme_size_come_back_bit_by_bit(tmp_path):
+def test_extreme_weights_names_and_records_come_back(tmp_path):
     special = np.array([np.finfo("f4").max, np.finfo("f4").tiny, 1e-45, -0.0], np.float32)
-    model = Model(SMALL, changed(fc1__bias=special), ("a", "b", "c"))
-    assert_same(load_model(model.save(tmp_path / "m")), model)
-
-
-def test_names_and_record_in_any_writing(tmp_path):
     record = {"data": "N-MNIST", "Genauigkeit": [0.5, 1, None, True], "nested": {"猫": "\n\"'\\\0"}}
-    model = Model(SMALL, changed(), ["Ölbaum", "", "猫 🐈"], record)
+    model = Model(SMALL, changed(fc1__bias=special), ["Ölbaum", "", "猫 🐈"], record)
     assert model.classes == ("Ölbaum", "", "猫 🐈")
-    came_back = load_model(model.save(tmp_path / "ein Modell.safetensors"))
-    assert_same(came_back, model)
+    assert_same(load_model(model.save(tmp_path / "ein Modell.safetensors")), model)
     assert Model(SMALL, changed(), [0, 1, 2]).classes == ("0", "1", "2")
-    assert Model(SMALL, changed(), ("a", "b", "c")).record == {}
+    assert Model(SMALL, changed(), CLASSES).record == {}
 
 
-@pytest.mark.parametrize("dtype", ["f2", "f8", ">f4", ">f8", "i4", "u1"])
-def test_weights_of_other_types_become_float32(dtype):
-    values = np.arange(4).astype(dtype)
-    weights = Model(SMALL, changed(fc1__bias=values), ("a", "b", "c")).weights
-    assert weights["fc1.bias"].dtype == np.float32
-    np.testing.assert_array_equal(weights["fc1.bias"], [0, 1, 2, 3])
+@pytest.mark.parametrize("dtype", ["f2", "f8", ">f4", "i4", "u1"])
+def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
+    weights = {name: np.asfortranarray(np.ceil(np.abs(w)), dtype) for name, w in changed().items()}
+    weights["fc2.weight"] = np.repeat(weights["fc2.weight"], 2, axis=1)[:, ::2]
+    weights["fc1.bias"].flags.writeable = False
+    for name, values in Model(SMALL, weights, CLASSES).weights.items():
+        assert (
+            values.dtype == np.float32 and values.flags.c_contiguous and not np.may_share_memory(values, weights[name])
+        )
+        np.testing.assert_array_equal(values, weights[name])
 
 
 def test_the_file_is_plain_safetensors(tmp_path):
     model = small_model()
     path = model.save(tmp_path / "m")
     arrays = load_file(path)
-    assert arrays.keys() == model.weights.keys()
-    assert all(arrays[name].tobytes() == values.tobytes() for name, values in model.weights.items())
+    assert {name: w.tobytes() for name, w in arrays.items()} == {name: w.tobytes() for name, w in model.weights.items()}
     with safe_open(path, "numpy") as file:
-        assert set(file.metadata()) == {"format", "config", "classes", "record", "network", "sha256"}
-        assert json.loads(file.metadata()["config"]) == SMALL.to_dict()
-        assert json.loads(file.metadata()["classes"]) == list(model.classes)
-        assert json.loads(file.metadata()["record"]) == {"made": True}
-
-
-def test_weights_in_any_memory(tmp_path):
-    weights = {name: np.asfortranarray(values) for name, values in changed().items()}
-    weights["fc2.weight"] = np.repeat(weights["fc2.weight"], 2, axis=1)[:, ::2]
-    weights["fc1.bias"].flags.writeable = False
-    assert_same(
-        load_model(Model(SMALL, weights, ("a", "b", "c")).save(tmp_path / "m")),
-        Model(SMALL, changed(), ("a", "b", "c")),
-    )
+        metadata = file.metadata()
+    assert metadata.keys() == {"format", "config", "classes", "record", "network", "sha256"}
+    parts = [json.loads(metadata[name]) for name in ("config", "classes", "record")]
+    assert parts == [SMALL.to_dict(), list(model.classes), {"made": True}]
 
 
 def test_a_model_is_equal_to_itself_only_and_can_be_a_key():
     one, other = small_model(), small_model()
-    assert one == one and one != other
-    assert len({one, other, one}) == 2
+    assert one == one and one != other and len({one, other, one}) == 2
     with pytest.raises(AttributeError):
         one.classes = ("x",)
 
@@ -122,8 +95,7 @@ def interrupted(self, target):
 
 
 @pytest.mark.parametrize(
-    ("method", "breaks", "error"),
-    [("write_bytes", broken_write, OSError), ("replace", interrupted, KeyboardInterrupt)],
+    "method, breaks, error", [("write_bytes", broken_write, OSError), ("replace", interrupted, KeyboardInterrupt)]
 )
 @pytest.mark.parametrize("existing", [False, True])
 def test_a_failed_save_leaves_what_was_there(tmp_path, monkeypatch, method, breaks, error, existing):
@@ -131,60 +103,32 @@ def test_a_failed_save_leaves_what_was_there(tmp_path, monkeypatch, method, brea
     if existing:
         small_model(seed=1).save(path)
     before = {p: p.read_bytes() for p in tmp_path.iterdir()}
-    with monkeypatch.context() as patch:
+    with monkeypatch.context() as patch, pytest.raises(error):
         patch.setattr(Path, method, breaks)
-        with pytest.raises(error):
-            small_model(seed=2).save(path)
+        small_model(seed=2).save(path)
     assert {p: p.read_bytes() for p in tmp_path.iterdir()} == before
-    small_model(seed=2).save(path)
-    assert_same(load_model(path), small_model(seed=2))
-    assert [p.name for p in tmp_path.iterdir()] == ["m.safetensors"]
+    assert_same(load_model(small_model(seed=2).save(path)), small_model(seed=2))
+    assert os.listdir(tmp_path) == ["m.safetensors"]
 
 
-def test_places_that_cannot_hold_a_file(tmp_path):
+def test_what_cannot_be_saved_leaves_nothing(tmp_path):
     (tmp_path / "folder").mkdir()
     with pytest.raises(OSError, match="folder"):
         small_model().save(tmp_path / "folder")
     with pytest.raises(FileNotFoundError, match="nowhere"):
         small_model().save(tmp_path / "nowhere" / "m.safetensors")
-    assert [p.name for p in tmp_path.iterdir()] == ["folder"]
-    assert list((tmp_path / "folder").iterdir()) == []
-
-
-def test_a_record_that_json_cannot_hold(tmp_path):
-    model = Model(SMALL, changed(), ("a", "b", "c"), {"accuracy": np.float32(0.5)})
     with pytest.raises(TypeError, match="float32 is not JSON serializable"):
-        model.save(tmp_path / "m")
-    assert list(tmp_path.iterdir()) == []
+        Model(SMALL, changed(), CLASSES, {"accuracy": np.float32(0.5)}).save(tmp_path / "m")
+    assert os.listdir(tmp_path) == ["folder"] and os.listdir(tmp_path / "folder") == []
 
 
-def test_who_reads_during_saves_sees_a_whole_model(tmp_path):
-    path = small_model(seed=0).save(tmp_path / "m")
-    whole = [small_model(seed=seed).weights["fc1.weight"].tobytes() for seed in (0, 1)]
-    done = threading.Event()
-
-    def save_again_and_again():
-        models = small_model(seed=0), small_model(seed=1)
-        try:
-            for k in range(60):
-                models[k % 2].save(path)
-        finally:
-            done.set()
-
-    writer = threading.Thread(target=save_again_and_again)
-    writer.start()
-    while not done.is_set():
-        assert load_model(path).weights["fc1.weight"].tobytes() in whole
-    writer.join()
-    assert load_model(path).weights["fc1.weight"].tobytes() == whole[1]
-
-
-# -- not there -----------------------------------------------------------------------------------------------
+# -- not there, and from before checksums --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["nonsense", "digits.safetensors", "", "a/b/c", "no\0name", "DIGITS"])
-def test_a_name_that_is_none_lists_the_bundled_ones(name, tmp_path, monkeypatch):
+def test_an_unknown_name_lists_the_bundled_ones(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    assert list(bundled_models()) == sorted(set(bundled_models())) and load_model("digits").classes[3] == "3"
     names = ", ".join(bundled_models())
     message = rf"^no model file {re.escape(str(Path(name)))}, and no bundled model of that name \(bundled: {names}\)$"
     with pytest.raises(FileNotFoundError, match=message):
@@ -199,8 +143,25 @@ def test_only_a_regular_file_is_a_model(tmp_path):
             load_model(path)
 
 
-def test_bundled_names_are_sorted_and_load():
-    assert list(bundled_models()) == sorted(set(bundled_models()))
-    for name in bundled_models():
-        assert isinstance(load_model(name), Model)
-        assert not name.endswith(".safetensors")
+UNCHECKED = "has no checksum, so damage to it would go unnoticed; load_model(path).save(path) adds one"
+
+
+def test_a_file_of_format_1_loads_with_one_warning_that_a_save_ends(tmp_path):
+    path = write_format_1(tmp_path / "m", changed(), classes='["class 0", "class 1", "class 2"]', record=None)
+    with pytest.warns(UncheckedModelWarning) as caught:
+        model = load_model(path)
+    assert [str(w.message) for w in caught] == [f"{path} {UNCHECKED}"] and caught[0].filename == __file__
+    assert_same(model, Model(SMALL, changed(), small_model().classes))  # without a record
+    assert_same(load_model(model.save(path)), model)  # without a warning, which would be an error here
+
+
+def test_a_command_with_workers_warns_of_format_1_once(tmp_path):
+    path = write_format_1(tmp_path / "m", changed())
+    for name in ("a", "b"):
+        (tmp_path / "set" / name).mkdir(parents=True)
+        np.save(tmp_path / "set" / name / "0.npy", random_events(50, sensor=SMALL.sensor))
+    words = [sys.executable, "-m", "async_tnt.cli", "evaluate", path, tmp_path / "set", "--workers", "2"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert re.findall(".*checksum.*", done.stderr) == [f"async-tnt: warning: {path} {UNCHECKED}"]
+    assert "UncheckedModelWarning" not in done.stderr

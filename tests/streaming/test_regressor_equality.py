@@ -9,7 +9,7 @@ from made import random_events, random_model, random_regressor_model
 from async_tnt import TNTConfig
 from async_tnt.checking.equality import check_recording, configurations
 from async_tnt.deferred_landmark import ReplayBuffer
-from async_tnt.networks.regressor import CompiledRegressor
+from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.sources.files.recording import sample_recordings
 
 MODEL = random_regressor_model(regressor_widths=(9, 20, 8), sharpness=5.0)

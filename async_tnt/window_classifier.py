@@ -1,4 +1,4 @@
-"""WindowClassifier: any classifier, its class names, and the decisions that it makes of windows."""
+"""WindowClassifier: any classifier, its class names, and its decisions about windows."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from async_tnt.decision import Decision
 from async_tnt.events import Columns
 from async_tnt.kernels import trigger as T
 from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, absorb_and_decide, softmax
-from async_tnt.networks.classifier import CompiledClassifier
+from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.networks.regressor import CompiledRegressor
 from async_tnt.volume import TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
@@ -25,7 +24,7 @@ ROWS = 256  # decisions made in one compiled call, at most
 def networks_of(
     model: Model | TNTConfig, classifier: Classifier | None, regressor: Any, classes: Sequence[str] | None
 ) -> tuple[TNTConfig, Classifier, Any, Sequence[str] | None]:
-    """What decides: configuration, classifier, regressor and class names as passed, otherwise those of the model."""
+    """Configuration, classifier, regressor and class names: those passed, otherwise those of the model."""
     if isinstance(model, Model):
         classes = model.classes if classes is None else classes
         classifier = CompiledClassifier(model) if classifier is None else classifier
@@ -51,7 +50,7 @@ class WindowClassifier:
 
     Attributes
     ----------
-    classes : class names; if nobody gave any, "0", "1", ... from the first answer on.
+    classes : class names; if none were given, "0", "1", ... after the first answer.
     decides_in_stretches : whether `decide_stretch` can be called.
     """
 
