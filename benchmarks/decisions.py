@@ -62,7 +62,7 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
 def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
     model = load_model(MODEL)
     warmup(model)
-    recordings = bench_recordings(model)
+    recordings = bench_recordings(model.config)
     windows = [window for events in recordings for window in windows_of(events, model.config.window_us)]
     counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
     with one_thread(is_installed("torch")):
@@ -98,7 +98,11 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
             "events": sum(map(len, recordings)),
             "windows": len(windows),
         },
-        "work": {"network": backends.WORK, "end_to_end": end_to_end.WORK, "starts": starts.WORK},
+        "work": {
+            "network": {name: engine.work for name, engine in backends.ENGINES.items()},
+            "end_to_end": end_to_end.WORK,
+            "starts": starts.WORK,
+        },
         "network": network,
         "end_to_end": whole,
         "every_event": {"packets": rates, "singles": singles},

@@ -16,10 +16,11 @@ import time
 
 import numpy as np
 
-from async_tnt import EVENT_DTYPE, Processor, TNTConfig, warmup
-from async_tnt.checking.bench_latency import bench_model
+from async_tnt import Processor, load_model, warmup
+from async_tnt.checking.moments import made_recording
 from async_tnt.checking.timing import machine
 
+MODEL = "digits"
 FIRST = 1_000_000
 PACKET = 1300
 PACKETS_A_WINDOW = 13
@@ -36,17 +37,6 @@ def resident_mb() -> float:
 
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak / (2**20 if sys.platform == "darwin" else 2**10)
-
-
-def made_window(config: TNTConfig, rng: np.random.Generator) -> np.ndarray:
-    """One window of events, in order of time; the first one at its start."""
-    events = np.empty(PACKET * PACKETS_A_WINDOW, EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(0, config.window_us, len(events)))
-    events["t"][0] = 0
-    events["x"] = rng.integers(0, config.sensor[0], len(events))
-    events["y"] = rng.integers(0, config.sensor[1], len(events))
-    events["p"] = rng.integers(0, 2, len(events))
-    return events
 
 
 def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
@@ -77,10 +67,12 @@ def main(argv: list[str] | None = None) -> int:
     if args.events <= FIRST:
         parser.error(f"--events must be more than the first {FIRST:,}, got {args.events:,}")
 
-    model, name = bench_model(None, "running", seed=0)
+    model = load_model(MODEL)
     warmup(model)
     processor = Processor(model, every_us=20_000)
-    window = made_window(model.config, np.random.default_rng(0))
+    window = made_recording(np.random.default_rng(0), model.config, PACKET * PACKETS_A_WINDOW)
+    window["t"] //= 3  # from three windows into one
+    window["t"][0] = 0
     first_mb, n_events, n_decisions, start_us = None, 0, 0, 0
     started = shown = time.perf_counter()
     while n_events < args.events:
@@ -99,7 +91,7 @@ def main(argv: list[str] | None = None) -> int:
     grown_mb = last_mb - first_mb
     result = {
         "machine": machine(),
-        "model": name,
+        "model": MODEL,
         "events": n_events,
         "decisions": n_decisions,
         "seconds": round(time.perf_counter() - started, 1),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,10 +49,14 @@ def bench_volume(
     config = TNTConfig(sensor=grid, grid=grid, landmark=landmark)
     columns = made_events(rng, grid, n_events, config.window_us)
     volume = TNTVolume(config)
-    cases = {"single": _single_calls(volume, columns)}
+
+    def begin() -> None:
+        volume.open(0)
+
+    cases = {"single": timed_singles(volume.update_one, [column[::10] for column in columns], begin)}
     for size in PACKETS:
-        cases[f"packet_{size}_structured"] = _packets(volume, _structured_packets(columns, size))
-        cases[f"packet_{size}_columns"] = _packets(volume, _column_packets(columns, size))
+        for form, packets in (("structured", _structured_packets), ("columns", _column_packets)):
+            cases[f"packet_{size}_{form}"] = timed_packets(volume.update, packets(columns, size), n_events, begin)
     cases["open_us"] = _opening(volume, columns)
     cases["read_us"] = _reads(volume, _column_packets(columns, 1300))
     measured = {name: spread(values) for name, values in interleave(cases, rounds).items()}
@@ -70,29 +74,43 @@ def bench_volume(
     }
 
 
-def _single_calls(volume: TNTVolume, columns: tuple[np.ndarray, ...]) -> Callable[[], float]:
-    rows = list(zip(*(column[::10].tolist() for column in columns), strict=True))
+def timed_singles(
+    call: Callable[..., Any],
+    columns: Sequence[np.ndarray],
+    begin: Callable[[], None],
+    end: Callable[[], Any] | None = None,
+) -> Callable[[], float]:
+    """Nanoseconds per event of `call(t, x, y, p)`, one event after the other; `begin` is not timed, `end` is."""
+    rows = list(zip(*(column.tolist() for column in columns), strict=True))
 
     def run() -> float:
-        volume.open(0)
-        update_one = volume.update_one
+        begin()
         started = work_clock()
         for t, x, y, p in rows:  # the loop itself, some 20 ns, is in the figure: a user has it too
-            update_one(t, x, y, p)
+            call(t, x, y, p)
+        if end:
+            end()
         return 1e9 * (work_clock() - started) / len(rows)
 
     return run
 
 
-def _packets(volume: TNTVolume, packets: list[Any]) -> Callable[[], float]:
-    n_events = sum(len(packet[0]) if isinstance(packet, tuple) else len(packet) for packet in packets)
+def timed_packets(
+    call: Callable[[Any], Any],
+    packets: Sequence[Any],
+    n_events: int,
+    begin: Callable[[], None],
+    end: Callable[[], Any] | None = None,
+) -> Callable[[], float]:
+    """Nanoseconds per event of `call(packet)`, one packet after the other; `begin` is not timed, `end` is."""
 
     def run() -> float:
-        volume.open(0)
-        update = volume.update
+        begin()
         started = work_clock()
         for packet in packets:
-            update(packet)
+            call(packet)
+        if end:
+            end()
         return 1e9 * (work_clock() - started) / n_events
 
     return run

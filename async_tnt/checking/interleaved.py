@@ -18,7 +18,7 @@ from async_tnt.checking.moments import Moment
 from async_tnt.checking.timing import latency, no_collector, spread
 
 LOGIT_TOLERANCE = 1e-4
-"""Largest difference between logits of the same moment; in parts of the largest logit where that is above 1."""
+"""Largest difference between logits of the same moment; as a share of the largest logit where that is above 1."""
 
 
 class WorkDiffers(Exception):
@@ -84,7 +84,7 @@ def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]
                     us[name][-1].append(taken_us)
                     if logits is not None:
                         found[name] = logits
-                worst = max(worst, check_logits(_in_order(found, backends), moment))
+                worst = max(worst, _check(found, backends, moment))
     return Timed({name: np.array(taken) for name, taken in us.items()}, True, worst)
 
 
@@ -111,7 +111,7 @@ def in_blocks(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -
                         found[k][name] = logits
             forward = not forward
             for k, moment in enumerate(block):
-                worst = max(worst, check_logits(_in_order(found[k], backends), moment))
+                worst = max(worst, _check(found[k], backends, moment))
     return Timed({name: np.array(taken) for name, taken in us.items()}, False, worst)
 
 
@@ -123,12 +123,15 @@ def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
     return taken_us, None if logits is None else logits.copy()
 
 
-def _in_order(found: Mapping[str, np.ndarray], names: Iterable[str]) -> dict[str, np.ndarray]:
-    return {name: found[name] for name in names if name in found}
+def _check(found: Mapping[str, np.ndarray], backends: Iterable[str], moment: Moment) -> float:
+    in_order = {name: found[name] for name in backends if name in found}
+    return check_logits(in_order, f"event {len(moment.events)} of the window at {moment.start_us} us")
 
 
-def check_logits(found: Mapping[str, np.ndarray], moment: Moment) -> float:
-    """The largest difference between logits of one moment, in parts of the largest logit where that is above 1.
+def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
+    """The largest difference between logits of one moment, as a share of the largest logit where that is above 1.
+
+    where : the moment, for the error.
 
     Raises
     ------
@@ -142,7 +145,7 @@ def check_logits(found: Mapping[str, np.ndarray], moment: Moment) -> float:
     name, worst = max(differences.items(), key=lambda item: item[1])
     if not worst <= LOGIT_TOLERANCE:  # also if nan
         raise WorkDiffers(
-            f"all must give the same logits within {LOGIT_TOLERANCE}, got {first} and {name} {worst:.1e} apart "
-            f"at event {len(moment.events)} of the window at {moment.start_us} us"
+            f"all must give the same logits within {LOGIT_TOLERANCE}, "
+            f"got {first} and {name} {worst:.1e} apart at {where}"
         )
     return worst

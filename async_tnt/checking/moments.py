@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from async_tnt import EVENT_DTYPE, Model, TNTConfig
+from async_tnt import EVENT_DTYPE, TNTConfig
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 NEW_EVENTS = (1, 10, 100, 1300)
@@ -92,19 +92,18 @@ def windows_of(events: np.ndarray, window_us: int) -> list[np.ndarray]:
     return windows
 
 
-def bench_recordings(model: Model, seed: int = 0) -> list[np.ndarray]:
-    """Recordings to decide on: three windows of each bundled sample, or random events for a model of another sensor."""
-    window_us = model.config.window_us
+def bench_recordings(config: TNTConfig, seed: int = 0) -> list[np.ndarray]:
+    """Recordings to decide on: three windows of each bundled sample, or random events for another sensor."""
     opened = [open_recording(path) for path in sample_recordings().values()]
-    if any(recording.sensor != model.config.sensor for recording in opened):
+    if any(recording.sensor != config.sensor for recording in opened):
         rng = np.random.default_rng(seed)
-        return [made_recording(rng, model.config, 6000) for _ in opened]
+        return [made_recording(rng, config, 6000) for _ in opened]
     read = [recording.read().astype(EVENT_DTYPE, copy=False) for recording in opened]
-    return [events[events["t"] < 3 * window_us] for events in read]
+    return [events[events["t"] < 3 * config.window_us] for events in read]
 
 
 def made_recording(rng: np.random.Generator, config: TNTConfig, n: int) -> np.ndarray:
-    """Random events over three windows, for a model of another sensor than the bundled samples'."""
+    """Random events over three windows."""
     events = np.empty(n, EVENT_DTYPE)
     events["t"] = np.sort(rng.integers(0, 3 * config.window_us, n))
     events["x"] = rng.integers(0, config.sensor[0], n)

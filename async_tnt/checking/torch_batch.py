@@ -47,11 +47,6 @@ class TorchBatch:
         self.network = None if model is None else torch_classifier(model)
         self._regressor = None if model is None else torch_regressor(model)
 
-    @classmethod
-    def of(cls, model: Model) -> TorchBatch:
-        """The batch processing of a model."""
-        return cls(model.config, model)
-
     def logits(self, volume: torch.Tensor) -> torch.Tensor:
         """(C, H, W) -> (n_classes,)."""
         assert self.network is not None

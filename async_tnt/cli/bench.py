@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt import warmup
-from async_tnt.checking.backends import dense_networks, left_out
+from async_tnt import Model, load_model, warmup
+from async_tnt.checking.backends import ENGINES, dense_networks, left_out
 from async_tnt.checking.bench_every_event import bench_every_event
-from async_tnt.checking.bench_latency import bench_latency, bench_model, bench_stream
+from async_tnt.checking.bench_latency import bench_latency, bench_stream
 from async_tnt.checking.bench_network import bench_network
 from async_tnt.checking.bench_volumes import GRIDS, PACKETS, bench_volume
 from async_tnt.checking.interleaved import WorkDiffers
@@ -43,15 +43,6 @@ examples:
 """
 NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for batch processing)"
 PACKAGES = ("torch", "onnxruntime", "openvino")
-TITLES = {
-    "ours": "the Processor's own network",
-    "incremental": "CompiledClassifier.refresh",
-    "dense": "CompiledClassifier(array)",
-    "onnxruntime_run": "onnxruntime, run",
-    "onnxruntime_binding": "onnxruntime, io binding",
-    "openvino": "OpenVINO",
-    "torch": "torch",
-}
 FULL: dict[str, Any] = {
     "rounds": 31,
     "moments": 1000,
@@ -82,8 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--model",
-        metavar="NAME_OR_FILE",
-        help='network for the decisions (default: the bundled "digits", else random weights)',
+        metavar="NAME|FILE",
+        default="digits",
+        help="network for the decisions (default: the bundled %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated events (default: 0)")
     parser.add_argument("--quick", action="store_true", help="fewer events and rounds: seconds, wider quartiles")
@@ -92,12 +84,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt bench`. Returns 0; 1 if stream and batch do not agree."""
-    model, model_name = bench_model(args.model, args.landmark, args.seed)
+    model = load_model(args.model)
     with_torch = is_installed("torch", "tnt_reference")
     try:
         with progress(len(GRIDS) + len(NEW_EVENTS) + 4, "compiling") as bar, one_thread(with_torch):
             warmup(model)
-            report = _measure(args, model, model_name, with_torch, bar)
+            report = _measure(args, model, with_torch, bar)
     except WorkDiffers as error:
         print(f"async-tnt bench: {error}", file=sys.stderr)
         return 1
@@ -105,7 +97,7 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _measure(args: argparse.Namespace, model: Any, model_name: str, with_torch: bool, bar: Bar) -> dict[str, Any]:
+def _measure(args: argparse.Namespace, model: Model, with_torch: bool, bar: Bar) -> dict[str, Any]:
     rng = np.random.default_rng(args.seed)
     sizes = QUICK if args.quick else FULL
     rounds = sizes["rounds"]  # many short rounds: another process interrupts few of them
@@ -121,7 +113,7 @@ def _measure(args: argparse.Namespace, model: Any, model_name: str, with_torch: 
     stream = bench_stream(model, events, rounds=rounds, with_torch=with_torch)
     bar.update(title="latency of decisions")
     decisions = bench_latency(model, events, moments=sizes["moments"], with_torch=with_torch)
-    recordings = bench_recordings(model, args.seed)
+    recordings = bench_recordings(model.config, args.seed)
     windows = [window for r in recordings for window in windows_of(r, model.config.window_us)]
     networks, of_network = dense_networks(model), {}
     for n_new in NEW_EVENTS:
@@ -136,7 +128,7 @@ def _measure(args: argparse.Namespace, model: Any, model_name: str, with_torch: 
     return {
         "machine": machine(*PACKAGES),
         "settings": {"quick": args.quick, "seed": args.seed, "threads": 1, "batch": with_torch, **sizes},
-        "model": {"name": model_name, "config": model.config.to_dict(), "classes": len(model.classes)},
+        "model": {"name": args.model, "config": model.config.to_dict(), "classes": len(model.classes)},
         "volume": volumes,
         "processor": {"stream": stream, "latency": decisions, "every_event": rates},
         "network": of_network,
@@ -209,15 +201,19 @@ def _decisions(report: dict[str, Any]) -> Iterator[str]:
     first = next(iter(rows.values()))["in_blocks"]["us"]
     for name in first:
         figures = [row["in_blocks"]["us"][name] for row in rows.values()]
-        yield f"{TITLES[name]:36}" + "".join(f"{_spread(figure):>20}" for figure in figures)
+        yield f"{_title(name):36}" + "".join(f"{_spread(figure):>20}" for figure in figures)
     worst = max(row[mode]["largest_difference"] for row in rows.values() for mode in row)
     yield f"checked: the same logits (at most {worst:.0e} apart)"
     yield ""
     yield "a decision after every event, recordings in packets: decisions a second, us each"
     for name, row in report["processor"]["every_event"].items():
-        yield f"{TITLES[name]:36}{row['a_second']:>12,.0f}" + _row([row["us"]])
+        yield f"{_title(name):36}{row['a_second']:>12,.0f}" + _row([row["us"]])
     for name, why in report["left_out"].items():
-        yield f"{TITLES[name]}: {why}"
+        yield f"{_title(name)}: {why}"
+
+
+def _title(backend: str) -> str:
+    return "the Processor's own network" if backend == "ours" else ENGINES[backend].title
 
 
 def _spread(figure: dict[str, float]) -> str:
