@@ -1,8 +1,8 @@
-"""Does a long stream need more and more memory? Resident memory after the first million events and at the end.
+"""Does memory grow during a long stream? Resident memory after the first million events and at the end.
 
     python benchmarks/memory.py [--events 100000000] [--limit-mb 4] [--json]
 
-Windows roll, decisions fall (at windows' ends, every 20 ms and on demand), packets come as structured arrays,
+Windows open and close, decisions are made (at the ends of windows, every 20 ms and on demand), packets come as structured arrays,
 as columns and as single events. Exit code 1 if memory grew by more than the limit.
 """
 
@@ -17,7 +17,7 @@ import time
 import numpy as np
 
 from async_tnt import Processor, load_model, warmup
-from async_tnt.checking.moments import made_recording
+from async_tnt.checking.moments import made_columns, structured
 from async_tnt.checking.timing import machine
 
 MODEL = "digits"
@@ -40,7 +40,7 @@ def resident_mb() -> float:
 
 
 def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
-    """Push one window's events, `start_us` later than written; returns how many decisions fell."""
+    """Push one window's events, `start_us` later than recorded; returns the number of decisions."""
     n_decisions = 0
     for k in range(PACKETS_A_WINDOW):
         packet = window[k * PACKET : (k + 1) * PACKET].copy()  # new memory each time, as a driver hands it over
@@ -58,7 +58,7 @@ def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Stream, print, judge."""
+    """Stream, print, and compare with the limit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--events", type=int, default=100_000_000, metavar="N", help="(default: 100 million)")
     parser.add_argument("--limit-mb", type=float, default=4.0, metavar="MB", help="growth allowed (default: 4)")
@@ -70,8 +70,8 @@ def main(argv: list[str] | None = None) -> int:
     model = load_model(MODEL)
     warmup(model)
     processor = Processor(model, every_us=20_000)
-    window = made_recording(np.random.default_rng(0), model.config, PACKET * PACKETS_A_WINDOW)
-    window["t"] //= 3  # from three windows into one
+    rng, n, config = np.random.default_rng(0), PACKET * PACKETS_A_WINDOW, model.config
+    window = structured(made_columns(rng, config.sensor, n, config.window_us))
     window["t"][0] = 0
     first_mb, n_events, n_decisions, start_us = None, 0, 0, 0
     started = shown = time.perf_counter()

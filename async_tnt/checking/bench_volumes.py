@@ -9,29 +9,13 @@ from typing import Any
 import numpy as np
 
 from async_tnt import TNTConfig, TNTVolume
+from async_tnt.checking.moments import made_columns, structured
 from async_tnt.checking.timing import interleave, spread, work_clock
 
 GRIDS = ((34, 34), (346, 260), (1280, 720))
 PACKETS = (10, 100, 1300)
 CAMERA_DTYPE = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
 """How camera drivers commonly pack an event: 14 bytes, t not aligned."""
-
-
-def made_events(
-    rng: np.random.Generator, sensor: tuple[int, int], n: int, window_us: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """n events, uniform over sensor, polarity and the window [0, window_us), in order of time.
-
-    Returns
-    -------
-    t, x, y, p : int64, uint16, uint16, uint8, shape (n,).
-    """
-    return (
-        np.sort(rng.integers(0, window_us, n)),
-        rng.integers(0, sensor[0], n).astype(np.uint16),
-        rng.integers(0, sensor[1], n).astype(np.uint16),
-        rng.integers(0, 2, n).astype(np.uint8),
-    )
 
 
 def bench_volume(
@@ -47,7 +31,7 @@ def bench_volume(
     dict : the settings; `ns_per_event`, way -> `spread`; `open_us` and `read_us`, each a `spread`.
     """
     config = TNTConfig(sensor=grid, grid=grid, landmark=landmark)
-    columns = made_events(rng, grid, n_events, config.window_us)
+    columns = made_columns(rng, grid, n_events, config.window_us)
     volume = TNTVolume(config)
 
     def begin() -> None:
@@ -148,9 +132,7 @@ def _reads(volume: TNTVolume, packets: list[Any]) -> Callable[[], float]:
 
 
 def _structured_packets(columns: tuple[np.ndarray, ...], size: int) -> list[np.ndarray]:
-    events = np.empty(len(columns[0]), CAMERA_DTYPE)
-    for name, column in zip("txyp", columns, strict=True):
-        events[name] = column
+    events = structured(columns, CAMERA_DTYPE)
     return [events[first : first + size].copy() for first in range(0, len(events), size)]
 
 

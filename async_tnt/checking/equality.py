@@ -52,9 +52,13 @@ class Comparison:
     worst: float = 0.0
 
     def add(self, difference: float) -> None:
-        self.n += 1
-        if not (math.isnan(self.worst) or difference <= self.worst):  # a nan must stay, and fail
-            self.worst = float(difference)
+        self.include(Comparison(self.what, self.config, self.bound, 1, float(difference)))
+
+    def include(self, other: Comparison) -> None:
+        """Merge the comparisons of another recording."""
+        self.n += other.n
+        if not (math.isnan(self.worst) or other.worst <= self.worst):  # a nan must stay, and fail
+            self.worst = other.worst
 
     @property
     def holds(self) -> bool:

@@ -8,7 +8,7 @@ in between. So both are measured; compare figures within one of them only.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -19,6 +19,9 @@ from async_tnt.checking.timing import latency, no_collector, spread
 
 LOGIT_TOLERANCE = 1e-4
 """Largest difference between logits of the same moment; as a share of the largest logit where that is above 1."""
+
+
+N_WARM = 20  # decisions that are only compared
 
 
 class WorkDiffers(Exception):
@@ -59,13 +62,37 @@ class Timed:
         }
 
 
-def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every backend decides at a moment, then at the next one, in a new random order each time (fixed seed).
+def compare(
+    make: Callable[[bool], Mapping[str, Backend]],
+    blocks: Callable[[int, int], Iterable[list[Moment]]],
+    n_blocks: int,
+    size: int,
+) -> dict[str, Any]:
+    """Time backends in both modes, after they were warmed up and compared.
+
+    Parameters
+    ----------
+    make : new backends, the first of which ratios are over; True: for `call_by_call`.
+    blocks : as `Moments.blocks`.
+    n_blocks, size : number of blocks, and of decisions in each.
+
+    Returns
+    -------
+    dict : `call_by_call` and `in_blocks` -> `Timed.report`.
 
     Raises
     ------
     WorkDiffers : logits of one moment differ by more than LOGIT_TOLERANCE.
     """
+    call_by_call(make(True), blocks(1, N_WARM))
+    return {
+        "call_by_call": call_by_call(make(True), blocks(n_blocks, size)).report(),
+        "in_blocks": in_blocks(make(False), blocks(n_blocks, size)).report(),
+    }
+
+
+def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
+    """Every backend decides at a moment, then at the next one, in a new random order each time (fixed seed)."""
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
     worst, rng = 0.0, np.random.default_rng(0)
     with no_collector():
@@ -89,10 +116,7 @@ def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]
 
 
 def in_blocks(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every backend decides at all moments of a block before the next backend does.
-
-    The order is reversed from block to block. Raises as `call_by_call`.
-    """
+    """Every backend decides at all moments of a block before the next backend does; the order alternates."""
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
     worst, forward = 0.0, True
     with no_collector():

@@ -1,4 +1,4 @@
-"""Moments at which a decision is due, a fixed number of events apart: the same for all backends."""
+"""Moments at which backends decide, a fixed number of events apart: the same for all of them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Moment:
 
 
 class Moments:
-    """All moments of some windows, lap after lap without end: windows follow each other and time continues.
+    """All moments of some windows, repeated without end: windows follow each other and time continues.
 
     A window's first event precedes its first moment, so that opening a window is never part of a decision.
 
@@ -104,9 +104,24 @@ def bench_recordings(config: TNTConfig, seed: int = 0) -> list[np.ndarray]:
 
 def made_recording(rng: np.random.Generator, config: TNTConfig, n: int) -> np.ndarray:
     """Random events over three windows."""
-    events = np.empty(n, EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(0, 3 * config.window_us, n))
-    events["x"] = rng.integers(0, config.sensor[0], n)
-    events["y"] = rng.integers(0, config.sensor[1], n)
-    events["p"] = rng.integers(0, 2, n)
+    return structured(made_columns(rng, config.sensor, n, 3 * config.window_us))
+
+
+def made_columns(
+    rng: np.random.Generator, sensor: tuple[int, int], n: int, duration_us: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """t, x, y, p of n events, uniform over sensor, polarity and [0, duration_us), in order of time."""
+    return (
+        np.sort(rng.integers(0, duration_us, n)),
+        rng.integers(0, sensor[0], n).astype(np.uint16),
+        rng.integers(0, sensor[1], n).astype(np.uint16),
+        rng.integers(0, 2, n).astype(np.uint8),
+    )
+
+
+def structured(columns: tuple[np.ndarray, ...], dtype: np.dtype = EVENT_DTYPE) -> np.ndarray:
+    """t, x, y, p as one structured array."""
+    events = np.empty(len(columns[0]), dtype)
+    for name, column in zip("txyp", columns, strict=True):
+        events[name] = column
     return events

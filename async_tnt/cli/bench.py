@@ -17,11 +17,10 @@ from async_tnt.checking.bench_latency import bench_latency, bench_stream
 from async_tnt.checking.bench_network import bench_network
 from async_tnt.checking.bench_volumes import GRIDS, PACKETS, bench_volume
 from async_tnt.checking.interleaved import WorkDiffers
-from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, made_recording, windows_of
-from async_tnt.checking.timing import is_installed, machine, one_thread
+from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
+from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
 from async_tnt.config import LANDMARKS
 from async_tnt.progress import Bar, progress
-from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 DESCRIPTION = """\
 Measure, on this machine: how long TNTVolume takes for an event, how long a Processor with its network takes,
@@ -106,14 +105,12 @@ def _measure(args: argparse.Namespace, model: Model, with_torch: bool, bar: Bar)
         bar.update(title=f"volume, {grid[0]} x {grid[1]}")
         n_events = 13_000 if args.quick else 26_000  # whole packets of every size
         volumes.append(bench_volume(grid, args.landmark, rng, n_events=n_events, rounds=rounds))
-    recording = open_recording(sample_recordings()[3])
-    fits = recording.sensor == model.config.sensor
-    events = recording.read() if fits else made_recording(rng, model.config, 5000)
+    recordings = bench_recordings(model.config, args.seed)
+    events = recordings[3]
     bar.update(title="recording through a Processor")
     stream = bench_stream(model, events, rounds=rounds, with_torch=with_torch)
     bar.update(title="latency of decisions")
     decisions = bench_latency(model, events, moments=sizes["moments"], with_torch=with_torch)
-    recordings = bench_recordings(model.config, args.seed)
     windows = [window for r in recordings for window in windows_of(r, model.config.window_us)]
     networks, of_network = dense_networks(model), {}
     for n_new in NEW_EVENTS:
@@ -139,9 +136,7 @@ def _measure(args: argparse.Namespace, model: Model, with_torch: bool, bar: Bar)
 def table(report: dict[str, Any]) -> Iterator[str]:
     """The report as text."""
     about, settings = report["machine"], report["settings"]
-    packages = ("python", "async_tnt", "numpy", "numba", *PACKAGES)
-    versions = ", ".join(f"{name} {about[name]}" for name in packages if about[name])
-    yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}; one thread"
+    yield machine_text(about, *PACKAGES)
     yield f"processor time, medians of {settings['rounds']} interleaved rounds, quartiles in brackets"
     volumes = report["volume"]
     yield ""
@@ -149,7 +144,7 @@ def table(report: dict[str, Any]) -> Iterator[str]:
         f"TNTVolume, landmark {volumes[0]['landmark']}, {volumes[0]['bins']} bins, "
         f"{volumes[0]['events']:,} events a window: ns per event"
     )
-    yield f"{'':24}" + "".join(f"{'{} x {}'.format(*v['grid']):>24}" for v in volumes)
+    yield f"{'':24}" + "".join(f"{'{} x {}'.format(*v['grid']):>28}" for v in volumes)
     ways = {"single": "update_one, each event"}
     ways |= {f"packet_{n}_{form}": f"packets of {n}, {form}" for n in PACKETS for form in ("structured", "columns")}
     for way, title in ways.items():
@@ -201,7 +196,7 @@ def _decisions(report: dict[str, Any]) -> Iterator[str]:
     first = next(iter(rows.values()))["in_blocks"]["us"]
     for name in first:
         figures = [row["in_blocks"]["us"][name] for row in rows.values()]
-        yield f"{_title(name):36}" + "".join(f"{_spread(figure):>20}" for figure in figures)
+        yield f"{_title(name):36}" + "".join(f"{quartiles(figure):>20}" for figure in figures)
     worst = max(row[mode]["largest_difference"] for row in rows.values() for mode in row)
     yield f"checked: the same logits (at most {worst:.0e} apart)"
     yield ""
@@ -216,13 +211,5 @@ def _title(backend: str) -> str:
     return "the Processor's own network" if backend == "ours" else ENGINES[backend].title
 
 
-def _spread(figure: dict[str, float]) -> str:
-    return f"{_short(figure['median'])} [{_short(figure['q1'])}, {_short(figure['q3'])}]"
-
-
 def _row(figures: list[dict[str, float]]) -> str:
-    return "".join(f"{_spread(figure):>24}" for figure in figures)
-
-
-def _short(value: float) -> str:
-    return f"{value:.1f}" if value < 100 else f"{value:,.0f}"
+    return "".join(f"{quartiles(figure):>28}" for figure in figures)

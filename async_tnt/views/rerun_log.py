@@ -14,9 +14,9 @@ from async_tnt.processor import Processor
 from async_tnt.views import rerun_layout as layout
 from async_tnt.views.rerun_pictures import bin_sheet, class_colours, event_image, newest_text
 
-MOST_LINES = 20  # decisions written between two pictures; of more, the newest are
-MOST_SERIES = 64  # classes; of more, only the likeliest one's probability is drawn
-MOST_TENSOR_BYTES = 1 << 20  # of a volume; a larger one is written at the ends of windows alone
+MOST_LINES = 20  # decisions written between two pictures, the newest
+MOST_SERIES = 64  # with more classes, only the probability of the likeliest is drawn
+MOST_TENSOR_BYTES = 1 << 20  # of a volume; a larger one is only written at the ends of windows
 LANDMARK_COLOUR = (255, 255, 255)  # distinct from both polarities and the background
 LANDMARK_RADIUS, CROSS_RADIUS = 4.0, 1.0  # points of the screen
 CROSS_ARM = 0.06  # of the sensor's longer side

@@ -9,14 +9,14 @@ import numpy as np
 
 from async_tnt.decision import Decision
 
-# Okabe and Ito's colours, distinguishable for colour-blind people, too; bright ones, as the viewer is dark
+# Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is dark
 ON_COLOUR, OFF_COLOUR = (230, 159, 0), (86, 180, 233)
 NOTHING_COLOUR, GAP_COLOUR = (18, 20, 24), (70, 74, 80)
 NOTHING, OFF, ON = 0, 1, 2
 """Cells of an event image."""
 MOST_SHEET_PIXELS = 1 << 17
 
-MOST_BARS = 12  # of more classes, the likeliest are shown
+MOST_BARS = 12  # with more classes, the likeliest are shown
 BAR_LENGTH = 14
 MOST_LETTERS = 16  # of a class name next to its bar
 EIGHTHS = " ▏▎▍▌▋▊▉"

@@ -36,7 +36,7 @@ class RerunView:
     out : a .rrd file to write; `rerun FILE.rrd` opens it.
     connect : URL of a running viewer, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a viewer is
         started.
-    picture_us : recorded microseconds between pictures. One more is taken at each window's end.
+    picture_us : recorded microseconds between pictures. Another one is taken at each window's end.
     most_pictures_per_s : in real time; further ones are skipped, and drawing takes half of the time at most. For
         live streams, whose plots then show the last seconds.
     name : of this recording in the viewer's list; by default a number.

@@ -84,7 +84,7 @@ def test_the_table_shows_every_figure(report):
         "checked: the same logits",
     ):
         assert title in text
-    assert f"{report['volume'][1]['ns_per_event']['single']['median']:,.0f}" in text
+    assert f"{report['volume'][1]['ns_per_event']['single']['median']:,.1f}" in text
     assert f"{report['processor']['every_event']['ours']['a_second']:,.0f}" in text
     assert "batch / stream" in text or "torch is not installed" in text
     assert not [name for name in report["network"]["1"]["in_blocks"]["us"] if backends.ENGINES[name].title not in text]
