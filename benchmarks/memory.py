@@ -2,8 +2,8 @@
 
     python benchmarks/memory.py [--events 100000000] [--limit-mb 4] [--json]
 
-Windows open and close, decisions are made (at the ends of windows, every 20 ms and on demand), packets come as structured arrays,
-as columns and as single events. Exit code 1 if memory grew by more than the limit.
+Windows open and close, decisions are made (at the ends of windows, every 20 ms and on demand), packets come as
+structured arrays, columns and single events. Exit code 1 if memory grew by more than the limit.
 """
 
 from __future__ import annotations
