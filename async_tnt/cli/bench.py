@@ -42,21 +42,13 @@ examples:
 """
 NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for batch processing)"
 PACKAGES = ("torch", "onnxruntime", "openvino")
-FULL: dict[str, Any] = {
-    "rounds": 31,
-    "moments": 1000,
-    "blocks": 10,
-    "decisions_a_block": 50,
-    "recordings": 3,
-    "events": None,
-}
-QUICK: dict[str, Any] = {
-    "rounds": 5,
-    "moments": 120,
-    "blocks": 2,
-    "decisions_a_block": 10,
-    "recordings": 1,
-    "events": 300,
+SIZES: dict[str, tuple[Any, Any]] = {  # name: in full, with --quick
+    "rounds": (31, 5),
+    "moments": (1000, 120),
+    "blocks": (10, 2),
+    "decisions_a_block": (50, 10),
+    "recordings": (3, 1),
+    "events": (None, 300),
 }
 
 
@@ -98,7 +90,7 @@ def main(args: argparse.Namespace) -> int:
 
 def _measure(args: argparse.Namespace, model: Model, with_torch: bool, bar: Bar) -> dict[str, Any]:
     rng = np.random.default_rng(args.seed)
-    sizes = QUICK if args.quick else FULL
+    sizes = {name: both[args.quick] for name, both in SIZES.items()}
     rounds = sizes["rounds"]  # many short rounds: another process interrupts few of them
     volumes = []
     for grid in GRIDS:
@@ -144,7 +136,7 @@ def table(report: dict[str, Any]) -> Iterator[str]:
         f"TNTVolume, landmark {volumes[0]['landmark']}, {volumes[0]['bins']} bins, "
         f"{volumes[0]['events']:,} events a window: ns per event"
     )
-    yield f"{'':24}" + "".join(f"{'{} x {}'.format(*v['grid']):>28}" for v in volumes)
+    yield f"{'':28}" + "".join(f"{'{} x {}'.format(*v['grid']):>28}" for v in volumes)
     ways = {"single": "update_one, each event"}
     ways |= {f"packet_{n}_{form}": f"packets of {n}, {form}" for n in PACKETS for form in ("structured", "columns")}
     for way, title in ways.items():
@@ -164,10 +156,7 @@ def table(report: dict[str, Any]) -> Iterator[str]:
         title = names.get(way) or f"packets of {way.split('_')[1]}"
         yield f"{title + ', ns per event':48}" + _row([figure])
     yield ""
-    yield (
-        f"from the last event to the decision, {decisions['moments']} moments: us by the wall clock, "
-        "then the 99th percentile"
-    )
+    yield f"from the last event to the decision, {decisions['moments']} moments: us by the wall clock, then p99"
     names = {
         "stream": "stream: push_one + fire",
         "push_one": "  push_one",
@@ -181,7 +170,7 @@ def table(report: dict[str, Any]) -> Iterator[str]:
     if settings["batch"]:
         ratio, worst = decisions["batch_over_stream"], decisions["largest_difference"]
         yield f"{'batch / stream':48}" + _row([ratio])
-        yield f"checked: same classes, same volumes (at most {worst['volume']:.0e} of the largest cell apart)"
+        yield f"checked: the same logits, the same volumes (at most {worst['volume']:.0e} of the largest cell apart)"
     else:
         yield NO_TORCH
     yield from _decisions(report)
@@ -192,11 +181,11 @@ def _decisions(report: dict[str, Any]) -> Iterator[str]:
     rows, size = report["network"], report["settings"]["decisions_a_block"]
     yield ""
     yield f"the network alone, each in blocks of {size} decisions: us by the wall clock"
-    yield f"{'new events since the last decision':28}" + "".join(f"{int(n):>20,}" for n in rows)
+    yield f"{'new events since the last decision':36}" + "".join(f"{int(n):>26,}" for n in rows)
     first = next(iter(rows.values()))["in_blocks"]["us"]
     for name in first:
         figures = [row["in_blocks"]["us"][name] for row in rows.values()]
-        yield f"{_title(name):36}" + "".join(f"{quartiles(figure):>20}" for figure in figures)
+        yield f"{_title(name):36}" + "".join(f"{quartiles(figure):>26}" for figure in figures)
     worst = max(row[mode]["largest_difference"] for row in rows.values() for mode in row)
     yield f"checked: the same logits (at most {worst:.0e} apart)"
     yield ""

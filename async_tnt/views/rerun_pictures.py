@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from async_tnt.decision import Decision
+from async_tnt.views.figure_style import shortened
 
 # Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is dark
 ON_COLOUR, OFF_COLOUR = (230, 159, 0), (86, 180, 233)
@@ -153,5 +154,4 @@ def plain(text: str) -> str:
 
 
 def _short(name: str) -> str:
-    name = " ".join(name.replace("`", "'").split())  # three of them would end the block of bars
-    return name if len(name) <= MOST_LETTERS else name[: MOST_LETTERS - 1] + "…"
+    return shortened(" ".join(name.replace("`", "'").split()), MOST_LETTERS)  # three ` would end the block of bars

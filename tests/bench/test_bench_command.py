@@ -141,20 +141,15 @@ def test_any_model_is_timed(settings):
 
 
 TWINS = [
-    {"landmark": name, "polarity": p, "t_max": t}
-    for name, p, t in zip(
-        ("center", "running", "line", "window") * 2,
-        ("signed", "unsigned", "split", "signed", "split", "signed", "unsigned", "split"),
-        (2.0, 8.0, 2.0, 8.0, 8.0, 2.0, 8.0, 2.0),
-        strict=True,
-    )
+    {"landmark": landmark, "polarity": polarity, "t_max": t_max}
+    for landmark in ("center", "running", "line", "window")
+    for polarity, t_max in (("signed", 2.0), ("unsigned", 8.0), ("split", 8.0))
 ]
+TWINS += [{"landmark": "line", "remove_flow": True}, {"transform": "none"}, {"bins": 1}]
 
 
 @needs_torch
-@pytest.mark.parametrize(
-    "settings", [*TWINS, {"landmark": "line", "remove_flow": True}, {"transform": "none"}, {"bins": 1}], ids=str
-)
+@pytest.mark.parametrize("settings", TWINS, ids=str)
 @pytest.mark.parametrize("grid", [(34, 34), (20, 41)])
 def test_batch_processing_equals_the_reference(settings, grid):
     """A figure beside a wrong batch computation would mean nothing."""
