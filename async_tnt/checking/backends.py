@@ -53,14 +53,9 @@ def _onnxruntime_binding(model: Model) -> Network:
 
 def _session(model: Model) -> Any:
     from async_tnt.networks.onnx_export import to_onnx
-    from async_tnt.networks.onnx_session import import_onnxruntime
+    from async_tnt.networks.onnx_session import open_session
 
-    onnxruntime = import_onnxruntime()
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    network = to_onnx(model).SerializeToString()
-    return onnxruntime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
+    return open_session(to_onnx(model).SerializeToString(), "the exported network", threads=1)[0]
 
 
 def _openvino(model: Model) -> Network:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import io
 import json
 
 import numpy as np
@@ -23,17 +25,17 @@ needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reas
 def small_grids():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("async_tnt.cli.bench.GRIDS", ((34, 34), (64, 48)))
+        small = {"rounds": 2, "moments": 40, "blocks": 1, "decisions_a_block": 5, "recordings": 1, "events": 100}
+        patch.setattr("async_tnt.cli.bench.SIZES", {name: (None, n) for name, n in small.items()})
         yield
 
 
 @pytest.fixture(scope="module")
 def report(small_grids):
     """What `--quick --json` prints, run once for the tests that read it."""
-    printed = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("builtins.print", lambda text, **settings: printed.append(text))
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
         assert main(["bench", "--quick", "--json"]) == 0
-    return json.loads(printed[-1])
+    return json.loads(printed.getvalue())
 
 
 def figures_of(report):

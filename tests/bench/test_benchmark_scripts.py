@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import io
 import json
 from typing import Any
 
@@ -69,12 +71,11 @@ def test_unequal_volumes_stop_the_comparison_of_peers(monkeypatch):
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     """One quick run: its report, text and picture."""
-    folder, printed = tmp_path_factory.mktemp("decisions"), []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("builtins.print", lambda text, **settings: printed.append(text))
+    folder = tmp_path_factory.mktemp("decisions")
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
         words = ["--quick", "--json", str(folder / "d.json"), "--picture", str(folder / "d.png")]
         assert decisions.main(words) == 0
-    return json.loads((folder / "d.json").read_text(encoding="utf-8")), printed[-1], folder / "d.png"
+    return json.loads((folder / "d.json").read_text(encoding="utf-8")), printed.getvalue(), folder / "d.png"
 
 
 def test_every_row_is_timed_or_left_out_with_a_reason(quick):
@@ -103,7 +104,7 @@ def test_figures_are_in_order_and_in_the_text(quick):
                     assert f"{figure['median']:,.1f} [{figure['q1']:,.1f}, {figure['q3']:,.1f}]" in text
     for row in report["every_event"]["singles"].values():
         assert 0 < row["q1"] <= row["median"] <= row["q3"] <= row["p99"] <= row["p999"] <= row["max"]
-    assert "\n".join(decisions.lines(report)) == text
+    assert "\n".join(decisions.lines(report)) + "\n" == text
 
 
 def test_the_picture_is_drawn_from_the_figures_alone(quick, tmp_path, capsys):
