@@ -35,11 +35,11 @@ def draw_early(report: dict[str, Any]) -> Figure:
         width = 1.8 if group == "confidence" else 1.2
         look: dict[str, Any] = {"color": colour, "ls": line, "marker": marker, "ms": 4.5, "lw": width}
         left.plot([r["mean_ms"] for r in rows], y, label=label, **look)
-        asked = [r["evaluations_until"] for r in rows]
+        evaluations = [r["evaluations_until"] for r in rows]
         if group.startswith("confidence"):
-            right.plot(asked, y, **look)
+            right.plot(evaluations, y, **look)
         elif group == "moment":
-            right.plot(asked, y, **{**look, "ls": ""})
+            right.plot(evaluations, y, **{**look, "ls": ""})
     _lay_axes(left, right, report["window_us"] / 1000)
     for r in results["confidence"]:
         if r["settings"]["confidence"] in NAMED_LEVELS:

@@ -38,7 +38,7 @@ CANCELLED = 1e-9  # events: where all cells are below it, opposite events cancel
 LANDMARK_BOUND = 1e-9  # pixels
 LOGIT_BOUND = 1e-4
 REGRESSED_LANDMARK_BOUND = 1e-4  # landmark "regressor" comes from float32 convolutions
-REGRESSED_VOLUME_BOUND = 1e-2  # what a landmark at its bound may do: at TNT time tau an event moves by 1e-4 / tau
+REGRESSED_VOLUME_BOUND = 1e-2  # from a landmark at its bound: at TNT time tau an event moves by 1e-4 / tau
 
 
 @dataclass

@@ -72,7 +72,7 @@ def compare(
 
     Parameters
     ----------
-    make : new backends, the first of which ratios are over; True: for `call_by_call`.
+    make : makes new backends; ratios are over the first. Called with True for `call_by_call`.
     blocks : as `Moments.blocks`.
     n_blocks, size : number of blocks, and of decisions in each.
 

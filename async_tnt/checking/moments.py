@@ -75,7 +75,7 @@ class Moments:
         return Moment(start_us, self._shifted[1][: 1 + (k + 1) * self._n_new], self._n_new, k > 0)
 
     def blocks(self, n_blocks: int, size: int) -> Iterator[list[Moment]]:
-        """`n_blocks` runs of `size` consecutive moments, spread evenly over one lap or as many as they need."""
+        """`n_blocks` runs of `size` consecutive moments, spread evenly over one lap, or over as many as they need."""
         step = max(size, self.a_lap // n_blocks)
         for first in range(0, n_blocks * step, step):
             block = [self[i] for i in range(first, first + size)]

@@ -148,7 +148,7 @@ def polarity_legend(figure: Figure, more: Sequence[Any] = ()) -> None:
 
 
 def shortened(name: str, most: int) -> str:
-    """A name of at most so many letters."""
+    """A name, cut to at most `most` letters."""
     return name if len(name) <= most else name[: most - 1] + "…"
 
 

@@ -36,7 +36,7 @@ class RerunView:
     out : a .rrd file to write; `rerun FILE.rrd` opens it.
     connect : URL of a running viewer, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a viewer is
         started.
-    picture_us : recorded microseconds between pictures. Another one is taken at each window's end.
+    picture_us : recorded microseconds between pictures. Another one is taken at the end of each window.
     most_pictures_per_s : in real time; further ones are skipped, and drawing takes half of the time at most. For
         live streams, whose plots then show the last seconds.
     name : of this recording in the viewer's list; by default a number.
@@ -284,7 +284,7 @@ class UntransformedVolume:
             raise ValueError(
                 f"the raw volume has {volume.n_events} events from {volume.start_us} us on, the processor's window "
                 f"{now.events} from {now.window_start_us} us on: a view can only follow windows without overlap (no "
-                "`hop_us`), all of whose events went through `push` of the view"
+                "`hop_us`) whose events all went through its `push`"
             )
         return volume.array
 

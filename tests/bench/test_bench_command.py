@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from made import random_model
 
-from async_tnt import TNTConfig
+from async_tnt import TNTConfig, load_model
 from async_tnt.checking import backends
 from async_tnt.checking.bench_latency import bench_latency, bench_stream
-from async_tnt.checking.moments import made_recording
+from async_tnt.checking.interleaved import WorkDiffers
+from async_tnt.checking.moments import bench_recordings, made_recording
 from async_tnt.cli import main
 from async_tnt.cli.bench import table
 
@@ -93,21 +94,21 @@ def test_the_table_shows_every_figure(report):
 
 
 def test_different_work_is_refused(monkeypatch, program):
-    right = backends.CompiledClassifier.__call__
-    monkeypatch.setattr(backends.CompiledClassifier, "__call__", lambda self, volume: 1.001 * right(self, volume))
-    code, printed, err = program("bench", "--quick")
-    assert (code, printed) == (1, "")
-    assert "all must give the same logits within 0.0001, got incremental and dense 1.0e-03 apart" in err
+    def differ(*settings, **counts):
+        raise WorkDiffers("got ours and theirs 1.0e-03 apart")
+
+    monkeypatch.setattr("async_tnt.cli.bench.bench_volume", differ)
+    assert program("bench", "--quick") == (1, "", "async-tnt bench: got ours and theirs 1.0e-03 apart\n")
 
 
 @needs_torch
-def test_different_volumes_are_refused(monkeypatch, program):
+def test_different_volumes_are_refused(monkeypatch):
     from async_tnt.checking.torch_batch import TorchBatch
 
-    right = TorchBatch.volume
+    model, right = load_model("digits"), TorchBatch.volume
     monkeypatch.setattr(TorchBatch, "volume", lambda self, *columns: 1.001 * right(self, *columns))
-    code, printed, err = program("bench", "--quick")
-    assert (code, printed) == (1, "") and "stream and batch must agree within 0.0001, got volumes 1.0e-03" in err
+    with pytest.raises(WorkDiffers, match=r"stream and batch must agree within 0\.0001, got volumes 1\.0e-03"):
+        bench_latency(model, bench_recordings(model.config)[0], moments=5, with_torch=True)
 
 
 def test_without_other_packages_ours_are_timed(monkeypatch, program):

@@ -11,7 +11,7 @@ import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.views import figure_events, figure_motions, figure_probabilities, figure_slices
 from async_tnt.views.figure_overview import draw_overview
-from async_tnt.views.figure_pipeline import draw_pipeline, layer_words
+from async_tnt.views.figure_pipeline import draw_pipeline
 from async_tnt.views.figure_style import OFF, ON
 from async_tnt.views.figure_subject import Subject
 
@@ -146,12 +146,6 @@ def test_two_motions_are_drawn_along_the_axis_in_which_they_differ():
         figure_motions.draw_motions(windows[0], subject(sensor=(40, 34)).window(1))
 
 
-def test_directions_of_motion():
-    flow, still = np.array([3.0, -1.0]), np.array([-3.0, 0.4])
-    found = [figure_motions.direction(f, axis) for f, axis in ((flow, 0), (still, 0), (flow, 1), (still, 1))]
-    assert found == ["moving right", "moving left", "moving up", "at rest along y"]
-
-
 def test_the_busiest_bins():
     volumes, split = np.zeros((2, 9, 3, 3)), np.zeros((2, 4, 3, 3))
     volumes[:, 5:8] = 1.0
@@ -168,7 +162,7 @@ def stacked(axes):
 
 @pytest.mark.parametrize("changes", [{}, {"landmark": "regressor"}, {"transform": "none"}], ids=str)
 def test_the_pipeline_shows_what_the_network_sees_and_decides(changes):
-    model = random_model(async_tnt.TNTConfig(**changes)) if changes else DIGITS
+    model = random_model(async_tnt.TNTConfig(**changes), widths=(5, 6, 7)) if changes else DIGITS
     shown = Subject("9.bin", sample(9), model.config, model, "mine")
     window, transform = shown.window(1), model.config.transform == "tnt"
     figure = draw_pipeline(shown)
@@ -183,20 +177,12 @@ def test_the_pipeline_shows_what_the_network_sees_and_decides(changes):
     assert numbered == [f"{k}  {name}" for k, name in enumerate(stages, start=1)]
     assert_equal(stacked(figure.axes[-3]), window.volumes()[int(transform)])
     np.testing.assert_array_equal([bar.get_width() for bar in figure.axes[-1].patches], decision.probabilities)
+    assert ("384 to 7 fully connected, ReLU" if changes else "2,048 to 64 fully connected, ReLU") in words(figure)
     if transform:
         *path, cross = figure.axes[2].lines
         landmarks = window.coordinates().landmark
         assert_equal(cross.get_xydata(), landmarks[-1:])
         assert [line.get_xydata()[[0, -1]].tolist() for line in path] == [landmarks[[0, -1]].tolist()] * (not changes)
-
-
-def test_layers_are_read_from_the_weights():
-    assert layer_words(random_model(classes=4, widths=(5, 6, 7))) == [
-        "5 convolutions 3x3, ReLU,\naverage of 2x2",
-        "6 convolutions 3x3, ReLU,\naverage of 2x2",
-        "384 to 7 fully connected, ReLU",
-        "7 to 4 fully connected",
-    ]
 
 
 def test_figures_that_need_another_model_are_refused():
