@@ -16,7 +16,7 @@ from async_tnt.networks.model import Model, bundled_models, load_model
 from async_tnt.sources.files.fitting import check_sensor
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sizes import format_size
 from async_tnt.views.figure_events import draw_events
 from async_tnt.views.figure_motions import draw_motions
 from async_tnt.views.figure_overview import draw_overview
@@ -143,7 +143,7 @@ def main(args: argparse.Namespace) -> int:
     if out.suffix.lower() == ".png":
         size = f"{int(width * args.dpi)} x {int(height * args.dpi)} pixels"
     if args.figure == "overview" and subjects[0].model is None:
-        sensor = by(subjects[0].config.sensor)
+        sensor = format_size(subjects[0].config.sensor)
         complain(f"{paths[0]}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
     print(f"{one_line(str(out))} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
     return 0
@@ -202,7 +202,7 @@ def _sensor(recording: Recording, args: argparse.Namespace, model: Model) -> tup
     """The sensor of the file, else of --sensor, else of the model if all events lie on it."""
     if recording.sensor is not None:
         if args.sensor not in (None, recording.sensor):
-            stated, given = by(recording.sensor), by(args.sensor)
+            stated, given = format_size(recording.sensor), format_size(args.sensor)
             raise ValueError(f"{recording.path}: a sensor of {stated} pixels, got --sensor {given}")
         return recording.sensor
     if args.sensor is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from async_tnt.sources.sizes import by, parse_size
+from async_tnt.sources.sizes import format_size, parse_size
 
 
 def size_of(text: str) -> tuple[int, int]:
@@ -17,4 +17,4 @@ def size_of(text: str) -> tuple[int, int]:
 
 def size_text(text: str) -> str:
     """The size as text, checked, so that a command keeps it as it was given."""
-    return by(size_of(text))
+    return format_size(size_of(text))

@@ -13,7 +13,7 @@ from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.pixel_selector import check_region
-from async_tnt.sources.sizes import by, parse_size
+from async_tnt.sources.sizes import format_size, parse_size
 from async_tnt.training.settings import PRECISIONS
 
 DESCRIPTION = """\
@@ -282,7 +282,7 @@ def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
     if pixels.region is not None and min(pixels.region) < 2:
         raise ValueError(
             "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
-            f"got {by(pixels.region)}"
+            f"got {format_size(pixels.region)}"
         )
     if start is None:
         return pixels
@@ -291,7 +291,9 @@ def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
     if pixels.crop:
         return pixels
     if pixels.sensor not in (None, sensor):
-        raise ValueError(f"--sensor must be the one of --start-from, {by(sensor)}, got {by(pixels.sensor)}")
+        raise ValueError(
+            f"--sensor must be the one of --start-from, {format_size(sensor)}, got {format_size(pixels.sensor)}"
+        )
     if pixels.mask is not None:
         pixels.mask.pixels(sensor)  # refuses a mask of another sensor
     return replace(pixels, sensor=sensor)

@@ -14,7 +14,7 @@ import numpy as np
 
 from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, Device, Driver, FoundCamera, first_line, is_failure
 from async_tnt.sources.clock import Clock
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sizes import format_size
 
 MAX_JUMP_S = 1.0  # a camera's events come in order, and soon
 DAVIS346 = (346, 260)  # dv-processing tells DAVIS cameras apart only when they are open
@@ -245,7 +245,7 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driv
             if kind != "davis346" or opened.sensor == DAVIS346:
                 return opened
             opened.close()
-            problems.append(f"{driver.name} found {camera}, which has {by(opened.sensor)} pixels")
+            problems.append(f"{driver.name} found {camera}, which has {format_size(opened.sensor)} pixels")
     if len(missing) == len(drivers):
         detail = f" ({'; '.join(problems)})" if problems else ""
         raise ImportError(

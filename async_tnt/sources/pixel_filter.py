@@ -15,7 +15,7 @@ from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixel_filter import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.records import COLUMN_TYPES
 from async_tnt.sources.pixel_masks import checked_mask, checked_sensor, load_mask
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sizes import format_size
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +156,7 @@ def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int
         )
     if sensor is not None and (left + width > sensor[0] or top + height > sensor[1]):
         raise ValueError(
-            f"`roi` (x, y, width, height) must lie on the sensor of {by(sensor)} pixels, got "
+            f"`roi` (x, y, width, height) must lie on the sensor of {format_size(sensor)} pixels, got "
             f"({left}, {top}, {width}, {height})"
         )
     return left, top, width, height

@@ -11,7 +11,7 @@ from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.files.source import Sensor
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sizes import format_size
 
 
 class PixelSelector:
@@ -170,7 +170,7 @@ def check_region(selection: PixelSelection, model: Sensor) -> None:
     region = selection.region
     if region is not None and region != model:
         raise ValueError(
-            f"--crop: the model is for {by(model)} pixels, got a region of {by(region)}; "
+            f"--crop: the model is for {format_size(model)} pixels, got a region of {format_size(region)}; "
             f"give --roi X,Y,{model[0]},{model[1]}"
         )
 
@@ -182,11 +182,14 @@ def _check_camera(selection: PixelSelection, model: Sensor) -> None:
         return
     part = f"give {_cut_out(model)} too, or " if _is_part(model, camera) else ""
     if selection.mask is None:
-        raise ValueError(f"--sensor says {by(camera)} pixels, but the model is for {by(model)}: {part}{TRAIN_ONE}")
+        raise ValueError(
+            f"--sensor says {format_size(camera)} pixels, but the model is for {format_size(model)}: {part}{TRAIN_ONE}"
+        )
     transposed = "; or transpose it with .T" if camera == model[::-1] else ""
     raise ValueError(
-        f"{selection.mask.name}: a mask of a {by(camera)} camera, but the model is for {by(model)} pixels: {part}"
-        f"give the mask of a {by(model)} camera{transposed}"
+        f"{selection.mask.name}: a mask of a {format_size(camera)} camera, but the model is for {format_size(model)} "
+        f"pixels: {part}"
+        f"give the mask of a {format_size(model)} camera{transposed}"
     )
 
 

@@ -21,6 +21,6 @@ def parse_size(text: str) -> tuple[int, int]:
     return size
 
 
-def by(size: tuple[int, int]) -> str:
+def format_size(size: tuple[int, int]) -> str:
     """(346, 260) as `346x260`."""
     return f"{size[0]}x{size[1]}"

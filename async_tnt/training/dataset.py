@@ -17,7 +17,7 @@ from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import Sensor
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.sizes import by
+from async_tnt.sources.sizes import format_size
 from async_tnt.training.windows import Recordings
 
 MAX_US = 1 << 31  # what a column of int32 holds
@@ -95,8 +95,8 @@ def read_dataset(
                 camera, source = one.sensor, one.name
             elif one.sensor not in (None, camera):
                 raise ValueError(
-                    f"{folder}: all recordings must be of one sensor, got {by(camera)} ({source}) and "
-                    f"{by(one.sensor)} ({one.name})"
+                    f"{folder}: all recordings must be of one sensor, got {format_size(camera)} ({source}) and "
+                    f"{format_size(one.sensor)} ({one.name})"
                 )
             if camera is not None:  # at once: what the network will not see takes no memory
                 keep = _filter(pixels, camera)
@@ -202,7 +202,7 @@ class _Recording:
             return
         off = _off_sensor(self.events, sensor)
         if off:
-            self.leave_out(f"{self.name}: every event must lie on the {by(sensor)} sensor, got {off}.")
+            self.leave_out(f"{self.name}: every event must lie on the {format_size(sensor)} sensor, got {off}.")
             return
         seen = self.events if keep is None else keep(self.events)
         if keep is not None:
