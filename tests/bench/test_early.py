@@ -115,7 +115,10 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys):
+def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys, monkeypatch):
+    few = {"MOMENTS_MS": (10, 50, 105), "LEVELS": (0.5, 0.9), "NUMBERS": (25,), "INTEGRATORS": early.INTEGRATORS[-1:]}
+    for name, values in few.items():
+        monkeypatch.setattr(early, name, values)
     assert [digit for digit, _ in early.labelled(folder, None)] == [d for d in range(10) for _ in range(2)]
     target, picture, again = tmp_path / "early.json", tmp_path / "early.png", tmp_path / "again.png"
     words = [folder, "--recordings", 10, "--workers", 1, "--json", target, "--picture", picture]
