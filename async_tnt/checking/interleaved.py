@@ -101,10 +101,8 @@ def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]
                 taken.append([])
             for moment in block:
                 order = rng.permutation(list(backends)).tolist()
-                if not moment.follows:
-                    for name in order:
-                        backends[name].prepare(moment.before)
-                        backends[name].decide()
+                for name in order:
+                    _catch_up(backends[name], moment)
                 found = {}
                 for name in order:
                     taken_us, logits = _time(backends[name], moment)
@@ -126,9 +124,7 @@ def in_blocks(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -
                 backend = backends[name]
                 us[name].append([])
                 for k, moment in enumerate(block):
-                    if not moment.follows:
-                        backend.prepare(moment.before)
-                        backend.decide()
+                    _catch_up(backend, moment)
                     taken_us, logits = _time(backend, moment)
                     us[name][-1].append(taken_us)
                     if logits is not None:
@@ -137,6 +133,13 @@ def in_blocks(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -
             for k, moment in enumerate(block):
                 worst = max(worst, _check(found[k], backends, moment))
     return Timed({name: np.array(taken) for name, taken in us.items()}, False, worst)
+
+
+def _catch_up(backend: Backend, moment: Moment) -> None:
+    """The decision before this one, if it was not the previous call."""
+    if not moment.follows:
+        backend.prepare(moment.before)
+        backend.decide()
 
 
 def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
