@@ -1,4 +1,4 @@
-"""Many recordings on 1 and 2 workers: how much sooner is an archive evaluated, by processes and by a Dask cluster?
+"""Many recordings on 1 and 2 workers: how much faster are they evaluated, by processes and by a Dask cluster?
 
     python benchmarks/archive.py [--recordings N] [--length K] [--folder FOLDER] [--workers 1 2] [--rounds R]
 
@@ -13,10 +13,8 @@ write the same bytes.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import importlib.util
-import json
 import sys
 import tempfile
 import time
@@ -25,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from script_options import script_parser, write_outputs
 
 from async_tnt import load_model, warmup
 from async_tnt.archive.collect import Progress, collect_to_file
@@ -32,9 +31,7 @@ from async_tnt.archive.executor import Executor, executor_of
 from async_tnt.archive.job import Task, job_of, task_of
 from async_tnt.archive.records import evaluate_recording, moments
 from async_tnt.checking.timing import machine
-from async_tnt.cli.options import writable_file
 from async_tnt.engines import choose_engine
-from async_tnt.files import write_text
 from async_tnt.progress import progress
 from async_tnt.sources.class_folders import find_recordings
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -154,16 +151,16 @@ def _median(found: dict[str, float]) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Measure, print, and write JSON if asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--recordings", type=int, metavar="N", help="so many (default: 500, or all of --folder)")
+    parser = script_parser(__doc__, f"{QUICK} recordings, 1 round")
+    parser.add_argument(
+        "--recordings", type=int, metavar="N", help="number of recordings (default: 500, or all of --folder)"
+    )
     parser.add_argument(
         "--length", type=int, default=20, metavar="K", help="samples of 0.3 s in a recording (default: %(default)s)"
     )
     parser.add_argument("--folder", type=Path, metavar="FOLDER", help="<class>/<recording>, such as N-MNIST")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2], metavar="N", help="(default: 1 2)")
     parser.add_argument("--rounds", type=int, default=5, metavar="R", help="(default: %(default)s)")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} recordings, 1 round: does it all run?")
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     args = parser.parse_args(argv)
     if min(args.rounds, args.length, *args.workers, 2 if args.recordings is None else args.recordings - 1) < 1:
         parser.error("--rounds, --length and --workers must be at least 1, --recordings at least 2")
@@ -183,8 +180,7 @@ def main(argv: list[str] | None = None) -> int:
             print(f"archive.py: {error}", file=sys.stderr)
             return 1
     print("\n".join(lines(report)))
-    if args.json:
-        write_text(args.json, json.dumps({"machine": machine(), **report}, indent=1) + "\n")
+    write_outputs(args, {"machine": machine(), **report})
     return 0
 
 

@@ -1,4 +1,4 @@
-"""How long a decision takes: ours by what has changed, and the same decision by onnxruntime, OpenVINO, torch, eventcv.
+"""How long a decision takes: ours, from what has changed, and the same by onnxruntime, OpenVINO, torch and eventcv.
 
     python benchmarks/decisions.py [--quick] [--json FILE] [--picture FILE]
 
@@ -11,12 +11,9 @@ Rows whose package is not installed are left out, with the reason:
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 if __name__ == "__main__":  # before any library reads them
@@ -28,6 +25,7 @@ from draw_decisions import draw_decisions
 from measure_noise import bench_on_noise, fastest
 from measure_singles import bench_singles
 from measure_touched import bench_touched
+from script_options import report_of, script_parser, write_outputs
 
 from async_tnt import load_model, warmup
 from async_tnt.checking import backends
@@ -35,11 +33,8 @@ from async_tnt.checking.bench_every_event import bench_every_event
 from async_tnt.checking.bench_network import bench_network
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
-from async_tnt.checking.timing import is_installed, machine, one_thread
-from async_tnt.cli.options import writable_file
-from async_tnt.files import write_text
+from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
 from async_tnt.progress import Bar, progress
-from async_tnt.views.figure_style import check_picture
 
 MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
@@ -49,20 +44,20 @@ MODES = {"call_by_call": "backends alternate from call to call", "in_blocks": "e
 
 
 def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
-    """Everything, as one JSON object.
+    """All measurements, as one JSON object.
 
     Raises
     ------
     WorkDiffers : backends do not agree. Then nothing is reported.
     """
-    with progress(1 + len(NEW_EVENTS) + 1 + len(NEW_EVENTS) + 3 + settings["starts"] + 1, "compiling") as bar:
+    with progress(6 + 2 * len(NEW_EVENTS) + settings["starts"], "compiling") as bar:
         return _measure(settings, quick, bar)
 
 
 def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
     model = load_model(MODEL)
     warmup(model)
-    recordings = bench_recordings(model)
+    recordings = bench_recordings(model.config)
     windows = [window for events in recordings for window in windows_of(events, model.config.window_us)]
     counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
     with one_thread(is_installed("torch")):
@@ -98,7 +93,11 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
             "events": sum(map(len, recordings)),
             "windows": len(windows),
         },
-        "work": {"network": backends.WORK, "end_to_end": end_to_end.WORK, "starts": starts.WORK},
+        "work": {
+            "network": {name: engine.work for name, engine in backends.ENGINES.items()},
+            "end_to_end": end_to_end.WORK,
+            "starts": starts.WORK,
+        },
         "network": network,
         "end_to_end": whole,
         "every_event": {"packets": rates, "singles": singles},
@@ -115,11 +114,7 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
 def lines(report: dict[str, Any]) -> Iterator[str]:
     """The report as text."""
     about, settings = report["machine"], report["settings"]
-    packages = ("python", "async_tnt", "numpy", "numba", *PACKAGES)
-    yield (
-        f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}, one thread; "
-        + ", ".join(f"{name} {about[name]}" for name in packages if about[name])
-    )
+    yield machine_text(about, *PACKAGES)
     titles = {"network": "The network alone", "end_to_end": "From a packet of new events to the decision"}
     for part, title in titles.items():
         for mode, words in MODES.items():
@@ -131,12 +126,12 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
     yield "A decision after every event, recordings in packets: us of processor time, decisions a second, times ours"
     for name, row in report["every_event"]["packets"].items():
         ratio = f"{row['ratio']['median']:8.1f}" if "ratio" in row else ""
-        yield f"  {name:22}{_cell(row['us']):>26}{row['a_second']:>12,.0f}{ratio}"
+        yield f"  {name:22}{quartiles(row['us']):>26}{row['a_second']:>12,.0f}{ratio}"
     yield ""
     yield f"Single decisions, push_one, {settings['single_decisions']:,} each: us"
     for name, row in report["every_event"]["singles"].items():
         yield (
-            f"  {name:22}{_cell(row):>26}  p99 {row['p99']:.1f}  p99.9 {row['p999']:.1f}  max {row['max']:.0f}  "
+            f"  {name:22}{quartiles(row):>26}  p99 {row['p99']:.1f}  p99.9 {row['p999']:.1f}  max {row['max']:.0f}  "
             f"p99 / median {row['p99_over_median']:.1f}"
         )
     yield ""
@@ -161,47 +156,22 @@ def _turns(rows: dict[str, Any], mode: str) -> Iterator[str]:
         yield "  volumes of random numbers" if name == "random" else f"  {name} new event{'s' if name != '1' else ''}"
         for backend, us in row[mode]["us"].items():
             ratio = row[mode]["ratio"].get(backend)
-            yield f"    {backend:20}{_cell(us):>26}{us['p99']:>9.1f}" + (f"{ratio['median']:9.2f}" if ratio else "")
-
-
-def _cell(figure: dict[str, float]) -> str:
-    return f"{figure['median']:,.1f} [{figure['q1']:,.1f}, {figure['q3']:,.1f}]"
+            yield f"    {backend:20}{quartiles(us):>26}{us['p99']:>9.1f}" + (f"{ratio['median']:9.2f}" if ratio else "")
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
-    parser.add_argument(
-        "--from",
-        dest="source",
-        type=Path,
-        metavar="FILE",
-        help="take the figures from such a JSON file instead of measuring",
-    )
-    parser.add_argument("--quick", action="store_true", help="few rounds: does it all run?")
+    parser = script_parser(__doc__, "few rounds", draws=True)
     args = parser.parse_args(argv)
     try:
-        if args.picture:
-            check_picture(args.picture)
-        if args.source:
-            report = json.loads(args.source.read_text(encoding="utf-8"))
-        else:
-            report = measure(QUICK if args.quick else FULL, args.quick)
+        report = report_of(args, lambda: measure(QUICK if args.quick else FULL, args.quick))
     except (OSError, ValueError) as error:
         parser.error(str(error))
     except WorkDiffers as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 1
     print("\n".join(lines(report)))
-    if args.json:
-        write_text(args.json, json.dumps(report, indent=1) + "\n")
-    if args.picture:
-        from async_tnt.views.figure_style import save, styled
-
-        with styled():
-            save(draw_decisions(report), args.picture, dpi=100)
+    write_outputs(args, report, draw_decisions)
     return 0
 
 

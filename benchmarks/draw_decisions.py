@@ -1,10 +1,22 @@
-"""The picture of `benchmarks/decisions.py`: microseconds to a decision against the events since the one before."""
+"""The picture of `benchmarks/decisions.py`: microseconds per decision against events since the previous one."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.views.figure_style import LARGE, NORMAL, OFF, ON, SMALL, TEXT, new_figure
+from async_tnt.views.figure_style import (
+    LARGE,
+    NORMAL,
+    OFF,
+    ON,
+    SMALL,
+    TEXT,
+    axes_at,
+    headline,
+    new_figure,
+    note,
+    write_at,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -12,8 +24,8 @@ if TYPE_CHECKING:
 GREEN, PINK, ORANGE = "#009E73", "#B5548F", "#B87A00"  # of Okabe and Ito's, the light ones darker: they are words too
 ONNXRUNTIME = "onnxruntime_run", "onnxruntime_binding"
 NETWORKS = {
-    "incremental": ("async_tnt,\nwhat has changed", ON),
-    "dense": ("async_tnt, whole", ORANGE),
+    "incremental": ("async_tnt,\nincremental", ON),
+    "dense": ("async_tnt,\nfull forward pass", ORANGE),
     "onnxruntime_run": ("onnxruntime", OFF),
     "onnxruntime_binding": ("onnxruntime", OFF),
     "openvino": ("OpenVINO", GREEN),
@@ -31,8 +43,8 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
     """Two panels on one logarithmic axis: the network alone, and from a packet to the decision. Medians and quartiles
     in blocks, lines named at their ends; medians from call to call are hollow."""
     figure = new_figure(4.8)
-    left = figure.add_axes((0.07, 0.19, 0.29, 0.64))
-    right = figure.add_axes((0.545, 0.19, 0.26, 0.64), sharey=left)
+    left = axes_at(figure, 0.73, 0.82, 3.02, 3.07)
+    right = axes_at(figure, 5.67, 0.82, 2.7, 3.07, sharey=left)
     slower = {name for name in ONNXRUNTIME if name != report["settings"]["onnxruntime_way"]}
     networks = {name: look for name, look in NETWORKS.items() if name not in slower}
     ends = [_draw_lines(left, report["network"], networks), _draw_lines(right, report["end_to_end"], WAYS)]
@@ -41,17 +53,16 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
         _name_lines(axes, named)
     left.set_title("the network alone", loc="left", fontsize=LARGE)
     right.set_title("from a packet of events to the decision", loc="left", fontsize=LARGE)
-    left.set_ylabel("microseconds, one core")
+    left.set_ylabel("microseconds per decision")
     name, config = report["model"]["name"], report["model"]["config"]
     size = f"{config['bins']} x {config['grid'][1]} x {config['grid'][0]}"
-    words = f"One decision of {name} ({size}), so many events after the decision before"
-    figure.text(0.07, 0.945, words, fontsize=LARGE + 2, fontweight="bold", va="center")
+    headline(figure, f"Time per decision, model {name} ({size})")
     words = (
         f"filled: medians and quartiles in blocks of {report['settings']['decisions_a_block']} calls; "
-        "hollow: medians where backends alternate from call to call.\n"
+        "hollow: medians when backends alternate from call to call.\n"
         f"{report['machine']['cpu']}, one thread."
     )
-    figure.text(0.07, 0.02, words, fontsize=SMALL, color=TEXT)
+    write_at(figure, 0.73, 4.7, words, fontsize=SMALL, color=TEXT, va="bottom")
     return figure
 
 
@@ -67,24 +78,14 @@ def _draw_lines(axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str
         whiskers = [[us["median"] - us["q1"] for us in blocks], [us["q3"] - us["median"] for us in blocks]]
         at = [place + 0.03 * (k - len(shown) / 2) for place in range(len(counts))]  # bars beside one another
         strong = name in ("incremental", "ours")
-        axes.errorbar(
-            at,
-            medians,
-            yerr=whiskers,
-            color=colour,
-            marker="o",
-            ms=6 if strong else 4.5,
-            lw=2.4 if strong else 1.4,
-            elinewidth=1,
-            capsize=2,
-            zorder=3 if strong else 2,
-        )
+        look = {"ms": 6, "lw": 2.4, "zorder": 3} if strong else {"ms": 4.5, "lw": 1.4, "zorder": 2}
+        axes.errorbar(at, medians, yerr=whiskers, color=colour, marker="o", elinewidth=1, capsize=2, **look)
         turns = [rows[n]["call_by_call"]["us"][name]["median"] for n in counts]
         axes.plot(at, turns, ls="", marker="o", ms=4.5, mfc="white", mec=colour, mew=1.1, zorder=1)
         ends.append((medians[-1], label, colour))
     axes.set_xlim(-0.3, len(counts) - 0.7)
     axes.set_xticks(range(len(counts)), [f"{int(n):,}" for n in counts])
-    axes.set_xlabel("new events")
+    axes.set_xlabel("new events since the previous decision")
     axes.grid(axis="y", color="#e4e4e4", lw=0.7)
     axes.set_axisbelow(True)
     return ends
@@ -100,7 +101,7 @@ def _lay_axis(axes: Any) -> None:
 
 
 def _name_lines(axes: Any, ends: list[tuple[float, str, str]]) -> None:
-    """Words at the ends of lines, moved apart where they would lie on one another."""
+    """Words at the ends of lines, moved apart where they would overlap."""
     low, high = axes.get_ylim()
     height_points = axes.get_position().height * axes.get_figure().get_figheight() * 72
     a_line = (high / low) ** (1.25 * NORMAL / height_points)
@@ -109,14 +110,5 @@ def _name_lines(axes: Any, ends: list[tuple[float, str, str]]) -> None:
         lines = label.count("\n") + 1
         middle = max(value, free * a_line ** (lines / 2))
         free = middle * a_line ** (lines / 2)
-        axes.annotate(
-            label,
-            (1, middle),
-            xycoords=("axes fraction", "data"),
-            xytext=(6, 0),
-            textcoords="offset points",
-            va="center",
-            color=colour,
-            fontsize=NORMAL,
-            annotation_clip=False,
-        )
+        look = {"xycoords": ("axes fraction", "data"), "fontsize": NORMAL, "annotation_clip": False}
+        note(axes, label, (1, middle), (6, 0), va="center", color=colour, **look)

@@ -1,21 +1,21 @@
-"""The picture of `benchmarks/early.py`: how right decisions are against when they fall, and against what they took."""
+"""The picture of `benchmarks/early.py`: accuracy of decisions against their time, and against their cost."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.views.figure_style import LARGE, OFF, ON, SMALL, TEXT, new_figure
+from async_tnt.views.figure_style import OFF, ON, TEXT, axes_at, headline, new_figure, note
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LOOKS = {  # group: words, colour, line, marker
-    "moment": ("at a fixed moment (every_us)", "#000000", "-", "o"),
-    "every_events": ("after so many events (every_events)", OFF, "-", "o"),
+    "moment": ("at a fixed time (every_us)", "#000000", "-", "o"),
+    "every_events": ("after N events (every_events)", OFF, "-", "o"),
     "activity": ("at a burst of activity (LeakyIntegrator)", "#8a8a8a", "", "x"),
-    "confidence": ("once sure (confidence), looked for at every event", ON, "-", "o"),
-    "confidence_every_10_events": ("once sure, looked for every 10 events", "#B87A00", (0, (4, 1.5)), "s"),
-    "confidence_every_ms": ("once sure, looked for every 1 ms", "#009E73", (0, (1.5, 1)), "^"),
+    "confidence": ("confidence, checked at every event", ON, "-", "o"),
+    "confidence_every_10_events": ("confidence, checked every 10 events", "#B87A00", (0, (4, 1.5)), "s"),
+    "confidence_every_ms": ("confidence, checked every 1 ms", "#009E73", (0, (1.5, 1)), "^"),
 }
 ACCURACIES = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
 NAMED_LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)
@@ -23,11 +23,11 @@ NAMED_MS = (20, 25, 30, 35, 40, 50)
 
 
 def draw_early(report: dict[str, Any]) -> Figure:
-    """Two panels with one axis of accuracy, spread where it nears 100 %: against mean milliseconds to the decision, and
-    against how often the network was asked up to it."""
+    """Two panels with one axis of accuracy, spread out near 100 %: against mean milliseconds to the decision, and
+    against evaluations of the network up to it."""
     figure = new_figure(5.2)
-    left = figure.add_axes((0.07, 0.25, 0.42, 0.6))
-    right = figure.add_axes((0.56, 0.25, 0.42, 0.6), sharey=left)
+    left = axes_at(figure, 0.73, 0.78, 4.37, 3.12)
+    right = axes_at(figure, 5.82, 0.78, 4.37, 3.12, sharey=left)
     results = report["results"]
     for group, (label, colour, line, marker) in LOOKS.items():
         rows = results[group]
@@ -35,26 +35,26 @@ def draw_early(report: dict[str, Any]) -> Figure:
         width = 1.8 if group == "confidence" else 1.2
         look: dict[str, Any] = {"color": colour, "ls": line, "marker": marker, "ms": 4.5, "lw": width}
         left.plot([r["mean_ms"] for r in rows], y, label=label, **look)
-        asked = [r["evaluations_until"] for r in rows]
+        evaluations = [r["evaluations_until"] for r in rows]
         if group.startswith("confidence"):
-            right.plot(asked, y, **look)
+            right.plot(evaluations, y, **look)
         elif group == "moment":
-            right.plot(asked, y, **{**look, "ls": ""})
+            right.plot(evaluations, y, **{**look, "ls": ""})
     _lay_axes(left, right, report["window_us"] / 1000)
     for r in results["confidence"]:
         if r["settings"]["confidence"] in NAMED_LEVELS:
             words = f"{r['settings']['confidence']:g}".lstrip("0")
             for axes, x in ((left, r["mean_ms"]), (right, r["evaluations_until"])):
-                _name(axes, x, r["accuracy"], words, ON, (-5, 4), "right")
+                note(axes, words, (x, max(1 - r["accuracy"], 1e-3)), (-5, 4), color=ON, ha="right")
     for r in results["moment"]:
         ms = r["settings"].get("every_us", 0) / 1000
         if ms in NAMED_MS:
-            _name(right, r["evaluations_until"], r["accuracy"], f"{ms:g} ms", "#000000", (7, -3), "left")
-    words = f"Early decisions of {report['model']} on {report['recordings']:,} real recordings"
-    figure.text(0.07, 0.94, words, fontsize=LARGE + 2, fontweight="bold", va="center")
-    left.set_ylabel("windows decided right (%)")
+            place = r["evaluations_until"], max(1 - r["accuracy"], 1e-3)
+            note(right, f"{ms:g} ms", place, (7, -3), color="#000000")
+    headline(figure, f"Early decisions of {report['model']} on {report['recordings']:,} real recordings")
+    left.set_ylabel("windows decided correctly (%)")
     left.set_xlabel("mean time from the window's start to the decision (ms)")
-    right.set_xlabel("mean evaluations of the network up to it")
+    right.set_xlabel("mean evaluations of the network up to the decision")
     handles, labels = left.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.06, 0.0), ncols=2, labelcolor=TEXT)
     return figure
@@ -74,15 +74,3 @@ def _lay_axes(left: Any, right: Any, window_ms: float) -> None:
     for axes in (left, right):
         axes.grid(axis="y", color="#e4e4e4", lw=0.7)
         axes.set_axisbelow(True)
-
-
-def _name(axes: Any, x: float, accuracy: float, words: str, colour: str, offset: tuple[int, int], side: str) -> None:
-    axes.annotate(
-        words,
-        (x, max(1 - accuracy, 1e-3)),
-        xytext=offset,
-        textcoords="offset points",
-        ha=side,
-        fontsize=SMALL,
-        color=colour,
-    )

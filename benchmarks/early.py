@@ -1,4 +1,4 @@
-"""Deciding early: how right is a decision, how soon does it fall, and how often was the network asked for it?
+"""Early decisions: how accurate are they, how soon are they made, and how often was the network evaluated?
 
     python benchmarks/early.py [FOLDER] [--recordings N] [--json FILE] [--picture FILE]
 
@@ -10,8 +10,6 @@ that closes the window. A window without one counts with its decision at the end
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import sys
 from collections.abc import Iterator
@@ -20,12 +18,10 @@ from typing import Any
 
 from draw_early import draw_early
 from measure_early import measure_early, n_settings
+from script_options import report_of, script_parser, write_outputs
 
 from async_tnt.archive.executor import available_cores
-from async_tnt.cli.options import writable_file
-from async_tnt.files import write_text
 from async_tnt.progress import progress
-from async_tnt.views.figure_style import check_picture
 
 QUICK = 20  # recordings
 
@@ -53,8 +49,8 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
         f"model {report['model']}; first decision by a trigger, or else the window's end"
     )
     yield (
-        f"{'':34}{'right %':>8}{'mean ms':>9}{'median':>8}{'events':>8}{'at end %':>10}{'asked':>8}"
-        f"{'asked, all':>12}{'emitted':>9}{'< {} events %'.format(report['soon_events']):>15}"
+        f"{'':34}{'right %':>8}{'mean ms':>9}{'median':>8}{'events':>8}{'at end %':>10}{'evals':>8}"
+        f"{'evals, all':>12}{'emitted':>9}{'< {} events %'.format(report['soon_events']):>15}"
     )
     for group in report["results"].values():
         yield ""
@@ -66,7 +62,7 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
                 f"{r['evaluations']:>12.1f}{r['emitted']:>9.1f}{soon:>15}"
             )
     yield ""
-    yield "Events that show nothing, uniform over pixels, time and polarity: windows closed early"
+    yield "Noise, uniform over pixels, time and polarity: windows closed early"
     for r in report["noise"]:
         when = f", after {r['mean_ms']:.1f} ms" if r["mean_ms"] is not None else ""
         yield f"{words(r['settings']):34}{100 * r['closed_early']:>8.1f} %{when}"
@@ -79,50 +75,27 @@ def default_folder() -> Path:
 
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = script_parser(__doc__, f"{QUICK} recordings", draws=True)
     parser.add_argument("folder", nargs="?", type=Path, default=default_folder(), metavar="FOLDER")
-    parser.add_argument("--recordings", type=int, metavar="N", help="so many, the same number of each digit")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} recordings: does it all run?")
-    parser.add_argument(
-        "--workers",
-        type=int,
-        default=available_cores(),
-        metavar="N",
-        help="processes; nothing is timed here (default: one for each core)",
-    )
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
-    parser.add_argument(
-        "--from",
-        dest="source",
-        type=Path,
-        metavar="FILE",
-        help="take the figures from such a JSON file instead of measuring",
-    )
+    parser.add_argument("--recordings", type=int, metavar="N", help="number of recordings, the same for each digit")
+    cores = available_cores()
+    parser.add_argument("--workers", type=int, default=cores, metavar="N", help="processes (default: one per core)")
     args = parser.parse_args(argv)
-    if args.recordings is not None and args.recordings < 1:
-        parser.error(f"--recordings must be at least 1, got {args.recordings}")
-    if args.workers < 1:
-        parser.error(f"--workers must be at least 1, got {args.workers}")
+    for name in ("recordings", "workers"):
+        if (value := getattr(args, name)) is not None and value < 1:
+            parser.error(f"--{name} must be at least 1, got {value}")
+
+    def measure() -> dict[str, Any]:
+        with progress(n_settings(), "settings") as bar:
+            n = QUICK if args.quick else args.recordings
+            return measure_early(args.folder, n, workers=args.workers, each=bar.update)
+
     try:
-        if args.picture:
-            check_picture(args.picture)
-        if args.source:
-            report = json.loads(args.source.read_text(encoding="utf-8"))
-        else:
-            with progress(n_settings(), "settings") as bar:
-                n = QUICK if args.quick else args.recordings
-                report = measure_early(args.folder, n, workers=args.workers, each=bar.update)
+        report = report_of(args, measure)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     print("\n".join(lines(report)))
-    if args.json:
-        write_text(args.json, json.dumps(report, indent=1) + "\n")
-    if args.picture:
-        from async_tnt.views.figure_style import save, styled
-
-        with styled():
-            save(draw_early(report), args.picture, dpi=100)
+    write_outputs(args, report, draw_early)
     return 0
 
 

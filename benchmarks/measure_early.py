@@ -1,4 +1,4 @@
-"""The early decision of a window, and what it took: settings of `Processor` on labelled recordings, in figures.
+"""The early decision of a window, and its cost: settings of `Processor` on labelled recordings.
 
 Early is the first decision that a trigger makes, or with `confidence` the one that closes the window. A window without
 one counts with its decision at the end.
@@ -27,7 +27,7 @@ MOMENTS_MS = (10, 15, 20, 25, 30, 35, 40, 50, 60, 70, 80, 90, 100, 105)
 LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 NUMBERS = (25, 50, 100, 150, 200, 300, 400, 600, 800)
 INTEGRATORS = [(threshold, leak_us) for leak_us in (5_000, 20_000, math.inf) for threshold in (25, 50, 100, 200)]
-SOON_EVENTS = 50  # a decision on fewer events is counted separately: was it arbitrary?
+SOON_EVENTS = 50  # decisions on fewer events are counted separately: are they arbitrary?
 N_NOISE = 100  # recordings of noise
 
 Settings = dict[str, Any]
@@ -51,14 +51,14 @@ class Early:
 
     right: bool
     ms: float
-    """From the window's start to the moment at which it fell."""
+    """From the window's start to the decision."""
     events: int
     by_trigger: bool
     """False: at the window's end."""
     evaluations_until: int
-    """Times the network was asked up to it, this one included."""
+    """Evaluations of the network up to it, including its own."""
     evaluations: int
-    """The same for all of the window."""
+    """Evaluations during the whole window."""
     emitted: int
     """Decisions of the window."""
 

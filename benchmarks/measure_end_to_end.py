@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt import Model, Processor
-from async_tnt.checking.backends import Network, missing, new_network
-from async_tnt.checking.bench_network import N_WARM
-from async_tnt.checking.interleaved import Backend, call_by_call, in_blocks
+from async_tnt.checking.backends import ENGINES, Network, missing
+from async_tnt.checking.interleaved import Backend, compare
 from async_tnt.checking.moments import Moment, Moments
 from async_tnt.checking.timing import is_installed
 
@@ -55,7 +54,7 @@ class TorchRebuild:
 
         from async_tnt.checking.torch_batch import TorchBatch
 
-        self._torch, self._batch = torch, TorchBatch.of(model)
+        self._torch, self._batch = torch, TorchBatch(model.config, model)
 
     def prepare(self, moment: Moment) -> None:
         from async_tnt.checking.torch_batch import as_tensors
@@ -100,23 +99,18 @@ def bench_end_to_end(
 
     Other parameters, what is returned and raised: as for `bench_network`. Ratios are over `ours`.
     """
-    moments = Moments(windows, model.config.window_us, n_new)
 
-    def backends() -> dict[str, Backend]:
+    def backends(alternating: bool) -> dict[str, Backend]:
         made: dict[str, Backend] = {"ours": Stream(model)}
         if onnxruntime is not None:
-            made["ours_onnxruntime"] = Stream(model, new_network(onnxruntime, model))
+            made["ours_onnxruntime"] = Stream(model, ENGINES[onnxruntime].make(model))
         if is_installed("torch", "tnt_reference"):
             made["torch"] = TorchRebuild(model)
         if onnxruntime is not None and eventcv_fits(model):
-            made["eventcv_onnxruntime"] = EventcvRebuild(model, new_network(onnxruntime, model))
+            made["eventcv_onnxruntime"] = EventcvRebuild(model, ENGINES[onnxruntime].make(model))
         return made
 
-    call_by_call(backends(), moments.blocks(1, N_WARM))  # warms up, and compares before any timing
-    return {
-        "call_by_call": call_by_call(backends(), moments.blocks(blocks, size)).report(),
-        "in_blocks": in_blocks(backends(), moments.blocks(blocks, size)).report(),
-    }
+    return compare(backends, Moments(windows, model.config.window_us, n_new).blocks, blocks, size)
 
 
 def eventcv_fits(model: Model) -> bool:

@@ -9,8 +9,7 @@ import numpy as np
 
 from async_tnt import EVENT_DTYPE, Model
 from async_tnt.checking.backends import Network
-from async_tnt.checking.bench_network import N_WARM
-from async_tnt.checking.interleaved import Backend, call_by_call, in_blocks
+from async_tnt.checking.interleaved import Backend, compare
 from async_tnt.checking.moments import Moment
 
 N_RANDOM = 8  # volumes of random numbers, used in rotation
@@ -30,24 +29,20 @@ class OnNoise:
 
 
 def bench_on_noise(model: Model, networks: Mapping[str, Network], *, blocks: int, size: int) -> dict[str, Any]:
-    """The same on volumes of random numbers, where nothing is empty and there is nothing to be incremental about.
-    Ratios are over `dense`, ours on the whole."""
+    """Time networks as `bench_network` does, on volumes of random numbers: nothing is empty, nothing can be reused.
+    Ratios are over `dense`, our full forward pass."""
     volumes = np.random.default_rng(0).standard_normal((N_RANDOM, *model.config.shape)).astype(np.float32)
     volumes.flags.writeable = False  # as a volume's own array is: else ours takes a copy
     moments = [Moment(0, np.empty(0, EVENT_DTYPE), 0)] * size
 
-    def backends() -> dict[str, Backend]:
+    def backends(alternating: bool) -> dict[str, Backend]:
         return {name: OnNoise(network, volumes) for name, network in networks.items()}
 
-    call_by_call(backends(), [moments[:N_WARM]])
-    return {
-        "call_by_call": call_by_call(backends(), [moments] * blocks).report(),
-        "in_blocks": in_blocks(backends(), [moments] * blocks).report(),
-    }
+    return compare(backends, lambda n, n_calls: [moments[:n_calls]] * n, blocks, size)
 
 
 def fastest(names: tuple[str, ...], results: Mapping[str, Mapping[str, Any]]) -> str | None:
-    """Of some networks the one that took least in blocks, over all rows together; None where none was timed."""
+    """The network that took the least time in blocks, over all rows together; None if none was timed."""
     total = {
         name: sum(row["in_blocks"]["us"][name]["median"] for row in results.values())
         for name in names

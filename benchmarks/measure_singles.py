@@ -1,4 +1,4 @@
-"""A decision after every event: how long each of a hundred thousand takes, and its tail."""
+"""A decision after every event: the time of each, and the tail of the distribution."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt import Model, Processor
+from async_tnt.checking.timing import latency
 
 STRETCH = 2000  # single decisions with, then as many without the collector
 
@@ -20,7 +21,7 @@ def bench_singles(model: Model, recordings: list[np.ndarray], *, n_decisions: in
 
     Each way has a Processor of its own, and they alternate in runs of STRETCH: `collector`, with Python's garbage
     collector as users have it; `no_collector`, without; and `machine`, a loop of Python's own additions that takes
-    about as long as a decision and knows nothing of us: values far from its median are caused by the machine.
+    about as long as a decision and knows nothing of us: values far from its median come from the machine.
 
     Returns
     -------
@@ -93,14 +94,6 @@ def _additions(us: float) -> Callable[[], float]:
 
 
 def _tail(us: np.ndarray) -> dict[str, float]:
-    median, q1, q3, p99, p999 = np.percentile(us, [50, 25, 75, 99, 99.9])
-    return {
-        "median": float(median),
-        "q1": float(q1),
-        "q3": float(q3),
-        "p99": float(p99),
-        "p999": float(p999),
-        "max": float(us.max()),
-        "n": len(us),
-        "p99_over_median": float(p99 / median),
-    }
+    found = latency(us)
+    del found["min"]
+    return {**found, "p999": float(np.percentile(us, 99.9)), "p99_over_median": found["p99"] / found["median"]}

@@ -90,7 +90,7 @@ def bench_starts(
     Returns
     -------
     dict : row of `WORK` -> seconds of each step and of the whole process (`process`, Python's own start and end
-        included), each a `spread`. Rows whose packages are missing are not there.
+        included), each a `spread`. Rows whose packages are missing are left out.
     """
     rows = [name for name in WORK if name not in left_out(cold)]
     seconds: dict[str, dict[str, list[float]]] = {name: {} for name in rows}

@@ -1,18 +1,18 @@
-"""Events over loopback, from another process: how late is one datagram, is any lost, what happens at ten times that?
+"""Events over loopback, from another process: how late are datagrams, are any lost, and what happens under overload?
 
     python benchmarks/network.py [--seconds 60] [--rate 1000000] [--overload 10] [--pings 2000] [--json]
 
-Latency. Datagrams of 100 events, one a millisecond, in turns to a plain blocking socket, to a `UdpSource`, to one that
-spins before it sleeps, and to one whose `Processor` decides on each: from just before `send` to the bytes, the packet,
-or the decision in hand. What the plain socket takes is the system's waking of a process; the rest is what we add.
+Latency. Datagrams of 100 events, one per millisecond, in turn to a plain blocking socket, a `UdpSource`, one that
+spins before it sleeps, and one whose `Processor` decides on each: from just before `send` to the bytes, the packet, or
+the decision in hand. The plain socket shows how long the system takes to wake a process; the rest is ours.
 
-Load. Events at an even rate for so many seconds, in datagrams that fit Ethernet, to a `UdpSource` and a `Processor`
+Load. Events at an even rate for `--seconds`, in datagrams that fit Ethernet, to a `UdpSource` and a `Processor`
 that decides every 5 ms. Each event carries the time at which it was due on the clock that both processes share, so that
 a decision's delay (its newest event to the decision in hand) holds the sender's pacing and the system's buffer, too.
 
 Overload. The same at `--overload` times the rate, for a tenth of the seconds, through `BackgroundReader(latest=True)`:
-in datagrams that fit Ethernet, in the largest that there are, and in small ones to a consumer that sleeps 20 ms after
-each packet and thus must skip. What the counters say must add up to what was sent.
+in datagrams that fit Ethernet, in the largest possible, and in small ones to a consumer that sleeps 20 ms after each
+packet and therefore must skip. The counters must add up to what was sent.
 
 Exit code 1 if under load a datagram is missing or counted as lost, or if the sender fell short of the rate by more than
 1 %; or if under overload the counters do not add up, or a decision was later than a second.
@@ -52,7 +52,7 @@ SLOW_S = 0.02
 
 
 def random_events(n: int) -> np.ndarray:
-    """As many events on 34x34 pixels, at no time yet."""
+    """n events on 34x34 pixels, whose times are set later."""
     rng = np.random.default_rng(0)
     events = np.zeros(n, EVENT_DTYPE)
     events["x"], events["y"], events["p"] = rng.integers(0, 34, n), rng.integers(0, 34, n), rng.integers(0, 2, n)
@@ -94,7 +94,7 @@ def send_load(port: int, seconds: float, rate: float, datagram_events: int) -> d
 
 
 def other_process(*task: Any) -> subprocess.Popen[str]:
-    """This file again, with `task` to do."""
+    """This script in a new process, with a task."""
     return subprocess.Popen([sys.executable, __file__, "--task", json.dumps(task)], stdout=subprocess.PIPE, text=True)
 
 
@@ -122,7 +122,7 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
                 sent_us = int.from_bytes(plain.recv(1 << 16)[:8], "little")
                 late_us["plain_socket"].append(time.monotonic_ns() / 1e3 - sent_us)
                 for way, source in (("packet", packets), ("packet_spinning", spinning), ("decision", deciding)):
-                    if n_events[way] > k * SMALL:  # it came along with the one before: we were late by a round
+                    if n_events[way] > k * SMALL:  # it came with the one before: we were a round late
                         continue
                     packet = source.receive(30)
                     if packet is None:
@@ -151,7 +151,7 @@ def measure_load(
     slow_s: float = 0.0,
     buffer_bytes: int = 1 << 22,
 ) -> dict[str, Any]:
-    """Receive and decide until the sender is silent; with `latest`, skip what there is no time for.
+    """Receive and decide until the sender is silent; with `latest`, skip packets for which there is no time.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def measure_load(
 
 
 def wrong_with_load(result: dict[str, Any]) -> list[str]:
-    """What should not be: anything missing, or a sender that was too slow."""
+    """Problems under load: anything missing, or a sender that was too slow."""
     wrong = []
     if result["datagrams_missing"] or result["datagrams_lost_by_the_system"]:
         wrong.append(
@@ -234,7 +234,7 @@ def wrong_with_load(result: dict[str, Any]) -> list[str]:
 
 
 def wrong_with_overload(result: dict[str, Any]) -> list[str]:
-    """What should not be: an event that nobody counted, or a delay that grows."""
+    """Problems under overload: events that were not counted, or a growing delay."""
     wrong = []
     if result["datagrams_lost_by_the_system"] not in (None, result["datagrams_missing"]):
         wrong.append(
@@ -248,7 +248,7 @@ def wrong_with_overload(result: dict[str, Any]) -> list[str]:
 
 
 def text_of(result: dict[str, Any]) -> str:
-    """For people."""
+    """The report as text."""
     lines = []
     pings = result["latency_us"]
     for way in WAYS:
@@ -272,7 +272,7 @@ def text_of(result: dict[str, Any]) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Receive, decide, judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, metavar="N", help="of load (default: 60)")
+    parser.add_argument("--seconds", type=float, default=60.0, metavar="N", help="duration of the load (default: 60)")
     parser.add_argument("--rate", type=float, default=1e6, metavar="R", help="events a second (default: a million)")
     parser.add_argument("--overload", type=float, default=10.0, metavar="K", help="times the rate (10); 0: none")
     parser.add_argument("--pings", type=int, default=2000, metavar="N", help="single datagrams (default: 2000)")

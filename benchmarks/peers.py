@@ -3,14 +3,12 @@
     python benchmarks/peers.py [--quick] [--json FILE]
 
 A row is left out, with the reason, if its package is not installed:
-`pip install torch==2.13.0 eventcv tonic`. What each row does is printed beside its figures, for they do not
-all do the same: read `WORK` before quoting a ratio.
+`pip install torch==2.13.0 eventcv tonic`. What each row does is printed beside its figures, because the rows
+differ: read `WORK` before quoting a ratio.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import sys
 from collections.abc import Callable
@@ -20,12 +18,21 @@ if __name__ == "__main__":  # before any library reads them
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", RAYON_NUM_THREADS="1")
 
 import numpy as np
+from script_options import script_parser, write_outputs
 
-from async_tnt import EVENT_DTYPE, TNTConfig, TNTVolume, warmup
-from async_tnt.checking.bench_volumes import GRIDS, made_events
-from async_tnt.checking.timing import interleave, is_installed, machine, one_thread, spread, work_clock
-from async_tnt.cli.options import writable_file
-from async_tnt.files import write_text
+from async_tnt import TNTConfig, TNTVolume, warmup
+from async_tnt.checking.bench_volumes import GRIDS
+from async_tnt.checking.moments import made_columns, structured
+from async_tnt.checking.timing import (
+    interleave,
+    is_installed,
+    machine,
+    machine_text,
+    one_thread,
+    quartiles,
+    spread,
+    work_clock,
+)
 from async_tnt.progress import progress
 
 BINS = 9
@@ -59,10 +66,7 @@ Case = Callable[[], Any]
 
 def made_packets(grid: tuple[int, int], size: int, n_packets: int, window_us: int, seed: int) -> list[np.ndarray]:
     """Consecutive packets that together fill one window, its first event at the start."""
-    columns = made_events(np.random.default_rng(seed), grid, size * n_packets, window_us)
-    events = np.empty(size * n_packets, EVENT_DTYPE)
-    for name, column in zip("txyp", columns, strict=True):
-        events[name] = column
+    events = structured(made_columns(np.random.default_rng(seed), grid, size * n_packets, window_us))
     events["t"][0] = 0
     return [events[k * size : (k + 1) * size].copy() for k in range(n_packets)]
 
@@ -254,12 +258,7 @@ def _timed(case: Case, volume: TNTVolume, n_events: int) -> Callable[[], float]:
 
 def lines(report: dict[str, Any]) -> list[str]:
     """The report as text."""
-    about = report["machine"]
-    packages = ("python", "async_tnt", "numpy", "numba", "torch", "eventcv", "tonic")
-    text = [
-        f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}, one thread; "
-        + ", ".join(f"{name} {about[name]}" for name in packages if about[name])
-    ]
+    text = [machine_text(report["machine"], "torch", "eventcv", "tonic")]
     for result in report["results"]:
         text += [
             "",
@@ -267,9 +266,7 @@ def lines(report: dict[str, Any]) -> list[str]:
             f"{'':18}{'ns/event [quartiles]':>30}{'Mev/s':>10}{'/ ours read':>13}{'/ ours fresh':>14}",
         ]
         for name, row in result["rows"].items():
-            ns = row["ns_per_event"]
-            cell = f"{ns['median']:,.1f} [{ns['q1']:,.1f}, {ns['q3']:,.1f}]"
-            text.append(f"{name:18}{cell:>30}{row['mev_per_s']:>10.2f}")
+            text.append(f"{name:18}{quartiles(row['ns_per_event']):>30}{row['mev_per_s']:>10.2f}")
             if not name.startswith("ours"):
                 text[-1] += f"{row['times_ours_update_read']:>13.2f}{row['times_ours_fresh']:>14.2f}"
     text += ["", "A ratio above 1: ours is faster. What each row does:"]
@@ -279,10 +276,7 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON if asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
-    parser.add_argument("--quick", action="store_true", help="the small grid only, few rounds: does it all run?")
-    args = parser.parse_args(argv)
+    args = script_parser(__doc__, "the small grid only, few rounds").parse_args(argv)
     warmup()
     settings = [(grid, PACKET, 20) for grid in GRIDS]
     settings += [(grid, round(DENSITY * grid[0] * grid[1]), 1) for grid in GRIDS[1:]]
@@ -303,8 +297,7 @@ def main(argv: list[str] | None = None) -> int:
         "left_out": {row: f"{package} is not installed" for row, package in missing.items()},
     }
     print("\n".join(lines(report)))
-    if args.json:
-        write_text(args.json, json.dumps(report, indent=1) + "\n")
+    write_outputs(args, report)
     return 0
 
 

@@ -1,10 +1,10 @@
-"""The networks to compare: a model's classifier run by every installed engine, on one thread, as users call it."""
+"""The engines that run a model's classifier, to be compared: each on one thread, as users call it."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,46 +14,16 @@ from async_tnt.checking.timing import is_installed
 Network = Callable[[np.ndarray], np.ndarray]
 """Volume (C, H, W) -> logits (n_classes,), float32, in memory that the next call may overwrite."""
 
-WORK = {
-    "incremental": "ours, CompiledClassifier.refresh: what has changed since its last call; gives probabilities, too",
-    "dense": "ours, CompiledClassifier called with an array: the whole network",
-    "onnxruntime_run": "onnxruntime, session.run: the array goes in as it is, a new one comes out",
-    "onnxruntime_binding": "onnxruntime, run_with_iobinding: memory bound once, the volume copied into it",
-    "openvino": "OpenVINO, float32, hint LATENCY: an infer request's own memory, the volume copied into it",
-    "torch": "torch, eager, inference mode: a tensor, the volume copied into it",
-}
-PACKAGES = {
-    "onnxruntime_run": ("onnx", "onnxruntime"),
-    "onnxruntime_binding": ("onnx", "onnxruntime"),
-    "openvino": ("onnx", "openvino"),
-    "torch": ("torch", "tnt_reference"),
-}
-ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")  # which is faster differs from machine to machine
 
+class Engine(NamedTuple):
+    """What runs a model's classifier."""
 
-def dense_networks(model: Model) -> dict[str, Network]:
-    """Every engine that is installed, each computing the whole network: ours first. Names are those of `WORK`.
-
-    Each has its own copy of the weights, so that none finds them in a cache filled by another. The number of torch
-    threads is unchanged: see `timing.one_thread`.
-    """
-    return {name: new_network(name, model) for name in MAKERS if is_installed(*PACKAGES.get(name, ()))}
-
-
-def new_network(name: str, model: Model) -> Network:
-    """A new instance of one of `dense_networks`."""
-    return MAKERS[name](model)
-
-
-def left_out() -> dict[str, str]:
-    """The engines of `WORK` that are not available, and why."""
-    return {name: why for name, packages in PACKAGES.items() if (why := missing(*packages))}
-
-
-def missing(*packages: str) -> str:
-    """A message that names the packages that are not installed; empty if all are."""
-    names = [package for package in packages if not is_installed(package)]
-    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} not installed" if names else ""
+    title: str
+    work: str
+    """What a call does."""
+    make: Callable[[Model], Network]
+    packages: tuple[str, ...] = ()
+    """That it needs."""
 
 
 def _onnxruntime_run(model: Model) -> Network:
@@ -83,14 +53,9 @@ def _onnxruntime_binding(model: Model) -> Network:
 
 def _session(model: Model) -> Any:
     from async_tnt.networks.onnx_export import to_onnx
-    from async_tnt.networks.onnx_session import import_onnxruntime
+    from async_tnt.networks.onnx_session import open_session
 
-    onnxruntime = import_onnxruntime()
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    network = to_onnx(model).SerializeToString()
-    return onnxruntime.InferenceSession(network, options, providers=["CPUExecutionProvider"])
+    return open_session(to_onnx(model).SerializeToString(), "the exported network", threads=1)[0]
 
 
 def _openvino(model: Model) -> Network:
@@ -120,7 +85,7 @@ def _torch(model: Model) -> Network:
 
     from async_tnt.checking.torch_batch import TorchBatch
 
-    batch = TorchBatch.of(model)
+    batch = TorchBatch(model.config, model)
     tensor = torch.zeros(model.config.shape)
     memory = tensor.numpy()
 
@@ -132,10 +97,61 @@ def _torch(model: Model) -> Network:
     return run
 
 
-MAKERS: dict[str, Callable[[Model], Network]] = {
-    "dense": CompiledClassifier,
-    "onnxruntime_run": _onnxruntime_run,
-    "onnxruntime_binding": _onnxruntime_binding,
-    "openvino": _openvino,
-    "torch": _torch,
+ENGINES = {
+    "incremental": Engine(
+        "CompiledClassifier.refresh",
+        "ours, CompiledClassifier.refresh: what has changed since its last call; gives probabilities, too",
+        CompiledClassifier,
+    ),
+    "dense": Engine(
+        "CompiledClassifier(array)",
+        "ours, CompiledClassifier called with an array: the whole network",
+        CompiledClassifier,
+    ),
+    "onnxruntime_run": Engine(
+        "onnxruntime, run",
+        "onnxruntime, session.run: the array goes in as it is, a new one comes out",
+        _onnxruntime_run,
+        ("onnx", "onnxruntime"),
+    ),
+    "onnxruntime_binding": Engine(
+        "onnxruntime, io binding",
+        "onnxruntime, run_with_iobinding: memory bound once, the volume copied into it",
+        _onnxruntime_binding,
+        ("onnx", "onnxruntime"),
+    ),
+    "openvino": Engine(
+        "OpenVINO",
+        "OpenVINO, float32, hint LATENCY: an infer request's own memory, the volume copied into it",
+        _openvino,
+        ("onnx", "openvino"),
+    ),
+    "torch": Engine(
+        "torch",
+        "torch, eager, inference mode: a tensor, the volume copied into it",
+        _torch,
+        ("torch", "tnt_reference"),
+    ),
 }
+ONNXRUNTIME = ("onnxruntime_run", "onnxruntime_binding")  # which is faster differs from machine to machine
+
+
+def dense_networks(model: Model) -> dict[str, Network]:
+    """The installed engines of `ENGINES`, each computing the whole network: ours first.
+
+    Each has its own copy of the weights, so that none finds them in a cache filled by another. The number of torch
+    threads is unchanged: see `timing.one_thread`.
+    """
+    installed = {name: engine for name, engine in ENGINES.items() if is_installed(*engine.packages)}
+    return {name: engine.make(model) for name, engine in installed.items() if name != "incremental"}
+
+
+def left_out() -> dict[str, str]:
+    """The engines of `ENGINES` that are not available, and why."""
+    return {name: why for name, engine in ENGINES.items() if (why := missing(*engine.packages))}
+
+
+def missing(*packages: str) -> str:
+    """A message that names the packages that are not installed; empty if all are."""
+    names = [package for package in packages if not is_installed(package)]
+    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} not installed" if names else ""

@@ -9,10 +9,8 @@ import numpy as np
 
 from async_tnt import CompiledClassifier, Model, TNTVolume
 from async_tnt.checking.backends import Network
-from async_tnt.checking.interleaved import Backend, call_by_call, in_blocks
+from async_tnt.checking.interleaved import Backend, compare
 from async_tnt.checking.moments import Moment, Moments
-
-N_WARM = 20  # decisions that are only compared
 
 
 class Feed:
@@ -66,18 +64,12 @@ def bench_network(
     ----------
     networks : as `dense_networks` makes them.
     windows : see `Moments`.
-    blocks, size : number of blocks, and of decisions in each.
-
-    Returns
-    -------
-    dict : `call_by_call` and `in_blocks` -> `Timed.report`. Ratios are over `incremental`, which is ours.
+    blocks, size, what is returned and raised : see `compare`; `incremental` is ours.
 
     Raises
     ------
-    WorkDiffers : networks do not agree.
     ValueError : no window has that many events.
     """
-    moments = Moments(windows, model.config.window_us, n_new)
 
     def backends(one_feed: bool) -> dict[str, Backend]:
         feed = Feed(model)
@@ -86,8 +78,4 @@ def bench_network(
             made[name] = Dense(network, feed if one_feed else Feed(model))
         return made
 
-    call_by_call(backends(True), moments.blocks(1, N_WARM))  # warms up, and compares before any timing
-    return {
-        "call_by_call": call_by_call(backends(True), moments.blocks(blocks, size)).report(),
-        "in_blocks": in_blocks(backends(False), moments.blocks(blocks, size)).report(),
-    }
+    return compare(backends, Moments(windows, model.config.window_us, n_new).blocks, blocks, size)

@@ -3,35 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from async_tnt import TNTConfig, TNTVolume
+from async_tnt.checking.moments import made_columns, structured
 from async_tnt.checking.timing import interleave, spread, work_clock
 
 GRIDS = ((34, 34), (346, 260), (1280, 720))
 PACKETS = (10, 100, 1300)
 CAMERA_DTYPE = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
 """How camera drivers commonly pack an event: 14 bytes, t not aligned."""
-
-
-def made_events(
-    rng: np.random.Generator, sensor: tuple[int, int], n: int, window_us: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """n events, uniform over sensor, polarity and the window [0, window_us), in order of time.
-
-    Returns
-    -------
-    t, x, y, p : int64, uint16, uint16, uint8, shape (n,).
-    """
-    return (
-        np.sort(rng.integers(0, window_us, n)),
-        rng.integers(0, sensor[0], n).astype(np.uint16),
-        rng.integers(0, sensor[1], n).astype(np.uint16),
-        rng.integers(0, 2, n).astype(np.uint8),
-    )
 
 
 def bench_volume(
@@ -47,12 +31,16 @@ def bench_volume(
     dict : the settings; `ns_per_event`, way -> `spread`; `open_us` and `read_us`, each a `spread`.
     """
     config = TNTConfig(sensor=grid, grid=grid, landmark=landmark)
-    columns = made_events(rng, grid, n_events, config.window_us)
+    columns = made_columns(rng, grid, n_events, config.window_us)
     volume = TNTVolume(config)
-    cases = {"single": _single_calls(volume, columns)}
+
+    def begin() -> None:
+        volume.open(0)
+
+    cases = {"single": timed_singles(volume.update_one, [column[::10] for column in columns], begin)}
     for size in PACKETS:
-        cases[f"packet_{size}_structured"] = _packets(volume, _structured_packets(columns, size))
-        cases[f"packet_{size}_columns"] = _packets(volume, _column_packets(columns, size))
+        for form, packets in (("structured", _structured_packets), ("columns", _column_packets)):
+            cases[f"packet_{size}_{form}"] = timed_packets(volume.update, packets(columns, size), n_events, begin)
     cases["open_us"] = _opening(volume, columns)
     cases["read_us"] = _reads(volume, _column_packets(columns, 1300))
     measured = {name: spread(values) for name, values in interleave(cases, rounds).items()}
@@ -70,29 +58,43 @@ def bench_volume(
     }
 
 
-def _single_calls(volume: TNTVolume, columns: tuple[np.ndarray, ...]) -> Callable[[], float]:
-    rows = list(zip(*(column[::10].tolist() for column in columns), strict=True))
+def timed_singles(
+    call: Callable[..., Any],
+    columns: Sequence[np.ndarray],
+    begin: Callable[[], None],
+    end: Callable[[], Any] | None = None,
+) -> Callable[[], float]:
+    """Nanoseconds per event of `call(t, x, y, p)`, one event after the other; `begin` is not timed, `end` is."""
+    rows = list(zip(*(column.tolist() for column in columns), strict=True))
 
     def run() -> float:
-        volume.open(0)
-        update_one = volume.update_one
+        begin()
         started = work_clock()
         for t, x, y, p in rows:  # the loop itself, some 20 ns, is in the figure: a user has it too
-            update_one(t, x, y, p)
+            call(t, x, y, p)
+        if end:
+            end()
         return 1e9 * (work_clock() - started) / len(rows)
 
     return run
 
 
-def _packets(volume: TNTVolume, packets: list[Any]) -> Callable[[], float]:
-    n_events = sum(len(packet[0]) if isinstance(packet, tuple) else len(packet) for packet in packets)
+def timed_packets(
+    call: Callable[[Any], Any],
+    packets: Sequence[Any],
+    n_events: int,
+    begin: Callable[[], None],
+    end: Callable[[], Any] | None = None,
+) -> Callable[[], float]:
+    """Nanoseconds per event of `call(packet)`, one packet after the other; `begin` is not timed, `end` is."""
 
     def run() -> float:
-        volume.open(0)
-        update = volume.update
+        begin()
         started = work_clock()
         for packet in packets:
-            update(packet)
+            call(packet)
+        if end:
+            end()
         return 1e9 * (work_clock() - started) / n_events
 
     return run
@@ -130,9 +132,7 @@ def _reads(volume: TNTVolume, packets: list[Any]) -> Callable[[], float]:
 
 
 def _structured_packets(columns: tuple[np.ndarray, ...], size: int) -> list[np.ndarray]:
-    events = np.empty(len(columns[0]), CAMERA_DTYPE)
-    for name, column in zip("txyp", columns, strict=True):
-        events[name] = column
+    events = structured(columns, CAMERA_DTYPE)
     return [events[first : first + size].copy() for first in range(0, len(events), size)]
 
 

@@ -5,17 +5,15 @@
 (c) logits equal the reference pipeline's to 1e-4, and the class is the same;
 (d) a decision after every event, for which only what changed is computed, has the bits of the whole network's.
 
-With landmark "regressor" the landmark itself comes from float32 convolutions. There (b) is 1e-4 px for the landmark,
-1e-6 of the largest cell for the volume about the stream's landmark, and 1e-2 for the volume about the reference's own.
-
 Needs torch (extra `reference`), which is imported only when something is checked.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -38,8 +36,8 @@ VOLUME_BOUND = 1e-6  # of the largest cell
 CANCELLED = 1e-9  # events: where all cells are below it, opposite events cancelled and left their rounding
 LANDMARK_BOUND = 1e-9  # pixels
 LOGIT_BOUND = 1e-4
-REGRESSED_LANDMARK_BOUND = 1e-4
-REGRESSED_VOLUME_BOUND = 1e-2  # what a landmark at its bound may do: at TNT time tau an event moves by 1e-4 / tau
+REGRESSED_LANDMARK_BOUND = 1e-4  # landmark "regressor" comes from float32 convolutions
+REGRESSED_VOLUME_BOUND = 1e-2  # from a landmark at its bound: at TNT time tau an event moves by 1e-4 / tau
 
 
 @dataclass
@@ -53,9 +51,13 @@ class Comparison:
     worst: float = 0.0
 
     def add(self, difference: float) -> None:
-        self.n += 1
-        if not (math.isnan(self.worst) or difference <= self.worst):  # a nan must stay, and fail
-            self.worst = float(difference)
+        self.include(Comparison(self.what, self.config, self.bound, 1, float(difference)))
+
+    def include(self, other: Comparison) -> None:
+        """Merge the comparisons of another recording."""
+        self.n += other.n
+        if not (math.isnan(self.worst) or other.worst <= self.worst):  # a nan must stay, and fail
+            self.worst = other.worst
 
     @property
     def holds(self) -> bool:
@@ -112,65 +114,69 @@ def _check_config(
     start_us: int | None,
     packet_sizes: Sequence[int],
 ) -> list[Comparison]:
-    regressor = CompiledRegressor(model) if config.needs_regressor else None
-    expected = closed_volumes(events, config, packet_sizes[0], start_us, regressor)
+    """Promises (a) and (b) for one configuration."""
+    regressed, transformed = config.needs_regressor, config.transform == "tnt"
+    regressor = CompiledRegressor(model) if regressed else None
+    find_landmark = landmark_function(model) if regressed else None
     packets = Comparison("bits that depend on packets", name, 0.0)
+    volumes = Comparison("volume against reference, of the largest cell", name, VOLUME_BOUND)
+    landmark_bound = REGRESSED_LANDMARK_BOUND if regressed else LANDMARK_BOUND
+    landmarks = Comparison("landmark against reference, px", name, landmark_bound)
+    about_theirs = Comparison("volume against reference, its own landmark", name, REGRESSED_VOLUME_BOUND)
+
+    expected = closed_volumes(events, config, packet_sizes[0], start_us, regressor)
     for size in packet_sizes[1:]:
         got = closed_volumes(events, config, size, start_us, regressor)
         packets.add(abs(len(got) - len(expected)))
         for (start_a, a), (start_b, b) in zip(expected, got, strict=False):
             packets.add(float(np.count_nonzero(a.view(np.uint32) != b.view(np.uint32)) + (start_a != start_b)))
 
-    at_prefix: _Prefix | _RegressedPrefix
-    at_prefix = _RegressedPrefix(name, model) if config.needs_regressor else _Prefix(name, config)
     volume = TNTVolume(config, regressor=regressor)
-    for start, _ in expected:
-        inside = _events_of_window(events, start, config.window_us)
+    for start, inside, ends in _windows(events, expected, config.window_us, prefixes):
         volume.open(start)
-        before = 0
-        for n in _spread(inside.size, prefixes):
+        for before, n in pairwise([0, *ends]):
             volume.update(inside[before:n])
-            before = n
-            at_prefix.compare(volume, inside[:n], start)
-    return [packets, *at_prefix.comparisons]
+            seen, ours = inside[:n], volume.landmark
+            reference = reference_volume(seen, config, start, ours if regressed else None)
+            volumes.add(_difference(volume.array, reference))
+            if find_landmark is None:
+                if transformed:
+                    landmarks.add(_distance(ours, reference_landmark(seen, config, start)))
+                continue
+            theirs = find_landmark(reference_volume(seen, config.replace(transform="none"), start))
+            landmarks.add(_distance(ours, theirs))
+            # An event within a millionth of a pixel of the border may be kept about one landmark and not about the
+            # other: a whole event of difference, in the outermost cells.
+            kept, kept_by_theirs = (reference_kept(seen, config, start, landmark) for landmark in (ours, theirs))
+            rim = 0 if np.array_equal(kept, kept_by_theirs) else 1
+            about_theirs.add(_difference(volume.array, reference_volume(seen, config, start, theirs), rim))
+    return [packets, volumes, *[landmarks] * transformed, *[about_theirs] * regressed]
 
 
-class _Prefix:
-    """Promise (b) on one configuration."""
-
-    def __init__(self, name: str, config: TNTConfig) -> None:
-        self.config = config
-        self.volumes = Comparison("volume against reference, of the largest cell", name, VOLUME_BOUND)
-        self.landmarks = Comparison("landmark against reference, px", name, LANDMARK_BOUND)
-        self.comparisons = [self.volumes, self.landmarks] if config.transform == "tnt" else [self.volumes]
-
-    def compare(self, volume: TNTVolume, events: np.ndarray, start_us: int) -> None:
-        self.volumes.add(_difference(volume.array, reference_volume(events, self.config, start_us)))
-        if self.config.transform == "tnt":
-            self.landmarks.add(_distance(volume.landmark, reference_landmark(events, self.config, start_us)))
-
-
-class _RegressedPrefix:
-    """Promise (b) with landmark "regressor"."""
-
-    def __init__(self, name: str, model: Model) -> None:
-        self.config = model.config
-        self.regressor = landmark_function(model)
-        self.about_ours = Comparison("volume against reference, of the largest cell", name, VOLUME_BOUND)
-        self.landmarks = Comparison("landmark against reference, px", name, REGRESSED_LANDMARK_BOUND)
-        self.about_theirs = Comparison("volume against reference, its own landmark", name, REGRESSED_VOLUME_BOUND)
-        self.comparisons = [self.landmarks, self.about_ours, self.about_theirs]
-
-    def compare(self, volume: TNTVolume, events: np.ndarray, start_us: int) -> None:
-        ours, config = volume.landmark, self.config
-        theirs = self.regressor(reference_volume(events, config.replace(transform="none"), start_us))
-        self.landmarks.add(_distance(ours, theirs))
-        self.about_ours.add(_difference(volume.array, reference_volume(events, config, start_us, ours)))
-        # An event within a millionth of a pixel of the border may be kept about one landmark and not about the
-        # other: a whole event of difference, in the outermost cells.
-        kept, kept_by_theirs = (reference_kept(events, config, start_us, landmark) for landmark in (ours, theirs))
-        rim = 0 if np.array_equal(kept, kept_by_theirs) else 1
-        self.about_theirs.add(_difference(volume.array, reference_volume(events, config, start_us, theirs), rim))
+def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None) -> list[Comparison]:
+    """Promises (c) and (d): a decision after each event, in packets, compared where prefixes end."""
+    repeated = Comparison("bits that depend on earlier decisions", "the model", 0.0)
+    logits = Comparison("logits against reference", "the model", LOGIT_BOUND)
+    classes = Comparison("classes that differ", "the model", 0.0)
+    config, dense, pipeline = model.config, CompiledClassifier(model), reference_pipeline(model)
+    regressor = CompiledRegressor(model) if config.needs_regressor else None
+    incremental = CompiledClassifier(model)  # through all windows
+    # with a landmark that is found at each read, a decision after each event is as slow as the window is long
+    every = None if config.needs_replay else 1
+    closed = closed_volumes(events, config, 0, start_us, regressor)
+    for start, inside, ends in _windows(events, closed, config.window_us, prefixes):
+        processor = Processor(model, classifier=incremental, start_us=start, every_events=every)
+        for before, n in pairwise([0, *ends]):
+            decisions = processor.push(inside[before:n])
+            ours = decisions[-1].logits if every else processor.fire().logits
+            whole = dense(processor.volume())
+            theirs = pipeline(inside[:n], start)
+            repeated.add(float(np.count_nonzero(ours.view(np.uint32) != whole.view(np.uint32))))
+            logits.add(float(np.abs(ours - theirs).max()))
+            second, first = np.sort(theirs)[-2:] if theirs.size > 1 else (-np.inf, theirs[0])
+            if first - second > 2 * LOGIT_BOUND:  # else either class keeps promise (c)
+                classes.add(float(ours.argmax() != theirs.argmax()))
+    return [repeated, logits, classes]
 
 
 def _difference(volume: np.ndarray, reference: np.ndarray, rim: int = 0) -> float:
@@ -183,34 +189,6 @@ def _difference(volume: np.ndarray, reference: np.ndarray, rim: int = 0) -> floa
 
 def _distance(landmark: tuple[float, float], reference: tuple[float, float]) -> float:
     return float(np.abs(np.subtract(landmark, reference)).max())
-
-
-def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None) -> list[Comparison]:
-    """Promises (c) and (d): a decision after each event, in packets, looked at where prefixes end."""
-    renewed = Comparison("bits that depend on earlier decisions", "the model", 0.0)
-    logits = Comparison("logits against reference", "the model", LOGIT_BOUND)
-    classes = Comparison("classes that differ", "the model", 0.0)
-    config, dense, pipeline = model.config, CompiledClassifier(model), reference_pipeline(model)
-    regressor = CompiledRegressor(model) if config.needs_regressor else None
-    renewing = CompiledClassifier(model)  # through all windows
-    for start, _ in closed_volumes(events, config, 0, start_us, regressor):
-        inside = _events_of_window(events, start, config.window_us)
-        # with a landmark that is found at each read, a decision after each event is as slow as the window is long
-        every = None if config.needs_replay else 1
-        processor = Processor(model, classifier=renewing, start_us=start, every_events=every)
-        before = 0
-        for n in _spread(inside.size, prefixes):
-            decisions = processor.push(inside[before:n])
-            before = n
-            ours = decisions[-1].logits if every else processor.fire().logits
-            whole = dense(processor.volume())
-            theirs = pipeline(inside[:n], start)
-            renewed.add(float(np.count_nonzero(ours.view(np.uint32) != whole.view(np.uint32))))
-            logits.add(float(np.abs(ours - theirs).max()))
-            second, first = np.sort(theirs)[-2:] if theirs.size > 1 else (-np.inf, theirs[0])
-            if first - second > 2 * LOGIT_BOUND:  # else either class keeps promise (c)
-                classes.add(float(ours.argmax() != theirs.argmax()))
-    return [renewed, logits, classes]
 
 
 def closed_volumes(
@@ -237,14 +215,14 @@ def closed_volumes(
     return [(decision.window_start_us, volume) for decision, volume in zip(decisions, volumes, strict=True)]
 
 
-def _events_of_window(events: np.ndarray, start_us: int, window_us: int) -> np.ndarray:
-    """Those the stream adds to a window: an event that comes after the window closed is late."""
-    still_open = np.maximum.accumulate(events["t"]) < start_us + window_us
-    return events[still_open & (events["t"] >= start_us)]
-
-
-def _spread(n: int, count: int | None) -> list[int]:
-    """Up to `count` of 1..n, evenly spread, n included."""
-    if count is None or count >= n:
-        return list(range(1, n + 1))
-    return sorted({round(k * n / count) for k in range(1, count + 1)} - {0})
+def _windows(
+    events: np.ndarray, closed: list[tuple[int, np.ndarray]], window_us: int, prefixes: int | None
+) -> Iterator[tuple[int, np.ndarray, list[int]]]:
+    """The start of each window of `closed_volumes`, its events, and the lengths of the prefixes to compare."""
+    newest = np.maximum.accumulate(events["t"])
+    for start_us, _ in closed:
+        # an event that comes after its window closed is late
+        inside = events[(newest < start_us + window_us) & (events["t"] >= start_us)]
+        n = inside.size
+        count = n if prefixes is None else min(prefixes, n)
+        yield start_us, inside, [round(k * n / count) for k in range(1, count + 1)]

@@ -8,7 +8,7 @@ in between. So both are measured; compare figures within one of them only.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -18,7 +18,10 @@ from async_tnt.checking.moments import Moment
 from async_tnt.checking.timing import latency, no_collector, spread
 
 LOGIT_TOLERANCE = 1e-4
-"""Largest difference between logits of the same moment; in parts of the largest logit where that is above 1."""
+"""Largest difference between logits of the same moment; as a share of the largest logit where that is above 1."""
+
+
+N_WARM = 20  # decisions that are only compared
 
 
 class WorkDiffers(Exception):
@@ -59,13 +62,37 @@ class Timed:
         }
 
 
-def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every backend decides at a moment, then at the next one, in a new random order each time (fixed seed).
+def compare(
+    make: Callable[[bool], Mapping[str, Backend]],
+    blocks: Callable[[int, int], Iterable[list[Moment]]],
+    n_blocks: int,
+    size: int,
+) -> dict[str, Any]:
+    """Time backends in both modes, after they were warmed up and compared.
+
+    Parameters
+    ----------
+    make : makes new backends; ratios are over the first. Called with True for `call_by_call`.
+    blocks : as `Moments.blocks`.
+    n_blocks, size : number of blocks, and of decisions in each.
+
+    Returns
+    -------
+    dict : `call_by_call` and `in_blocks` -> `Timed.report`.
 
     Raises
     ------
     WorkDiffers : logits of one moment differ by more than LOGIT_TOLERANCE.
     """
+    call_by_call(make(True), blocks(1, N_WARM))
+    return {
+        "call_by_call": call_by_call(make(True), blocks(n_blocks, size)).report(),
+        "in_blocks": in_blocks(make(False), blocks(n_blocks, size)).report(),
+    }
+
+
+def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
+    """Every backend decides at a moment, then at the next one, in a new random order each time (fixed seed)."""
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
     worst, rng = 0.0, np.random.default_rng(0)
     with no_collector():
@@ -74,25 +101,20 @@ def call_by_call(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]
                 taken.append([])
             for moment in block:
                 order = rng.permutation(list(backends)).tolist()
-                if not moment.follows:
-                    for name in order:
-                        backends[name].prepare(moment.before)
-                        backends[name].decide()
+                for name in order:
+                    _catch_up(backends[name], moment)
                 found = {}
                 for name in order:
                     taken_us, logits = _time(backends[name], moment)
                     us[name][-1].append(taken_us)
                     if logits is not None:
                         found[name] = logits
-                worst = max(worst, check_logits(_in_order(found, backends), moment))
+                worst = max(worst, _check(found, backends, moment))
     return Timed({name: np.array(taken) for name, taken in us.items()}, True, worst)
 
 
 def in_blocks(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -> Timed:
-    """Every backend decides at all moments of a block before the next backend does.
-
-    The order is reversed from block to block. Raises as `call_by_call`.
-    """
+    """Every backend decides at all moments of a block before the next backend does; the order alternates."""
     us: dict[str, list[list[float]]] = {name: [] for name in backends}
     worst, forward = 0.0, True
     with no_collector():
@@ -102,17 +124,22 @@ def in_blocks(backends: Mapping[str, Backend], blocks: Iterable[list[Moment]]) -
                 backend = backends[name]
                 us[name].append([])
                 for k, moment in enumerate(block):
-                    if not moment.follows:
-                        backend.prepare(moment.before)
-                        backend.decide()
+                    _catch_up(backend, moment)
                     taken_us, logits = _time(backend, moment)
                     us[name][-1].append(taken_us)
                     if logits is not None:
                         found[k][name] = logits
             forward = not forward
             for k, moment in enumerate(block):
-                worst = max(worst, check_logits(_in_order(found[k], backends), moment))
+                worst = max(worst, _check(found[k], backends, moment))
     return Timed({name: np.array(taken) for name, taken in us.items()}, False, worst)
+
+
+def _catch_up(backend: Backend, moment: Moment) -> None:
+    """The decision before this one, if it was not the previous call."""
+    if not moment.follows:
+        backend.prepare(moment.before)
+        backend.decide()
 
 
 def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
@@ -123,12 +150,15 @@ def _time(backend: Backend, moment: Moment) -> tuple[float, np.ndarray | None]:
     return taken_us, None if logits is None else logits.copy()
 
 
-def _in_order(found: Mapping[str, np.ndarray], names: Iterable[str]) -> dict[str, np.ndarray]:
-    return {name: found[name] for name in names if name in found}
+def _check(found: Mapping[str, np.ndarray], backends: Iterable[str], moment: Moment) -> float:
+    in_order = {name: found[name] for name in backends if name in found}
+    return check_logits(in_order, f"event {len(moment.events)} of the window at {moment.start_us} us")
 
 
-def check_logits(found: Mapping[str, np.ndarray], moment: Moment) -> float:
-    """The largest difference between logits of one moment, in parts of the largest logit where that is above 1.
+def check_logits(found: Mapping[str, np.ndarray], where: str) -> float:
+    """The largest difference between logits of one moment, as a share of the largest logit where that is above 1.
+
+    where : the moment, for the error.
 
     Raises
     ------
@@ -142,7 +172,7 @@ def check_logits(found: Mapping[str, np.ndarray], moment: Moment) -> float:
     name, worst = max(differences.items(), key=lambda item: item[1])
     if not worst <= LOGIT_TOLERANCE:  # also if nan
         raise WorkDiffers(
-            f"all must give the same logits within {LOGIT_TOLERANCE}, got {first} and {name} {worst:.1e} apart "
-            f"at event {len(moment.events)} of the window at {moment.start_us} us"
+            f"all must give the same logits within {LOGIT_TOLERANCE}, "
+            f"got {first} and {name} {worst:.1e} apart at {where}"
         )
     return worst

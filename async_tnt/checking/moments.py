@@ -1,4 +1,4 @@
-"""Moments at which a decision is due, a fixed number of events apart: the same for all backends."""
+"""Moments at which backends decide, a fixed number of events apart: the same for all of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from async_tnt import EVENT_DTYPE, Model, TNTConfig
+from async_tnt import EVENT_DTYPE, TNTConfig
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 NEW_EVENTS = (1, 10, 100, 1300)
@@ -34,7 +34,7 @@ class Moment:
 
 
 class Moments:
-    """All moments of some windows, lap after lap without end: windows follow each other and time continues.
+    """All moments of some windows, repeated without end: windows follow each other and time continues.
 
     A window's first event precedes its first moment, so that opening a window is never part of a decision.
 
@@ -75,7 +75,7 @@ class Moments:
         return Moment(start_us, self._shifted[1][: 1 + (k + 1) * self._n_new], self._n_new, k > 0)
 
     def blocks(self, n_blocks: int, size: int) -> Iterator[list[Moment]]:
-        """`n_blocks` runs of `size` consecutive moments, spread evenly over one lap or as many as they need."""
+        """`n_blocks` runs of `size` consecutive moments, spread evenly over one lap, or over as many as they need."""
         step = max(size, self.a_lap // n_blocks)
         for first in range(0, n_blocks * step, step):
             block = [self[i] for i in range(first, first + size)]
@@ -92,22 +92,36 @@ def windows_of(events: np.ndarray, window_us: int) -> list[np.ndarray]:
     return windows
 
 
-def bench_recordings(model: Model, seed: int = 0) -> list[np.ndarray]:
-    """Recordings to decide on: three windows of each bundled sample, or random events for a model of another sensor."""
-    window_us = model.config.window_us
+def bench_recordings(config: TNTConfig, seed: int = 0) -> list[np.ndarray]:
+    """Recordings to decide on: three windows of each bundled sample, or random events for another sensor."""
     opened = [open_recording(path) for path in sample_recordings().values()]
-    if any(recording.sensor != model.config.sensor for recording in opened):
+    if any(recording.sensor != config.sensor for recording in opened):
         rng = np.random.default_rng(seed)
-        return [made_recording(rng, model.config, 6000) for _ in opened]
+        return [made_recording(rng, config, 6000) for _ in opened]
     read = [recording.read().astype(EVENT_DTYPE, copy=False) for recording in opened]
-    return [events[events["t"] < 3 * window_us] for events in read]
+    return [events[events["t"] < 3 * config.window_us] for events in read]
 
 
 def made_recording(rng: np.random.Generator, config: TNTConfig, n: int) -> np.ndarray:
-    """Random events over three windows, for a model of another sensor than the bundled samples'."""
-    events = np.empty(n, EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(0, 3 * config.window_us, n))
-    events["x"] = rng.integers(0, config.sensor[0], n)
-    events["y"] = rng.integers(0, config.sensor[1], n)
-    events["p"] = rng.integers(0, 2, n)
+    """Random events over three windows."""
+    return structured(made_columns(rng, config.sensor, n, 3 * config.window_us))
+
+
+def made_columns(
+    rng: np.random.Generator, sensor: tuple[int, int], n: int, duration_us: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """t, x, y, p of n events, uniform over sensor, polarity and [0, duration_us), in order of time."""
+    return (
+        np.sort(rng.integers(0, duration_us, n)),
+        rng.integers(0, sensor[0], n).astype(np.uint16),
+        rng.integers(0, sensor[1], n).astype(np.uint16),
+        rng.integers(0, 2, n).astype(np.uint8),
+    )
+
+
+def structured(columns: tuple[np.ndarray, ...], dtype: np.dtype = EVENT_DTYPE) -> np.ndarray:
+    """t, x, y, p as one structured array."""
+    events = np.empty(len(columns[0]), dtype)
+    for name, column in zip("txyp", columns, strict=True):
+        events[name] = column
     return events

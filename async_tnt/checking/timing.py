@@ -22,7 +22,7 @@ work_clock = time.perf_counter if sys.platform == "win32" else time.process_time
 
 
 def interleave(cases: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, np.ndarray]:
-    """Run every case once a round, A B A B ..., so that other load affects all alike.
+    """Run every case once a round, A B A B ..., so that other load affects all of them equally.
 
     Parameters
     ----------
@@ -108,6 +108,17 @@ def machine(*packages: str) -> dict[str, Any]:
         "python": platform.python_version(),
         **{name: _version(name) for name in ("async_tnt", "numpy", "numba", *packages)},
     }
+
+
+def machine_text(about: Mapping[str, Any], *packages: str) -> str:
+    """`machine` in one line."""
+    versions = [f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba", *packages) if about[name]]
+    return f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}, one thread; {', '.join(versions)}"
+
+
+def quartiles(figure: Mapping[str, float]) -> str:
+    """A `spread` as text: median [quartiles]."""
+    return f"{figure['median']:,.1f} [{figure['q1']:,.1f}, {figure['q3']:,.1f}]"
 
 
 def cpu_name() -> str:

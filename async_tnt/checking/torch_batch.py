@@ -1,4 +1,4 @@
-"""Batch processing, as fast as we can write it in torch: a window's volume from all its events, then the network.
+"""Batch processing in torch, as fast as we can make it: a window's volume from all its events, then the network.
 
 The reference in `tnt_reference` is written for reading, this one for timing: float32, no masks, one `scatter_add_` for
 all eight neighbours. It must give the same volume (`bench_latency` checks that).
@@ -47,11 +47,6 @@ class TorchBatch:
         self.network = None if model is None else torch_classifier(model)
         self._regressor = None if model is None else torch_regressor(model)
 
-    @classmethod
-    def of(cls, model: Model) -> TorchBatch:
-        """The batch processing of a model."""
-        return cls(model.config, model)
-
     def logits(self, volume: torch.Tensor) -> torch.Tensor:
         """(C, H, W) -> (n_classes,)."""
         assert self.network is not None
@@ -96,7 +91,7 @@ class TorchBatch:
             clamped = offset.clamp(0, last)
             keep &= (offset - clamped).abs_() <= BORDER_TOLERANCE  # False for the nan of 0 / 0
             moved.append(clamped)
-        return moved, keep.nonzero()[:, 0]  # indices, found once: four times faster than four masks
+        return moved, keep.nonzero()[:, 0]  # indices, computed once, are four times faster than four masks
 
     def _offset(self, dt: torch.Tensor, z: torch.Tensor, fixed: Any) -> torch.Tensor:
         """One coordinate, relative to the landmark (and flow); `fixed` is that of `center` and `regressor`."""

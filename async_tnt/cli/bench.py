@@ -10,18 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt import warmup
-from async_tnt.checking.backends import dense_networks, left_out
+from async_tnt import Model, load_model, warmup
+from async_tnt.checking.backends import ENGINES, dense_networks, left_out
 from async_tnt.checking.bench_every_event import bench_every_event
-from async_tnt.checking.bench_latency import bench_latency, bench_model, bench_stream
+from async_tnt.checking.bench_latency import bench_latency, bench_stream
 from async_tnt.checking.bench_network import bench_network
 from async_tnt.checking.bench_volumes import GRIDS, PACKETS, bench_volume
 from async_tnt.checking.interleaved import WorkDiffers
-from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, made_recording, windows_of
-from async_tnt.checking.timing import is_installed, machine, one_thread
+from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
+from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
 from async_tnt.config import LANDMARKS
 from async_tnt.progress import Bar, progress
-from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 DESCRIPTION = """\
 Measure, on this machine: how long TNTVolume takes for an event, how long a Processor with its network takes,
@@ -43,30 +42,13 @@ examples:
 """
 NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for batch processing)"
 PACKAGES = ("torch", "onnxruntime", "openvino")
-TITLES = {
-    "ours": "the Processor's own network",
-    "incremental": "CompiledClassifier.refresh",
-    "dense": "CompiledClassifier(array)",
-    "onnxruntime_run": "onnxruntime, run",
-    "onnxruntime_binding": "onnxruntime, io binding",
-    "openvino": "OpenVINO",
-    "torch": "torch",
-}
-FULL: dict[str, Any] = {
-    "rounds": 31,
-    "moments": 1000,
-    "blocks": 10,
-    "decisions_a_block": 50,
-    "recordings": 3,
-    "events": None,
-}
-QUICK: dict[str, Any] = {
-    "rounds": 5,
-    "moments": 120,
-    "blocks": 2,
-    "decisions_a_block": 10,
-    "recordings": 1,
-    "events": 300,
+SIZES: dict[str, tuple[Any, Any]] = {  # name: in full, with --quick
+    "rounds": (31, 5),
+    "moments": (1000, 120),
+    "blocks": (10, 2),
+    "decisions_a_block": (50, 10),
+    "recordings": (3, 1),
+    "events": (None, 300),
 }
 
 
@@ -82,8 +64,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--model",
-        metavar="NAME_OR_FILE",
-        help='network for the decisions (default: the bundled "digits", else random weights)',
+        metavar="NAME|FILE",
+        default="digits",
+        help="network for the decisions (default: the bundled %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated events (default: 0)")
     parser.add_argument("--quick", action="store_true", help="fewer events and rounds: seconds, wider quartiles")
@@ -92,12 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt bench`. Returns 0; 1 if stream and batch do not agree."""
-    model, model_name = bench_model(args.model, args.landmark, args.seed)
+    model = load_model(args.model)
     with_torch = is_installed("torch", "tnt_reference")
     try:
         with progress(len(GRIDS) + len(NEW_EVENTS) + 4, "compiling") as bar, one_thread(with_torch):
             warmup(model)
-            report = _measure(args, model, model_name, with_torch, bar)
+            report = _measure(args, model, with_torch, bar)
     except WorkDiffers as error:
         print(f"async-tnt bench: {error}", file=sys.stderr)
         return 1
@@ -105,23 +88,21 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def _measure(args: argparse.Namespace, model: Any, model_name: str, with_torch: bool, bar: Bar) -> dict[str, Any]:
+def _measure(args: argparse.Namespace, model: Model, with_torch: bool, bar: Bar) -> dict[str, Any]:
     rng = np.random.default_rng(args.seed)
-    sizes = QUICK if args.quick else FULL
+    sizes = {name: both[args.quick] for name, both in SIZES.items()}
     rounds = sizes["rounds"]  # many short rounds: another process interrupts few of them
     volumes = []
     for grid in GRIDS:
         bar.update(title=f"volume, {grid[0]} x {grid[1]}")
         n_events = 13_000 if args.quick else 26_000  # whole packets of every size
         volumes.append(bench_volume(grid, args.landmark, rng, n_events=n_events, rounds=rounds))
-    recording = open_recording(sample_recordings()[3])
-    fits = recording.sensor == model.config.sensor
-    events = recording.read() if fits else made_recording(rng, model.config, 5000)
+    recordings = bench_recordings(model.config, args.seed)
+    events = recordings[3]
     bar.update(title="recording through a Processor")
     stream = bench_stream(model, events, rounds=rounds, with_torch=with_torch)
     bar.update(title="latency of decisions")
     decisions = bench_latency(model, events, moments=sizes["moments"], with_torch=with_torch)
-    recordings = bench_recordings(model, args.seed)
     windows = [window for r in recordings for window in windows_of(r, model.config.window_us)]
     networks, of_network = dense_networks(model), {}
     for n_new in NEW_EVENTS:
@@ -136,7 +117,7 @@ def _measure(args: argparse.Namespace, model: Any, model_name: str, with_torch: 
     return {
         "machine": machine(*PACKAGES),
         "settings": {"quick": args.quick, "seed": args.seed, "threads": 1, "batch": with_torch, **sizes},
-        "model": {"name": model_name, "config": model.config.to_dict(), "classes": len(model.classes)},
+        "model": {"name": args.model, "config": model.config.to_dict(), "classes": len(model.classes)},
         "volume": volumes,
         "processor": {"stream": stream, "latency": decisions, "every_event": rates},
         "network": of_network,
@@ -147,9 +128,7 @@ def _measure(args: argparse.Namespace, model: Any, model_name: str, with_torch: 
 def table(report: dict[str, Any]) -> Iterator[str]:
     """The report as text."""
     about, settings = report["machine"], report["settings"]
-    packages = ("python", "async_tnt", "numpy", "numba", *PACKAGES)
-    versions = ", ".join(f"{name} {about[name]}" for name in packages if about[name])
-    yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}; one thread"
+    yield machine_text(about, *PACKAGES)
     yield f"processor time, medians of {settings['rounds']} interleaved rounds, quartiles in brackets"
     volumes = report["volume"]
     yield ""
@@ -157,7 +136,7 @@ def table(report: dict[str, Any]) -> Iterator[str]:
         f"TNTVolume, landmark {volumes[0]['landmark']}, {volumes[0]['bins']} bins, "
         f"{volumes[0]['events']:,} events a window: ns per event"
     )
-    yield f"{'':24}" + "".join(f"{'{} x {}'.format(*v['grid']):>24}" for v in volumes)
+    yield f"{'':28}" + "".join(f"{'{} x {}'.format(*v['grid']):>28}" for v in volumes)
     ways = {"single": "update_one, each event"}
     ways |= {f"packet_{n}_{form}": f"packets of {n}, {form}" for n in PACKETS for form in ("structured", "columns")}
     for way, title in ways.items():
@@ -177,10 +156,7 @@ def table(report: dict[str, Any]) -> Iterator[str]:
         title = names.get(way) or f"packets of {way.split('_')[1]}"
         yield f"{title + ', ns per event':48}" + _row([figure])
     yield ""
-    yield (
-        f"from the last event to the decision, {decisions['moments']} moments: us by the wall clock, "
-        "then the 99th percentile"
-    )
+    yield f"from the last event to the decision, {decisions['moments']} moments: us by the wall clock, then p99"
     names = {
         "stream": "stream: push_one + fire",
         "push_one": "  push_one",
@@ -194,7 +170,7 @@ def table(report: dict[str, Any]) -> Iterator[str]:
     if settings["batch"]:
         ratio, worst = decisions["batch_over_stream"], decisions["largest_difference"]
         yield f"{'batch / stream':48}" + _row([ratio])
-        yield f"checked: same classes, same volumes (at most {worst['volume']:.0e} of the largest cell apart)"
+        yield f"checked: the same logits, the same volumes (at most {worst['volume']:.0e} of the largest cell apart)"
     else:
         yield NO_TORCH
     yield from _decisions(report)
@@ -205,28 +181,24 @@ def _decisions(report: dict[str, Any]) -> Iterator[str]:
     rows, size = report["network"], report["settings"]["decisions_a_block"]
     yield ""
     yield f"the network alone, each in blocks of {size} decisions: us by the wall clock"
-    yield f"{'new events since the last decision':28}" + "".join(f"{int(n):>20,}" for n in rows)
+    yield f"{'new events since the last decision':36}" + "".join(f"{int(n):>26,}" for n in rows)
     first = next(iter(rows.values()))["in_blocks"]["us"]
     for name in first:
         figures = [row["in_blocks"]["us"][name] for row in rows.values()]
-        yield f"{TITLES[name]:36}" + "".join(f"{_spread(figure):>20}" for figure in figures)
+        yield f"{_title(name):36}" + "".join(f"{quartiles(figure):>26}" for figure in figures)
     worst = max(row[mode]["largest_difference"] for row in rows.values() for mode in row)
     yield f"checked: the same logits (at most {worst:.0e} apart)"
     yield ""
     yield "a decision after every event, recordings in packets: decisions a second, us each"
     for name, row in report["processor"]["every_event"].items():
-        yield f"{TITLES[name]:36}{row['a_second']:>12,.0f}" + _row([row["us"]])
+        yield f"{_title(name):36}{row['a_second']:>12,.0f}" + _row([row["us"]])
     for name, why in report["left_out"].items():
-        yield f"{TITLES[name]}: {why}"
+        yield f"{_title(name)}: {why}"
 
 
-def _spread(figure: dict[str, float]) -> str:
-    return f"{_short(figure['median'])} [{_short(figure['q1'])}, {_short(figure['q3'])}]"
+def _title(backend: str) -> str:
+    return "the Processor's own network" if backend == "ours" else ENGINES[backend].title
 
 
 def _row(figures: list[dict[str, float]]) -> str:
-    return "".join(f"{_spread(figure):>24}" for figure in figures)
-
-
-def _short(value: float) -> str:
-    return f"{value:.1f}" if value < 100 else f"{value:,.0f}"
+    return "".join(f"{quartiles(figure):>28}" for figure in figures)

@@ -5,16 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
 from async_tnt.cli.options import add_files, add_start, model_of, paths_of
 from async_tnt.cli.output import one_line
 from async_tnt.events import EVENT_DTYPE
-from async_tnt.networks.model import Model
 from async_tnt.progress import progress
-from async_tnt.sources.files.recording import Recording, open_recording
+from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.sensor import check_events, check_sensor
 
 DESCRIPTION = f"""Compare the stream with the batch reference (torch) on recordings, for every landmark:
@@ -58,7 +56,11 @@ def main(args: argparse.Namespace) -> int:
     paths = paths_of(args)
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
-        for recording in _open_all(paths, model):
+        for path in paths:
+            recording = open_recording(path, sensor=model.config.sensor)
+            check_sensor(path, recording.sensor, model.config.sensor)
+            if recording.stated_sensor is None:
+                check_events(recording, model.config.sensor, path)
             events = recording.read().astype(EVENT_DTYPE, copy=False)
             if events.size == 0:
                 raise ValueError(f"{recording.path}: no events to check")
@@ -73,17 +75,6 @@ def main(args: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def _open_all(paths: list[Path], model: Model) -> Iterator[Recording]:
-    """Open recordings one after the other; raise for one that does not fit the model."""
-    for path in paths:
-        sensor = model.config.sensor
-        recording = open_recording(path, sensor=sensor)
-        check_sensor(path, recording.sensor, sensor)
-        if recording.stated_sensor is None:
-            check_events(recording, sensor, path)
-        yield recording
-
-
 def _prefixes(text: str) -> int | None:
     if text == "all":
         return None
@@ -95,12 +86,8 @@ def _prefixes(text: str) -> int | None:
 def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
     """A line for each comparison, the worst over all recordings; then the recordings that fail one."""
     merged: dict[tuple[str, str], Comparison] = {}
-    for comparisons in results.values():
-        for c in comparisons:
-            total = merged.setdefault((c.what, c.config), Comparison(c.what, c.config, c.bound))
-            n = total.n + c.n
-            total.add(c.worst)
-            total.n = n
+    for c in (c for comparisons in results.values() for c in comparisons):
+        merged.setdefault((c.what, c.config), Comparison(c.what, c.config, c.bound)).include(c)
     print(f"{'what is compared':<46} {'landmark':<19} {'times':>7} {'worst':>9} {'bound':>7}")
     for c in merged.values():
         mark = "ok" if c.holds else "FAILS"

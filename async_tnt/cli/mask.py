@@ -17,7 +17,7 @@ from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.mask_learning import FACTOR, count_pixels, hot_pixels
 from async_tnt.sources.pixel_masks import check_mask_path, save_mask
-from async_tnt.sources.sensor import by
+from async_tnt.sources.sensor import format_size
 from async_tnt.views.figure_style import check_picture
 
 DESCRIPTION = """Find the hot pixels of a camera: those with far more events than their neighbours and the whole
@@ -100,7 +100,8 @@ def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
                 raise ValueError(f"{path}: the file does not state the camera's sensor; give --sensor WxH")
             if sensor is not None and found != sensor:
                 raise ValueError(
-                    f"{path}: a sensor of {by(found)} pixels, but --sensor or an earlier recording has {by(sensor)}"
+                    f"{path}: a sensor of {format_size(found)} pixels, but --sensor or an earlier recording has "
+                    f"{format_size(sensor)}"
                 )
             sensor = found
             try:
@@ -122,7 +123,7 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
         result = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
         print(json.dumps(result | {"out": str(args.out)}))
         return
-    size, out = by((width, height)), one_line(str(args.out))
+    size, out = format_size((width, height)), one_line(str(args.out))
     if not hot.any():
         print(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {out}, which masks nothing")
         return

@@ -13,8 +13,10 @@ from async_tnt.config import LANDMARKS, POLARITIES, TNTConfig
 from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import check_writable
 from async_tnt.networks.model import Model, bundled_models, load_model
+from async_tnt.sources.files.fitting import check_sensor
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
+from async_tnt.sources.sensor import format_size
 from async_tnt.views.figure_events import draw_events
 from async_tnt.views.figure_motions import draw_motions
 from async_tnt.views.figure_overview import draw_overview
@@ -141,8 +143,8 @@ def main(args: argparse.Namespace) -> int:
     if out.suffix.lower() == ".png":
         size = f"{int(width * args.dpi)} x {int(height * args.dpi)} pixels"
     if args.figure == "overview" and subjects[0].model is None:
-        width_px, height_px = subjects[0].config.sensor
-        complain(f"{paths[0]}: no decisions, model {DEFAULT_MODEL} is not for {width_px}x{height_px} pixels (--model)")
+        sensor = format_size(subjects[0].config.sensor)
+        complain(f"{paths[0]}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
     print(f"{one_line(str(out))} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
     return 0
 
@@ -161,13 +163,9 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     sensor = _sensor(recording, args, trained)
     config = trained.config
     if sensor != config.sensor:
-        shape = f"{sensor[0]}x{sensor[1]}"
         if args.model is not None or args.figure in ("probabilities", "pipeline"):
-            needed = "" if args.model else f"; give another --model than {DEFAULT_MODEL}"
-            raise ValueError(
-                f"{path}: a sensor of {shape} pixels, but the model is for "
-                f"{config.sensor[0]}x{config.sensor[1]}{needed}"
-            )
+            advice = "" if args.model else f"; give another --model than {DEFAULT_MODEL}"
+            check_sensor(path, sensor, config.sensor, advice=advice)
         model, config = None, config.replace(sensor=sensor, grid=sensor)
     config = _configured(config, args)
     try:
@@ -204,10 +202,8 @@ def _sensor(recording: Recording, args: argparse.Namespace, model: Model) -> tup
     """The sensor of the file, else of --sensor, else of the model if all events lie on it."""
     if recording.sensor is not None:
         if args.sensor not in (None, recording.sensor):
-            raise ValueError(
-                f"{recording.path}: a sensor of {recording.sensor[0]}x{recording.sensor[1]} pixels, "
-                f"got --sensor {args.sensor[0]}x{args.sensor[1]}"
-            )
+            stated, given = format_size(recording.sensor), format_size(args.sensor)
+            raise ValueError(f"{recording.path}: a sensor of {stated} pixels, got --sensor {given}")
         return recording.sensor
     if args.sensor is not None:
         return args.sensor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from async_tnt.config import MAX_SIDE
-from async_tnt.sources.sensor import by
+from async_tnt.sources.sensor import format_size
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -21,4 +21,4 @@ def parse_size(text: str) -> tuple[int, int]:
 
 def size_text(text: str) -> str:
     """The size as text, checked, so that a command keeps it as it was given. An argparse type."""
-    return by(parse_size(text))
+    return format_size(parse_size(text))

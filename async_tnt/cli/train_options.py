@@ -14,7 +14,7 @@ from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.pixel_selector import PixelSelector
-from async_tnt.sources.sensor import by
+from async_tnt.sources.sensor import format_size
 
 DESCRIPTION = """\
 Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
@@ -257,12 +257,14 @@ def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
     if pixels.region is not None and min(pixels.region) < 2:
         raise ValueError(
             "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
-            f"got {by(pixels.region)}"
+            f"got {format_size(pixels.region)}"
         )
     if start is None:
         return pixels
     sensor = start.config.sensor
     if not pixels.crop and pixels.sensor not in (None, sensor):
-        raise ValueError(f"--sensor must be that of --start-from, {by(sensor)}, got {by(pixels.sensor)}")
+        raise ValueError(
+            f"--sensor must be that of --start-from, {format_size(sensor)}, got {format_size(pixels.sensor)}"
+        )
     PixelSelector(pixels, sensor)  # refuses a region or a mask that does not fit the model
     return pixels if pixels.crop else replace(pixels, sensor=sensor)

@@ -124,19 +124,17 @@ def _recording_name(sources: Sequence[Path | str]) -> str:
 
 
 def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: float) -> None:
-    n_events = 0
+    n_before = view.n_events
     if speed == math.inf:
         with progress(recording.n_events, recording.path.name) as bar:
             for packet in packets:
                 view.push(packet)
                 bar.update(len(packet))
-                n_events += len(packet)
     else:
         for packet in replay(packets, speed):
             view.push(packet)
-            n_events += len(packet)
-    late = view.processor.counts.dropped_late
-    if late:
+    if late := view.processor.counts.dropped_late:
+        n_events = view.n_events - n_before
         complain(f"{recording.path}: {late} of {n_events} events were too late and dropped (see --start-us)")
 
 

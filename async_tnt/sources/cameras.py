@@ -14,7 +14,7 @@ import numpy as np
 
 from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, Device, Driver, failure
 from async_tnt.sources.clock import Clock
-from async_tnt.sources.sensor import by
+from async_tnt.sources.sensor import format_size
 
 MAX_JUMP_S = 1.0  # a camera's events arrive in order and soon
 DAVIS346 = (346, 260)  # dv-processing distinguishes DAVIS models only when they are open
@@ -234,7 +234,7 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driv
             if kind != "davis346" or opened.sensor == DAVIS346:
                 return opened
             opened.close()
-            problems.append(f"{driver.name} found {camera}, which has {by(opened.sensor)} pixels")
+            problems.append(f"{driver.name} found {camera}, which has {format_size(opened.sensor)} pixels")
     if n_missing == len(drivers):
         raise ImportError(f"{name}: {'; '.join(problems)}: cameras need one of them, pip install '.[cameras]'")
     if searched:

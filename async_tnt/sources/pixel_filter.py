@@ -16,7 +16,7 @@ from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixels import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.records import COLUMN_TYPES
 from async_tnt.sources.pixel_masks import checked_mask, load_mask
-from async_tnt.sources.sensor import by, checked_sensor
+from async_tnt.sources.sensor import checked_sensor, format_size
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int
         )
     if sensor is not None and (left + width > sensor[0] or top + height > sensor[1]):
         raise ValueError(
-            f"`roi` (x, y, width, height) must lie on the sensor of {by(sensor)} pixels, got "
+            f"`roi` (x, y, width, height) must lie on the sensor of {format_size(sensor)} pixels, got "
             f"({left}, {top}, {width}, {height})"
         )
     return left, top, width, height

@@ -15,7 +15,7 @@ from async_tnt.checks import is_whole, plain_array
 from async_tnt.config import MAX_SIDE
 from async_tnt.files import check_writable, replacing
 from async_tnt.sources.files.npy_arrays import map_npy
-from async_tnt.sources.sensor import Sensor, by
+from async_tnt.sources.sensor import Sensor, format_size
 
 
 def checked_sensor(sensor: Any) -> Sensor:
@@ -46,7 +46,7 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
     rule = f"a mask must be a bool array of shape (height, width), sides in [1, {MAX_SIDE}]"
     if sensor is not None:
         shape = f"({sensor[1]}, {sensor[0]}), (height, width)"
-        rule = f"a mask of a {by(sensor)} sensor must be a bool array of shape {shape}"
+        rule = f"a mask of a {format_size(sensor)} sensor must be a bool array of shape {shape}"
     if not isinstance(mask, np.ndarray):
         raise ValueError(f"{rule}; got {type(mask).__name__}")
     mask = plain_array("mask", mask)

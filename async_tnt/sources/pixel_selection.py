@@ -11,7 +11,7 @@ import numpy as np
 
 from async_tnt.sources.pixel_filter import check_crop, checked_region
 from async_tnt.sources.pixel_masks import PackedMask
-from async_tnt.sources.sensor import Sensor, by, checked_sensor
+from async_tnt.sources.sensor import Sensor, checked_sensor, format_size
 
 Region = tuple[int, int, int, int]
 
@@ -65,8 +65,8 @@ class PixelSelection:
             object.__setattr__(self, name, value)
         if self.mask is not None and self.sensor is not None and self.sensor != self.mask.size:
             raise ValueError(
-                f"{self.mask.name}: a mask of {by(self.mask.size)} pixels, but the camera's are given as "
-                f"{by(self.sensor)} (--sensor)"
+                f"{self.mask.name}: a mask of {format_size(self.mask.size)} pixels, but the camera's are given as "
+                f"{format_size(self.sensor)} (--sensor)"
             )
 
     @property
@@ -97,9 +97,9 @@ class PixelSelection:
         if self.crop:
             options["crop"] = True
         if self.mask is not None:
-            options["mask"] = f"{by(self.mask.size)} {self.mask.sha256[:16]}"
+            options["mask"] = f"{format_size(self.mask.size)} {self.mask.sha256[:16]}"
         elif self.sensor is not None:
-            options["sensor"] = by(self.sensor)
+            options["sensor"] = format_size(self.sensor)
         return options
 
     @property
@@ -138,7 +138,7 @@ def difference(record: Mapping[str, Any], selection: PixelSelection) -> str:
     camera = _numbers(pixels.get("camera"))
     if len(camera) == 2 and selection.camera is not None and selection.camera != tuple(camera):
         then.append(f"of a {camera[0]}x{camera[1]} camera")
-        now.append(f"of a {by(selection.camera)} camera")
+        now.append(f"of a {format_size(selection.camera)} camera")
     if then == now:
         return ""
     return f"trained with {' '.join(then) or 'all pixels'}, but now it is {' '.join(now) or 'all pixels'}"

@@ -9,7 +9,7 @@ from typing import Any
 from async_tnt.sources.files.recording import Recording, open_recording
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.sensor import TRAIN_ONE, Sensor, by, check_events, check_sensor
+from async_tnt.sources.sensor import TRAIN_ONE, Sensor, check_events, check_sensor, format_size
 
 NONE_YET = PixelCounts()
 
@@ -130,18 +130,20 @@ def _check_fit(selection: PixelSelection, model: Sensor) -> None:
     region, camera, mask = selection.region, selection.camera, selection.mask
     if region not in (None, model):
         raise ValueError(
-            f"--crop: the model is for {by(model)} pixels, got a region of {by(region)}; "
+            f"--crop: the model is for {format_size(model)} pixels, got a region of {format_size(region)}; "
             f"give --roi X,Y,{model[0]},{model[1]}"
         )
     if selection.crop or camera is None or camera == model:
         return
     part = f"give {_cut_out(model)} too, or " if _is_part(model, camera) else ""
     if mask is None:
-        raise ValueError(f"--sensor says {by(camera)} pixels, but the model is for {by(model)}: {part}{TRAIN_ONE}")
+        raise ValueError(
+            f"--sensor says {format_size(camera)} pixels, but the model is for {format_size(model)}: {part}{TRAIN_ONE}"
+        )
     transposed = "; or transpose it with .T" if camera == model[::-1] else ""
     raise ValueError(
-        f"{mask.name}: a mask of a {by(camera)} camera, but the model is for {by(model)} pixels: {part}"
-        f"give the mask of a {by(model)} camera{transposed}"
+        f"{mask.name}: a mask of a {format_size(camera)} camera, but the model is for {format_size(model)} pixels: "
+        f"{part}give the mask of a {format_size(model)} camera{transposed}"
     )
 
 

@@ -14,7 +14,7 @@ Sensor = tuple[int, int]
 TRAIN_ONE = "train one for this camera (async-tnt train --help)"
 
 
-def by(size: Sensor) -> str:
+def format_size(size: Sensor) -> str:
     """(346, 260) as `346x260`."""
     return f"{size[0]}x{size[1]}"
 
@@ -48,7 +48,7 @@ def check_sensor(
     origin : where `wanted` comes from, and `advice`: what to do about another one, for messages.
     """
     if found is not None and tuple(found) != wanted:
-        raise ValueError(f"{name}: a sensor of {by(found)} pixels, but {origin} {by(wanted)}{advice}")
+        raise ValueError(f"{name}: a sensor of {format_size(found)} pixels, but {origin} {format_size(wanted)}{advice}")
 
 
 def check_events(
@@ -65,5 +65,5 @@ def check_events(
     except (TypeError, ValueError) as error:
         if str(error).startswith(str(name)):
             raise
-        about_sensor = f"; {origin} {by(sensor)} pixels{advice}" if isinstance(error, ValueError) else ""
+        about_sensor = f"; {origin} {format_size(sensor)} pixels{advice}" if isinstance(error, ValueError) else ""
         raise ValueError(f"{name}: {error}{about_sensor}") from None

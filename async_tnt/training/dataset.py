@@ -16,7 +16,7 @@ from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.sensor import Sensor, by
+from async_tnt.sources.sensor import Sensor, format_size
 from async_tnt.training.windows import Recordings
 
 MAX_US = 1 << 31  # what a column of int32 holds
@@ -94,8 +94,8 @@ def read_dataset(
                 camera, source = one.sensor, one.name
             elif one.sensor not in (None, camera):
                 raise ValueError(
-                    f"{folder}: all recordings must be of one sensor, got {by(camera)} ({source}) and "
-                    f"{by(one.sensor)} ({one.name})"
+                    f"{folder}: all recordings must be of one sensor, got {format_size(camera)} ({source}) and "
+                    f"{format_size(one.sensor)} ({one.name})"
                 )
             if camera is not None:  # now, so that what the network will not see takes no memory
                 keep = _filter(pixels, camera)
@@ -204,7 +204,7 @@ class _Recording:
             off = np.flatnonzero(self.events[axis] >= side)
             if len(off):
                 got = f"{axis} = {self.events[axis][off[0]]} at event {off[0]}"
-                self.leave_out(f"{self.name}: every event must lie on the {by(sensor)} sensor, got {got}.")
+                self.leave_out(f"{self.name}: every event must lie on the {format_size(sensor)} sensor, got {got}.")
                 return
         seen = self.events if keep is None else keep(self.events)
         if keep is not None:

@@ -22,7 +22,7 @@ from async_tnt.volume_state import new_state, next_epoch
 
 
 class Coordinates(NamedTuple):
-    """Of N events of one window, in the order of their arrival."""
+    """Of N events of a window, in order of arrival."""
 
     u: np.ndarray
     """float64, shape (N,): column in the transformed grid; inf or nan at the window's very start, where tau is 0."""
@@ -45,8 +45,8 @@ def transformed(
     events : structured array of `EVENT_DTYPE`, all in `[start_us, start_us + window_us)`.
     config : TNTConfig. With transform "none", (u, v) is the pixel in the grid.
     start_us : the window's start.
-    landmark : (x, y) in grid pixels to centre all events on, instead of `config.landmark`. Those that are known
-        only at the moment of reading (`window`, `regressor`) must be given: `TNTVolume.landmark` has them.
+    landmark : (x, y) in grid pixels to centre all events on, instead of `config.landmark`. Landmarks that are known
+        only when the volume is read (`window`, `regressor`) must be given: `TNTVolume.landmark` has them.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def transformed(
     """
     config = config.replace(bins=1)  # the fewest cells: the events' places do not depend on them
     if landmark is None and config.needs_replay:
-        raise ValueError(f"`landmark` must be given for {config.landmark!r}: it is known at the moment of reading")
+        raise ValueError(f"`landmark` must be given for {config.landmark!r}: it is known when the volume is read")
     if landmark is not None:
         config = config.replace(transform="tnt", landmark="center", remove_flow=False)
     t = events["t"]

@@ -8,13 +8,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from async_tnt.views.figure_style import GREY, LARGE, PALE, SMALL, TEXT, new_figure, one_colour_map, save, styled
+from async_tnt.views.figure_style import (
+    GREY,
+    OFF,
+    PALE,
+    SMALL,
+    TEXT,
+    axes_at,
+    new_figure,
+    one_colour_map,
+    save,
+    shortened,
+    styled,
+    write_at,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BLUE = "#0072B2"
 MOST_NUMBERED = 25  # with more classes, numbers in the cells would be too small to read
 LONGEST_NAME = 24
 CELL, LEAST = 0.42, 2.2  # inches
@@ -29,7 +41,7 @@ def draw_confusion(
 ) -> Figure:
     """Draw a confusion matrix and, next to it, accuracy against time.
 
-    A cell's colour is its share of its row, so that a rare class shows as clearly as a common one; its number is the
+    A cell's colour is its share of its row, so that rare classes are as visible as common ones; its number is the
     count.
 
     Parameters
@@ -50,7 +62,7 @@ def draw_confusion(
     totals = confusion.sum(axis=1, keepdims=True)
     shares = confusion / np.maximum(totals, 1)
     side = min(max(CELL * n, LEAST), 9.0)
-    names = [name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + "\u2026" for name in classes]
+    names = [shortened(name, LONGEST_NAME) for name in classes]
     longest = max(map(len, names))
     margin = 0.6 + 0.075 * longest
     width, height = side + margin + 1.1, side + margin + 0.5
@@ -59,33 +71,28 @@ def draw_confusion(
         width += COURSE_MARGIN + COURSE_WIDTH
     width = max(width, 0.085 * len(title) + 0.4)
     figure = new_figure(height, width)
-    axes = figure.add_axes((margin / width, margin / height, side / width, side / height))
-    image = axes.imshow(shares, cmap=one_colour_map(BLUE), vmin=0, vmax=1, aspect="equal", interpolation="nearest")
+    write_at(figure, width / 2, 0.25, title, ha="center")
+    top = height - margin - side
+    axes = axes_at(figure, margin, top, side, side)
+    image = axes.imshow(shares, cmap=one_colour_map(OFF), vmin=0, vmax=1, aspect="equal", interpolation="nearest")
     axes.set_xticks(range(n), names, rotation=90 if longest > 3 else 0, fontsize=SMALL if n <= 40 else 5)
     axes.set_yticks(range(n), names, fontsize=SMALL if n <= 40 else 5)
-    axes.set_xlabel("decided")
-    axes.set_ylabel("true")
-    if n <= MOST_NUMBERED:
-        for row, column in np.ndindex(n, n):
-            if confusion[row, column]:
-                colour = "white" if shares[row, column] > 0.55 else TEXT
-                axes.text(
-                    column, row, str(confusion[row, column]), ha="center", va="center", color=colour, fontsize=SMALL
-                )
-    bar = figure.add_axes(((margin + side + 0.15) / width, margin / height, 0.12 / width, side / height))
+    axes.set(xlabel="decided", ylabel="true")
+    for row, column in np.argwhere(confusion) if n <= MOST_NUMBERED else ():
+        colour = "white" if shares[row, column] > 0.55 else TEXT
+        look = {"ha": "center", "va": "center", "color": colour, "fontsize": SMALL}
+        axes.text(column, row, str(confusion[row, column]), **look)
+    bar = axes_at(figure, margin + side + 0.15, top, 0.12, side)
     figure.colorbar(image, cax=bar, ticks=[0, 0.5, 1], format=lambda share, _: f"{share:.0%}")
     bar.tick_params(labelsize=SMALL)
     if course is not None:
-        left = (matrix_width + COURSE_MARGIN - 0.25) / width
-        beside = figure.add_axes((left, margin / height, COURSE_WIDTH / width, side / height))
-        _draw_course(beside, course)
-    figure.text(0.5, 1 - 0.25 / height, title, fontsize=LARGE, ha="center", va="center")
+        _draw_course(axes_at(figure, matrix_width + COURSE_MARGIN - 0.25, top, COURSE_WIDTH, side), course)
     return figure
 
 
 def _draw_course(axes: Axes, course: Course) -> None:
     us, right, decided = np.array(course).T
-    axes.plot(us / 1e3, right, color=BLUE, marker="o", markersize=3.5, label="right")
+    axes.plot(us / 1e3, right, color=OFF, marker="o", markersize=3.5, label="right")
     axes.plot(us / 1e3, decided, color=GREY, linestyle=(0, (3, 2)), label="with events")
     axes.set(xlim=(0, None), ylim=(0, 1.03), xlabel="ms into the window", ylabel="windows")
     axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}")

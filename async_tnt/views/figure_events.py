@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.views.figure_style import GREY, LARGE, OFF, ON, SMALL, TEXT, new_figure, polarity_legend
+from async_tnt.views.figure_style import (
+    GREY,
+    OFF,
+    ON,
+    SMALL,
+    TEXT,
+    axes_at,
+    headline,
+    new_figure,
+    polarity_legend,
+    write_at,
+)
 from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 
 if TYPE_CHECKING:
@@ -20,26 +31,22 @@ def draw_events(subject: Subject, number: int = 1) -> Figure:
     """One window's events, before and after the transform, side by side."""
     window = subject.window(number)
     figure = new_figure(4.9)
-    raw = figure.add_axes((0.0, 0.0, 0.48, 0.85), projection="3d")
-    tnt = figure.add_axes((0.5, 0.0, 0.48, 0.85), projection="3d")
-    draw_titles(figure, window, draw_raw(raw, window), draw_transformed(tnt, window), top=0.62)
-    figure.text(0.02, 0.955, f"{subject.name}, window {number}", fontsize=LARGE + 2, fontweight="bold", va="center")
-    polarity_legend(raw, loc="center right", bbox_to_anchor=(0.985, 0.955), bbox_transform=figure.transFigure, ncols=2)
+    headline(figure, f"{subject.name}, window {number}")
+    draw_both(figure, window, height=4.2)
     return figure
 
 
-def draw_titles(figure: Figure, window: Window, n_raw: int, n_kept: int, top: float) -> None:
-    """Titles over the left and the right half of a figure, `top` inches below its upper edge."""
-    page = figure.get_figheight()
-    for x, words, n, of in (
-        (0.25, "events as they came", n_raw, f"events in window {window.number}"),
-        (0.75, f"after TNT ({transform_words(window.subject.config)})", n_kept, "events stay on the grid"),
+def draw_both(figure: Figure, window: Window, height: float) -> None:
+    """Raw and transformed events side by side under their titles, and the legend, at the top of a figure."""
+    raw, tnt = (axes_at(figure, left, 0.7, 5.0, height, projection="3d") for left in (0.0, 5.2))
+    for centre, words, n, of in (
+        (2.6, "raw events", draw_raw(raw, window), f"events in window {window.number}"),
+        (7.8, f"after TNT ({transform_words(window.subject.config)})", draw_transformed(tnt, window), "events kept"),
     ):
         thinned = f", {MOST_DOTS:,} of them drawn" if n > MOST_DOTS else ""
-        figure.text(x, 1 - top / page, words, ha="center", va="center", fontsize=LARGE)
-        figure.text(
-            x, 1 - (top + 0.2) / page, f"{n:,} {of}{thinned}", ha="center", va="center", fontsize=SMALL, color=TEXT
-        )
+        write_at(figure, centre, 0.65, words, ha="center")
+        write_at(figure, centre, 0.85, f"{n:,} {of}{thinned}", ha="center", fontsize=SMALL, color=TEXT)
+    polarity_legend(figure)
 
 
 def transform_words(config: TNTConfig) -> str:

@@ -8,8 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.views.figure_events import MOST_DOTS, transform_words
-from async_tnt.views.figure_slices import bin_ms, colour_limit, draw_slice, layers_of, shown_bins
-from async_tnt.views.figure_style import LARGE, OFF, ON, SMALL, TEXT, WIDTH, new_figure
+from async_tnt.views.figure_slices import GAP, ROW_GAP, bin_ms, draw_rows, layers_of_window, shown_bins
+from async_tnt.views.figure_style import (
+    OFF,
+    ON,
+    SMALL,
+    TEXT,
+    axes_at,
+    headline,
+    new_figure,
+    polarity_legend,
+    write_at,
+)
 from async_tnt.views.figure_subject import Window, shown_evenly
 
 if TYPE_CHECKING:
@@ -27,68 +37,58 @@ def draw_motions(first: Window, second: Window, bins: Sequence[int] | None = Non
     ------
     ValueError : the two are drawn with different configurations.
     """
+    from matplotlib.lines import Line2D
+
     config = first.subject.config
     if second.subject.config != config:
-        raise ValueError(
-            "two motions are drawn with one configuration, got sensors of "
-            + " and ".join(f"{w}x{h} pixels" for w, h in (config.sensor, second.subject.config.sensor))
-        )
+        sensors = " and ".join(f"{w}x{h} pixels" for w, h in (config.sensor, second.subject.config.sensor))
+        raise ValueError(f"two motions are drawn with one configuration, got sensors of {sensors}")
     windows = (first, second)
     flows = [np.array(window.flow()) for window in windows]
     axis = int(np.abs(flows[0] - flows[1]).argmax())
-    volumes = [window.volumes() for window in windows]
-    shown = (
-        busiest_bins(np.abs(np.stack([tnt for _, tnt in volumes])), config.bins)
-        if bins is None
-        else shown_bins(config, bins)
-    )
-
-    page = 7.2
-    figure = new_figure(page)
-    figure.text(0.02, 0.965, title(windows), fontsize=LARGE + 2, fontweight="bold", va="center")
-    words = transform_words(config)
-    for x, above, below in (
-        (0.205, "events as they came", ""),
-        (0.425, "after TNT", words),
-        (0.775, "slices of the event volume", ""),
+    layers = [layers_of_window(window) for window in windows]
+    if bins is None:
+        transformed = np.abs(np.stack([window.volumes()[1] for window in windows]))
+        shown = busiest_bins(transformed, config.bins)
+    else:
+        shown = shown_bins(config, bins)
+    figure = new_figure(7.2)
+    same = first.subject is second.subject
+    names = first.subject.name if same else f"{first.subject.name} and {second.subject.name}"
+    headline(figure, f"{names}: {'one shape under two motions' if same else 'two motions'}")
+    for left, above, below in (
+        (2.13, "raw events", ""),
+        (4.42, "after TNT", transform_words(config)),
+        (8.06, "slices of the event volume", ""),
     ):
-        figure.text(x, 0.915, above, ha="center", fontsize=LARGE)
-        figure.text(x, 0.888, below, ha="center", fontsize=SMALL, color=TEXT)
-
-    several_files = first.subject is not second.subject
-    for row, (window, flow) in enumerate(zip(windows, flows, strict=True)):
-        bottom = 0.515 - 0.425 * row
-        raw = figure.add_axes((0.105, bottom, 0.2, 0.35))
-        tnt = figure.add_axes((0.325, bottom, 0.2, 0.35), sharex=raw, sharey=raw)
+        write_at(figure, left, 0.61, above, ha="center", va="baseline")
+        write_at(figure, left, 0.81, below, ha="center", va="baseline", fontsize=SMALL, color=TEXT)
+    for window, flow, rows, top in zip(windows, flows, layers, (0.97, 4.03), strict=True):
+        raw = axes_at(figure, 1.09, top, 2.08, 2.52)
+        tnt = axes_at(figure, 3.38, top, 2.08, 2.52, sharex=raw, sharey=raw)
         _draw_along(raw, tnt, window, axis)
-        name = f"{window.subject.name}: " if several_files else f"window {window.number}: "
-        figure.text(
-            0.02,
-            bottom + 0.175,
-            name + direction(flow, axis),
-            rotation=90,
-            ha="center",
-            va="center",
-            fontsize=LARGE,
-            fontweight="bold",
-        )
-        if row == 1:
+        name = f"window {window.number}" if same else window.subject.name
+        look = {"rotation": 90, "ha": "center", "fontweight": "bold"}
+        write_at(figure, 0.21, top + 1.26, f"{name}: {direction(flow, axis)}", **look)
+        if window is second:
             raw.set_xlabel("time in the window (ms)")
             tnt.set_xlabel("time in the window (ms)")
-        _draw_slices(figure, window, volumes[row], shown, (0.565, bottom, 0.42, 0.35))
-    _legend(figure)
+        titles = [bin_ms(config, k) for k in shown]
+        draw_rows(figure, rows, shown, titles, (5.88, top), _picture(window, len(shown), len(rows)), SMALL)
+    polarity_legend(figure, [Line2D([], [], color="black", lw=2, label="mean position")])
     return figure
 
 
-def title(windows: tuple[Window, Window]) -> str:
-    first, second = windows
-    if first.subject is second.subject:
-        return f"{first.subject.name}: one shape under two motions"
-    return f"{first.subject.name} and {second.subject.name}: two motions"
+def _picture(window: Window, n_columns: int, n_rows: int) -> tuple[float, float]:
+    """Width and height of one slice, in inches."""
+    grid = window.subject.config.grid
+    width = (4.37 - GAP * (n_columns - 1)) / n_columns
+    height = min(width * grid[1] / grid[0], (2.52 - ROW_GAP * (n_rows - 1)) / n_rows)
+    return height * grid[0] / grid[1], height
 
 
 def busiest_bins(volumes: np.ndarray, n_bins: int, n_shown: int = N_SLICES) -> list[int]:
-    """The evenly spaced bins with most events: a saccade's bell-shaped speed leaves few in the others.
+    """The evenly spaced bins with the most events: a saccade is slow, and makes few, at its start and end.
 
     volumes : (..., C, H, W), not negative; C is B, or 2 B.
     """
@@ -110,7 +110,7 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
     """Events along one axis against time, in grid pixels."""
     config = window.subject.config
     u, v, kept, _ = window.coordinates()
-    # pixels are whole numbers: dots are spread over their pixel so that they do not hide one another
+    # pixels are whole numbers: spread out over their pixel, dots do not hide one another
     spread = np.random.default_rng(0).uniform(-0.4, 0.4, kept.size) * config.to_grid(1.0, 1.0)[axis]
     _draw_dots(raw, window, window.grid_xy[axis] + spread, np.ones(kept.size, bool))
     _draw_dots(tnt, window, (u, v)[axis], kept)
@@ -120,7 +120,7 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
 
 
 def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -> None:
-    """Dots, and the mean place of those in each twelfth of the window, but not where many fell off the grid."""
+    """Dots, and their mean position in each twelfth of the window, except where many fell off the grid."""
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
     axes.scatter(window.time_ms[shown], place[shown], s=3.2, c=colours, lw=0, rasterized=True)
@@ -135,52 +135,3 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
     if len(means) > 1:
         axes.plot(*zip(*means, strict=True), color="white", lw=4.5, solid_capstyle="round")
         axes.plot(*zip(*means, strict=True), color="black", lw=2, solid_capstyle="round")
-
-
-def _draw_slices(
-    figure: Figure,
-    window: Window,
-    volumes: tuple[np.ndarray, np.ndarray],
-    shown: Sequence[int],
-    box: tuple[float, float, float, float],
-) -> None:
-    """Chosen bins of the raw and of the transformed volume, into a part (left, bottom, width, height) of a figure."""
-    config, page = window.subject.config, figure.get_figheight()
-    layers = [
-        layer for volume, name in zip(volumes, ("raw", "TNT"), strict=True) for layer in layers_of(volume, config, name)
-    ]
-    left, bottom, width, height = box
-    ratio = config.grid[1] / config.grid[0] * WIDTH / page  # of a picture's sides, as parts of the figure's
-    wide = min(
-        (width - 0.006 * (len(shown) - 1)) / len(shown), (height - 0.01 * (len(layers) - 1)) / len(layers) / ratio
-    )
-    for row, layer in enumerate(layers):
-        limit = colour_limit(layer.cells[shown])
-        top = bottom + height - row * (wide * ratio + 0.01)
-        for column, k in enumerate(shown):
-            axes = figure.add_axes((left + column * (wide + 0.006), top - wide * ratio, wide, wide * ratio))
-            draw_slice(axes, layer.cells[k], layer.colours, limit)
-            if row == 0:
-                axes.set_title(bin_ms(config, k), fontsize=SMALL, pad=3)
-            if column == 0:
-                axes.set_ylabel(layer.name, fontsize=SMALL)
-
-
-def _legend(figure: Figure) -> None:
-    from matplotlib.lines import Line2D
-
-    dots = [
-        Line2D([], [], marker="o", ls="", ms=5, color=colour, mec="none", label=name)
-        for colour, name in ((ON, "ON"), (OFF, "OFF"))
-    ]
-    mean = Line2D([], [], color="black", lw=2, label="mean place")
-    figure.legend(
-        handles=[*dots, mean],
-        loc="center right",
-        bbox_to_anchor=(0.985, 0.965),
-        ncols=3,
-        labelcolor=TEXT,
-        handletextpad=0.4,
-        columnspacing=1.2,
-        borderpad=0,
-    )

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from async_tnt.views.figure_events import draw_raw, draw_titles, draw_transformed
+from async_tnt.views.figure_events import draw_both
 from async_tnt.views.figure_probabilities import decisions_of, draw_classes, draw_rate, time_label, verdict, who_decides
 from async_tnt.views.figure_slices import caption, draw_layers, layers_height, shown_bins
-from async_tnt.views.figure_style import LARGE, SMALL, TEXT, WIDTH, new_figure, polarity_legend
+from async_tnt.views.figure_style import SMALL, TEXT, axes_at, headline, new_figure, write_at
 from async_tnt.views.figure_subject import Subject
 
 if TYPE_CHECKING:
@@ -27,35 +27,21 @@ def draw_overview(
     window = subject.window(number)
     shown = shown_bins(subject.config, bins)
     decisions = None if subject.model is None else decisions_of(subject, every_us)
-    slices_height = layers_height(subject.config, len(shown))
-    slices_top = EVENTS_HEIGHT + 0.2
-    rate_top = slices_top + slices_height + 0.35 + (0 if decisions is None else CLASSES_HEIGHT + 0.15)
-    page = rate_top + RATE_HEIGHT + 0.5
-    figure = new_figure(page)
+    rate_top = EVENTS_HEIGHT + 0.55 + layers_height(subject.config, len(shown))
+    if decisions is not None:
+        rate_top += CLASSES_HEIGHT + 0.15
+    figure = new_figure(rate_top + RATE_HEIGHT + 0.5)
+    headline(figure, subject.name if decisions is None else f"{subject.name}: {verdict(subject, decisions)}")
+    draw_both(figure, window, height=EVENTS_HEIGHT - 0.7)
+    write_at(figure, 0.21, EVENTS_HEIGHT + 0.07, f"event volume of window {number}")
+    write_at(figure, 10.24, EVENTS_HEIGHT + 0.08, caption(subject.config), fontsize=SMALL, color=TEXT, ha="right")
+    draw_layers(figure, window, shown, top=EVENTS_HEIGHT + 0.2)
 
-    def place(left: float, top: float, width: float, height: float) -> tuple[float, float, float, float]:
-        return left / WIDTH, 1 - (top + height) / page, width / WIDTH, height / page
-
-    title = subject.name if decisions is None else f"{subject.name}: {verdict(subject, decisions)}"
-    figure.text(0.02, 1 - 0.25 / page, title, fontsize=LARGE + 2, fontweight="bold", va="center")
-    raw = figure.add_axes(place(0.0, 0.6, 5.0, EVENTS_HEIGHT - 0.6), projection="3d")
-    tnt = figure.add_axes(place(5.2, 0.6, 5.0, EVENTS_HEIGHT - 0.6), projection="3d")
-    draw_titles(figure, window, draw_raw(raw, window), draw_transformed(tnt, window), top=0.65)
-    polarity_legend(
-        raw, loc="center right", bbox_to_anchor=(0.985, 1 - 0.25 / page), bbox_transform=figure.transFigure, ncols=2
-    )
-
-    figure.text(0.02, 1 - (EVENTS_HEIGHT + 0.12) / page, f"event volume of window {number}", fontsize=LARGE)
-    figure.text(
-        0.985, 1 - (EVENTS_HEIGHT + 0.12) / page, caption(subject.config), fontsize=SMALL, color=TEXT, ha="right"
-    )
-    draw_layers(figure, window, shown, top=slices_top)
-
-    rate = figure.add_axes(place(0.75, rate_top, 8.6, RATE_HEIGHT))
+    rate = axes_at(figure, 0.75, rate_top, 8.6, RATE_HEIGHT)
     draw_rate(rate, subject, (window.start_us, window.start_us + subject.config.window_us))
     words = f"{time_label(subject)}; shaded: window {number}, shown above"
     if decisions is not None:
-        classes = figure.add_axes(place(0.75, rate_top - CLASSES_HEIGHT - 0.15, 8.6, CLASSES_HEIGHT))
+        classes = axes_at(figure, 0.75, rate_top - CLASSES_HEIGHT - 0.15, 8.6, CLASSES_HEIGHT)
         draw_classes(classes, subject, decisions)
         classes.tick_params(labelbottom=False)
         rate.set_xlim(classes.get_xlim())

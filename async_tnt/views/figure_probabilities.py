@@ -13,15 +13,18 @@ from async_tnt.views.figure_events import transform_words
 from async_tnt.views.figure_style import (
     GREY,
     HIGHLIGHTS,
-    LARGE,
     NORMAL,
     OFF,
     ON,
     PALE,
     SMALL,
     TEXT,
+    axes_at,
     few_ticks,
     new_figure,
+    note,
+    shortened,
+    write_at,
 )
 from async_tnt.views.figure_subject import Subject
 
@@ -37,14 +40,14 @@ def draw_probabilities(subject: Subject, every_us: int | None = None) -> Figure:
     """Probabilities above, the rate of events below."""
     decisions = decisions_of(subject, every_us)
     figure = new_figure(4.9)
-    above = figure.add_axes((0.075, 0.37, 0.83, 0.52))
-    below = figure.add_axes((0.075, 0.11, 0.83, 0.19))
+    above = axes_at(figure, 0.78, 0.54, 8.63, 2.55)
+    below = axes_at(figure, 0.78, 3.43, 8.63, 0.93)
     draw_classes(above, subject, decisions)
     above.tick_params(labelbottom=False)
     draw_rate(below, subject)
     below.set_xlim(above.get_xlim())
     below.set_xlabel(f"{time_label(subject)}; {who_decides(subject, every_us)}", fontsize=SMALL)
-    figure.text(0.02, 0.95, f"{subject.name}: {verdict(subject, decisions)}", fontsize=LARGE, va="center")
+    write_at(figure, 0.21, 0.25, f"{subject.name}: {verdict(subject, decisions)}")
     return figure
 
 
@@ -88,7 +91,7 @@ def verdict(subject: Subject, decisions: list[Decision]) -> str:
 
 
 def who_decides(subject: Subject, every_us: int | None) -> str:
-    """The model, its transform, and the time between its decisions."""
+    """The model, its transform, and the time between its decisions, for an axis."""
     assert subject.model is not None
     config = subject.model.config
     sees = transform_words(config) if config.transform == "tnt" else "raw volumes"
@@ -98,7 +101,7 @@ def who_decides(subject: Subject, every_us: int | None) -> str:
 
 
 def draw_classes(axes: Any, subject: Subject, decisions: list[Decision]) -> None:
-    """A line for each class: in strong colours those that are likeliest for a while, the others grey."""
+    """A line for each class: those that are likeliest for a while in strong colours, the others grey."""
     model = subject.model
     assert model is not None
     probabilities = np.array([d.probabilities for d in decisions])  # (decisions, classes)
@@ -106,7 +109,7 @@ def draw_classes(axes: Any, subject: Subject, decisions: list[Decision]) -> None
     starts_us = np.array([d.window_start_us for d in decisions])
     style = _styles(probabilities)
     starts = np.unique(starts_us)
-    # each window has a line of its own, unless it has hardly more than a point
+    # a line for each window, unless it would be little more than a point
     ends = np.flatnonzero(np.diff(starts_us)) + 1 if times.size >= 3 * starts.size else np.empty(0, int)
     x, y = np.insert(times, ends, np.nan), np.insert(probabilities, ends, np.nan, axis=0)
     for k in sorted(range(len(model.classes)), key=lambda k: style[k]["zorder"]):
@@ -117,15 +120,8 @@ def draw_classes(axes: Any, subject: Subject, decisions: list[Decision]) -> None
             axes.axvline(subject.since_start(start_us), color=PALE, lw=0.8, ls=(0, (4, 3)), zorder=0)
         if number % -(-starts.size // 10) == 0:  # ten of them are legible
             k = round((start_us - subject.first_us) / model.config.window_us) + 1
-            axes.annotate(
-                f"window {k}" if starts.size <= 6 else f"{k}",
-                (subject.since_start(start_us), 1.0),
-                xytext=(3, 2),
-                textcoords="offset points",
-                fontsize=SMALL,
-                color=TEXT,
-                va="bottom",
-            )
+            words = f"window {k}" if starts.size <= 6 else f"{k}"
+            note(axes, words, (subject.since_start(start_us), 1.0), (3, 2), va="bottom")
     _name_lines(axes, model.classes, probabilities[-1], style, float(times[-1]))
     shortest = 0.2 * model.config.window_us / subject.time_unit[0]
     first = float(subject.since_start(starts[0]))
@@ -135,8 +131,8 @@ def draw_classes(axes: Any, subject: Subject, decisions: list[Decision]) -> None
 
 
 def _styles(probabilities: np.ndarray) -> list[dict[str, Any]]:
-    """For each class how its line looks. In strong colours: the likeliest by the mean, and those that are at some
-    moment likelier than all others together, the longest such ones first."""
+    """The look of each class's line. In strong colours: the likeliest on average, and those that exceed 1/2 at some
+    moment, the longest first."""
     certain = (probabilities > 0.5).sum(axis=0)
     best = int(probabilities.mean(axis=0).argmax())
     others = [int(k) for k in np.argsort(-certain, kind="stable") if certain[k] and k != best]
@@ -148,34 +144,25 @@ def _styles(probabilities: np.ndarray) -> list[dict[str, Any]]:
 
 
 def _name_lines(axes: Any, classes: tuple[str, ...], last: np.ndarray, style: list[dict[str, Any]], end: float) -> None:
-    """Names at the right ends of the lines, moved apart where they would meet."""
+    """Names at the right ends of the lines, moved apart where they would overlap."""
     named = sorted((k for k in range(len(classes)) if style[k]["zorder"] > 1), key=lambda k: last[k])
-    labels = [(float(last[k]), f"“{short(classes[k])}”", style[k]["color"], k) for k in named]
+    labels = [(float(last[k]), f"“{shortened(classes[k], 10)}”", style[k]["color"], k) for k in named]
     grey = [k for k in range(len(classes)) if style[k]["zorder"] == 1]
     if grey:
-        labels.append(
-            (float(last[grey].max()), "others" if len(grey) > 1 else f"“{short(classes[grey[0]])}”", TEXT, -1)
-        )
+        words = "others" if len(grey) > 1 else f"“{shortened(classes[grey[0]], 10)}”"
+        labels.append((float(last[grey].max()), words, TEXT, -1))
     labels.sort()
     place = -1.0
     for value, words, colour, k in labels:
         place = max(value, place + 0.11)
-        strong = k >= 0 and style[k]["zorder"] == 10
-        axes.annotate(
-            words,
-            (end, place),
-            xytext=(6, 0),
-            textcoords="offset points",
-            color=colour,
-            va="center",
-            fontsize=NORMAL + 3 if strong else SMALL,
-            fontweight="bold" if k >= 0 else "normal",
-            annotation_clip=False,
-        )
+        look: dict[str, Any] = {"color": colour, "fontweight": "bold" if k >= 0 else "normal", "va": "center"}
+        if k >= 0 and style[k]["zorder"] == 10:
+            look["fontsize"] = NORMAL + 3
+        note(axes, words, (end, place), (6, 0), annotation_clip=False, **look)
 
 
 def draw_rate(axes: Any, subject: Subject, highlight_us: tuple[int, int] | None = None) -> None:
-    """ON events a millisecond upwards, OFF events downwards; one stretch of time shaded, if asked."""
+    """ON events per millisecond upwards, OFF events downwards; `highlight_us`, (start, end), is shaded."""
     t, on = subject.events["t"], subject.events["p"] == 1
     first_us = int(t.min())
     last_us = max(int(t.max()) + 1, first_us + 1_000)
@@ -196,8 +183,3 @@ def draw_rate(axes: Any, subject: Subject, highlight_us: tuple[int, int] | None 
 
 def time_label(subject: Subject) -> str:
     return f"time in the recording ({subject.time_unit[1]})"
-
-
-def short(name: str) -> str:
-    """A class name that fits next to a figure."""
-    return name if len(name) <= 10 else name[:9] + "…"

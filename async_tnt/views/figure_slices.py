@@ -17,10 +17,12 @@ from async_tnt.views.figure_style import (
     SMALL,
     TEXT,
     WIDTH,
+    axes_at,
     few_ticks,
     new_figure,
     one_colour_map,
     polarity_map,
+    write_at,
 )
 from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 
@@ -49,15 +51,10 @@ def draw_slices(subject: Subject, number: int = 1, bins: Sequence[int] | None = 
     shown = shown_bins(subject.config, bins)
     figure = new_figure(1.0 + layers_height(subject.config, len(shown)))
     draw_layers(figure, window, shown, top=0.5)
-    height = figure.get_figheight()
-    figure.text(
-        0.02,
-        1 - 0.28 / height,
-        f"{subject.name}, window {number}: event volume, raw and after TNT ({transform_words(subject.config)})",
-        fontsize=LARGE,
-        va="center",
-    )
-    figure.text(LEFT / WIDTH, 0.15 / height, caption(subject.config), fontsize=SMALL, color=TEXT)
+    how = f"raw and after TNT ({transform_words(subject.config)})"
+    write_at(figure, 0.21, 0.28, f"{subject.name}, window {number}: event volume, {how}")
+    bottom = figure.get_figheight() - 0.15
+    write_at(figure, LEFT, bottom, caption(subject.config), fontsize=SMALL, color=TEXT, va="baseline")
     return figure
 
 
@@ -83,6 +80,12 @@ def layers_of(volume: np.ndarray, config: TNTConfig, name: str) -> list[Layer]:
     return [Layer(volume, name, config.polarity)]
 
 
+def layers_of_window(window: Window) -> list[Layer]:
+    """Its raw and its transformed volume as pictures."""
+    raw, tnt = window.volumes()
+    return layers_of(raw, window.subject.config, "raw") + layers_of(tnt, window.subject.config, "TNT")
+
+
 def layers_height(config: TNTConfig, n_shown: int) -> float:
     """Inches that `draw_layers` takes."""
     n_layers = 4 if config.polarity == "split" else 2
@@ -90,35 +93,48 @@ def layers_height(config: TNTConfig, n_shown: int) -> float:
 
 
 def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float) -> None:
-    """Rows of pictures over the figure's width, from `top` inches below its upper edge on."""
-    config, page = window.subject.config, figure.get_figheight()
-    layers = [
-        layer
-        for volume, name in zip(window.volumes(), ("raw", "TNT"), strict=True)
-        for layer in layers_of(volume, config, name)
-    ]
+    """Rows of pictures over the figure's width, from `top` inches below its upper edge on, and their colour bars."""
+    config, layers = window.subject.config, layers_of_window(window)
     width, height = _picture(config, len(shown))
-
-    def axes_at(left: float, row: int, wide: float) -> Any:
-        bottom = page - top - HEAD - height - row * (height + ROW_GAP)
-        return figure.add_axes((left / WIDTH, bottom / page, wide / WIDTH, height / page))
-
-    for row, layer in enumerate(layers):
-        limit = colour_limit(layer.cells[shown])
-        for column, k in enumerate(shown):
-            axes = axes_at(LEFT + column * (width + GAP), row, width)
-            image = draw_slice(axes, layer.cells[k], layer.colours, limit)
-            if row == 0:
-                axes.set_title(bin_title(config, k), fontsize=SMALL, pad=3)
-            if column == 0:
-                axes.set_ylabel(layer.name, fontsize=LARGE)
-        bar_axes = axes_at(LEFT + len(shown) * (width + GAP) + 0.04, row, 0.1)
-        bar = figure.colorbar(image, cax=bar_axes, extend="both" if layer.colours == "signed" else "max")
+    titles = [f"bin {k}\n{bin_ms(config, k)}" for k in shown]
+    images = draw_rows(figure, layers, shown, titles, (LEFT, top + HEAD), (width, height), LARGE)
+    for row, (layer, image) in enumerate(zip(layers, images, strict=True)):
+        right = LEFT + len(shown) * (width + GAP) + 0.04
+        axes = axes_at(figure, right, top + HEAD + row * (height + ROW_GAP), 0.1, height)
+        bar = figure.colorbar(image, cax=axes, extend="both" if layer.colours == "signed" else "max")
         bar.outline.set_visible(False)
         bar.ax.tick_params(labelsize=SMALL, length=2, colors=TEXT)
         bar.locator = few_ticks()
         if height > 0.85:  # else it would reach into the next row; the caption has it, too
             bar.set_label("events / cell", fontsize=SMALL, color=TEXT, labelpad=2)
+
+
+def draw_rows(
+    figure: Figure,
+    layers: Sequence[Layer],
+    shown: Sequence[int],
+    titles: Sequence[str],
+    corner: tuple[float, float],
+    picture: tuple[float, float],
+    fontsize: float,
+) -> list[AxesImage]:
+    """A row of pictures for each layer: its bins `shown`, in common colours. Returns an image of each row.
+
+    corner, picture : (left, top) of the first picture and (width, height) of each, in inches.
+    """
+    (left, top), (width, height), images = corner, picture, []
+    for row, layer in enumerate(layers):
+        limit = colour_limit(layer.cells[shown])
+        for column, (k, title) in enumerate(zip(shown, titles, strict=True)):
+            place = left + column * (width + GAP), top + row * (height + ROW_GAP)
+            axes = axes_at(figure, *place, width, height)
+            image = draw_slice(axes, layer.cells[k], layer.colours, limit)
+            if row == 0:
+                axes.set_title(title, fontsize=SMALL, pad=3)
+            if column == 0:
+                axes.set_ylabel(layer.name, fontsize=fontsize)
+        images.append(image)
+    return images
 
 
 def _picture(config: TNTConfig, n_shown: int) -> tuple[float, float]:
@@ -151,12 +167,8 @@ def draw_slice(axes: Any, cells: np.ndarray, colours: str, limit: float, **setti
     )
 
 
-def bin_title(config: TNTConfig, k: int) -> str:
-    """A bin's number and its time."""
-    return f"bin {k}\n{bin_ms(config, k)}"
-
-
 def bin_ms(config: TNTConfig, k: int) -> str:
+    """The time of a bin."""
     centre_ms = k * config.window_us / 1e3 / max(1, config.bins - 1)
     return f"{centre_ms:.0f} ms" if config.window_us >= 20_000 else f"{centre_ms:.3g} ms"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 from async_tnt.files import check_writable, replacing
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, distinguishable for colour-blind people, too
+# Okabe and Ito's colours, which colour-blind people can distinguish
 ON, OFF = "#D55E00", "#0072B2"
 HIGHLIGHTS = (("#000000", "-"), ("#009E73", (0, (5, 1.5))), ("#CC79A7", (0, (3, 1, 1, 1))), ("#E69F00", (0, (1, 1))))
 GREY, PALE, TEXT = "#8a8a8a", "#c4c4c4", "#555555"
@@ -42,7 +41,7 @@ _STYLE: dict[str, Any] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Within the block figures have our style, whatever the user's settings; outside, nothing changes."""
+    """Within the block figures have our style whatever the user's settings, which stay as they are."""
     import matplotlib.style
 
     with matplotlib.style.context(["default", _STYLE]):
@@ -50,10 +49,33 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """A figure of this size in inches, not shown on a screen and not known to pyplot."""
+    """A figure of this size in inches, unknown to pyplot and not shown on a screen."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), facecolor="white")
+
+
+def axes_at(figure: Figure, left: float, top: float, width: float, height: float, **settings: Any) -> Any:
+    """Axes at inches from the figure's upper left corner."""
+    w, h = figure.get_size_inches()
+    return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h), **settings)
+
+
+def write_at(figure: Figure, left: float, top: float, words: str, **settings: Any) -> None:
+    """Words at inches from the figure's upper left corner."""
+    w, h = figure.get_size_inches()
+    figure.text(left / w, 1 - top / h, words, **{"va": "center", "fontsize": LARGE, **settings})
+
+
+def headline(figure: Figure, words: str) -> None:
+    """The figure's title, at its upper left."""
+    write_at(figure, 0.21, 0.25, words, fontsize=LARGE + 2, fontweight="bold")
+
+
+def note(axes: Any, words: str, at: tuple[float, float], offset: tuple[float, float], **settings: Any) -> None:
+    """Small words beside a point of the data, `offset` points away."""
+    look = {"fontsize": SMALL, "color": TEXT, **settings}
+    axes.annotate(words, at, xytext=offset, textcoords="offset points", **look)
 
 
 def check_picture(path: Path) -> None:
@@ -73,7 +95,7 @@ def check_picture(path: Path) -> None:
 def save(figure: Figure, path: Path, dpi: int) -> None:
     """Write a figure in the format of the suffix. An existing file is replaced when the new one is complete.
 
-    A PNG for a screen gets a palette of 256 colours: a third of the bytes, without a visible difference.
+    A PNG for a screen gets a palette of 256 colours: a third of the bytes, and no visible difference.
 
     dpi : pixels per inch of a PNG, and of the clouds of dots in SVG and PDF.
     """
@@ -87,7 +109,7 @@ def save(figure: Figure, path: Path, dpi: int) -> None:
 
 
 def _give_palette(path: Path, dpi: int) -> None:
-    """Rewrite a PNG with the palette that covers all its colours: a rare one keeps its hue, too."""
+    """Rewrite a PNG with a palette that covers all its colours: even a rare one keeps its hue."""
     from PIL import Image  # a dependency of matplotlib
 
     with Image.open(path) as opened:
@@ -112,15 +134,22 @@ def one_colour_map(colour: str) -> Colormap:
     return LinearSegmentedColormap.from_list("one", ["#ffffff", colour])
 
 
-def polarity_legend(axes: Axes, **settings: Any) -> None:
-    """A legend for ON and OFF dots."""
+def polarity_legend(figure: Figure, more: Sequence[Any] = ()) -> None:
+    """A legend for ON and OFF dots, and `more` handles, at the figure's upper right."""
     from matplotlib.lines import Line2D
 
     handles = [
         Line2D([], [], marker="o", ls="", ms=5, color=colour, mec="none", label=name)
         for colour, name in ((ON, "ON (brighter)"), (OFF, "OFF (darker)"))
     ]
-    axes.legend(handles=handles, handletextpad=0.2, borderpad=0, labelspacing=0.25, **settings)
+    corner = (0.985, 1 - 0.25 / figure.get_figheight())
+    look = {"handletextpad": 0.3, "columnspacing": 1.2, "borderpad": 0}
+    figure.legend(handles=[*handles, *more], loc="center right", bbox_to_anchor=corner, ncols=3, **look)
+
+
+def shortened(name: str, most: int) -> str:
+    """A name, cut to at most `most` letters."""
+    return name if len(name) <= most else name[: most - 1] + "…"
 
 
 def few_ticks() -> Any:

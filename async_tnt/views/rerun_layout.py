@@ -42,8 +42,8 @@ def event_classes(rr: Any) -> Any:
 def blueprint(rr: Any, sensor: tuple[int, int], transformed: bool, live: bool = False) -> Any:
     """The initial layout; the user may change it.
 
-    Above the events, the volumes and the class, below the plots and the log of decisions. The panels around are closed;
-    the buttons at the top right of the window open them.
+    At the top events, volumes and class; below them the plots and the log of decisions. The side panels are closed; the
+    buttons at the top right of the window open them.
 
     Parameters
     ----------

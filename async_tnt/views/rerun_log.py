@@ -14,9 +14,9 @@ from async_tnt.processor import Processor
 from async_tnt.views import rerun_layout as layout
 from async_tnt.views.rerun_pictures import bin_sheet, class_colours, event_image, newest_text
 
-MOST_LINES = 20  # decisions written between two pictures; of more, the newest are
-MOST_SERIES = 64  # classes; of more, only the likeliest one's probability is drawn
-MOST_TENSOR_BYTES = 1 << 20  # of a volume; a larger one is written at the ends of windows alone
+MOST_LINES = 20  # decisions written between two pictures, the newest
+MOST_SERIES = 64  # with more classes, only the probability of the likeliest is drawn
+MOST_TENSOR_BYTES = 1 << 20  # of a volume; a larger one is only written at the ends of windows
 LANDMARK_COLOUR = (255, 255, 255)  # distinct from both polarities and the background
 LANDMARK_RADIUS, CROSS_RADIUS = 4.0, 1.0  # points of the screen
 CROSS_ARM = 0.06  # of the sensor's longer side
@@ -140,20 +140,13 @@ class StreamLog:
         rr = self._rr
         text = newest_text(now, self._classes or ())
         self._write(layout.NEWEST, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
-        if now.events == 0:
-            self._write(layout.CLASS, rr.Points2D(np.empty((0, 2))))
-            return
-        width, height = self._config.sensor
-        self._write(
-            layout.CLASS,
-            rr.Points2D(
-                [[width / 2, height]],  # the viewer writes a label below its point
-                radii=0.0,
-                colors=[self._colours[now.index]],
-                labels=[f"{now.label} {now.probability:.2f}"],
-                show_labels=True,
-            ),
-        )
+        points = rr.Points2D(np.empty((0, 2)))
+        if now.events:
+            width, height = self._config.sensor
+            place = [[width / 2, height]]  # the viewer writes a label below its point
+            label, colour = f"{now.label} {now.probability:.2f}", self._colours[now.index]
+            points = rr.Points2D(place, radii=0.0, colors=[colour], labels=[label], show_labels=True)
+        self._write(layout.CLASS, points)
 
     def _write_landmark(self, processor: Processor, now: Decision) -> None:
         """The landmark on the event image, in the sensor's pixels."""
@@ -165,20 +158,10 @@ class StreamLog:
         x, y = self._config.to_sensor(*processor.landmark)
         x, y = x + 0.5, y + 0.5  # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
         arm = CROSS_ARM * max(self._config.sensor)
-        points = rr.components.Radius.ui_points
-        self._write(
-            layout.LANDMARK,
-            rr.Points2D([[x, y]], radii=points(LANDMARK_RADIUS), colors=[LANDMARK_COLOUR], draw_order=100.0),
-        )
-        self._write(
-            layout.LANDMARK_CROSS,
-            rr.LineStrips2D(
-                [[[x - arm, y], [x + arm, y]], [[x, y - arm], [x, y + arm]]],
-                radii=points(CROSS_RADIUS),
-                colors=[LANDMARK_COLOUR],
-                draw_order=100.0,
-            ),
-        )
+        points, look = rr.components.Radius.ui_points, {"colors": [LANDMARK_COLOUR], "draw_order": 100.0}
+        arms = [[[x - arm, y], [x + arm, y]], [[x, y - arm], [x, y + arm]]]
+        self._write(layout.LANDMARK, rr.Points2D([[x, y]], radii=points(LANDMARK_RADIUS), **look))
+        self._write(layout.LANDMARK_CROSS, rr.LineStrips2D(arms, radii=points(CROSS_RADIUS), **look))
 
     def _write_volume(self, sheet: str, place: str, volume: np.ndarray, whole: bool) -> None:
         self._write(sheet, self._rr.Image(bin_sheet(volume)))

@@ -8,15 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from async_tnt.decision import Decision
+from async_tnt.views.figure_style import shortened
 
-# Okabe and Ito's colours, distinguishable for colour-blind people, too; bright ones, as the viewer is dark
+# Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is dark
 ON_COLOUR, OFF_COLOUR = (230, 159, 0), (86, 180, 233)
 NOTHING_COLOUR, GAP_COLOUR = (18, 20, 24), (70, 74, 80)
 NOTHING, OFF, ON = 0, 1, 2
 """Cells of an event image."""
 MOST_SHEET_PIXELS = 1 << 17
 
-MOST_BARS = 12  # of more classes, the likeliest are shown
+MOST_BARS = 12  # with more classes, the likeliest are shown
 BAR_LENGTH = 14
 MOST_LETTERS = 16  # of a class name next to its bar
 EIGHTHS = " ▏▎▍▌▋▊▉"
@@ -153,5 +154,4 @@ def plain(text: str) -> str:
 
 
 def _short(name: str) -> str:
-    name = " ".join(name.replace("`", "'").split())  # three of them would end the block of bars
-    return name if len(name) <= MOST_LETTERS else name[: MOST_LETTERS - 1] + "…"
+    return shortened(" ".join(name.replace("`", "'").split()), MOST_LETTERS)  # three ` would end the block of bars

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -19,7 +20,7 @@ from async_tnt.streams import as_processor
 from async_tnt.views import rerun_layout as layout
 from async_tnt.views.rerun_log import StreamLog
 from async_tnt.views.rerun_sinks import import_rerun, sink_of
-from async_tnt.views.untransformed_volume import UntransformedVolume
+from async_tnt.volume import TNTVolume
 
 CHECK_S = 1.0  # between checks of the sink, which also bound what waits for a slow viewer
 LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits
@@ -35,7 +36,7 @@ class RerunView:
     out : a .rrd file to write; `rerun FILE.rrd` opens it.
     connect : URL of a running viewer, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a viewer is
         started.
-    picture_us : recorded microseconds between pictures. One more is taken at each window's end.
+    picture_us : recorded microseconds between pictures. Another one is taken at the end of each window.
     most_pictures_per_s : in real time; further ones are skipped, and drawing takes half of the time at most. For
         live streams, whose plots then show the last seconds.
     name : of this recording in the viewer's list; by default a number.
@@ -236,6 +237,56 @@ class RerunView:
                 self.finish()
             self._origin_us = None
         self.close()
+
+
+class UntransformedVolume:
+    """A volume without the transform that follows the open window of a processor.
+
+    Parameters
+    ----------
+    config : the processor's.
+    late : the processor's setting.
+    """
+
+    def __init__(self, config: TNTConfig, late: str = "accept") -> None:
+        raw = config.replace(transform="none", landmark="center", remove_flow=False)
+        self._volume = TNTVolume(raw, late=late)
+
+    def reset(self) -> None:
+        """Start a new stream."""
+        self._volume.reset()
+
+    def follow(self, packets: Iterable[np.ndarray], now: Decision) -> np.ndarray:
+        """Add the events that the processor received since the last call.
+
+        Parameters
+        ----------
+        packets : structured arrays of events, all of them, in order.
+        now : the result of the processor's `fire` after the last packet, which names the open window. If a decision
+            closed a window early, this is a later one than the events alone imply.
+
+        Returns
+        -------
+        float32, shape (C, H, W), read-only, valid until the next call.
+
+        Raises
+        ------
+        ValueError : the processor's window holds other events.
+        """
+        volume = self._volume
+        if volume.n_events == 0 or volume.start_us != now.window_start_us:
+            volume.open(now.window_start_us)  # earlier events are late from now on
+        for packet in packets:
+            volume.update(packet)
+        if now.events == 0:
+            volume.open(now.window_start_us)
+        if volume.n_events != now.events or volume.start_us != now.window_start_us:
+            raise ValueError(
+                f"the raw volume has {volume.n_events} events from {volume.start_us} us on, the processor's window "
+                f"{now.events} from {now.window_start_us} us on: a view can only follow windows without overlap (no "
+                "`hop_us`) whose events all went through its `push`"
+            )
+        return volume.array
 
 
 def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:

@@ -2,156 +2,130 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import importlib.util
 import io
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from made import random_model
 
-from async_tnt import Model, TNTConfig
-from async_tnt.checking import bench_latency as latency
-from async_tnt.checking.backends import WORK as ENGINES
-from async_tnt.checking.moments import made_recording
-from async_tnt.checking.timing import interleave, spread
-from async_tnt.cli.bench import TITLES, add_arguments, main, table
+from async_tnt import TNTConfig, load_model
+from async_tnt.checking import backends
+from async_tnt.checking.bench_latency import bench_latency, bench_stream
+from async_tnt.checking.interleaved import WorkDiffers
+from async_tnt.checking.moments import bench_recordings, made_recording
+from async_tnt.cli import main
+from async_tnt.cli.bench import table
 
-WAYS = {"single"} | {f"packet_{n}_{form}" for n in (10, 100, 1300) for form in ("structured", "columns")}
 needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
 
 
-def parse(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    return parser.parse_args(words)
-
-
-@pytest.fixture(scope="module")
+@pytest.fixture(autouse=True, scope="module")
 def small_grids():
-    patch = pytest.MonkeyPatch()
-    patch.setattr("async_tnt.cli.bench.GRIDS", ((34, 34), (64, 48)))
-    yield
-    patch.undo()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("async_tnt.cli.bench.GRIDS", ((34, 34), (64, 48)))
+        small = {"rounds": 2, "moments": 40, "blocks": 1, "decisions_a_block": 5, "recordings": 1, "events": 100}
+        patch.setattr("async_tnt.cli.bench.SIZES", {name: (None, n) for name, n in small.items()})
+        yield
 
 
 @pytest.fixture(scope="module")
 def report(small_grids):
     """What `--quick --json` prints, run once for the tests that read it."""
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
-        assert main(parse("--quick", "--json")) == 0
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert main(["bench", "--quick", "--json"]) == 0
     return json.loads(printed.getvalue())
 
 
-def test_quick_json_is_one_object_with_every_figure(report):
+def figures_of(report):
+    """All figures of a report, at any depth."""
+    if isinstance(report, dict):
+        if "median" in report:
+            yield report
+        for value in report.values():
+            yield from figures_of(value)
+
+
+def test_the_report_has_every_figure_in_order(report):
     assert report["machine"]["cpu"] and report["machine"]["numpy"] == np.__version__
+    ways = {"single"} | {f"packet_{n}_{form}" for n in (10, 100, 1300) for form in ("structured", "columns")}
     assert [v["grid"] for v in report["volume"]] == [[34, 34], [64, 48]]
-    for volume in report["volume"]:
-        assert set(volume["ns_per_event"]) == WAYS
-        for figure in [*volume["ns_per_event"].values(), volume["open_us"], volume["read_us"]]:
-            assert 0 < figure["min"] <= figure["q1"] <= figure["median"] <= figure["q3"] <= figure["max"]
-    decisions = report["processor"]["latency"]
-    for figure in decisions["us"].values():
-        assert 0 < figure["median"] <= figure["p99"]
-    assert decisions["us"]["stream"]["median"] > decisions["us"]["push_one"]["median"]
+    assert all(set(volume["ns_per_event"]) == ways for volume in report["volume"])
+    found = [
+        figure for part in (*report["volume"], report["processor"], report["network"]) for figure in figures_of(part)
+    ]
+    assert len(found) > 50
+    for figure in found:
+        ordered = [figure[name] for name in ("min", "q1", "median", "q3", "p99", "max") if name in figure]
+        assert ordered[0] > 0 and ordered == sorted(ordered)
+    engines = set(backends.ENGINES) - set(report["left_out"])
+    assert list(report["network"]) == ["1", "10", "100", "1300"]
+    for row in report["network"].values():
+        for mode in ("call_by_call", "in_blocks"):
+            assert set(row[mode]["us"]) == engines and row[mode]["largest_difference"] < 1e-4
+    assert set(report["processor"]["every_event"]) == {"ours"} | engines - {"incremental"}
     assert report["processor"]["stream"]["windows"] == 3
 
 
-def test_decisions_are_reported_beside_every_engine_that_is_installed(report):
-    engines = set(ENGINES) - set(report["left_out"])
-    assert list(report["network"]) == ["1", "10", "100", "1300"]
-    for row in report["network"].values():
-        for way in ("call_by_call", "in_blocks"):
-            assert set(row[way]["us"]) == engines and row[way]["largest_difference"] < 1e-4
-            assert all(0 < figure["median"] <= figure["p99"] for figure in row[way]["us"].values())
-    every_event = report["processor"]["every_event"]
-    assert set(every_event) == {"ours"} | engines - {"incremental"}
-    for name, row in every_event.items():
-        assert row["a_second"] == pytest.approx(1e6 / row["us"]["median"])
-        assert name == "ours" or row["ratio"]["median"] > 0
-
-
 @needs_torch
-def test_batch_way_is_timed_and_makes_the_same_volumes(report):
-    assert report["settings"]["batch"] is True
-    assert "batch" in report["processor"]["stream"]["ns_per_event"]
+def test_batch_processing_is_timed_and_makes_the_same_volumes(report):
     decisions = report["processor"]["latency"]
     assert {"batch", "batch_volume", "batch_network"} < set(decisions["us"])
     assert 0 < decisions["largest_difference"]["volume"] < 1e-4  # float32 against float64: not quite zero
-    assert decisions["batch_over_stream"]["median"] > 0
+    assert "batch" in report["processor"]["stream"]["ns_per_event"] and decisions["batch_over_stream"]["median"] > 0
 
 
 def test_the_table_shows_every_figure(report):
     text = "\n".join(table(report))
-    for title in ("update_one", "packets of 1300, columns", "open a window", "push_one + fire"):
+    for title in (
+        "update_one",
+        "packets of 1300, columns",
+        "open a window",
+        "push_one + fire",
+        "checked: the same logits",
+    ):
         assert title in text
-    assert f"{report['volume'][1]['ns_per_event']['single']['median']:,.0f}" in text
-    assert "batch / stream" in text or "torch is not installed" in text
-    for name in report["network"]["1"]["in_blocks"]["us"]:
-        assert TITLES[name] in text
+    assert f"{report['volume'][1]['ns_per_event']['single']['median']:,.1f}" in text
     assert f"{report['processor']['every_event']['ours']['a_second']:,.0f}" in text
-    assert "checked: the same logits (at most" in text
+    assert "batch / stream" in text or "torch is not installed" in text
+    assert not [name for name in report["network"]["1"]["in_blocks"]["us"] if backends.ENGINES[name].title not in text]
 
 
-def test_an_engine_of_other_logits_is_refused(small_grids, monkeypatch, capsys):
-    from async_tnt.checking import backends
+def test_different_work_is_refused(monkeypatch, program):
+    def differ(*settings, **counts):
+        raise WorkDiffers("got ours and theirs 1.0e-03 apart")
 
-    right = backends.MAKERS["dense"]
-
-    def wrong(model):
-        network = right(model)
-        return lambda volume: 1.001 * network(volume)
-
-    monkeypatch.setitem(backends.MAKERS, "dense", wrong)
-    assert main(parse("--quick")) == 1
-    captured = capsys.readouterr()
-    assert "all must give the same logits within 0.0001, got incremental and dense 1.0e-03 apart" in captured.err
-    assert captured.out == ""
+    monkeypatch.setattr("async_tnt.cli.bench.bench_volume", differ)
+    assert program("bench", "--quick") == (1, "", "async-tnt bench: got ours and theirs 1.0e-03 apart\n")
 
 
 @needs_torch
-def test_different_work_is_not_timed_but_refused(small_grids, monkeypatch, capsys):
+def test_different_volumes_are_refused(monkeypatch):
     from async_tnt.checking.torch_batch import TorchBatch
 
-    right = TorchBatch.volume
+    model, right = load_model("digits"), TorchBatch.volume
     monkeypatch.setattr(TorchBatch, "volume", lambda self, *columns: 1.001 * right(self, *columns))
-    assert main(parse("--quick")) == 1
-    captured = capsys.readouterr()
-    assert "stream and batch must agree within 0.0001, got volumes 1.0e-03" in captured.err
-    assert captured.out == ""
+    with pytest.raises(WorkDiffers, match=r"stream and batch must agree within 0\.0001, got volumes 1\.0e-03"):
+        bench_latency(model, bench_recordings(model.config)[0], moments=5, with_torch=True)
 
 
-def test_without_torch_it_says_so_and_times_ours(small_grids, monkeypatch, capsys):
+def test_without_other_packages_ours_are_timed(monkeypatch, program):
     for module in ("cli.bench", "checking.backends"):
         monkeypatch.setattr(f"async_tnt.{module}.is_installed", lambda *packages: not packages)
-    assert main(parse("--quick")) == 0
-    text = capsys.readouterr().out
-    assert "torch is not installed: only our own times" in text
-    assert "packets of 1300, columns" in text and "batch: " not in text and "batch way, torch" not in text
+    code, text, _ = program("bench", "--quick")
+    assert code == 0 and "torch is not installed: only our own times" in text
+    assert "packets of 1300, columns" in text and "batch: " not in text
     assert "onnxruntime, run: onnx and onnxruntime are not installed" in text
     assert "CompiledClassifier.refresh" in text and "CompiledClassifier(array)" in text
 
 
-def test_the_command_does_not_import_torch():
-    code = "import sys, async_tnt.cli.bench; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-def test_a_model_that_cannot_be_read_is_bad_usage():
-    with pytest.raises(FileNotFoundError, match="no model file no_such_model"):
-        main(parse("--model", "no_such_model"))
-
-
-def test_random_weights_stand_in_where_no_model_is_bundled(monkeypatch):
-    monkeypatch.setattr(latency, "bundled_models", lambda: ())
-    model, name = latency.bench_model(None, "line", seed=3)
-    again, _ = latency.bench_model(None, "line", seed=3)
-    assert name == "random weights" and model.config.landmark == "line"
-    assert all(np.array_equal(model.weights[key], again.weights[key]) for key in model.weights)
+def test_mistakes(program):
+    code, _, err = program("bench", "--model", "no_such_model")
+    assert code == 2 and "no model file no_such_model" in err
+    with pytest.raises(SystemExit, match="2"):
+        program("bench", "--landmark", "regressor")
 
 
 @needs_torch
@@ -160,75 +134,38 @@ def test_random_weights_stand_in_where_no_model_is_bundled(monkeypatch):
     [{"polarity": "split", "landmark": "line"}, {"landmark": "window"}, {"transform": "none", "bins": 1}],
     ids=str,
 )
-def test_any_model_is_timed_on_a_made_stream(settings):
-    """Another sensor and grid than the samples', several windows: both ways see the same events at all times."""
-    config = TNTConfig(sensor=(50, 40), grid=(24, 20), window_us=10_000, **settings)
-    rng = np.random.default_rng(1)
-    shapes = {"conv1": (4, config.channels, 3, 3), "conv2": (6, 4, 3, 3), "fc1": (8, 6 * 5 * 6), "fc2": (3, 8)}
-    weights = {f"{k}.weight": rng.normal(0, 0.2, s).astype(np.float32) for k, s in shapes.items()}
-    weights |= {f"{k}.bias": rng.normal(0, 0.2, s[0]).astype(np.float32) for k, s in shapes.items()}
-    model = Model(config, weights, ("a", "b", "c"))
-    events = made_recording(rng, config, 2000)
-    decisions = latency.bench_latency(model, events, moments=30, with_torch=True)
+def test_any_model_is_timed(settings):
+    """Another sensor and grid than the samples', several windows: both see the same events at all times."""
+    model = random_model(TNTConfig(sensor=(50, 40), grid=(24, 20), window_us=10_000, **settings), widths=(4, 6, 8))
+    events = made_recording(np.random.default_rng(1), model.config, 2000)
+    decisions = bench_latency(model, events, moments=30, with_torch=True)
     assert 0 < decisions["largest_difference"]["volume"] < 1e-4
-    stream = latency.bench_stream(model, events, rounds=1, with_torch=True)
-    assert stream["windows"] == 3 and stream["ns_per_event"]["batch"]["median"] > 0
-
-
-def test_cases_take_turns_and_the_warm_up_is_not_counted():
-    calls: list[str] = []
-
-    def case(name: str, value: float):
-        return lambda: calls.append(name) or value
-
-    measured = interleave({"a": case("a", 1.0), "b": case("b", 2.0)}, rounds=3)
-    assert calls == ["a", "b", "a", "b", "b", "a", "a", "b"]
-    assert measured["a"].tolist() == [1.0] * 3 and measured["b"].tolist() == [2.0] * 3
-
-
-def test_spread_by_hand():
-    assert spread(np.array([1.0, 2.0, 3.0, 4.0, 9.0])) == {
-        "median": 3.0,
-        "q1": 2.0,
-        "q3": 4.0,
-        "min": 1.0,
-        "max": 9.0,
-        "n": 5,
-    }
+    assert bench_stream(model, events, rounds=1, with_torch=True)["windows"] == 3
 
 
 TWINS = [
-    {"landmark": name, "polarity": p, "t_max": t}
-    for name in ("center", "running", "line", "window")
-    for p in ("signed", "unsigned", "split")
-    for t in (2.0, 8.0)
+    {"landmark": landmark, "polarity": polarity, "t_max": t_max}
+    for landmark in ("center", "running", "line", "window")
+    for polarity, t_max in (("signed", 2.0), ("unsigned", 8.0), ("split", 8.0))
 ]
-TWINS += [{"landmark": "line", "remove_flow": True, "t_max": 2.0}, {"transform": "none"}, {"bins": 1}]
+TWINS += [{"landmark": "line", "remove_flow": True}, {"transform": "none"}, {"bins": 1}]
 
 
 @needs_torch
-@pytest.mark.parametrize("settings", TWINS, ids=lambda s: "-".join(map(str, s.values())))
+@pytest.mark.parametrize("settings", TWINS, ids=str)
 @pytest.mark.parametrize("grid", [(34, 34), (20, 41)])
-def test_the_batch_way_is_the_reference(settings, grid):
-    """Held against the reference, not against ours: a figure beside a wrong twin would mean nothing."""
+def test_batch_processing_equals_the_reference(settings, grid):
+    """A figure beside a wrong batch computation would mean nothing."""
     import torch
-    from tnt_reference import event_volume, tnt_volume
 
+    from async_tnt.checking.reference import reference_volume
     from async_tnt.checking.torch_batch import TorchBatch, as_tensors
 
     config = TNTConfig(grid=grid, window_us=20_000, **settings)
     events = made_recording(np.random.default_rng(5), config, 3000)
     events = events[events["t"] < 20_000]
-    assert len(events) > 900
-    at = {"start_us": 0, "window_us": 20_000, "sensor": (34, 34), "grid": grid, "bins": config.bins}
-    at |= {"polarity": config.polarity}
-    columns = [events[name].astype(np.int64) for name in "txyp"]
-    if config.transform == "tnt":
-        at |= {"t_max": config.t_max, "landmark": config.landmark, "remove_flow": config.remove_flow}
-        expected = tnt_volume(*columns, **at)
-    else:
-        expected = event_volume(*columns, **at)
+    expected = reference_volume(events, config, 0)
     with torch.inference_mode():
-        found = TorchBatch(config).volume(*as_tensors(events, 0))
-    assert expected.abs().max() > 1
-    torch.testing.assert_close(found, expected, rtol=0, atol=2e-5 * float(expected.abs().max()))
+        found = TorchBatch(config).volume(*as_tensors(events, 0)).numpy()
+    assert np.abs(expected).max() > 1
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * np.abs(expected).max())

@@ -1,0 +1,46 @@
+"""What the scripts share: options, and the files and pictures that they write."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from async_tnt.cli.options import writable_file
+from async_tnt.files import write_text
+from async_tnt.views.figure_style import check_picture, save, styled
+
+
+def script_parser(description: str | None, quick: str, *, draws: bool = False) -> argparse.ArgumentParser:
+    """With --quick and --json; if the script draws, also with --picture and --from."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
+    if draws:
+        parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
+        help_from = "take the figures from such a JSON file instead of measuring"
+        parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help=help_from)
+    return parser
+
+
+def report_of(args: argparse.Namespace, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """The figures of --from, or new ones.
+
+    Raises
+    ------
+    OSError, ValueError : a file cannot be read, or the picture could not be written.
+    """
+    if args.picture:
+        check_picture(args.picture)
+    return json.loads(args.source.read_text(encoding="utf-8")) if args.source else measure()
+
+
+def write_outputs(args: argparse.Namespace, report: dict[str, Any], draw: Callable[[Any], Any] | None = None) -> None:
+    """The files of --json and --picture."""
+    if args.json:
+        write_text(args.json, json.dumps(report, indent=1) + "\n")
+    if draw is not None and args.picture:
+        with styled():
+            save(draw(report), args.picture, dpi=100)
