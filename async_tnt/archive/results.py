@@ -17,7 +17,7 @@ from typing import IO, Any
 
 from async_tnt.archive.job import Job
 from async_tnt.archive.parquet import import_pyarrow, not_ours, read_metadata, read_parquet, write_parquet
-from async_tnt.archive.records import FIELDS, FIELDS_OF, Record
+from async_tnt.archive.records import COLUMNS, Record
 from async_tnt.files import check_own, check_writable, file_of, replacing, set_mode
 
 SUFFIXES = (".jsonl", ".parquet")
@@ -221,7 +221,7 @@ def _parsed(line: bytes) -> Any:
 def _check_record(record: Any, job: Job, out: Path) -> None:
     is_record = (
         isinstance(record, dict)
-        and record.keys() == {*FIELDS, *FIELDS_OF[job.kind]}
+        and record.keys() == COLUMNS[job.kind].keys()
         and isinstance(record["recording"], str)
         and isinstance(record["settings"], str)
         and isinstance(record["error"], str | None)

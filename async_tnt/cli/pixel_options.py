@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from async_tnt.cli.options import size_text
 from async_tnt.cli.output import complain
-from async_tnt.cli.sizes import size_text
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection, Region, difference

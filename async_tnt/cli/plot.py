@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from async_tnt.cli.options import positive_int
+from async_tnt.cli.options import positive_int, size_of
 from async_tnt.cli.output import complain, one_line
-from async_tnt.cli.sizes import size_of
 from async_tnt.config import LANDMARKS, POLARITIES, TNTConfig
 from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import check_writable

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.live_view import LiveView, decide_often
-from async_tnt.cli.output import Line, complain, one_line
+from async_tnt.cli.output import Line, complain, complain_late, one_line
 from async_tnt.decision import Decision
 from async_tnt.networks.engines import Engine
 from async_tnt.processor import Processor
@@ -86,11 +86,8 @@ def print_decisions(
             f"{one_line(recording.path.name)}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})"
         )
     late = processor.counts.dropped_late
-    if late:
-        complain(
-            f"{recording.path}: {late} of {seen.n_events} events were too late and dropped (see --late, --start-us)"
-        )
-    elif seen.n_unsorted:
+    complain_late(str(recording.path), late, seen.n_events, "--late, --start-us")
+    if seen.n_unsorted and not late:
         complain(
             f"{recording.path}: {seen.n_unsorted} of {seen.n_events} events are older than an earlier one (see --late)"
         )

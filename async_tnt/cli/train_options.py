@@ -6,9 +6,8 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from async_tnt.cli.options import positive_int
+from async_tnt.cli.options import positive_int, size_text
 from async_tnt.cli.pixel_options import add_selection, selection_of
-from async_tnt.cli.sizes import size_text
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection
