@@ -19,12 +19,11 @@ def started(*words: object, **settings: object) -> Iterator[subprocess.Popen]:
     """Python with these words, which also imports the tests; killed at the end of the block."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     env = {**os.environ, "PYTHONPATH": PATHS, "PYTHONUNBUFFERED": "1"}
-    process = subprocess.Popen([sys.executable, *map(str, words)], **{"env": env, **pipes, **settings})
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
+    with subprocess.Popen([sys.executable, *map(str, words)], **{"env": env, **pipes, **settings}) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def wait_until(holds: Callable[[], object], patience_s: float = 120.0) -> None:

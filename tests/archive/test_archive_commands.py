@@ -5,10 +5,13 @@ import os
 import shutil
 import signal
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from processes import started, wait_until
+
+from async_tnt.archive.records import decided_at
 
 TIMES = {"seconds", "decisions_per_second", "events_per_second"}
 
@@ -84,8 +87,11 @@ def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(s
     assert second.startswith("22 recordings streamed now, ")
     errors = {r["recording"]: r["error"] for r in map(json.loads, out.read_text().splitlines()) if r["error"]}
     assert errors.keys() == {str(torn), str(empty)} and "not a readable NumPy file" in errors[str(torn)]
-    report = json.loads(program("evaluate", "digits", folder, "--json", "--out", tmp_path / "e.jsonl")[1])
-    assert report["recordings"] == 20 and len(report["skipped"]) == 2
+    words = "evaluate", "digits", folder, "--json", "--out", tmp_path / "e.jsonl"
+    code, printed, _ = program(*words)
+    report = json.loads(printed)
+    assert code == 0 and report["recordings"] == 20 and len(report["skipped"]) == 2
+    assert program(*words, "--strict")[0] == 2
     torn.unlink()
     shutil.copy(samples / "4" / "00.bin", empty)
     code, printed, message = program("run", folder, "--out", out)
@@ -123,6 +129,13 @@ def test_late_events_are_counted_and_reported(samples, tmp_path, program):
         assert json.loads(out.read_text())["late"] == 3
     report = json.loads(program("evaluate", "digits", tmp_path / "set", "--json")[1])
     assert report["late"] == 3 and report["events"] == n
+
+
+def test_a_moment_knows_the_events_before_it_and_no_others():
+    """A decision at an event exactly at a moment is known only at the next one."""
+    times = [0, 10, 20, 29]
+    window = [SimpleNamespace(window_start_us=5, time_us=5 + t, index=k) for k, t in enumerate(times)]
+    assert decided_at(window, [0, 1, 10, 11, 20, 30]) == [-1, 0, 0, 1, 1, 3]
 
 
 def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
