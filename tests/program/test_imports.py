@@ -63,10 +63,13 @@ def test_public_names_are_there_in_every_way():
         from async_tnt import procesor  # noqa: F401
 
 
-def test_type_checkers_see_the_same_names():
-    imports = [n for n in ast.walk(ast.parse(Path(async_tnt.__file__).read_text())) if isinstance(n, ast.ImportFrom)]
-    seen = {alias.asname: node.module.removeprefix("async_tnt.") for node in imports for alias in node.names}
-    assert seen == async_tnt._MODULES
+@pytest.mark.parametrize("package", [async_tnt, async_tnt.sources, async_tnt.training])
+def test_type_checkers_see_the_same_names(package):
+    imports = [n for n in ast.walk(ast.parse(Path(package.__file__).read_text())) if isinstance(n, ast.ImportFrom)]
+    seen = {alias.name: n.module for n in imports for alias in n.names if alias.name != "lazy_names"}
+    assert sorted(seen) == package.__all__
+    for name, module in seen.items():
+        assert getattr(package, name) is getattr(importlib.import_module(module), name)
 
 
 def test_a_package_that_is_missing_is_named():
@@ -90,19 +93,6 @@ def test_works_where_nothing_can_be_cached(tmp_path):
         "import async_tnt; v = async_tnt.TNTVolume(async_tnt.TNTConfig()); v.update_one(5, 1, 1, 1); print(v.n_events)"
     )
     assert python(code, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "file" / "cache")}) == "1"
-
-
-def test_warmup_explains_a_long_wait_on_a_terminal(monkeypatch, capsys):
-    from async_tnt import compile_ahead
-
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    monkeypatch.setattr(compile_ahead, "PATIENCE_S", 0.0)
-    async_tnt.warmup()
-    assert "compiling kernels, once on this machine" in capsys.readouterr().err
-
-
-def test_warmup_returns_the_seconds_it_took():
-    assert async_tnt.warmup() > 0 and async_tnt.warmup(async_tnt.TNTConfig(grid=(20, 20))) > 0
 
 
 def test_processors_may_be_made_in_several_threads_at_once():
