@@ -10,6 +10,7 @@ import time
 import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
@@ -42,7 +43,7 @@ class DaskExecutor:
         """See `Executor.run`.
 
         The cluster has a few chunks of tasks at a time; a long recording is a chunk of its own. Dask gives up a chunk
-        when `distributed.scheduler.allowed-failures` + 1 workers (4 by default) have ended that had it. It may only
+        after `distributed.scheduler.allowed-failures` + 1 workers that had it have ended (4 by default). It may only
         have been queued there, so each of its tasks is tried once more, alone.
 
         Raises
@@ -99,13 +100,9 @@ class _Run:
         if future.key not in self._in_flight:
             return []
         _, chunk, is_retry = self._in_flight[future.key]
-        if future.status not in ("finished", "error"):
-            raise ConnectionError(f"the Dask scheduler at {self._address} is gone, or has cancelled the work")
         results: list[Any] = []
         try:
-            if future.status == "error":
-                raise future.exception()
-            seconds, results = future.result(timeout=30.0)
+            seconds, results = future.result(timeout=30.0)  # waits if it was lost with its worker and is repeated
             self._chunk = max(1, min(int(CHUNK_S * len(chunk) / max(seconds, 1e-6)), 2 * self._chunk, MAX_CHUNK))
         except KilledWorker:
             if not is_retry:
@@ -114,10 +111,12 @@ class _Run:
                 raise ChildProcessError(f"a task ended its workers of the Dask cluster at {self._address}") from None
             else:
                 results = [self._lost(chunk[0])]
+        except CancelledError:
+            raise ConnectionError(f"the Dask scheduler at {self._address} is gone, or has cancelled the work") from None
         except TimeoutError:
-            if future.status == "error":
+            if future.status == "error":  # the task's own
                 raise
-            future.add_done_callback(self._ended.put)  # lost with its worker: the scheduler has it repeated
+            self._ended.put(future)
             return []
         del self._in_flight[future.key]
         return results
@@ -159,17 +158,21 @@ def _connected(address: str) -> Iterator[Any]:
         async with rpc(address) as scheduler:
             await scheduler.identity()
 
-    with _silent_loggers():
+    logging.disable()  # errors become one line of ours; Dask would log them too, with their tracebacks
+    try:
         try:
-            # `Client` has a timeout of its own, but waits forever for a server that accepts and says nothing
+            # `Client` has a timeout of its own, but waits forever for a server that accepts and does not answer
             asyncio.run(asyncio.wait_for(identify(), CONNECT_S))
             client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
-        except Exception as error:  # of many types, by what is wrong with the address
-            raise ConnectionError(f"no Dask scheduler answers at {address}; {EXPECTED} ({_one_line(error)})") from None
+        except Exception as error:  # of many types, depending on what is wrong with the address
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise ConnectionError(f"no Dask scheduler answers at {address}; {EXPECTED} ({why})") from None
         try:
             yield client
         finally:
             client.close(timeout=5)
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def _check_address(address: str) -> None:
@@ -180,24 +183,6 @@ def _check_address(address: str) -> None:
         is_address = False
     if not is_address:
         raise ValueError(f"--dask {address}: no host and port; {EXPECTED}")
-
-
-@contextlib.contextmanager
-def _silent_loggers() -> Iterator[None]:
-    """Errors become one line of ours; Dask would log them too, with their tracebacks."""
-    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado", "asyncio")]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _check_workers(client: Any, address: str, tasks: Sequence[Any]) -> None:

@@ -41,8 +41,8 @@ class Executor(Protocol):
         """Yield `function(task)` of each task, once each, in the order they are done.
 
         `function` must be importable, and tasks and results must be picklable. An error in a task, Ctrl-C or closing
-        the generator stops the workers at once. The tasks of a worker that ends without an answer (killed, out of
-        memory, crashed) are repeated; `lost` gives the result of a task that ended two workers.
+        the generator stops the workers at once. If a worker ends without an answer (killed, out of memory, crashed),
+        its tasks are repeated; `lost` makes the result of a task that ended two workers.
         """
         ...
 

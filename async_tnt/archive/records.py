@@ -159,9 +159,9 @@ def moments(window_us: int) -> list[int]:
 
 
 def decided_at(window: Sequence[Decision], after_us: Sequence[int]) -> list[int]:
-    """The class decided at each moment, that of the newest decision whose events had all come by then; -1 for none.
+    """The class decided at each moment, by the newest decision on events before it alone; -1 if there is none.
 
-    A moment without a decision of its own saw no new events since the previous one, whose decision still holds.
+    If a moment has no decision of its own, no events have come since the previous one, whose decision still holds.
     """
     start_us = window[0].window_start_us
     return [next((d.index for d in reversed(window) if d.time_us - start_us < moment), -1) for moment in after_us]

@@ -37,7 +37,7 @@ def archive_executor(args: argparse.Namespace) -> Executor:
     if args.workers is not None and args.dask is not None:
         raise ValueError("--workers are processes here and --dask is a cluster: give one of them")
     if args.restart and args.out is None:
-        raise ValueError("--restart requires --out: it discards what is in that file")
+        raise ValueError("--restart requires --out: it discards the results in that file")
     if args.out is not None:
         check_out(args.out)
     if args.dask is None:

@@ -15,7 +15,7 @@ from async_tnt.sources.sizes import parse_size
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:
-    """--roi, --crop, --mask, and --sensor: for a model that there is."""
+    """--roi, --crop, --mask and --sensor, for commands that load a model."""
     add_selection(parser)
     parser.add_argument(
         "--sensor",
@@ -61,7 +61,7 @@ def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSele
         return PixelSelector(selection, model.sensor)
     selector = PixelSelector(selection, model.config.sensor)
     other = difference(model.record, selection)
-    if other:  # no error: a camera may have been moved, or a new mask found
+    if other:  # not an error: the camera may have been moved, or a new mask made
         complain(f"{args.model}: {other}")
     return selector
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from async_tnt.cli.archive_options import add_archive, check_no_archive
 from async_tnt.cli.live_packets import add_latest
+from async_tnt.cli.live_view import draw_stream
 from async_tnt.cli.options import (
     add_files,
     add_start,
@@ -19,8 +20,9 @@ from async_tnt.cli.options import (
 )
 from async_tnt.cli.output import HEADER, complain, json_line, text_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
-from async_tnt.cli.run_recording import open_selected, print_decisions, watch_decisions
+from async_tnt.cli.run_recording import open_selected, print_decisions
 from async_tnt.networks.engines import ENGINES, choose_engine
+from async_tnt.sources.playback import replay
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: its time and window, the
 label and its probability, and the microseconds from the last event to the decision. After each recording a line names
@@ -109,7 +111,9 @@ def main(args: argparse.Namespace) -> int:
             print(end=header)
             header = ""
             if args.live:
-                watch_decisions(recording, packets, processor, engine, args.speed or 1.0)
+                processor.reset()
+                packets = replay(packets, args.speed or 1.0)
+                draw_stream(recording.path.name, engine.classes, packets, processor)
             else:
                 print_decisions(recording, packets, processor, engine, pixels, line, summary=not args.json)
         except BrokenPipeError:

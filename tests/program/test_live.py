@@ -94,10 +94,10 @@ def test_without_rich_the_message_names_the_extra(monkeypatch):
 
 def test_run_draws_a_recording_at_its_pace(program, monkeypatch):
     pytest.importorskip("rich", reason="rich is not installed (extra `view`)")
-    from async_tnt.cli import run_recording
+    from async_tnt.cli import run
 
     speeds = []
-    replay = run_recording.replay
-    monkeypatch.setattr(run_recording, "replay", lambda packets, speed: replay(packets, speeds.append(speed) or 1e9))
+    replay = run.replay
+    monkeypatch.setattr(run, "replay", lambda packets, speed: replay(packets, speeds.append(speed) or 1e9))
     code, out, _ = program("run", "--live", "--speed", "2", sample_recordings()[3])
     assert code == 0 and speeds == [2.0] and "3.bin" in out and "us to a decision" in out and "█" in out
