@@ -1,4 +1,4 @@
-"""The result file, lines of JSON or Parquet by its suffix: one record a recording, in order of the recordings' names.
+"""The result file, lines of JSON or Parquet by its suffix: one record per recording, in order of the recordings' names.
 
 Records are appended as lines of JSON in the order they are done: to FILE.jsonl itself, or to FILE.parquet.jsonl beside
 FILE.parquet. One process writes them and holds a lock on them. A killed process leaves at most half a line, which the
