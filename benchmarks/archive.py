@@ -27,6 +27,7 @@ from script_options import script_parser, write_outputs
 
 from async_tnt import load_model, warmup
 from async_tnt.archive.collect import Progress, collect_to_file
+from async_tnt.archive.dask_executor import DaskExecutor
 from async_tnt.archive.executor import Executor, executor_of
 from async_tnt.archive.job import Task, job_of, task_of
 from async_tnt.archive.records import evaluate_recording, moments
@@ -64,7 +65,7 @@ def tasks_of(folder: Path, n: int | None) -> list[Task]:
 def clusters(workers: list[int]) -> Iterator[dict[str, Executor]]:
     """A cluster on this machine for each number of workers; none if Dask is missing."""
     with contextlib.ExitStack() as stack:
-        executors = {}
+        executors: dict[str, Executor] = {}
         if importlib.util.find_spec("distributed") is not None:
             from distributed import LocalCluster
 
@@ -74,7 +75,7 @@ def clusters(workers: list[int]) -> Iterator[dict[str, Executor]]:
                         n_workers=n, threads_per_worker=1, protocol="tcp", host="127.0.0.1", dashboard_address=":0"
                     )
                 )
-                executors[f"dask, {n} worker{'s' if n > 1 else ''}"] = executor_of(dask=cluster.scheduler_address)
+                executors[f"dask, {n} worker{'s' if n > 1 else ''}"] = DaskExecutor(cluster.scheduler_address)
         yield executors
 
 

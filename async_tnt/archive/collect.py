@@ -23,7 +23,7 @@ class Progress:
     total : recordings asked for.
     kept : of these, done by an earlier run.
     done : of these, done by this one.
-    gone : recordings of an earlier run that no longer exist, and are left out of the result.
+    gone : recordings of an earlier run that no longer exist and are left out of the result.
     """
 
     total: int = 0
@@ -74,17 +74,17 @@ def collect_to_file(
     is_gone: Callable[[str], bool] = lambda recording: True,
     watch: Callable[[], object] = lambda: None,
 ) -> Iterator[Record]:
-    """Do what is not done yet, write the result file, and give its records in order of the recordings' names.
+    """Do what is not done yet, write the result file, and return its records in order of the recordings' names.
 
-    Records have `seconds` where this run measured it; the file has none. A recording is done again if it has an error,
-    or its size or time of change differs.
+    Records have `seconds` if this run measured it; the file has none. A recording is done again if its record has an
+    error, or if its size or time of change differs.
 
     Parameters
     ----------
     tasks : at least one, all of one job, no two of one recording.
-    restart : True discards what an earlier run has left.
+    restart : True discards the results of an earlier run.
     is_gone : whether a recording of an earlier run that is not in `tasks` no longer exists.
-    watch : called when it is known what is to do, and after each recording.
+    watch : called before the first recording, when `progress` is complete, and after each one.
 
     Raises
     ------

@@ -10,6 +10,7 @@ import time
 import uuid
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
@@ -20,17 +21,12 @@ from async_tnt.archive.executor import Lost
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-CONNECT_S = 10.0
-"""For the scheduler to answer."""
-WORKERS_S = 15.0
-"""For the first worker to appear."""
-PATIENCE_S = 120.0
-"""For a worker to appear again, after the last one was lost."""
+CONNECT_S = 10.0  # for the scheduler to answer
+WORKERS_S = 15.0  # for the first worker to appear
+PATIENCE_S = 120.0  # for a worker to appear again after the last one was lost
 POLL_S = 2.0
-IN_FLIGHT = 2
-"""Chunks for each of the cluster's threads: one in progress, one queued."""
-CHUNK_S = 0.2
-"""Aim for a chunk's duration: sending one costs some milliseconds, as long as a short recording."""
+IN_FLIGHT = 2  # chunks for each of the cluster's threads: one in progress, one queued
+CHUNK_S = 0.2  # aim for a chunk's duration: sending one costs some milliseconds, as much as a short recording
 MAX_CHUNK = 100
 EXPECTED = "expected the address that `dask scheduler` prints, such as tcp://10.0.0.1:8786"
 
@@ -46,9 +42,9 @@ class DaskExecutor:
     ) -> Generator[Result]:
         """See `Executor.run`.
 
-        The cluster has a few chunks of tasks at a time; a chunk of long recordings is one. Dask gives a chunk up when
-        it was at `distributed.scheduler.allowed-failures` + 1 workers that ended (4 by default). It may only have been
-        queued there, so each of its tasks is tried once more, alone.
+        The cluster has a few chunks of tasks at a time; a long recording is a chunk of its own. Dask gives up a chunk
+        after `distributed.scheduler.allowed-failures` + 1 workers that had it have ended (4 by default). It may only
+        have been queued there, so each of its tasks is tried once more, alone.
 
         Raises
         ------
@@ -66,11 +62,10 @@ class _Run:
     """Tasks on a cluster, a bounded number at a time."""
 
     def __init__(self, client: Any, address: str, function: Callable[[Any], Any], lost: Lost[Any, Any]) -> None:
-        self._client = client
-        self._address = address
-        self._function = function
-        self._lost = lost
-        self._in_flight: dict[str, tuple[Any, list[Any]]] = {}
+        self._client, self._address = client, address
+        self._function, self._lost = function, lost
+        self._in_flight: dict[str, tuple[Any, list[Any], bool]] = {}  # key -> (future, chunk, whether it is a retry)
+        self._suspects: deque[Any] = deque()  # tasks of chunks that ended their workers
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._chunk = 1
         self._n_threads = 1
@@ -78,34 +73,24 @@ class _Run:
 
     def results(self, tasks: Sequence[Any]) -> Generator[Any]:
         waiting = deque(tasks)
-        suspects: list[Any] = []
-        while waiting or self._in_flight:
+        while waiting or self._in_flight or self._suspects:
             self._count_threads()
             while waiting and len(self._in_flight) < IN_FLIGHT * self._n_threads:
-                share = 1 + len(waiting) // (4 * self._n_threads)  # the last chunks are small: no worker idles
+                share = 1 + len(waiting) // (4 * self._n_threads)  # small chunks at the end: no worker idles
                 self._submit([waiting.popleft() for _ in range(min(self._chunk, share, len(waiting)))])
-            yield from self._next_results(suspects)
-        for task in suspects:
-            self._submit([task])
-            given_up: list[Any] = []
-            while self._in_flight:
-                self._count_threads()
-                yield from self._next_results(given_up)
-            if given_up:
-                if self._lost is None:
-                    raise ChildProcessError(f"a task ended its workers of the Dask cluster at {self._address}")
-                yield self._lost(task)
+            if self._suspects and not self._in_flight:
+                self._submit([self._suspects.popleft()], is_retry=True)
+            yield from self._next_results()
 
-    def _submit(self, chunk: list[Any]) -> None:
-        # pure=False and a key of its own: never the result of another program's call
+    def _submit(self, chunk: list[Any], *, is_retry: bool = False) -> None:
+        # a unique key and pure=False: never the result of another program's call
         key = f"async-tnt-{uuid.uuid4().hex}"
         future = self._client.submit(_run_chunk, self._function, chunk, key=key, pure=False)
-        self._in_flight[key] = future, chunk
+        self._in_flight[key] = future, chunk, is_retry
         future.add_done_callback(self._ended.put)
 
-    def _next_results(self, given_up: list[Any]) -> list[Any]:
-        """Results of a chunk that has ended, if one has within a second; tasks of one that ended workers go to
-        `given_up`."""
+    def _next_results(self) -> list[Any]:
+        """Results of a chunk that has ended; none if no chunk ends within a second, or if it ended its workers."""
         from distributed import KilledWorker
 
         try:
@@ -114,27 +99,30 @@ class _Run:
             return []
         if future.key not in self._in_flight:
             return []
-        _, chunk = self._in_flight[future.key]
+        _, chunk, is_retry = self._in_flight[future.key]
         results: list[Any] = []
-        if future.status not in ("finished", "error"):
-            raise ConnectionError(f"the Dask scheduler at {self._address} is gone, or has cancelled the work")
         try:
-            if future.status == "error":
-                raise future.exception()
-            seconds, results = future.result(timeout=30.0)
+            seconds, results = future.result(timeout=30.0)  # waits if it was lost with its worker and is repeated
             self._chunk = max(1, min(int(CHUNK_S * len(chunk) / max(seconds, 1e-6)), 2 * self._chunk, MAX_CHUNK))
         except KilledWorker:
-            given_up += chunk
+            if not is_retry:
+                self._suspects += chunk
+            elif self._lost is None:
+                raise ChildProcessError(f"a task ended its workers of the Dask cluster at {self._address}") from None
+            else:
+                results = [self._lost(chunk[0])]
+        except CancelledError:
+            raise ConnectionError(f"the Dask scheduler at {self._address} is gone, or has cancelled the work") from None
         except TimeoutError:
-            if future.status == "error":
+            if future.status == "error":  # the task's own
                 raise
-            future.add_done_callback(self._ended.put)  # lost with its worker: the scheduler has it repeated
+            self._ended.put(future)
             return []
         del self._in_flight[future.key]
         return results
 
     def _count_threads(self) -> None:
-        """Follow the size of the cluster; give up when it has had no worker for long."""
+        """Follow the size of the cluster; give up when it has had no worker for too long."""
         now = time.monotonic()
         if now - self._polled < POLL_S and self._in_flight:
             return
@@ -170,17 +158,21 @@ def _connected(address: str) -> Iterator[Any]:
         async with rpc(address) as scheduler:
             await scheduler.identity()
 
-    with _silent_loggers():
+    logging.disable()  # errors become one line of ours; Dask would log them too, with their tracebacks
+    try:
         try:
-            # `Client` has a timeout of its own, but waits forever for a server that accepts and says nothing
+            # `Client` has a timeout of its own, but waits forever for a server that accepts and does not answer
             asyncio.run(asyncio.wait_for(identify(), CONNECT_S))
             client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
-        except Exception as error:  # of many types, by what is wrong with the address
-            raise ConnectionError(f"no Dask scheduler answers at {address}; {EXPECTED} ({_one_line(error)})") from None
+        except Exception as error:  # of many types, depending on what is wrong with the address
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise ConnectionError(f"no Dask scheduler answers at {address}; {EXPECTED} ({why})") from None
         try:
             yield client
         finally:
             client.close(timeout=5)
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def _check_address(address: str) -> None:
@@ -191,24 +183,6 @@ def _check_address(address: str) -> None:
         is_address = False
     if not is_address:
         raise ValueError(f"--dask {address}: no host and port; {EXPECTED}")
-
-
-@contextlib.contextmanager
-def _silent_loggers() -> Iterator[None]:
-    """Errors become one line of ours; Dask would log them too, with their tracebacks."""
-    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado", "asyncio")]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _check_workers(client: Any, address: str, tasks: Sequence[Any]) -> None:

@@ -1,7 +1,4 @@
-"""Executors: run a function over many tasks, in this process or in several.
-
-The third one, `DaskExecutor`, is in `dask_executor.py`, as it needs another library.
-"""
+"""Executors: run a function over many tasks, in this process or in several. `DaskExecutor` is a third one."""
 
 from __future__ import annotations
 
@@ -25,6 +22,10 @@ Result = TypeVar("Result")
 Lost = Callable[[Task], Result] | None
 """Makes the result of a task that ended two workers; None: such a task is an error."""
 
+POLL_S = 1.0
+"""Between two looks at whether a pool has failed without a word."""
+STOP_S = 10.0
+"""For a killed worker, and the thread that waits for it, to end."""
 ENDED = (
     "a worker process ended without an answer: killed, out of memory, or started from a script without the line "
     '`if __name__ == "__main__":`'
@@ -40,8 +41,8 @@ class Executor(Protocol):
         """Yield `function(task)` of each task, once each, in the order they are done.
 
         `function` must be importable, and tasks and results must be picklable. An error in a task, Ctrl-C or closing
-        the generator stops the workers at once. The tasks of a worker that ends without an answer (killed, out of
-        memory, crashed) are repeated; `lost` gives the result of a task that ended two workers.
+        the generator stops the workers at once. If a worker ends without an answer (killed, out of memory, crashed),
+        its tasks are repeated; `lost` makes the result of a task that ended two workers.
         """
         ...
 
@@ -53,24 +54,20 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def executor_of(workers: int = 1, dask: str | None = None) -> Executor:
-    """An executor with so many processes, or on the Dask cluster whose scheduler is at this address."""
-    if dask is None:
-        return SerialExecutor() if workers == 1 else ProcessExecutor(workers)
-    from async_tnt.archive.dask_executor import DaskExecutor
-
-    return DaskExecutor(dask)
+def executor_of(workers: int = 1) -> Executor:
+    """An executor with this many processes; 1 is the calling process."""
+    return SerialExecutor() if workers == 1 else ProcessExecutor(workers)
 
 
 def run_all(
     function: Callable[[Task], Result], tasks: Sequence[Task], workers: int, lost: Lost[Task, Result] = None
 ) -> Generator[Result]:
-    """Yield `function(task)` of each task from so many processes, see `Executor.run`."""
+    """Yield `function(task)` of each task from at most this many processes; see `Executor.run`."""
     return executor_of(min(workers, max(1, len(tasks)))).run(function, tasks, lost)
 
 
 class SerialExecutor:
-    """This process: what ends a task ends the program."""
+    """The calling process: a task that crashes ends the program."""
 
     def run(
         self, function: Callable[[Task], Result], tasks: Sequence[Task], lost: Lost[Task, Result] = None
@@ -103,9 +100,9 @@ class ProcessExecutor:
                     for worker in team:
                         if waiting and len(worker.calls) == n:
                             worker.submit(*waiting.popleft())
-                wait([worker.calls[0].future for worker in team if worker.calls], return_when=FIRST_COMPLETED)
+                wait([worker.calls[0].future for worker in team if worker.calls], POLL_S, FIRST_COMPLETED)
                 for worker in team:
-                    while worker.calls and worker.calls[0].future.done():
+                    while worker.calls and worker.has_answered():
                         call = worker.calls.popleft()
                         try:
                             result = call.future.result()
@@ -136,13 +133,13 @@ class _Call(NamedTuple):
 
 
 class _Worker:
-    """A pool of one process: when it breaks, it is known at which task, and the other workers go on."""
+    """A pool of one process: when it breaks, the task that broke it is known, and the other workers continue."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
         self._function = function
         self._pool: ProcessPoolExecutor | None = None
         self.calls: deque[_Call] = deque()
-        """The process is at the first of them."""
+        """The process works on the first of them."""
 
     def submit(self, task: Any, n_lost: int) -> None:
         pool = self._pool or self._start()
@@ -158,13 +155,24 @@ class _Worker:
             # spawned: threads of Numba and of the caller do not survive a fork
             self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _initialize_worker)
             self._pid = self._pool.submit(os.getpid)
-            # Only the worker writes results. While we held the pipe open, too, the pool would wait forever for the
-            # second half of a result whose worker is killed.
+            self._manager: Any = self._pool._executor_manager_thread  # a thread that ends with the process
+            # Only the worker writes results. If we also kept the pipe open, the pool would wait forever for the
+            # second half of a result whose worker was killed.
             self._pool._result_queue._writer.close()  # type: ignore[attr-defined]
         return self._pool
 
     def has_started(self) -> bool:
         return self._pid.done() and self._pid.exception() is None
+
+    def has_answered(self) -> bool:
+        """Whether the first call has returned or failed."""
+        is_over = not self._manager.is_alive()
+        future = self.calls[0].future
+        if is_over and not future.done():
+            # Before Python 3.12.1 a pool that notices the end of its process does not lock out `submit`: a call
+            # submitted at that moment is never answered.
+            future.set_exception(BrokenProcessPool())
+        return future.done()
 
     def kill(self) -> None:
         """Stop it in the middle of its task."""
@@ -173,9 +181,11 @@ class _Worker:
                 process.kill()
 
     def stop(self) -> None:
-        """Wait until the process has ended. `submit` starts another."""
+        """End the process, in the middle of its task if it has one. `submit` starts another."""
         if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+            self.kill()
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._manager.join(STOP_S)  # `shutdown` would wait without an end
             self._pool = None
         self.calls.clear()
 
@@ -207,9 +217,9 @@ def _call(function: Callable[[Task], Result], task: Task) -> Result:
 
 @contextlib.contextmanager
 def _deferred_signals() -> Iterator[None]:
-    """Handle signals after the block, in which a process is spawned that ignores Ctrl-C from its start.
+    """Handle signals only after the block, in which a process is spawned that ignores Ctrl-C from its start.
 
-    A process that is spawned by halves prints a traceback, as its task was never written into its pipe.
+    A process whose spawning is interrupted prints a traceback, because its task was never written to its pipe.
     """
     received: list[int] = []
     with handled_by(lambda number, frame: received.append(number)):

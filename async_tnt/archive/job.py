@@ -53,7 +53,7 @@ class Job:
             "version": self.version,
             "engine": self.engine,
             **settings,
-            **self.pixels.about,  # {} where all events are seen, as in results of before there were selections
+            **self.pixels.about,  # {} if all events are used, as in results older than selections
             "model_sha256": self.model_sha256,
         }
 
@@ -70,7 +70,7 @@ class Task:
     Parameters
     ----------
     recording : its name in the results.
-    path : absolute, as workers may have another working folder.
+    path : absolute, because workers may have another working folder.
     job : what is done with it.
     settings : `job.id`.
     bytes, modified_ns : size, and time of the last change; None if the file cannot be accessed.
@@ -96,7 +96,7 @@ def task_of(recording: str, path: Path, job: Job) -> Task:
     absolute = Path(os.path.abspath(path))
     try:
         status = path.stat()
-    except OSError:  # opening it will say why
+    except OSError:  # opening it will raise the same error
         return Task(name, absolute, job, job.id)
     return Task(name, absolute, job, job.id, status.st_size, status.st_mtime_ns)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.archive.job import Job
-from async_tnt.archive.records import Record
+from async_tnt.archive.records import COLUMNS, Record
 
 KEY = b"async_tnt"  # of the metadata
 GROUP_ROWS = 512
@@ -31,46 +31,19 @@ def import_pyarrow() -> Any:
 
 
 def schema_of(job: Job) -> Any:
-    """Columns of the file, in their order; with an `error` only `recording`, `class` and the last four are filled."""
+    """The columns of `COLUMNS`, and the settings as metadata."""
     pa = import_pyarrow()
-    floats, int64 = pa.list_(pa.float64()), pa.int64()
-    if job.kind == "evaluate":
-        columns = {
-            "class": pa.string(),
-            "label": pa.string(),
-            "probabilities": floats,
-            "window_start_us": pa.list_(int64),
-            "window_probabilities": pa.list_(floats),
-            "decided_at": pa.list_(pa.list_(int64)),
-            "decisions": int64,
-            "events": int64,
-            "late": int64,
-        }
-    else:
-        decision = pa.struct(
-            {
-                "time_us": int64,
-                "window_start_us": int64,
-                "label": pa.string(),
-                "probability": pa.float64(),
-                "probabilities": floats,
-                "events": int64,
-                "complete": pa.bool_(),
-                "trigger": pa.string(),
-            }
-        )
-        columns = {
-            "label": pa.string(),
-            "probability": pa.float64(),
-            "probabilities": floats,
-            "windows": int64,
-            "events": int64,
-            "late": int64,
-            "decisions": pa.list_(decision),
-        }
-    of_file = {"error": pa.string(), "bytes": int64, "modified_ns": int64, "settings": pa.string()}
+
+    def arrow(kind: Any) -> Any:
+        if isinstance(kind, list):
+            return pa.list_(arrow(kind[0]))
+        if isinstance(kind, dict):
+            return pa.struct({name: arrow(field) for name, field in kind.items()})
+        return pa.type_for_alias(kind)
+
     metadata = json.dumps({"kind": job.kind, "about": job.metadata}, sort_keys=True)
-    return pa.schema({"recording": pa.string(), **columns, **of_file}, {KEY: metadata.encode()})
+    columns = {name: arrow(kind) for name, kind in COLUMNS[job.kind].items()}
+    return pa.schema(columns, {KEY: metadata.encode()})
 
 
 def write_parquet(path: Path, job: Job, records: Iterable[Record]) -> None:

@@ -23,21 +23,44 @@ from async_tnt.sources.pixel_selector import PixelSelector
 
 Record = dict[str, Any]
 
-FIELDS = ("recording", "error", "bytes", "modified_ns", "settings")
-FIELDS_OF = {
-    "evaluate": (
-        "class",
-        "label",
-        "probabilities",
-        "window_start_us",
-        "window_probabilities",
-        "decided_at",
-        "decisions",
-        "events",
-        "late",
-    ),
-    "run": ("label", "probability", "probabilities", "windows", "events", "late", "decisions"),
+_DECISION = {
+    "time_us": "int64",
+    "window_start_us": "int64",
+    "label": "string",
+    "probability": "double",
+    "probabilities": ["double"],
+    "events": "int64",
+    "complete": "bool",
+    "trigger": "string",
 }
+_COLUMNS: dict[str, dict[str, Any]] = {
+    "evaluate": {
+        "class": "string",
+        "label": "string",
+        "probabilities": ["double"],
+        "window_start_us": ["int64"],
+        "window_probabilities": [["double"]],
+        "decided_at": [["int64"]],
+        "decisions": "int64",
+        "events": "int64",
+        "late": "int64",
+    },
+    "run": {
+        "label": "string",
+        "probability": "double",
+        "probabilities": ["double"],
+        "windows": "int64",
+        "events": "int64",
+        "late": "int64",
+        "decisions": [_DECISION],
+    },
+}
+_OF_FILE = {"error": "string", "bytes": "int64", "modified_ns": "int64", "settings": "string"}
+COLUMNS = {kind: {"recording": "string", **columns, **_OF_FILE} for kind, columns in _COLUMNS.items()}
+"""Field -> type, for each kind of job: Arrow's name of it, [the type of a list's items], or {the fields of a struct}.
+
+With an `error`, only `recording`, `class` and the last four have values.
+"""
 TIMED = "seconds"
 N_MOMENTS = 10
 
@@ -94,7 +117,7 @@ def evaluate_recording(task: Task) -> Record:
 
 
 def failed(task: Task, error: str) -> Record:
-    """The record of a recording of which there is nothing but an error."""
+    """The record of a recording that could not be streamed."""
     return _record(task, {}, error, None)
 
 
@@ -116,11 +139,11 @@ def _stream(task: Task, fields_of: Callable[[list[Decision], Engine], Record]) -
 
 
 def _record(task: Task, fields: Record, error: str | None, seconds: float | None) -> Record:
-    record = {"recording": task.recording, **dict.fromkeys(FIELDS_OF[task.job.kind]), **fields}
+    record = dict.fromkeys(COLUMNS[task.job.kind]) | {"recording": task.recording, **fields, "error": error}
     if task.job.kind == "evaluate":
         record["class"] = task.path.parent.name
     about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.settings}
-    return {**record, "error": error, **about_file, TIMED: seconds}
+    return {**record, **about_file, TIMED: seconds}
 
 
 def moments(window_us: int) -> list[int]:
@@ -136,9 +159,9 @@ def moments(window_us: int) -> list[int]:
 
 
 def decided_at(window: Sequence[Decision], after_us: Sequence[int]) -> list[int]:
-    """The class decided at each moment, that of the newest decision whose events had all come by then; -1 for none.
+    """The class decided at each moment, by the newest decision on events before it alone; -1 if there is none.
 
-    A moment without a decision of its own saw no new events since the previous one, whose decision still holds.
+    If a moment has no decision of its own, no events have come since the previous one, whose decision still holds.
     """
     start_us = window[0].window_start_us
     return [next((d.index for d in reversed(window) if d.time_us - start_us < moment), -1) for moment in after_us]

@@ -1,9 +1,9 @@
-"""The result file, lines of JSON or Parquet by its suffix: one record a recording, in order of the recordings' names.
+"""The result file, lines of JSON or Parquet by its suffix: one record per recording, in order of the recordings' names.
 
 Records are appended as lines of JSON in the order they are done: to FILE.jsonl itself, or to FILE.parquet.jsonl beside
-FILE.parquet. One process writes them and holds a lock on them. Of a killed process at most half a line remains, which
-the next one cuts off. When all recordings are done, the lines are sorted, or written to the Parquet file, and take the
-place of what was there.
+FILE.parquet. One process writes them and holds a lock on them. A killed process leaves at most half a line, which the
+next one cuts off. When all recordings are done, the sorted lines, or the Parquet file made from them, replace the
+earlier result.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import IO, Any
 
 from async_tnt.archive.job import Job
 from async_tnt.archive.parquet import import_pyarrow, not_ours, read_metadata, read_parquet, write_parquet
-from async_tnt.archive.records import FIELDS, FIELDS_OF, Record
+from async_tnt.archive.records import COLUMNS, Record
 from async_tnt.files import check_own, check_writable, file_of, replacing, set_mode
 
 SUFFIXES = (".jsonl", ".parquet")
@@ -74,11 +74,11 @@ class ResultFile:
     ----------
     out : the file, no link.
     job : of its records.
-    restart : True discards what is there, of whatever settings.
+    restart : True discards the results that are there, whatever their settings.
 
     Raises
     ------
-    ValueError : this program has not written what is there, or with other settings; or it is damaged.
+    ValueError : the file there was not written by this program, or with other settings; or it is damaged.
     OSError : another program is writing it, or it cannot be written.
     """
 
@@ -98,7 +98,7 @@ class ResultFile:
             check_own(self._path)
         self._lines = _open_locked(self._path, out)
         try:
-            if self._has_parquet():  # who may read the result may read the lines, and the next result
+            if self._has_parquet():  # users with access to the result have access to the lines and to the next result
                 set_mode(self._path, out.stat().st_mode | stat.S_IRUSR | stat.S_IWUSR)
             if restart:
                 self._discard()
@@ -221,7 +221,7 @@ def _parsed(line: bytes) -> Any:
 def _check_record(record: Any, job: Job, out: Path) -> None:
     is_record = (
         isinstance(record, dict)
-        and record.keys() == {*FIELDS, *FIELDS_OF[job.kind]}
+        and record.keys() == COLUMNS[job.kind].keys()
         and isinstance(record["recording"], str)
         and isinstance(record["settings"], str)
         and isinstance(record["error"], str | None)
@@ -266,7 +266,7 @@ def _lock(file: IO[bytes]) -> None:
     except ImportError:  # Windows
         import msvcrt
 
-        file.seek(1 << 30)  # far behind the end: what is locked cannot be read
+        file.seek(1 << 30)  # far beyond the end: locked bytes cannot be read
         try:
             msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined, unused-ignore]
         except OSError:

@@ -45,7 +45,7 @@ class Scores:
 
     @property
     def balanced_accuracy(self) -> float:
-        """Mean of `per_class`: what a model that always says the commonest class does not get."""
+        """Mean of `per_class`: a model that always answers the most frequent class scores low."""
         return float(np.mean([share for share in self.per_class.values() if share is not None]))
 
     def to_dict(self) -> dict[str, Any]:

@@ -14,9 +14,10 @@ from async_tnt.archive.collect import Progress
 from async_tnt.archive.job import job_of, task_of
 from async_tnt.archive.records import TIMED, Record, evaluate_recording, moments
 from async_tnt.archive.scores import score_recordings
-from async_tnt.cli.archive_options import Interrupted, add_archive, archive_executor, stream_archive
+from async_tnt.cli.archive_options import add_archive
+from async_tnt.cli.archives import Interrupted, archive_executor, stream_archive
 from async_tnt.cli.options import model_of
-from async_tnt.cli.output import complain, one_line
+from async_tnt.cli.output import complain, complain_late, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.engines import Engine
 from async_tnt.networks.model import Model, bundled_models
@@ -102,9 +103,8 @@ def main(args: argparse.Namespace) -> int:
         print(text_of(report))
         if args.picture is not None:
             print(f"wrote {one_line(str(args.picture))}")
-    if report["late"]:
-        where = f" (see `late` in {args.out})" if args.out else ""
-        complain(f"{report['late']:,} events dropped: they came late, before every open window{where}")
+    where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
+    complain_late(str(args.dataset), report["late"], report["events"], where)
     for line in skipped:
         complain(f"skipped: {line}")
     return 2 if skipped and args.strict else 0

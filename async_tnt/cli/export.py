@@ -60,7 +60,7 @@ def main(args: argparse.Namespace) -> int:
         for path, content in contents.items():
             files[path] = Replacement(path)
             files[path].part.write_bytes(content)
-        # from the files, and not from memory: what is checked is what stays
+        # read back from the files: what is checked is what is kept
         regressor = OnnxRegressor(files[regressor_path(out)].part) if model.config.needs_regressor else None
         agreement = compare_engines(model, OnnxClassifier(files[out].part), regressor)
         if agreement.holds:

@@ -6,13 +6,15 @@ import argparse
 import contextlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from async_tnt.cli.options import positive_int
 from async_tnt.cli.output import complain
-from async_tnt.sources.background_reader import BackgroundReader
 from async_tnt.sources.opening import LiveSource, open_source
 from async_tnt.sources.pixel_selector import PixelSelector
+
+if TYPE_CHECKING:
+    from async_tnt.sources.background_reader import BackgroundReader
 
 
 def add_latest(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +35,7 @@ class LivePackets:
     source: LiveSource
     packets: Iterable[Any]
     reader: BackgroundReader | None
-    """The queue in which they wait; None: nothing is skipped here, only the source's own buffer can overflow."""
+    """The queue in which they wait; None: nothing is skipped here, but the source's own buffer may overflow."""
 
     def announce(self) -> None:
         """Print that the source is open; from now on Ctrl-C stops it."""
@@ -63,6 +65,8 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
         packets: Iterable[Any] = map(select, source)
         reader = None
         if latest is not None:
+            from async_tnt.sources.background_reader import BackgroundReader  # imports asyncio
+
             # copy=False: cameras and the network put each packet in new memory
             reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
             packets = stack.enter_context(reader)

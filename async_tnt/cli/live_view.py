@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -59,8 +59,7 @@ class LiveView:
     def show(
         self, decisions: Sequence[Decision], latency_us: float, counts: Counts, queue: Queue | None = None
     ) -> None:
-        """Show the results of a packet: its decisions, their latency, the counts so far, and the queue in which it
-        waited."""
+        """Show the results of a packet: its decisions, their latency, the counts so far, and the queue it waited in."""
         self._counts = counts
         self._queue = queue
         self._rates.add(counts.received, len(decisions))
@@ -100,11 +99,19 @@ class LiveView:
         return lines
 
 
-def decide_often(processor: Processor) -> None:
-    """Decide every 20 ms if no trigger is set."""
+def draw_stream(
+    title: str, classes: Sequence[str], packets: Iterable[Any], processor: Processor, queue: Queue | None = None
+) -> None:
+    """Draw the decisions on these packets, every 20 ms if no trigger is set, until they end."""
     triggers = (processor.every_us, processor.every_events, processor.confidence, processor.activity)
     if triggers == (None, None, None, None):
         processor.every_us = 20_000
+    with LiveView(classes, title) as view:
+        for packet in packets:
+            handed_over = time.perf_counter_ns()
+            decisions = processor.push(packet)
+            view.show(decisions, (time.perf_counter_ns() - handed_over) / 1e3, processor.counts, queue)
+        view.show(processor.finish(), 0.0, processor.counts, queue)
 
 
 class _Rates:

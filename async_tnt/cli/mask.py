@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from async_tnt.cli.options import number, size_of
 from async_tnt.cli.output import one_line
-from async_tnt.cli.sizes import parse_size
 from async_tnt.progress import progress
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--sensor",
-        type=parse_size,
+        type=size_of,
         metavar="WxH",
         help="the camera's pixels, if the recordings do not state them; a .bin has 34x34 unless given here",
     )
@@ -156,10 +157,4 @@ def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:
 
 
 def _factor(text: str) -> float:
-    try:
-        factor = float(text)
-    except ValueError:
-        factor = 0.0
-    if not 1 < factor < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be a number above 1, got {text!r}")
-    return factor
+    return number(text, lambda factor: 1 < factor < math.inf, "a number above 1")

@@ -1,16 +1,20 @@
-"""Options that several commands share: FILE, --model, --start-us, the triggers; and argparse types."""
+"""Options that several commands share: FILE, --model, --start-us, triggers, pixels; and argparse types."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from async_tnt.config import MAX_SIDE
 from async_tnt.files import check_writable
 from async_tnt.networks.model import Model, bundled_models, load_model
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.opening import is_live
+from async_tnt.sources.sensor import format_size
 from async_tnt.triggers import LeakyIntegrator
 
 SAMPLES = Path("samples")
@@ -109,25 +113,37 @@ def positive_int(text: str) -> int:
     return value
 
 
+def number(text: str, holds: Callable[[float], bool], rule: str) -> float:
+    """For an argparse type: the number, which must fulfil the rule."""
+    with contextlib.suppress(ValueError):
+        if holds(value := float(text)):
+            return value
+    raise argparse.ArgumentTypeError(f"must be {rule}, got {text!r}")
+
+
 def positive_number(text: str) -> float:
     """An argparse type: a number above 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"must be a positive number, got {text!r}")
-    return value
+    return number(text, lambda value: value > 0, "a positive number")
 
 
 def _probability(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value <= 1:
-        raise argparse.ArgumentTypeError(f"must be a probability in (0, 1], got {text!r}")
-    return value
+    return number(text, lambda value: 0 < value <= 1, "a probability in (0, 1]")
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """An argparse type: `346x260` as two numbers."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT in pixels, such as 346x260, got {text!r}")
+    size = int(width), int(height)
+    if not all(1 <= side <= MAX_SIDE for side in size):
+        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT with sides in [1, {MAX_SIDE}] pixels, got {text!r}")
+    return size
+
+
+def size_text(text: str) -> str:
+    """An argparse type: `346x260` as text, checked, so that a command keeps it as it was given."""
+    return format_size(size_of(text))
 
 
 def _integrator(text: str) -> LeakyIntegrator:

@@ -39,6 +39,12 @@ def complain(error: BaseException | str) -> None:
     print(f"async-tnt: {one_line(str(error))}", file=sys.stderr, flush=True)
 
 
+def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
+    """Report events that were dropped because they were too late, if there are any."""
+    if n_late:
+        complain(f"{name}: {n_late} of {n_events} events were too late and dropped (see {see})")
+
+
 def one_line(text: str) -> str:
     """The text on one line, unprintable characters escaped: a file name may contain a line break.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from async_tnt.cli.options import size_of, size_text
 from async_tnt.cli.output import complain
-from async_tnt.cli.sizes import parse_size, size_text
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection, Region, difference
@@ -14,7 +14,7 @@ from async_tnt.sources.pixel_selector import PixelSelector
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:
-    """--roi, --crop, --mask, and --sensor, for commands with a model."""
+    """--roi, --crop, --mask and --sensor, for commands that load a model."""
     add_selection(parser)
     parser.add_argument(
         "--sensor",
@@ -60,7 +60,7 @@ def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSele
         return PixelSelector(selection, model.sensor)
     selector = PixelSelector(selection, model.config.sensor)
     other = difference(model.record, selection)
-    if other:  # no error: a camera may have been moved, or a new mask found
+    if other:  # not an error: the camera may have been moved, or a new mask made
         complain(f"{args.model}: {other}")
     return selector
 
@@ -73,7 +73,7 @@ def selection_of(args: argparse.Namespace) -> PixelSelection:
     ValueError, OSError : options that exclude each other; a mask file that is missing, damaged or not a mask.
     """
     roi = None if args.roi is None else parse_roi(args.roi)
-    sensor = None if args.sensor is None else parse_size(args.sensor)
+    sensor = None if args.sensor is None else size_of(args.sensor)
     return PixelSelection(roi, args.crop, args.mask, sensor)
 
 

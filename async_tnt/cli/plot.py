@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from async_tnt.cli.options import positive_int
+from async_tnt.cli.options import positive_int, size_of
 from async_tnt.cli.output import complain, one_line
-from async_tnt.cli.sizes import parse_size
 from async_tnt.config import LANDMARKS, POLARITIES, TNTConfig
 from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import check_writable
@@ -114,8 +113,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     volume.add_argument("--bins", type=positive_int, metavar="B", help="time bins")
     volume.add_argument("--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds")
-    volume.add_argument("--sensor", type=parse_size, metavar="WxH", help="the camera's pixels, if not in the file")
-    volume.add_argument("--grid", type=parse_size, metavar="WxH", help="the volume's pixels")
+    volume.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's pixels, if not in the file")
+    volume.add_argument("--grid", type=size_of, metavar="WxH", help="the volume's pixels")
     parser.add_argument(
         "--dpi",
         type=_dpi,

@@ -72,7 +72,7 @@ def _run(argv: Sequence[str]) -> int:
     received: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> NoReturn:
-        """SIGTERM and SIGHUP, too, raise KeyboardInterrupt, so that a command ends in order."""
+        """SIGTERM and SIGHUP raise KeyboardInterrupt like Ctrl-C, so that a command can clean up."""
         received.append(number)
         if callable(before[number]) and _in_import_or_compilation(frame):
             before[number](number, frame)  # ends the process at once

@@ -6,8 +6,9 @@ import argparse
 import errno
 from pathlib import Path
 
-from async_tnt.cli.archive_options import add_archive, check_no_archive, run_archive
+from async_tnt.cli.archive_options import add_archive, check_no_archive
 from async_tnt.cli.live_packets import add_latest
+from async_tnt.cli.live_view import draw_stream
 from async_tnt.cli.options import (
     add_files,
     add_start,
@@ -19,13 +20,13 @@ from async_tnt.cli.options import (
 )
 from async_tnt.cli.output import HEADER, complain, json_line, text_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
-from async_tnt.cli.run_recording import open_selected, print_decisions, watch_decisions
-from async_tnt.cli.run_source import run_source
+from async_tnt.cli.run_recording import open_selected, print_decisions
 from async_tnt.engines import ENGINES, choose_engine
+from async_tnt.sources.playback import replay
 
-DESCRIPTION = """Stream recordings event by event through a model and print each decision: when it fell, for which
-window, the label and its probability, and the microseconds from the last event to the decision. A line
-for each recording follows: the class of the highest mean probability over its closed windows.
+DESCRIPTION = """Stream recordings event by event through a model and print each decision: its time and window, the
+label and its probability, and the microseconds from the last event to the decision. After each recording a line names
+the class of the highest mean probability over its closed windows.
 
   async-tnt run                              the ten bundled samples
   async-tnt run a.bin b.npz --every-us 5000  decide also every 5 ms
@@ -80,6 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     if args.out is not None:
+        from async_tnt.cli.archives import run_archive  # here, as other runs shall not wait for its imports
+
         return run_archive(args)
     check_no_archive(args)
     if args.live and args.json:
@@ -98,6 +101,8 @@ def main(args: argparse.Namespace) -> int:
     for path in paths_of(args):
         try:
             if isinstance(path, str):
+                from async_tnt.cli.run_source import run_source
+
                 stopped = run_source(path, processor, engine, pixels, line, latest=args.latest, live=args.live)
                 if stopped:
                     break
@@ -106,7 +111,9 @@ def main(args: argparse.Namespace) -> int:
             print(end=header)
             header = ""
             if args.live:
-                watch_decisions(recording, packets, processor, engine, args.speed or 1.0)
+                processor.reset()
+                packets = replay(packets, args.speed or 1.0)
+                draw_stream(recording.path.name, engine.classes, packets, processor)
             else:
                 print_decisions(recording, packets, processor, engine, pixels, line, summary=not args.json)
         except BrokenPipeError:

@@ -1,4 +1,4 @@
-"""Decisions of a recording: printed one by one, or drawn at the recorded speed."""
+"""Decisions of a recording, printed one by one."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.live_view import LiveView, decide_often
-from async_tnt.cli.output import Line, complain, one_line
+from async_tnt.cli.output import Line, complain, complain_late, one_line
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selector import PixelSelector
-from async_tnt.sources.playback import replay
 
 
 def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
@@ -86,31 +84,14 @@ def print_decisions(
             f"{one_line(recording.path.name)}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})"
         )
     late = processor.counts.dropped_late
-    if late:
-        complain(
-            f"{recording.path}: {late} of {seen.n_events} events were too late and dropped (see --late, --start-us)"
-        )
-    elif seen.n_unsorted:
+    complain_late(str(recording.path), late, seen.n_events, "--late, --start-us")
+    if seen.n_unsorted and not late:
         complain(
             f"{recording.path}: {seen.n_unsorted} of {seen.n_events} events are older than an earlier one (see --late)"
         )
     if not closed:
         why = pixels.nothing_left(before) or "no event in any window"
         raise ValueError(f"{recording.path}: {why}")
-
-
-def watch_decisions(
-    recording: Recording, packets: Iterable[Any], processor: Processor, engine: Engine, speed: float
-) -> None:
-    """Draw the stream at the recorded speed."""
-    processor.reset()
-    decide_often(processor)
-    with LiveView(engine.classes, recording.path.name) as view:
-        for packet in replay(packets, speed):
-            handed_over = time.perf_counter_ns()
-            decisions = processor.push(packet)
-            view.show(decisions, (time.perf_counter_ns() - handed_over) / 1e3, processor.counts)
-        view.show(processor.finish(), 0.0, processor.counts)
 
 
 def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:

@@ -6,7 +6,7 @@ import sys
 import time
 
 from async_tnt.cli.live_packets import LivePackets, live_packets
-from async_tnt.cli.live_view import LiveView, decide_often
+from async_tnt.cli.live_view import draw_stream
 from async_tnt.cli.output import Line, complain
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
@@ -36,7 +36,7 @@ def run_source(
         try:
             stream.announce()
             if live:
-                _draw(stream, processor, LiveView(engine.classes, name))
+                draw_stream(name, engine.classes, stream.packets, processor, stream.reader)
             else:
                 _print_all(stream, name, processor, line)
         except KeyboardInterrupt:
@@ -63,12 +63,3 @@ def _print_all(stream: LivePackets, name: str, processor: Processor, line: Line)
             print(line(name, decision, latency_us, stream.reader))
         if decisions:
             sys.stdout.flush()
-
-
-def _draw(stream: LivePackets, processor: Processor, view: LiveView) -> None:
-    decide_often(processor)
-    with view:
-        for packet in stream.packets:
-            handed_over = time.perf_counter_ns()
-            decisions = processor.push(packet)
-            view.show(decisions, (time.perf_counter_ns() - handed_over) / 1e3, processor.counts, stream.reader)

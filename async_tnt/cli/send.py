@@ -83,7 +83,7 @@ def main(args: argparse.Namespace) -> int:
         try:
             for packet in replay(stream, args.speed) if args.rate is None else even(stream, args.rate):
                 sender.send(packet)
-        finally:  # Ctrl-C, too
+        finally:  # also after Ctrl-C
             _report(sender, args, time.monotonic() - started)
     return 0
 

@@ -15,8 +15,8 @@ from typing import Any
 
 from async_tnt.archive.scores import Scores
 from async_tnt.cli.data_options import command_words, data_folder
+from async_tnt.cli.options import size_of
 from async_tnt.cli.output import complain, one_line
-from async_tnt.cli.sizes import parse_size
 from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_writable, write_text
@@ -148,7 +148,7 @@ def _config(args: argparse.Namespace) -> TNTConfig:
     """The volume that the options describe; its sensor is replaced by that of the recordings."""
     names = ("bins", "t_max", "landmark", "polarity", "transform", "remove_flow")
     config = TNTConfig(**{name: getattr(args, name) for name in names})
-    grid = parse_size(args.grid) if args.grid else config.grid
+    grid = size_of(args.grid) if args.grid else config.grid
     return config.replace(grid=grid, window_us=args.window_us or config.window_us)
 
 

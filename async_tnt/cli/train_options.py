@@ -7,9 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from async_tnt.cli.data_options import add_folder, add_precision
-from async_tnt.cli.options import positive_int
+from async_tnt.cli.options import positive_int, size_of, size_text
 from async_tnt.cli.pixel_options import add_selection, selection_of
-from async_tnt.cli.sizes import parse_size, size_text
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 from async_tnt.networks.model import Model
 from async_tnt.sources.pixel_selection import PixelSelection
@@ -247,7 +246,7 @@ def check_options(args: argparse.Namespace) -> None:
         raise ValueError(f"{', '.join(given)} must come without DATASET: train on one or the other")
     if args.start_from and (args.grid or args.window_us):
         raise ValueError("--grid and --window-us must come without --start-from: the volume is that model's")
-    if args.grid and min(parse_size(args.grid)) < 4:
+    if args.grid and min(size_of(args.grid)) < 4:
         raise ValueError(f"--grid must be at least 4x4 for the network's two poolings, got {args.grid}")
 
 

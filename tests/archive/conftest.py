@@ -1,4 +1,4 @@
-"""The program as a process, executors, and a Dask cluster."""
+"""Recordings, executors, and a Dask cluster."""
 
 import contextlib
 import json
@@ -7,15 +7,12 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
+from processes import PATHS, wait_until
 
 from async_tnt.archive.executor import executor_of
 from async_tnt.sources.files.recording import sample_recordings
-
-ROOT = Path(__file__).resolve().parents[2]
-PATHS = os.pathsep.join(str(ROOT / name) for name in ("", "reference", "tests"))
 
 
 def pytest_configure(config):
@@ -39,74 +36,33 @@ def samples(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def start():
-    """Start Python with words, as a process of its own, which ends with the test."""
-    with contextlib.ExitStack() as stack:
-
-        def begin(*words):
-            process = subprocess.Popen(
-                [sys.executable, *map(str, words)],
-                env={**os.environ, "PYTHONPATH": PATHS},
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            stack.callback(process.communicate)
-            stack.callback(process.kill)
-            return process
-
-        yield begin
-
-
-@pytest.fixture
-def wait_until():
-    """Wait until something holds."""
-
-    def wait(holds, timeout_s=120):
-        end = time.monotonic() + timeout_s
-        while not holds():
-            assert time.monotonic() < end
-            time.sleep(0.005)
-
-    return wait
-
-
 @contextlib.contextmanager
 def dask_cluster(folder, n_workers):
-    """Address of a Dask scheduler, with workers of one thread that are restarted when they end."""
-    env = {**os.environ, "PYTHONPATH": PATHS, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
-    options = {"env": env, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    python, host = [sys.executable, "-m"], ["--host", "127.0.0.1", "--no-dashboard"]
+    """Address of a Dask scheduler, with workers of one thread that are replaced when they end."""
     written = folder / "scheduler.json"
-    words = ["distributed.cli.dask_scheduler", *host, "--port", "0", "--scheduler-file", written]
-    scheduler = subprocess.Popen([*python, *words], **options)
-    processes = [scheduler]
-    address = ""
+    options = {
+        "env": {**os.environ, "PYTHONPATH": PATHS, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"},
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+    }
+    common = ["--host", "127.0.0.1", "--no-dashboard"]
+    worker = ["--nthreads", "1", "--no-nanny", "--death-timeout", "60", "--local-directory", str(folder)]
+    processes = []
+
+    def start(module, *words):
+        process = subprocess.Popen([sys.executable, "-m", f"distributed.cli.{module}", *common, *words], **options)
+        processes.append(process)
+        return process
 
     def keep_worker():
         while scheduler.poll() is None:
-            words = [
-                "distributed.cli.dask_worker",
-                address,
-                *host,
-                "--nthreads",
-                "1",
-                "--no-nanny",
-                "--death-timeout",
-                "60",
-            ]
-            worker = subprocess.Popen([*python, *words, "--local-directory", folder], **options)
-            processes.append(worker)
-            worker.wait()
+            start("dask_worker", address, *worker).wait()
 
+    scheduler = start("dask_scheduler", "--port", "0", "--scheduler-file", str(written))
     threads = [threading.Thread(target=keep_worker) for _ in range(n_workers)]
     try:
-        while not address:
-            assert scheduler.poll() is None
-            time.sleep(0.05)
-            with contextlib.suppress(OSError, ValueError):
-                address = json.loads(written.read_text())["address"]
+        wait_until(lambda: written.exists() and written.read_text().endswith("}"))
+        address = json.loads(written.read_text())["address"]
         for thread in threads:
             thread.start()
         yield address
@@ -120,17 +76,28 @@ def dask_cluster(folder, n_workers):
 
 
 @pytest.fixture(scope="session")
-def cluster(tmp_path_factory):
-    """Address of a Dask scheduler with two workers."""
+def any_cluster(tmp_path_factory):
     pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
     with dask_cluster(tmp_path_factory.mktemp("cluster"), 2) as address:
         yield address
 
 
 @pytest.fixture
+def cluster(any_cluster, monkeypatch):
+    """Address of a scheduler, once both its workers are there: a test before may have ended some."""
+    from distributed import Client
+
+    from async_tnt.archive import dask_executor
+
+    monkeypatch.setattr(dask_executor, "CONNECT_S", 120.0)
+    with Client(any_cluster, timeout=120, set_as_default=False) as client:
+        wait_until(lambda: len(client.nthreads()) == 2)
+    return any_cluster
+
+
+@pytest.fixture
 def empty_cluster(tmp_path):
-    """Address of a Dask scheduler without workers."""
-    pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
+    """Address of a scheduler without workers."""
     with dask_cluster(tmp_path, 0) as address:
         yield address
 
@@ -139,5 +106,8 @@ def empty_cluster(tmp_path):
 def executor(request):
     """Every executor."""
     if request.param == "dask":
-        return executor_of(dask=request.getfixturevalue("cluster"))
+        address = request.getfixturevalue("cluster")
+        from async_tnt.archive.dask_executor import DaskExecutor
+
+        return DaskExecutor(address)
     return executor_of(1 if request.param == "serial" else 2)

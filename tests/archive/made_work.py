@@ -3,9 +3,7 @@
 import os
 import signal
 import time
-from pathlib import Path
 
-from async_tnt.archive.executor import run_all
 from async_tnt.archive.job import Job, task_of
 from async_tnt.archive.records import evaluate_recording, failed
 
@@ -51,7 +49,7 @@ def record_of(task):
 def deadly(task):
     """`record_of`, but the file `poison` kills its worker every time, and `once` the first time.
 
-    `begun` in its folder has a line of every recording that was begun.
+    `begun` in its folder has a line for every recording that was begun.
     """
     begun = task.path.with_name("begun")
     with begun.open("a") as file:
@@ -61,63 +59,8 @@ def deadly(task):
     return record_of(task)
 
 
-def slow(task):
-    """`record_of` after a while; `pids` in its folder has a line of its process and recording."""
-    with task.path.with_name("pids").open("a") as file:
-        file.write(f"{os.getpid()} {task.recording}\n")
-    time.sleep(0.02)
-    return record_of(task)
-
-
 def broken(task):
     raise ImportError("no reader of that")
-
-
-def twice(number):
-    return 2 * number
-
-
-def unpicklable(number):
-    return lambda: number
-
-
-class OddError(Exception):
-    """It can be pickled but not unpickled."""
-
-    def __init__(self, have, want):
-        super().__init__(f"{have}, not {want}")
-
-
-def raise_odd(number):
-    raise OddError(number, 0)
-
-
-def sleep_in(folder):
-    """Longer than any test; the folder then has a file named by the process."""
-    (folder / f"{os.getpid()}.pid").touch()
-    time.sleep(3600)
-
-
-def sleep_or_end(folder_and_end):
-    """Sleep; or wait for two that sleep, and return or raise."""
-    folder, end = folder_and_end
-    if end == "sleep":
-        sleep_in(folder)
-    while len(list(folder.glob("*.pid"))) < 2:
-        time.sleep(0.01)
-    if end == "raise":
-        raise ZeroDivisionError
-
-
-def run_sleepers(folder):
-    """Two workers in the middle of a task, for a program that is killed."""
-    list(run_all(sleep_in, [Path(folder)] * 2, 2))
-
-
-def run_quick():
-    """Workers that answer all the time, for a program that is killed."""
-    for _ in run_all(twice, range(10**7), 2):
-        print(end=".", flush=True)
 
 
 def evaluate_or_sleep(task):

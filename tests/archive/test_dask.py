@@ -1,4 +1,4 @@
-"""`DaskExecutor`: what is peculiar to a cluster. Its address is wrong, its workers differ, chunks have a size."""
+"""`DaskExecutor`, what is special about a cluster: wrong addresses, workers that differ, chunks of tasks."""
 
 import pickle
 import socket
@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
 
-from archive.made_work import JOB, make_tasks, record_of, slow
+from archive.made_work import JOB, make_tasks, record_of
 
 from async_tnt.archive import dask_executor
 from async_tnt.archive.dask_executor import DaskExecutor
@@ -26,8 +26,8 @@ def test_the_cluster_has_few_chunks_at_a_time(cluster, tasks, monkeypatch):
     in_flight, sizes = [], []
     submit = dask_executor._Run._submit
 
-    def watched(self, chunk):
-        submit(self, chunk)
+    def watched(self, chunk, **settings):
+        submit(self, chunk, **settings)
         in_flight.append(len(self._in_flight))
         sizes.append(len(chunk))
 
@@ -36,8 +36,8 @@ def test_the_cluster_has_few_chunks_at_a_time(cluster, tasks, monkeypatch):
     assert max(in_flight) <= 4  # of two threads
     assert sum(sizes) == len(NAMES) and max(sizes) <= 11  # short ones go together, but never all to one worker
     sizes.clear()
-    monkeypatch.setattr(dask_executor, "CHUNK_S", 0.01)  # less than a slow one takes
-    assert len(list(DaskExecutor(cluster).run(slow, tasks[:6], lost))) == 6
+    monkeypatch.setattr(dask_executor, "CHUNK_S", 0.0)  # every task is longer
+    assert len(list(DaskExecutor(cluster).run(record_of, tasks[:6], lost))) == 6
     assert sizes == [1] * 6
 
 
@@ -55,6 +55,7 @@ def test_workers_of_another_version_are_named(cluster, tasks, monkeypatch):
 
 
 def test_a_cluster_without_workers(empty_cluster, tasks, monkeypatch):
+    monkeypatch.setattr(dask_executor, "CONNECT_S", 120.0)
     monkeypatch.setattr(dask_executor, "WORKERS_S", 0.5)
     with pytest.raises(ConnectionError, match=r"has no workers: start some, `dask worker tcp://"):
         list(DaskExecutor(empty_cluster).run(record_of, tasks, lost))
@@ -66,20 +67,20 @@ def test_not_an_address(address, tasks):
         list(DaskExecutor(address).run(record_of, tasks, lost))
 
 
-def _greet(server):
-    with server.accept()[0] as connection:
-        connection.sendall(b"SSH-2.0-OpenSSH")
-
-
 @pytest.mark.parametrize("kind", ["closed", "silent", "ssh"])
 def test_an_address_where_no_scheduler_answers(kind, tasks, monkeypatch):
     monkeypatch.setattr(dask_executor, "CONNECT_S", 1.0)
+
+    def greet():
+        with server.accept()[0] as connection:
+            connection.sendall(b"SSH-2.0-OpenSSH")
+
     with socket.socket() as server:
         server.bind(("127.0.0.1", 0))
         if kind != "closed":
             server.listen()
         if kind == "ssh":
-            threading.Thread(target=_greet, args=(server,), daemon=True).start()
+            threading.Thread(target=greet, daemon=True).start()
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(ConnectionError, match="no Dask scheduler answers at tcp://127"):
             list(DaskExecutor(address).run(record_of, tasks, lost))

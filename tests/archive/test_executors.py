@@ -2,24 +2,16 @@
 
 import contextlib
 import os
-import signal
-import threading
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
-from archive.made_work import (
-    broken,
-    deadly,
-    make_tasks,
-    raise_odd,
-    record_of,
-    sleep_or_end,
-    slow,
-    twice,
-    unpicklable,
-)
+from archive.made_work import broken, deadly, make_tasks, record_of
+from archive.simple_work import raise_odd, sleep_or_end, twice, unpicklable
+from processes import started, wait_until
 
-from async_tnt.archive.executor import run_all
+from async_tnt.archive.executor import _Call, _Worker, run_all
 from async_tnt.archive.records import lost
 
 posix = pytest.mark.skipif(os.name != "posix", reason="kill -9 of POSIX")
@@ -27,11 +19,9 @@ replacing_workers = pytest.mark.parametrize("executor", ["processes", "dask"], i
 NAMES = [f"{k:02d}" for k in range(40)]
 
 
-@pytest.mark.parametrize("n", [0, 1, 40])
-def test_every_task_is_done_once(executor, n, tmp_path):
-    tasks = make_tasks(tmp_path / "set", NAMES[:n])
-    records = list(executor.run(record_of, tasks, lost))
-    assert sorted(record["label"] for record in records) == NAMES[:n]
+def test_every_task_is_done_once(executor, tmp_path):
+    records = list(executor.run(record_of, make_tasks(tmp_path / "set", NAMES), lost))
+    assert sorted(record["label"] for record in records) == NAMES
 
 
 def test_an_error_of_a_task_is_raised(executor, tmp_path):
@@ -41,12 +31,15 @@ def test_an_error_of_a_task_is_raised(executor, tmp_path):
 
 @posix
 @replacing_workers
-def test_a_task_that_ends_its_workers_is_lost_and_the_others_are_done_once(executor, tmp_path):
+def test_a_task_that_ends_its_workers_is_lost_and_the_others_are_done_once(executor, tmp_path, request):
     names = [*NAMES[:10], "once", "poison", *NAMES[10:20]]
     records = list(executor.run(deadly, make_tasks(tmp_path / "set", names), lost))
     assert sorted(record["recording"] for record in records) == sorted(names)
     errors = {record["recording"]: record["error"] for record in records if record["error"] is not None}
     assert errors.keys() == {"poison"} and "its worker ended, twice" in errors["poison"]
+    if "processes" in request.node.name:  # tasks queued behind a lost one are begun once; Dask may repeat a chunk
+        begun = (tmp_path / "set" / "begun").read_text().split()
+        assert sorted(begun) == sorted([*names, "once", "poison"])
 
 
 @posix
@@ -57,38 +50,26 @@ def test_without_lost_a_task_that_ends_its_workers_is_an_error(executor, tmp_pat
 
 
 @posix
-@replacing_workers
-def test_a_killed_worker_is_replaced(executor, tmp_path, wait_until):
-    tasks = make_tasks(tmp_path / "set", NAMES)
-    pids = tmp_path / "set" / "pids"
-
-    def kill():
-        wait_until(lambda: pids.exists() and pids.read_text().count("\n") >= 8)
-        os.kill(int(pids.read_text().split()[0]), signal.SIGKILL)
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    records = list(executor.run(slow, tasks, lost))
-    killer.join()
-    assert sorted(record["label"] for record in records) == NAMES
-    assert all(record["error"] is None for record in records)
-
-
-@posix
-def test_a_lost_task_is_tried_twice_and_those_queued_behind_it_once(tmp_path):
-    tasks = make_tasks(tmp_path / "set", [*NAMES[:20], "poison", *NAMES[20:]])
-    assert len(list(run_all(deadly, tasks, 2, lost))) == 41
-    begun = (tmp_path / "set" / "begun").read_text().split()
-    assert sorted(begun) == [*NAMES, "poison", "poison"]
-
-
-@posix
 def test_all_tasks_may_end_their_workers():
     assert sorted(run_all(os._exit, [3, 4, 5], 2, lambda code: -code)) == [-5, -4, -3]
 
 
+@posix
+def test_a_call_that_a_broken_pool_forgot_counts_as_lost():
+    worker = _Worker(twice)
+    try:
+        worker.submit(1, 0)
+        assert worker.calls.popleft().future.result(120) == 2
+        worker.kill()
+        worker._manager.join(120)
+        worker.calls.append(_Call(Future(), 3, 0))
+        assert worker.has_answered() and isinstance(worker.calls[0].future.exception(), BrokenProcessPool)
+    finally:
+        worker.stop()
+
+
 def test_more_workers_than_tasks_and_large_results():
-    assert sorted(run_all(twice, [4, 5], 4)) == [8, 10]
+    assert sorted(run_all(twice, [4, 5], 4)) == [8, 10] and list(run_all(twice, [], 2)) == []
     assert sum(len(result) for result in run_all(twice, [b"x" * (1 << 20)] * 40, 2)) == 80 << 20
 
 
@@ -100,10 +81,11 @@ def test_what_cannot_be_pickled_is_an_error():
     assert "in raise_odd" in str(raised.value.__cause__)  # the worker's traceback
 
 
-def test_a_script_without_a_main_guard_is_told_so(start, tmp_path):
+def test_a_script_without_a_main_guard_gets_an_explanation(tmp_path):
     script = tmp_path / "script.py"
     script.write_text("from async_tnt.archive.executor import run_all\nlist(run_all(abs, [1, 2, 3], 2))\n")
-    assert "from a script without the line `if __name__" in start(script).communicate()[1]
+    with started(script) as process:
+        assert "from a script without the line `if __name__" in process.communicate()[1]
 
 
 def is_running(pid):
@@ -127,19 +109,18 @@ def test_closing_or_an_error_ends_workers_in_the_middle_of_their_tasks(end, tmp_
 
 
 @posix
-def test_killing_the_program_ends_its_workers_in_the_middle_of_their_tasks(start, tmp_path, wait_until):
-    process = start("-c", f"from archive.made_work import run_sleepers; run_sleepers({str(tmp_path)!r})")
-    wait_until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
-    pids = [int(path.stem) for path in tmp_path.glob("*.pid")]
-    assert all(is_running(pid) for pid in pids)
-    process.kill()
-    process.wait()
-    wait_until(lambda: not any(is_running(pid) for pid in pids))
+def test_killing_the_program_ends_its_workers_in_the_middle_of_their_tasks(tmp_path):
+    with started("-c", f"from archive.simple_work import run_sleepers; run_sleepers({str(tmp_path)!r})") as process:
+        wait_until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+        pids = [int(path.stem) for path in tmp_path.glob("*.pid")]
+        assert all(is_running(pid) for pid in pids)
+        process.kill()
+        wait_until(lambda: not any(is_running(pid) for pid in pids))
 
 
 @posix
-def test_killing_the_program_leaves_no_traceback_of_its_workers(start):
-    process = start("-c", "from archive.made_work import run_quick; run_quick()")
-    process.stdout.read(50)
-    process.kill()
-    assert "Traceback" not in process.communicate()[1]
+def test_killing_the_program_leaves_no_traceback_of_its_workers():
+    with started("-c", "from archive.simple_work import run_quick; run_quick()") as process:
+        process.stdout.read(50)
+        process.kill()
+        assert "Traceback" not in process.communicate()[1]

@@ -1,103 +1,186 @@
-"""How the program ends when somebody else ends it, or when its output does."""
+"""How the program ends: at a signal, in one line with 128 and its number, and where its output cannot be written."""
 
-import json
 import os
 import signal
 import subprocess
 import sys
 
 import pytest
+from listening import free_port, send_in_parts
+from processes import started
 
-from async_tnt.cli import main
-from async_tnt.sources.files.recording import sample_recordings
+from async_tnt.sources.files.recording import open_recording, sample_recordings
 
-ENV = os.environ | {"PYTHONUNBUFFERED": "1"}
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+SAMPLE = str(sample_recordings()[3])
+PROGRAM = ("-m", "async_tnt.cli")
+has_full = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
 
+# Python runs it first of all where it is on PYTHONPATH. In a callback of C code an exception would not get far.
+SITECUSTOMIZE = """
+import ctypes, os, sys
+point, number, in_callback = os.environ["POINT"], int(os.environ["NUMBER"]), os.environ["IN_CALLBACK"] == "1"
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
-@pytest.mark.parametrize("number, code", [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
-def test_a_signal_ends_a_stream_with_its_last_decision_and_its_counts(number, code):
-    words = ["run", "udp://127.0.0.1:0", "--json"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "async_tnt.cli", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=ENV,
-    )
-    try:
-        lines = [process.stderr.readline()]
-        while "listening" not in lines[-1] and process.poll() is None:
-            lines.append(process.stderr.readline())
-        process.send_signal(number)
-        _, err = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert process.returncode == code
-    assert "0 datagrams, 0 events" in err and "Traceback" not in err
+class Finder:
+    def find_spec(self, name, path, target=None):
+        if name == point:
+            sys.meta_path.remove(self)
+            if in_callback:
+                ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), number))()
+            else:
+                os.kill(os.getpid(), number)
+
+sys.meta_path.insert(0, Finder())
+"""
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
-@pytest.mark.parametrize("words, unbuffered", [(["run", "--json"], "1"), (["run", "--json"], ""), (["--help"], "")])
-def test_output_that_cannot_be_written_is_no_fault_of_the_recordings(words, unbuffered):
-    env = ENV | {"PYTHONUNBUFFERED": unbuffered}
-    with open("/dev/full", "w") as full:
-        command = [sys.executable, "-m", "async_tnt.cli", *words]
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=env)
-    assert done.returncode == 2
-    assert done.stderr.count("No space left on device") == 1
-
-
-def test_a_name_with_a_line_break_stays_on_its_line(tmp_path, capsys):
-    path = tmp_path / "a\nb.bin"
-    path.write_bytes(sample_recordings()[3].read_bytes())
-    assert main(["run", str(path)]) == 0
-    assert "\na\\nb.bin " in capsys.readouterr().out
-    assert main(["run", "--json", str(path)]) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[0])["recording"] == str(path)
+def interrupted(folder, *words, point, number, in_callback=False, ignored=None, stderr=subprocess.PIPE):
+    """Exit code and output of the program, which gets a signal when it begins to import a module."""
+    (folder / "sitecustomize.py").write_text(SITECUSTOMIZE)
+    env = os.environ | {"POINT": point, "NUMBER": str(int(number)), "IN_CALLBACK": str(int(in_callback))}
+    env["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, sys.path)])
+    ignore = None if ignored is None else lambda: signal.signal(ignored, signal.SIG_IGN)
+    with started(*PROGRAM, *words, cwd=folder, env=env, preexec_fn=ignore, stderr=stderr) as process:
+        printed, message = process.communicate()
+        return process.returncode, printed, message
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("point", "number", "in_callback", "line"),
     [
-        ["run"],
-        ["check"],
-        ["export", "--out", "m.onnx"],
-        ["send", "udp://127.0.0.1:9"],
-        ["train", "--out", "m.safetensors"],
-        ["evaluate", "digits"],
-        ["simulate", "--out", "set", "--mnist"],
-        ["mask"],
-        ["plot", "--out", "p.png"],
-        ["view", "--out", "v.rrd"],
-        ["bench", "--model"],
-        ["run", "--late"],
-        ["table", "--nmnist"],
-        ["run", str(sample_recordings()[3]), "--out"],
-        ["evaluate", "digits", ".", "--picture"],
+        ("async_tnt.cli.program", signal.SIGINT, False, "interrupted"),
+        ("async_tnt.cli.program", signal.SIGTERM, True, "terminated"),
+        ("numpy.linalg", signal.SIGHUP, False, "terminated"),
+        ("numpy.linalg", signal.SIGINT, True, "interrupted"),
+        ("async_tnt.cli.run", signal.SIGTERM, False, "terminated"),
+        ("async_tnt.cli.run", signal.SIGINT, True, "interrupted"),
     ],
 )
-def test_a_complaint_is_one_line_whatever_the_name(words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    try:
-        code = main([*words, "no\n\x1b[31mwhere"])
-    except SystemExit as stopped:
-        code = stopped.code
-    err = capsys.readouterr().err
-    assert code == 2 and err.count("\n") == 1 and "no\\n\\x1b[31mwhere" in err
+def test_a_signal_while_the_program_starts(point, number, in_callback, line, tmp_path):
+    done = interrupted(tmp_path, "run", SAMPLE, point=point, number=number, in_callback=in_callback)
+    assert done == (128 + number, "", f"async-tnt: {line}\n")
 
 
-@pytest.mark.parametrize("command", ["run", "view"])
-def test_latest_is_of_streams(command, capsys):
-    assert main([command, str(sample_recordings()[3]), "--latest", "5"]) == 2
-    assert "--latest belongs to a camera or the network" in capsys.readouterr().err
+@pytest.mark.parametrize("in_callback", [False, True])
+def test_a_signal_while_a_command_imports_what_it_needs(in_callback, tmp_path):
+    pytest.importorskip("matplotlib")
+    words = "plot", SAMPLE, "--out", "a.png"
+    done = interrupted(tmp_path, *words, point="matplotlib.colors", number=signal.SIGINT, in_callback=in_callback)
+    assert done == (130, "", "async-tnt: interrupted\n")
 
 
-def test_a_sensor_of_another_size_says_what_to_do(tmp_path, capsys):
-    path = tmp_path / "large.csv"
-    path.write_text("t,x,y,p\n1,100,5,1\n2,3,4,0\n")
-    assert main(["run", str(path)]) == 2
-    err = capsys.readouterr().err
-    assert "got 100 at event 0" in err
-    assert "the model is for 34x34 pixels; train one for this camera" in err and "--roi X,Y,34,34 --crop" in err
-    assert len(err.splitlines()) == 1
+WHILE_KERNELS_COME_FROM_THE_CACHE = """
+from numba.core.codegen import JITCodeLibrary
+answer = JITCodeLibrary._object_getbuffer_hook
+def answer_late(library):  # LLVM calls back, and does not expect an exception
+    os.kill(os.getpid(), NUMBER)
+    return answer(library)
+JITCodeLibrary._object_getbuffer_hook = answer_late
+"""
+WHILE_WORKERS_ARE_SPAWNED = """
+import multiprocessing.util as util
+spawn = util.spawnv_passfds
+def spawned(path, words, handed_over):  # a process waits for its task; if that never came, it would complain
+    made = spawn(path, words, handed_over)
+    if "spawn_main" in str(words):
+        os.kill(os.getpid(), NUMBER)
+    return made
+util.spawnv_passfds = spawned
+"""
+NONE_DONE = "interrupted: 0 of 2 recordings are done; nothing is kept without --out"
+
+
+@pytest.mark.parametrize(
+    ("patch", "number", "words", "line"),
+    [
+        (WHILE_KERNELS_COME_FROM_THE_CACHE, signal.SIGINT, ["run", SAMPLE], "interrupted"),
+        (WHILE_WORKERS_ARE_SPAWNED, signal.SIGINT, ["evaluate", "digits", "set", "--workers", "2"], NONE_DONE),
+        (WHILE_WORKERS_ARE_SPAWNED, signal.SIGTERM, ["evaluate", "digits", "set", "--workers", "2"], NONE_DONE),
+    ],
+)
+def test_a_signal_at_a_delicate_moment(patch, number, words, line, tmp_path):
+    (tmp_path / "set" / "3").mkdir(parents=True)
+    for name in ("a.bin", "b.bin"):
+        (tmp_path / "set" / "3" / name).symlink_to(SAMPLE)
+    code = f"import os, sys\nNUMBER = {int(number)}\n{patch}\nfrom async_tnt.cli import main; sys.exit(main())"
+    with started("-c", code, *words, cwd=tmp_path) as process:
+        assert process.communicate() == ("", f"async-tnt: {line}\n")
+    assert process.returncode == 128 + number
+
+
+@pytest.mark.parametrize(("number", "point"), [(signal.SIGINT, "numpy.linalg"), (signal.SIGHUP, "matplotlib.colors")])
+def test_an_ignored_signal_stays_ignored(number, point, tmp_path):
+    """A shell's background job ignores Ctrl-C, and nohup SIGHUP."""
+    pytest.importorskip("matplotlib")
+    words = "plot", SAMPLE, "--out", "a.png"
+    code, printed, message = interrupted(tmp_path, *words, point=point, number=number, ignored=number)
+    assert code == 0 and message == "" and "a.png" in printed
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_stream_with_its_last_decision_and_its_counts(number):
+    port, events = free_port(), open_recording(sample_recordings()[7]).read()
+    with started(*PROGRAM, "run", f"udp://127.0.0.1:{port}") as process:
+        while "listening" not in (line := process.stderr.readline()):  # a cold cache says that it compiles
+            assert line
+        send_in_parts(port, events)
+        assert process.stdout.readline()  # a decision
+        process.send_signal(number)
+        out, err = process.communicate()
+    assert process.returncode == 128 + number
+    assert " end\n" in out and " events (0 malformed" in err and "Traceback" not in err
+
+
+@pytest.mark.parametrize("received", ["", "terminated"])
+def test_a_command_that_a_signal_ends_says_which(received, program, monkeypatch):
+    from async_tnt.cli import run
+
+    def interrupt(args):
+        if received:
+            signal.raise_signal(signal.SIGTERM)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "main", interrupt)
+    expected = (143, "", "async-tnt: terminated\n") if received else (130, "", "async-tnt: interrupted\n")
+    assert program("run") == expected
+
+
+def test_a_closed_pipe_is_no_error():
+    command = f'"{sys.executable}" -m async_tnt.cli run | head -1'
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert done.stdout.startswith("recording") and done.stderr == ""
+
+
+@has_full
+@pytest.mark.parametrize(("words", "unbuffered"), [(["run", "--json"], "1"), (["run", "--json"], ""), (["--help"], "")])
+def test_output_that_cannot_be_written_is_not_blamed_on_the_recordings(words, unbuffered):
+    with (
+        open("/dev/full", "w") as full,
+        started(*PROGRAM, *words, stdout=full, env=os.environ | {"PYTHONUNBUFFERED": unbuffered}) as process,
+    ):
+        message = process.communicate()[1]
+    assert process.returncode == 2 and message.count("No space left on device") == 1
+
+
+@has_full
+@pytest.mark.parametrize(
+    ("stderr", "words", "code"),
+    [
+        ("2>&-", ["run", "--start-us", "200000", "--json", SAMPLE], 0),  # reports on stderr what was dropped
+        ("2>/dev/full", ["run", "--start-us", "200000", "--json", SAMPLE], 0),
+        ("2>&-", ["run", SAMPLE, "--every-us", "0"], 2),
+        ("2>/dev/full", ["evaluate", "digits", "nowhere", "--workers", "2"], 2),
+    ],
+)
+def test_without_a_stderr_the_exit_code_is_the_same(stderr, words, code):
+    command = f'"{sys.executable}" -m async_tnt.cli {" ".join(words)} {stderr}'
+    done = subprocess.run(command, shell=True, stdout=subprocess.PIPE, text=True)
+    assert done.returncode == code and all(line.startswith("{") for line in done.stdout.splitlines())
+    assert bool(done.stdout) == (code == 0)
+
+
+@has_full
+def test_with_a_full_stderr_a_signal_still_ends_it(tmp_path):
+    with open("/dev/full", "w") as full:
+        code, *_ = interrupted(tmp_path, "run", SAMPLE, point="numpy.linalg", number=signal.SIGINT, stderr=full)
+    assert code == 130

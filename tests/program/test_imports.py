@@ -1,4 +1,4 @@
-"""What importing costs, and what it must not bring along."""
+"""What the package costs: imports, compiled kernels and their cache, memory."""
 
 import ast
 import importlib
@@ -9,29 +9,36 @@ import pydoc
 import shutil
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import pytest
+from held_memory import held
+from made import random_events, random_model
 
 import async_tnt
+from async_tnt import Processor, TNTConfig
 
 
-def modules_after(code):
-    """The names of all modules that are loaded after this code."""
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"], capture_output=True, text=True, check=True
-    )
-    return set(done.stdout.split())
+def python(code, **settings):
+    """What a new Python prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, **settings)
+    return done.stdout.strip() or done.stderr.strip()
 
 
 def test_import_brings_only_what_is_used():
-    heavy = {"numpy", "numba", "torch", "matplotlib", "argparse", "typing", "signal"}
-    nothing = modules_after("pass")
-    for code in ("import async_tnt", "import async_tnt.cli"):
-        assert not heavy & (modules_after(code) - nothing)
-    assert "numba" not in modules_after("import async_tnt; async_tnt.TNTConfig()")
-    used = modules_after("import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.sources.files")
-    assert "numba" in used and not {"torch", "matplotlib"} & used
+    heavy = {"numpy", "numba", "torch", "matplotlib", "argparse", "typing", "signal", "asyncio", "concurrent.futures"}
+
+    def brought(code):
+        printed = python(f"import sys; before = set(sys.modules); {code}; print(*set(sys.modules) - before)")
+        return heavy & set(printed.split())
+
+    assert not brought("import async_tnt, async_tnt.cli; async_tnt.__version__")
+    assert "numba" not in brought("import async_tnt; async_tnt.TNTConfig()")
+    engine = {"numpy", "numba", "typing", "signal"}
+    used = brought("import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.sources.files")
+    assert "numba" in used <= engine
+    assert brought("import async_tnt.cli.run") <= engine | {"argparse"}  # of a recording, without --out
 
 
 def test_public_names_are_there_in_every_way():
@@ -66,21 +73,17 @@ def test_type_checkers_see_the_same_names(package):
 
 
 def test_a_package_that_is_missing_is_named():
-    code = "import sys; sys.modules['numba'] = None; import async_tnt; async_tnt.Processor"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 1 and "import of numba halted" in done.stderr.splitlines()[-1]
+    error = python("import sys; sys.modules['numba'] = None; import async_tnt; async_tnt.Processor")
+    assert "import of numba halted" in error.splitlines()[-1]
 
 
 def test_works_where_nothing_can_be_cached(tmp_path):
     """Numba refuses cache=True where neither the package nor the user's cache folder can be written."""
+    (tmp_path / "file").write_text("so that no folder can be made here")
     code = (
         "import async_tnt; v = async_tnt.TNTVolume(async_tnt.TNTConfig()); v.update_one(5, 1, 1, 1); print(v.n_events)"
     )
-    blocked = tmp_path / "file"
-    blocked.write_text("a file, so that no folder can be made here")
-    env = os.environ | {"NUMBA_CACHE_DIR": str(blocked / "cache")}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, timeout=120)
-    assert done.stdout == "1\n", done.stderr
+    assert python(code, env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "file" / "cache")}) == "1"
 
 
 def test_processors_may_be_made_in_several_threads_at_once():
@@ -92,8 +95,7 @@ def test_processors_may_be_made_in_several_threads_at_once():
         "threads = [threading.Thread(target=make) for _ in range(8)]\n"
         "[t.start() for t in threads]; [t.join() for t in threads]; print(failed)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    assert done.stdout == "[]\n", done.stdout + done.stderr
+    assert python(code) == "[]"
 
 
 def test_an_edited_constant_reaches_kernels_that_were_cached_before(tmp_path):
@@ -107,14 +109,26 @@ def test_an_edited_constant_reaches_kernels_that_were_cached_before(tmp_path):
     )
     env = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
-    def received():
-        done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, env=env, timeout=120, cwd=tmp_path
-        )
-        return done.stdout.strip() or done.stderr
-
-    assert received() == "1"
-    assert received() == "1"  # from the cache
+    assert python(code, env=env, cwd=tmp_path) == "1"
+    assert python(code, env=env, cwd=tmp_path) == "1"  # from the cache
     state = package / "kernels" / "state.py"
     state.write_text(state.read_text().replace("RECEIVED = 31", "RECEIVED = 45"))
-    assert received() == "0"
+    assert python(code, env=env, cwd=tmp_path) == "0"
+
+
+@pytest.mark.parametrize("landmark", ["running", "window"])
+def test_memory_does_not_grow_with_a_long_stream(landmark):
+    config = TNTConfig(window_us=5_000, landmark=landmark)
+    processor = Processor(random_model(config), every_us=1_000, hop_us=2_500)
+    packet = random_events(2_000, duration_us=5_000)
+    tracemalloc.start()
+    try:
+        for k in range(120):
+            processor.push(packet)
+            packet["t"] += 5_000
+            if k == 20:
+                before = held()
+        after = held()
+    finally:
+        tracemalloc.stop()
+    assert processor.counts.received == 240_000 and before > 0 and after - before < 20_000

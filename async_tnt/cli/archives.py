@@ -1,0 +1,146 @@
+"""Streaming archives of many recordings for `async-tnt run --out` and `evaluate`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from async_tnt.archive.collect import Progress, collect, collect_to_file, counted
+from async_tnt.archive.executor import Executor, executor_of
+from async_tnt.archive.job import Task, job_of, recordings_under, task_of
+from async_tnt.archive.records import Record, run_recording
+from async_tnt.archive.results import check_out
+from async_tnt.cli.options import paths_of, triggers_of
+from async_tnt.cli.output import complain, complain_late, one_line
+from async_tnt.cli.pixel_options import selector_of
+from async_tnt.engines import choose_engine
+from async_tnt.progress import progress as progress_bar
+
+SHOWN = 20  # errors that are printed one by one
+
+
+class Interrupted(Exception):
+    """Ctrl-C, already reported to the user: exit code 130."""
+
+
+def archive_executor(args: argparse.Namespace) -> Executor:
+    """Where to stream; checks, before any work, that the options agree and that --out can be written.
+
+    Raises
+    ------
+    ValueError, OSError, ImportError.
+    """
+    if args.workers is not None and args.dask is not None:
+        raise ValueError("--workers are processes here and --dask is a cluster: give one of them")
+    if args.restart and args.out is None:
+        raise ValueError("--restart requires --out: it discards the results in that file")
+    if args.out is not None:
+        check_out(args.out)
+    if args.dask is None:
+        return executor_of(args.workers or 1)
+    from async_tnt.archive.dask_executor import DaskExecutor
+
+    return DaskExecutor(args.dask)
+
+
+def stream_archive(
+    args: argparse.Namespace,
+    function: Callable[[Task], Record],
+    tasks: Sequence[Task],
+    executor: Executor,
+    progress: Progress,
+    is_gone: Callable[[str], bool],
+) -> Iterable[Record]:
+    """All records in order of the recordings' names, with a progress bar; written to the file of --out, if given.
+
+    Raises
+    ------
+    Interrupted : Ctrl-C, after a message. Others : as `collect_to_file`.
+    """
+    bar: Any = None
+
+    def watch() -> None:
+        nonlocal bar
+        if bar is not None:
+            bar.update()
+            return
+        n = progress.total - progress.kept
+        if progress.kept and n:
+            total = counted(progress.total, "recording")
+            complain(f"{args.out}: {progress.kept:,} of {total} are done, resuming")
+        bar = stack.enter_context(progress_bar(n, "streaming"))
+
+    try:
+        with contextlib.ExitStack() as stack:
+            if args.out is None:
+                return collect(function, tasks, executor, progress, watch=watch)
+            return collect_to_file(
+                function, tasks, executor, args.out, progress, restart=args.restart, is_gone=is_gone, watch=watch
+            )
+    except KeyboardInterrupt:
+        n_done = progress.kept + progress.done
+        kept = "the same command resumes" if args.out else "nothing is kept without --out"
+        complain(f"interrupted: {n_done:,} of {counted(progress.total, 'recording')} are done; {kept}")
+        raise Interrupted from None
+    finally:
+        if progress.gone:
+            are = "no longer exists and is" if progress.gone == 1 else "no longer exist and are"
+            complain(f"{args.out}: {counted(progress.gone, 'recording')} {are} left out")
+
+
+def run_archive(args: argparse.Namespace) -> int:
+    """`async-tnt run --out`: the decisions of all recordings, into a file, and a summary."""
+    executor = archive_executor(args)
+    _check_run(args)
+    engine = choose_engine(args.model, args.engine)
+    settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
+    engine.processor(**settings)  # refuses bad settings before any work
+    pixels = selector_of(args, engine.model)
+    paths = recordings_under(paths_of(args))
+    job = job_of("run", args.model, engine, pixels.selection, **settings)
+    tasks = [task_of(str(path), path, job) for path in paths]
+    progress = Progress()
+    started = time.monotonic()
+    labels = dict.fromkeys(engine.classes, 0)
+    n_decisions = n_events = n_late = 0
+    errors = []
+    try:
+        for record in stream_archive(
+            args, run_recording, tasks, executor, progress, lambda name: not Path(name).exists()
+        ):
+            if record["error"] is not None:
+                errors.append(record["error"])
+                continue
+            labels[record["label"]] += 1
+            n_decisions += len(record["decisions"])
+            n_events += record["events"]
+            n_late += record["late"]
+    except Interrupted:
+        return 130
+    took = time.monotonic() - started
+    unread = f" ({len(errors):,} of them with an error)" if errors else ""
+    recordings = counted(progress.total, "recording") + unread
+    print(f"{one_line(str(args.out))}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
+    if progress.done:
+        print(f"{counted(progress.done, 'recording')} streamed now, {progress.done / took:,.1f} a second")
+    if any(labels.values()):
+        print(", ".join(f"{name} {n:,}" for name, n in labels.items() if n))
+    complain_late(str(args.out), n_late, n_events, "--late, --start-us, and `late` in that file")
+    for error in errors[:SHOWN]:
+        complain(error)
+    if len(errors) > SHOWN:
+        complain(f"and {len(errors) - SHOWN:,} more with an `error` in {args.out}")
+    return 2 if errors else 0
+
+
+def _check_run(args: argparse.Namespace) -> None:
+    for name in ("live", "speed", "json", "latest"):
+        if getattr(args, name, None):
+            raise ValueError(f"--{name} does not go with --out")
+    for path in paths_of(args):
+        if not isinstance(path, Path):
+            raise ValueError(f"--out takes recordings and folders of them, got {path}")

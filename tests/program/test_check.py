@@ -1,0 +1,55 @@
+"""`async-tnt check`: it proves that the stream equals the batch reference, and notices when it does not."""
+
+import json
+
+import numpy as np
+import pytest
+from made import random_events
+
+from async_tnt import TNTVolume, load_model
+from async_tnt.checking.equality import Comparison, check_recording
+from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+from async_tnt.sources.files.recording import sample_recordings
+
+CONFIGS = {"center", "running", "line", "window", "line, flow removed", "no transform", "the model"}
+
+
+def test_it_holds_stream_and_batch_equal(program, tmp_path):
+    path = tmp_path / "short.bin"
+    write_nmnist(path, random_events(150, duration_us=200_000))
+    code, printed, _ = program("check", path, "--prefixes", "all")
+    assert code == 0 and "stream and batch are equal" in printed and "FAILS" not in printed
+    code, printed, _ = program("check", path, "--json", "--prefixes", "3")
+    report = json.loads(printed)
+    rows = report["recordings"][str(path)]
+    assert code == 0 and report["equal"] and all(row["holds"] and row["n"] > 0 for row in rows)
+    assert {row["config"] for row in rows} == CONFIGS
+
+
+def test_times_may_run_backwards(program, tmp_path):
+    events = random_events(600, duration_us=300_000)
+    events["t"][100:500:7] = events["t"][99:499:7] - 20_000
+    np.save(tmp_path / "backwards.npy", events)
+    assert program("check", tmp_path / "backwards.npy", "--prefixes", "2")[0] == 0
+
+
+def test_it_says_no_when_a_landmark_is_wrong_by_a_millionth_of_a_pixel(monkeypatch, program):
+    landmark = TNTVolume.landmark.fget
+    monkeypatch.setattr(TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-6))))
+    code, printed, message = program("check", sample_recordings()[1], "--prefixes", "1")
+    assert code == 1 and "FAILS" in printed and "NOT equal" in printed and "landmark" in message
+
+
+@pytest.mark.parametrize("differences", [[float("nan"), 0.0], [0.0, float("nan"), 0.5], [2.0], []])
+def test_a_comparison_never_forgets_a_nan_and_holds_only_if_something_was_compared(differences):
+    comparison = Comparison("x", "y", 1.0)
+    for difference in differences:
+        comparison.add(difference)
+    assert not comparison.holds
+
+
+@pytest.mark.parametrize("digit", range(10))
+def test_stream_equals_batch_on_a_real_recording(data, digit):
+    path = sorted((data / "nmnist" / "Test" / str(digit)).glob("*.bin"))[digit]
+    comparisons = check_recording(read_nmnist(path), load_model("digits"), prefixes=4)
+    assert [c for c in comparisons if not c.holds] == []
