@@ -111,7 +111,3 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
     if found:
         raise ValueError(f"events need one field `{field}`, got {' and '.join(found)} in {what}; leave out all but one")
     raise ValueError(f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}")
-
-
-def brief(value: Any) -> str:
-    return str(value)[:40] if isinstance(value, (str, np.generic)) else type(value).__name__
