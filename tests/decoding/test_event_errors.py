@@ -293,17 +293,13 @@ def test_every_entry_refuses_the_same(take):
 ONE = [
     ((-1, 0, 0, 1), ValueError, "`t` must be in [0, 2**62) microseconds, got -1 at event 0"),
     ((2**62, 0, 0, 1), ValueError, f"`t` must be in [0, 2**62) microseconds, got {2**62} at event 0"),
-    ((2**63, 0, 0, 1), ValueError, f"`t` must be in [0, 2**62) microseconds, got {2**63} at event 0"),
     ((2**64, 0, 0, 1), ValueError, f"`t` must fit in int64, got {2**64} at event 0"),
     ((5, 346, 0, 1), ValueError, "`x` must be in [0, 346), got 346 at event 0"),
     ((5, -1, 0, 1), ValueError, "`x` must be in [0, 346), got -1 at event 0"),
-    ((5, 65536 + 3, 0, 1), ValueError, "`x` must be in [0, 346), got 65539 at event 0"),
     ((5, 0, 260, 1), ValueError, "`y` must be in [0, 260), got 260 at event 0"),
-    ((5, 0, -(2**70), 1), ValueError, f"`y` must fit in int64, got {-(2**70)} at event 0"),
     ((5, 0, 0, 2), ValueError, "`p` must be 0 or 1, or -1 or +1, got 2 at event 0"),
     ((5, 0, 0, -2), ValueError, "`p` must be 0 or 1, or -1 or +1, got -2 at event 0"),
     ((5.0, 0, 0, 1), TypeError, NO_UNIT.format("float64 (5.0")),
-    ((5, float("nan"), 0, 1), ValueError, "`x` must be a whole number, got nan at event 0"),
     ((5, 0, "1", 1), TypeError, "`y` must be whole numbers, got <U1 (1 at event 0)"),
     ((5, 0, 0, None), TypeError, "`p` must be whole numbers, got object (NoneType at event 0)"),
     ((5, [1, 2], 0, 1), ValueError, "`x` must have one dimension, got shape (1, 2)"),
@@ -325,7 +321,6 @@ def test_single_events(event, error, message):
 # -- masked arrays -------------------------------------------------------------------------------------------
 
 MASKED = np.ma.array(as_records(packet()), mask=[0, 1, 0, 0, 0])
-MODEL = random_model()
 
 
 @pytest.mark.parametrize(
@@ -346,23 +341,21 @@ def test_no_mask_of_events_is_ignored(name, events):
     assert_refused(events, TypeError, message)
 
 
+MODEL = random_model()
+
+
 @pytest.mark.parametrize(
-    ("name", "take", "array"),
+    ("name", "take", "shape"),
     [
-        (
-            "fc2.bias",
-            lambda bias: Model(MODEL.config, MODEL.weights | {"fc2.bias": bias}, MODEL.classes),
-            MODEL.weights["fc2.bias"],
-        ),
-        ("volume", CompiledClassifier(MODEL), np.zeros(MODEL.config.shape, np.float32)),
-        ("mask", lambda mask: PixelFilter((34, 34), mask=mask), np.zeros((34, 34), bool)),
-        ("mask", lambda mask: save_mask("never_written.npy", mask), np.zeros((34, 34), bool)),
-        ("x", lambda x: move_by_flow([1, 2], x, [3, 4], (1, 1), start_us=0, window_us=10), np.array([3, 4])),
-        ("log_frames", lambda frames: simulate_events(frames, [0, 1], 0.2, 0.2), np.ones((2, 3, 3))),
-        ("image", lambda image: render(image, [0.0], [0.0]), np.ones((3, 3))),
+        ("fc2.bias", lambda bias: Model(MODEL.config, MODEL.weights | {"fc2.bias": bias}, MODEL.classes), 10),
+        ("volume", CompiledClassifier(MODEL), MODEL.config.shape),
+        ("mask", lambda mask: PixelFilter((34, 34), mask=mask), (34, 34)),
+        ("mask", lambda mask: save_mask("never_written.npy", mask), (34, 34)),
+        ("x", lambda x: move_by_flow([1, 2], x, [3, 4], (1, 1), start_us=0, window_us=10), 2),
+        ("log_frames", lambda frames: simulate_events(frames, [0, 1], 0.2, 0.2), (2, 3, 3)),
+        ("image", lambda image: render(image, [0.0], [0.0]), (3, 3)),
     ],
 )
-def test_no_mask_of_any_other_array_is_ignored(name, take, array):
-    masked = np.ma.array(array, mask=array == array.flat[0])
+def test_no_mask_of_any_other_array_is_ignored(name, take, shape):
     with pytest.raises(TypeError, match=rf"^`{name}` must not be a masked array, .*; pass `\.filled\(value\)`, or"):
-        take(masked)
+        take(np.ma.masked_all(shape))

@@ -166,13 +166,6 @@ def test_fields_renamed_in_place_between_packets():
 # -- columns ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"])
-def test_columns_of_every_integer_type(number):
-    small = [[0, 1, 1, 127, 5], [0, 99, 3, 127, 64], [127, 0, 3, 1, 64], [0, 1, 1, 0, 1]]
-    for order in "<>":
-        assert_decoded(tuple(np.array(column, order + number) for column in small), small)
-
-
 @pytest.mark.parametrize("number", ["i1", "<i2", "<i4", "<i8", ">i2", ">i4", ">i8", None])
 def test_polarity_may_be_signed(number):
     for polarity in ([1, -1, -1, 1, 1, -1, 1], [1] * 7, [-1] * 7):
@@ -222,13 +215,6 @@ def test_byte_order_does_not_depend_on_what_numba_takes(monkeypatch, swapped, ro
 def test_columns_that_are_not_arrays(make):
     assert_decoded(tuple(make(column) for column in EVENTS))
     assert_decoded([make(T), np.array(X), Y, [bool(p) for p in P]])
-
-
-@pytest.mark.parametrize("number", ["<i8", "<u8", ">i8", ">u8"])
-def test_limits_of_time(number):
-    expected = [[0, 2**62 - 1], [0, 0], [0, 0], [0, 0]]
-    assert_decoded(records([("t", number), *EVENT_DTYPE.descr[1:]], expected), expected)
-    assert_decoded((np.array(expected[0], number), *expected[1:]), expected)
 
 
 # -- single events, objects, nothing ---------------------------------------------------------------------

@@ -125,25 +125,6 @@ def test_pipeline_with_an_untrained_regressor_is_the_pipeline_about_the_centre()
     assert torch.equal(pipeline(*window()), about_the_centre(*window()))
 
 
-def test_pipeline_learns_end_to_end_through_the_landmark():
-    """The loss is the classifier's alone; what moves the landmark came through the transform."""
-    pipeline = with_regressor()
-    windows = [window(seed, start_us=seed * 5_000) for seed in range(6)]
-    target = torch.tensor([0, 1, 2, 0, 1, 2])
-    optimizer = torch.optim.Adam(pipeline.parameters(), lr=0.01)
-    losses = []
-    for step in range(25):
-        optimizer.zero_grad()
-        losses.append(torch.nn.functional.cross_entropy(pipeline.batch(windows), target))
-        losses[-1].backward()
-        if step == 1:
-            assert all(w.grad.abs().max() > 0 for w in pipeline.parameters())
-        optimizer.step()
-    assert losses[-1] < losses[0] / 2
-    moved = pipeline.regressor(pipeline.raw_volume(*windows[0])) - torch.tensor([5.5, 4.5])
-    assert moved.norm() > 0.05
-
-
 def lively():
     """A pipeline with larger weights: of the default ones, derivatives are as small as a check of them is coarse."""
     pipeline = with_regressor(torch.float64)
@@ -168,6 +149,8 @@ def test_after_one_step_the_gradient_reaches_the_regressors_first_layer_and_is_r
     last.grad = at_first[1]
     optimizer.step()
     assert first_gradients()[0].abs().max() > 1e-3
+    pipeline(*window()).sum().backward()
+    assert all(weight.grad.abs().max() > 0 for weight in pipeline.parameters())
 
     def logits(weight):
         return torch.func.functional_call(pipeline, {"regressor.conv1.weight": weight}, window())
@@ -206,11 +189,6 @@ def test_batch_equals_one_by_one_and_may_hold_empty_windows(name):
     together = pipeline.batch(windows)
     assert together.isfinite().all()
     torch.testing.assert_close(together, torch.stack([pipeline(*w) for w in windows]))
-
-
-def test_pipeline_takes_any_network():
-    pipeline = Pipeline(torch.nn.Flatten(), **SETTINGS)
-    assert pipeline(*window()).shape == (5 * 10 * 12,)
 
 
 REGRESSOR = LandmarkRegressor(5, (12, 10))
