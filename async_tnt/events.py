@@ -45,7 +45,7 @@ class Columns(NamedTuple):
 
 
 def empty_columns(n: int) -> Columns:
-    """Room for n events, still empty."""
+    """Room for n events, none of them set."""
     t, x, y, p = (np.empty(n, dtype) for dtype in _DTYPES)
     return Columns(t, x, y, p, 0)
 
@@ -105,7 +105,7 @@ class EventDecoder:
         Raises
         ------
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event.
-            None of its events counts then.
+            Then none of its events are used.
         """
         columns = None
         if type(events) is tuple:
@@ -132,7 +132,7 @@ class EventDecoder:
         return _new_tuple(Columns, (column_t, column_x, column_y, column_p, 1))
 
     def _decode_records(self, events: np.ndarray) -> Columns | None:
-        """Packed records of whole numbers, quickly; None where they need a closer look."""
+        """Packed records of whole numbers, by the fast path; None if they need a closer look."""
         dtype = events.dtype
         if dtype is not self._dtype or dtype.names is not self._names:  # fields can be renamed in place
             self._dtype, self._names = dtype, dtype.names
@@ -155,7 +155,7 @@ class EventDecoder:
         return _new_tuple(Columns, (t, x, y, p, n))
 
     def _checked_as_they_are(self, events: tuple[Any, ...]) -> Columns | None:
-        """Columns that have the right form already, not copied; None for any others."""
+        """Columns that already have the right form, without a copy; None for all others."""
         if len(events) != 4:
             return None
         t, x, y, p = events
@@ -196,7 +196,7 @@ def _decode_any(events: Any, sensor: tuple[int, int]) -> Columns:
 
 
 def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> Columns:
-    """Four columns of any integer type as `Columns`, or an error that names the first event at fault."""
+    """Four columns of any integer type as `Columns`, or an error that names the first invalid event."""
     columns = dict(zip(NAMES, map(np.asarray, (t, x, y, p)), strict=True))
     for field, column in columns.items():
         if column.ndim != 1:
@@ -278,9 +278,8 @@ def _record_layout(dtype: np.dtype) -> np.ndarray | None:
             return None
         number, offset = dtype.fields[found[0]][:2]
         kind = KIND.get(number.str[1:])
-        if kind is None or number.str[0] == ">" or (field != "p" and number.kind == "b"):
-            return None
-        if field == "p" and number.str[1:] == "u8":  # it would be read as int64: 2**64 - 1 is not -1
+        refused = "u8" if field == "p" else "b1"  # the kernel would take a polarity of 2**64 - 1 for -1
+        if kind is None or number.str[0] == ">" or number.str[1:] == refused:
             return None
         layout += [offset, kind]
     return np.array([*layout, dtype.itemsize], np.int64)

@@ -223,7 +223,7 @@ NO_COLUMNS = [
     ),
     (
         list(np.zeros(4, EVENT_DTYPE)),
-        "a list of single events (void at event 0) is not a packet: hand it to `stream`, event by event, or push "
+        "a list of single events (void at event 0) is not a packet: pass it to `stream`, event by event, or push "
         "four columns (t, x, y, p)",
     ),
     ((T, X, Y, None), "`p` must be whole numbers, got object (NoneType at event 0)"),
