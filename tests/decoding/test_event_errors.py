@@ -124,15 +124,12 @@ NO_UNIT = (
 )
 NOT_WHOLE = [
     ("t", [0.5, 1, 2, 3, 4], TypeError, NO_UNIT.format("float64 (0.5")),
-    ("t", np.zeros(5, "f4"), TypeError, NO_UNIT.format("float32 (0.0")),
     ("t", np.zeros(5, "m8[us]"), TypeError, NO_UNIT.format("timedelta64[us] (0 microseconds")),
     ("t", [True] * 5, TypeError, "`t` must be whole numbers, got bool (True at event 0)"),
     ("x", [1.0, 2, 3, 4, 5], TypeError, "`x` must be whole numbers, got float64 (1.0 at event 0)"),
-    ("x", np.zeros(5, "c8"), TypeError, "`x` must be whole numbers, got complex64 (0j at event 0)"),
     ("x", ["a" * 99] * 5, TypeError, f"`x` must be whole numbers, got <U99 ({'a' * 40} at event 0)"),
     ("y", [None] * 5, TypeError, "`y` must be whole numbers, got object (NoneType at event 0)"),
     ("y", np.array(Y, object), TypeError, "`y` must be whole numbers, got object (int at event 0)"),
-    ("p", [1.0, 0, 1, 1, 1], TypeError, "`p` must be whole numbers, got float64 (1.0 at event 0)"),
     ("t", [0, 1, np.nan, 3, 4], ValueError, "`t` must be a whole number, got nan at event 2"),
     ("x", np.array([0, 1, 2, np.inf, 4], "f2"), ValueError, "`x` must be a whole number, got inf at event 3"),
     ("y", np.array([1, 2, 3, 4, -(2**70)], object), ValueError, f"`y` must fit in int64, got {-(2**70)} at event 4"),
@@ -165,7 +162,6 @@ def never_ready():
 
 NOT_EVENTS = [
     (np.zeros((5, 4)), "a plain array of shape (5, 4)"),
-    (np.void(b"abcd"), "a plain array of shape ()"),
     (torch.zeros(5, 4), "a plain array of shape (5, 4)"),
     (float("nan"), "float"),
     ("t,x,y,p", "str"),
@@ -184,13 +180,11 @@ Timeless = namedtuple("Timeless", "x y p when")
 WRONG_FORMS = [
     ((T, X, Y), FOUR + "3"),
     ([T, X, Y, P, P], FOUR + "5"),
-    (namedtuple("Named", "x y")(X, Y), FOUR + "2"),
     (Timeless(X, Y, P, T), MISSING.format("t", "t, ts, timestamp", "a Timeless with attributes x, y, p")),
     (
         np.zeros(0, [("t", "<i8"), ("y", "<u2"), ("p", "u1")]),
         MISSING.format("x", "x", "a structured array with fields t, y, p"),
     ),
-    (np.zeros(3, []), MISSING.format("t", "t, ts, timestamp", "a structured array with fields ")),
     (SimpleNamespace(ts=T, x=X, y=Y), MISSING.format("p", ALL_P, "a SimpleNamespace with attributes ts, x, y")),
     (
         np.zeros(5, [("ts", "<i8"), *EVENT_DTYPE.descr]),
@@ -202,16 +196,11 @@ WRONG_FORMS = [
     ),
     ((T, X[:4], Y, P), EQUAL + "5, 4, 5, 5"),
     ((*list(packet().values())[:3], np.zeros(6, "u1")), EQUAL + "5, 5, 5, 6"),
-    (([], X, Y, P), EQUAL + "0, 5, 5, 5"),
     ((T, X, Y, 1), EQUAL + "5, 5, 5, 1"),
     (np.zeros((2, 3), EVENT_DTYPE), "`t` must have one dimension, got shape (2, 3)"),
     (np.zeros((0, 3), EVENT_DTYPE), "`t` must have one dimension, got shape (0, 3)"),
     ((T, [X, X], Y, P), "`x` must have one dimension, got shape (2, 5)"),
     (tuple(np.array([column]).T for column in (T, X, Y, P)), "`t` must have one dimension, got shape (5, 1)"),
-    (
-        np.zeros(5, [("t", "<i8"), ("x", "<u2", (2,)), ("y", "<u2"), ("p", "u1")]),
-        "`x` must have one dimension, got shape (5, 2)",
-    ),
     (([5, 2**64], [0, 0], [0, 0], [0, 0]), f"`t` must fit in int64, got {2**64} at event 1"),
     ((T, Broken(), Y, P), "`x` must be a column of whole numbers: 'no such chunk'"),
 ]
@@ -287,7 +276,6 @@ def test_every_entry_refuses_the_same(take):
 
 ONE = [
     ((-1, 0, 0, 1), ValueError, "`t` must be in [0, 2**62) microseconds, got -1 at event 0"),
-    ((2**62, 0, 0, 1), ValueError, f"`t` must be in [0, 2**62) microseconds, got {2**62} at event 0"),
     ((2**64, 0, 0, 1), ValueError, f"`t` must fit in int64, got {2**64} at event 0"),
     ((5, 346, 0, 1), ValueError, "`x` must be in [0, 346), got 346 at event 0"),
     ((5, -1, 0, 1), ValueError, "`x` must be in [0, 346), got -1 at event 0"),
@@ -296,7 +284,6 @@ ONE = [
     ((5, 0, 0, -2), ValueError, "`p` must be 0 or 1, or -1 or +1, got -2 at event 0"),
     ((5.0, 0, 0, 1), TypeError, NO_UNIT.format("float64 (5.0")),
     ((5, 0, "1", 1), TypeError, "`y` must be whole numbers, got <U1 (1 at event 0)"),
-    ((5, 0, 0, None), TypeError, "`p` must be whole numbers, got object (NoneType at event 0)"),
     ((5, [1, 2], 0, 1), ValueError, "`x` must have one dimension, got shape (1, 2)"),
 ]
 

@@ -242,16 +242,13 @@ def test_named_tuples_name_their_columns():
 
 EMPTY = {
     "None": None,
-    "()": (),
     "[]": [],
     "an empty table": np.zeros((0, 4)),
     "four lists": ([], [], [], []),
     "four float arrays, as numpy makes them": (np.array([]),) * 4,
     "four columns": tuple(np.zeros(0, dtype) for dtype in TYPES),
-    "four tensors": (torch.tensor([]),) * 4,
     "polarity_events is None": SimpleNamespace(polarity_events=None),
     "an empty store": SimpleNamespace(numpy=lambda: np.zeros(0, PACKED["dv"])),
-    "an empty tensor": torch.tensor([]),
     "an object with empty columns": SimpleNamespace(t=[], x=[], y=[], p=[]),
     "an empty strided array": np.zeros(4, EVENT_DTYPE)[4::2],
     "empty records": np.zeros(0, PACKED["faery"]),
