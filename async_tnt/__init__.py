@@ -35,50 +35,28 @@ if TYPE_CHECKING:  # for type checkers and editors; `X as X` re-exports
 
 __version__ = "0.1.0"
 
-_MODULES = {
-    "EVENT_DTYPE": "events",
-    "BackgroundReader": "sources.background_reader",
-    "CompiledClassifier": "networks.classifier",
-    "CompiledRegressor": "networks.regressor",
-    "Counts": "decision",
-    "Decision": "decision",
-    "LeakyIntegrator": "triggers",
-    "Model": "networks.model",
-    "PacketQueue": "sources.queue",
-    "PixelFilter": "sources.pixel_filter",
-    "Processor": "processor",
-    "ReplayBufferFull": "deferred_landmark",
-    "TNTConfig": "config",
-    "TNTVolume": "volume",
-    "astream": "streams",
-    "bundled_models": "networks.model",
-    "load_model": "networks.model",
-    "open_recording": "sources.files.recording",
-    "replay": "sources.playback",
-    "stream": "streams",
-    "warmup": "compile_ahead",
-}
-"""Public name -> its module, imported when the name is first used, so that programs start fast."""
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES})
-
-
 if not TYPE_CHECKING:  # type checkers use the imports above; __getattr__ would let every name pass
-    __all__ = sorted(_MODULES)
+    from async_tnt.lazy_names import lazy_names
 
-    def __getattr__(name):
-        import importlib
-
-        module = _MODULES.get(name, name)  # else a submodule, such as `async_tnt.sources`
-        try:
-            value = importlib.import_module(f".{module}", __name__)
-        except ModuleNotFoundError as error:
-            if error.name != f"{__name__}.{module}":  # another package is missing
-                raise
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
-        if name in _MODULES:
-            value = getattr(value, name)
-        globals()[name] = value
-        return value
+    __all__, __getattr__, __dir__ = lazy_names(
+        globals(),
+        {
+            "compile_ahead": "warmup",
+            "config": "TNTConfig",
+            "decision": "Counts Decision",
+            "deferred_landmark": "ReplayBufferFull",
+            "events": "EVENT_DTYPE",
+            "networks.classifier": "CompiledClassifier",
+            "networks.model": "Model bundled_models load_model",
+            "networks.regressor": "CompiledRegressor",
+            "processor": "Processor",
+            "sources.background_reader": "BackgroundReader",
+            "sources.files.recording": "open_recording",
+            "sources.pixel_filter": "PixelFilter",
+            "sources.playback": "replay",
+            "sources.queue": "PacketQueue",
+            "streams": "astream stream",
+            "triggers": "LeakyIntegrator",
+            "volume": "TNTVolume",
+        },
+    )

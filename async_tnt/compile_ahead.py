@@ -1,19 +1,32 @@
-"""Compile every kernel before a stream opens."""
+"""Compile the kernels that a stream will call before it opens, on two cores where there are two."""
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import threading
 import time
-
-import numpy as np
+from collections.abc import Iterable
+from typing import Any
 
 from async_tnt.config import TNTConfig
-from async_tnt.events import EVENT_DTYPE
-from async_tnt.networks.model import HEATMAP, REGRESSOR_LAYERS, Model
-from async_tnt.processor import Processor
+from async_tnt.kernels.entry_points import ENTRY_POINTS
+from async_tnt.kernels.jit import can_be_cached, is_cached
+from async_tnt.networks.model import Model
 
 PATIENCE_S, PATIENCE_OF_LOGS_S = 1.0, 5.0  # silent until then, on a terminal and elsewhere
+CHILD_S = 120.0  # a child that takes longer is not waited for
+
+PACKETS = {"load_records", "check_columns", "empty_volume", "absorb"}
+OTHER_EVENTS = {"absorb_one", "find_late"}
+REPLAY = {"store_events", "cells_to_float32"}
+NETWORK = {"classify_cells"}
+REGRESSOR = {"find_landmark"}
+OTHER_CLASSIFIERS = {"cells_to_float32", "softmax"}
+EVENT_TRIGGERS = {"advance_triggers", "why_due"}
+# What another process compiles meanwhile: about half of the work, and nothing of it is part of the other half.
+OTHER_HALF = ("classify_cells", "find_landmark")
 
 
 def warmup(model: Model | TNTConfig | None = None) -> float:
@@ -24,55 +37,103 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
 
     Parameters
     ----------
-    model : also run this model's network (or make a volume of this configuration) once.
+    model : for streams of this model or configuration only; by default, for any.
 
     Returns
     -------
     float : seconds it took.
     """
+    config = model.config if isinstance(model, Model) else model
+    kernels = PACKETS | OTHER_EVENTS | OTHER_CLASSIFIERS | EVENT_TRIGGERS
+    if config is None or config.needs_replay:
+        kernels |= REPLAY
+    if config is None or config.needs_regressor:
+        kernels |= REGRESSOR
+    if config is None or isinstance(model, Model):
+        kernels |= NETWORK | {"classify_array", "absorb_and_decide"}
+    return compile_kernels(kernels)
+
+
+def compile_for(config: TNTConfig, *, compiled: bool, late: str = "accept", **triggers: Any) -> float:
+    """`warmup` for a Processor whose settings will not change and that takes packets: what it calls, and nothing else.
+
+    Parameters
+    ----------
+    config : TNTConfig.
+    compiled : whether the model's own compiled networks decide.
+    late, triggers : see `Processor`; other arguments of it are ignored.
+    """
+    kernels = PACKETS | (NETWORK if compiled else OTHER_CLASSIFIERS)
+    if late != "accept":
+        kernels |= {"find_late"}
+    if config.needs_replay:
+        kernels |= REPLAY
+    if config.needs_regressor and compiled:
+        kernels |= REGRESSOR
+    if any(triggers.get(name) is not None for name in ("every_events", "confidence", "activity")):
+        kernels |= {"absorb_and_decide"} if compiled and not config.needs_replay else EVENT_TRIGGERS
+    return compile_kernels(kernels)
+
+
+def compile_kernels(names: Iterable[str]) -> float:
+    """Compile these kernels, or load them from Numba's cache; returns the seconds it took."""
     started = time.perf_counter()
-    notice = threading.Timer(PATIENCE_S if sys.stderr.isatty() else PATIENCE_OF_LOGS_S, _say)
+    patience_s = PATIENCE_S if sys.stderr.isatty() else PATIENCE_OF_LOGS_S
+    notice = threading.Timer(patience_s, _explain_wait)
     notice.daemon = True
     notice.start()
     try:
-        events = np.zeros(2, EVENT_DTYPE)
-        events["t"] = [0, 3]
-        # with `window` and `regressor` a decision per event is not made in compiled code, but as for other classifiers
-        for landmark in ("running", "window", "regressor"):
-            config = TNTConfig(sensor=(8, 8), grid=(8, 8), window_us=10, landmark=landmark)
-            made = Model(config, _made_weights(config), ("a",))
-            Processor(made, every_events=1).push(events)
-            Processor(made, classifier=lambda volume: [0.0], every_events=1).push(events)
-            for late in ("accept", "drop"):
-                processor = Processor(made, late=late)
-                processor.push(events)
-                processor.push(tuple(events[name].copy() for name in ("t", "x", "y", "p")))
-                processor.push_one(4, 1, 1, 1)
-                processor.fire()
-        if isinstance(model, Model):
-            Processor(model).fire()
-        elif isinstance(model, TNTConfig):
-            regressor = (lambda volume: (0.0, 0.0)) if model.needs_regressor else None
-            Processor(model, classifier=lambda volume: [0.0], regressor=regressor).fire()
+        names = set(names)
+        wanted = [name for name in ENTRY_POINTS if name in names]  # in the order of compilation
+        child = _start_child([name for name in wanted if name in OTHER_HALF])
+        if child is not None:
+            _compile(name for name in wanted if name not in (*OTHER_HALF, "absorb_and_decide"))
+            _wait_for(child)
+        _compile(wanted)
     finally:
         notice.cancel()
     return time.perf_counter() - started
 
 
-def _say() -> None:
-    print("async_tnt: compiling kernels, once on this machine (15 to 30 s) ...", file=sys.stderr, flush=True)
+def _compile(names: Iterable[str]) -> None:
+    for name in names:
+        kernel, types = ENTRY_POINTS[name]
+        if types not in kernel.overloads:
+            kernel.compile(types)
 
 
-def _made_weights(config: TNTConfig) -> dict[str, np.ndarray]:
-    channels, height, width = config.shape
-    shapes = {
-        "conv1": (1, channels, 3, 3),
-        "conv2": (1, 1, 3, 3),
-        "fc1": (1, (height // 4) * (width // 4)),
-        "fc2": (1, 1),
-    }
-    if config.needs_regressor:
-        shapes |= dict.fromkeys(REGRESSOR_LAYERS, (1, 1, 3, 3)) | {"regressor.conv1": (1, channels, 3, 3)}
-    weights = {f"{layer}.weight": np.zeros(shape, np.float32) for layer, shape in shapes.items()}
-    biases = {f"{layer}.bias": np.zeros(shape[0], np.float32) for layer, shape in shapes.items()}
-    return weights | biases | ({HEATMAP: np.zeros((1, 1, 1, 1), np.float32)} if config.needs_regressor else {})
+def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:
+    """Start a process that fills the cache with these kernels; None where that would not pay."""
+    kernel, types = ENTRY_POINTS["absorb"]
+    worthwhile = "classify_cells" in names and can_be_cached(kernel) and _n_cores() > 1
+    if not worthwhile or is_cached(kernel, types) or is_cached(*ENTRY_POINTS["classify_cells"]):
+        return None
+    code = f"from async_tnt.compile_ahead import _compile; _compile({names})"
+    # -P, and our own path: it shall find the same modules as this process, and nothing in the current folder
+    path = os.pathsep.join(os.path.abspath(folder) for folder in sys.path if folder)
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-c", code],
+            env=os.environ | {"PYTHONPATH": path},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError:
+        return None
+
+
+def _wait_for(child: subprocess.Popen[bytes]) -> None:
+    try:
+        child.wait(CHILD_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+
+
+def _n_cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _explain_wait() -> None:
+    print("async_tnt: compiling kernels, once on this machine (about 10 s) ...", file=sys.stderr, flush=True)

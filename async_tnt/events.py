@@ -9,17 +9,16 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import int64
-from numba.core.errors import NumbaError
+from numba import NumbaError
 
 from async_tnt.event_forms import NAMES, named_columns
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.records import (
-    COLUMN_TYPES,
+    CHECK_TYPES,
     FINE,
     KIND,
+    LOAD_TYPES,
     MAX_TIME_US,
-    RAW_TYPE,
     check_columns,
     find_late,
     load_records,
@@ -69,8 +68,8 @@ class EventDecoder:
     def __init__(self, sensor: tuple[int, int], late: str = "accept") -> None:
         if late not in LATE_POLICIES:
             raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {late!r}")
-        compile_only(check_columns, *COLUMN_TYPES, int64, int64)
-        compile_only(load_records, RAW_TYPE, int64[::1], int64, int64, int64, *COLUMN_TYPES)
+        compile_only(check_columns, *CHECK_TYPES)
+        compile_only(load_records, *LOAD_TYPES)
         self.sensor = sensor
         self.late = late
         self.reset()

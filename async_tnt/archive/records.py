@@ -15,7 +15,6 @@ import numpy as np
 
 from async_tnt import __version__
 from async_tnt.archive.job import Job, Task, sha256_of
-from async_tnt.compile_ahead import warmup
 from async_tnt.decision import Decision
 from async_tnt.networks.engines import Engine, choose_engine
 from async_tnt.networks.model import UncheckedModelWarning
@@ -171,7 +170,6 @@ def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
                 f"{job.model}: not the model that the job was made for; it has changed, or a worker reads another file"
             )
         processor = engine.processor(**job.settings)
-        warmup(engine.model)
         processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
         kept = _kept.of_job = job, processor, engine, PixelSelector(job.pixels, engine.config.sensor)
     _, processor, engine, pixels = kept

@@ -21,7 +21,6 @@ from async_tnt.cli.output import HEADER, complain, json_line, text_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected, print_decisions, watch_decisions
 from async_tnt.cli.run_source import run_source
-from async_tnt.compile_ahead import warmup
 from async_tnt.networks.engines import ENGINES, choose_engine
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: when it fell, for which
@@ -92,7 +91,6 @@ def main(args: argparse.Namespace) -> int:
     engine = choose_engine(args.model, args.engine)
     processor = engine.processor(start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args))
     pixels = selector_of(args, engine.model)
-    warmup(engine.model)
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line
     failed = stopped = False

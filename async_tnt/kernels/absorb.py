@@ -51,7 +51,7 @@ def absorb(buffer, t, x, y, p, first, last):
             while first < end:
                 if t[first] >= ints[S.LIMIT_US]:
                     return first
-                _absorb_event(buffer, ints, t[first], np.int64(x[first]), np.int64(y[first]), p[first])
+                _absorb_event(buffer, ints, t[first], np.int64(x[first]), np.int64(y[first]), np.int64(p[first]))
                 first += 1
     return first
 

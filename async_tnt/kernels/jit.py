@@ -14,7 +14,8 @@ BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))  # NUMBA_BOUNDSCHECK
 
 # error_model="numpy": 1 / 0 is inf, as in the equations. Python's model would raise, and the test for it
 # keeps loops out of vector registers. No fastmath anywhere: how a stream is cut must not change a bit.
-_strict = partial(njit, error_model="numpy")
+# no_cfunc_wrapper: nobody calls these through C pointers, and each wrapper takes time to compile.
+_strict = partial(njit, error_model="numpy", no_cfunc_wrapper=True)
 _compiling = threading.Lock()
 _files = [path.stat() for path in sorted(Path(__file__).parent.rglob("*.py"))]
 _STAMP = tuple((file.st_mtime, file.st_size) for file in _files), BOUNDS_CHECKED
@@ -49,9 +50,18 @@ def compile_only(kernel: Any, *types: Any) -> None:
     cost more than the work; and no argument can cause another compilation.
     """
     with _compiling:
-        if not kernel.signatures:
+        if types not in kernel.overloads:
             kernel.compile(types)
-            kernel.disable_compile()
+        kernel.disable_compile()
+
+
+def is_cached(kernel: Any, types: tuple[Any, ...]) -> bool:
+    """Whether an earlier process left this kernel on disk, or this one has compiled it."""
+    return types in kernel.overloads or kernel._cache.load_overload(types, kernel.targetctx) is not None
+
+
+def can_be_cached(kernel: Any) -> bool:
+    return kernel.stats.cache_path is not None
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:

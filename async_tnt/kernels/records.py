@@ -17,6 +17,9 @@ MAX_TIME_US = 1 << 62  # so that start + window never overflows
 FINE, BAD = 0, 1
 RAW_TYPE = types.Array(types.uint8, 1, "C", readonly=True)  # writeable ones pass for read-only
 COLUMN_TYPES = (types.int64[::1], types.uint16[::1], types.uint16[::1], types.uint8[::1])
+# the arguments of `check_columns` and `load_records`
+CHECK_TYPES = (*COLUMN_TYPES, types.int64, types.int64)
+LOAD_TYPES = (RAW_TYPE, types.int64[::1], *(types.int64,) * 3, *COLUMN_TYPES)
 
 
 @intrinsic

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model, load_model
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
@@ -33,7 +34,8 @@ class Engine:
         return self.model.config if isinstance(self.model, Model) else self.model
 
     def processor(self, **settings: Any) -> Processor:
-        """A Processor that decides by these networks; `settings` are its own."""
+        """A Processor that decides by these networks; `settings` are its own. What it calls has been compiled."""
+        compile_for(self.config, compiled=not self.networks, **settings)
         return Processor(self.model, classes=self.classes, **self.networks, **settings)
 
 

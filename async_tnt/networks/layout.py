@@ -84,7 +84,7 @@ def regressor_arrays(model: Model) -> tuple[tuple[np.ndarray, ...], tuple[np.nda
     n_places = _up(height * (width + 2), PLACES)
     framed = n_places + 2 * (width + 2) + 2  # with the frame, and what the last places read beyond it
     shapes = (channels, framed), (f_1, framed), (f_2, framed), (_up(max(f_1, f_2, f_3), FILTERS), n_places), n_places
-    return (*layers, w[HEATMAP].reshape(-1)), tuple(np.zeros(shape, np.float32) for shape in shapes)
+    return (*layers, w[HEATMAP].flatten()), tuple(np.zeros(shape, np.float32) for shape in shapes)
 
 
 def _conv_arrays(weights: Mapping[str, np.ndarray], layer: str) -> tuple[np.ndarray, np.ndarray]:

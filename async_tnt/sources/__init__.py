@@ -9,7 +9,7 @@ BackgroundReader    reads a source in a background thread; `PacketQueue` is the 
 PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in recordings
 """
 
-# ruff: noqa: F401 (the names are in __all__, made from _NAMES)
+# ruff: noqa: F401 (the names are public by `__all__`)
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
@@ -34,52 +34,32 @@ if TYPE_CHECKING:
     from async_tnt.sources.udp_sender import UdpSender
     from async_tnt.sources.udp_socket import UdpUrl, parse_udp_url
 
-_NAMES = {
-    "background_reader": ("BackgroundReader",),
-    "camera_drivers": ("DRIVERS",),
-    "cameras": ("Camera", "CameraCounts", "open_camera"),
-    "clock": ("Clock",),
-    "datagrams": ("EVENT_BYTES", "Decoded", "Decoder", "decode", "encode"),
-    "files.fitting": ("check_sensor", "open_for"),
-    "files.formats": ("READERS",),
-    "files.nmnist": ("read_nmnist", "write_nmnist"),
-    "files.recording": ("Recording", "open_recording", "sample_recordings"),
-    "files.source": ("CorruptData", "DamagedRecording", "Source"),
-    "mask_learning": ("count_pixels", "hot_pixels", "learn_mask"),
-    "opening": ("LiveSource", "open_source"),
-    "pixel_filter": ("PixelCounts", "PixelFilter"),
-    "pixel_masks": ("PackedMask", "load_mask", "save_mask"),
-    "pixel_selection": ("PixelSelection",),
-    "pixel_selector": ("PixelSelector",),
-    "playback": ("replay",),
-    "queue": ("PacketQueue", "QueueCounters"),
-    "udp": ("NetworkCounts", "UdpSource", "open_udp"),
-    "udp_sender": ("UdpSender",),
-    "udp_socket": ("UdpUrl", "parse_udp_url"),
-}
-"""Module -> its public names. Each is imported when one is first used, so that a program starts at once."""
-_MODULES = {name: module for module, names in _NAMES.items() for name in names}
+if not TYPE_CHECKING:
+    from async_tnt.lazy_names import lazy_names
 
-__all__ = list(_MODULES)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
-
-
-if not TYPE_CHECKING:  # a type checker would assume that every name exists
-
-    def __getattr__(name):
-        import importlib
-
-        module = _MODULES.get(name, name)  # async_tnt.sources.files and other modules are themselves
-        try:
-            value = importlib.import_module(f".{module}", __name__)
-        except ModuleNotFoundError as error:
-            if error.name != f"{__name__}.{module}":  # another package is missing
-                raise
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
-        if name in _MODULES:
-            value = getattr(value, name)
-        globals()[name] = value
-        return value
+    __all__, __getattr__, __dir__ = lazy_names(
+        globals(),
+        {
+            "background_reader": "BackgroundReader",
+            "camera_drivers": "DRIVERS",
+            "cameras": "Camera CameraCounts open_camera",
+            "clock": "Clock",
+            "datagrams": "EVENT_BYTES Decoded Decoder decode encode",
+            "files.fitting": "check_sensor open_for",
+            "files.formats": "READERS",
+            "files.nmnist": "read_nmnist write_nmnist",
+            "files.recording": "Recording open_recording sample_recordings",
+            "files.source": "CorruptData DamagedRecording Source",
+            "mask_learning": "count_pixels hot_pixels learn_mask",
+            "opening": "LiveSource open_source",
+            "pixel_filter": "PixelCounts PixelFilter",
+            "pixel_masks": "PackedMask load_mask save_mask",
+            "pixel_selection": "PixelSelection",
+            "pixel_selector": "PixelSelector",
+            "playback": "replay",
+            "queue": "PacketQueue QueueCounters",
+            "udp": "NetworkCounts UdpSource open_udp",
+            "udp_sender": "UdpSender",
+            "udp_socket": "UdpUrl parse_udp_url",
+        },
+    )

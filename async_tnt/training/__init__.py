@@ -6,12 +6,8 @@ evaluate                    the accuracy of a model on windows; `pipeline_of` ma
 read_dataset, make_windows  the steps between: recordings in memory, and their windows
 """
 
-from __future__ import annotations
-
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-# ruff: noqa: F401  (`__all__` is read from `_MODULES`)
+# ruff: noqa: F401  (the names are public by `__all__`)
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from async_tnt.training.augment import Augmentation
     from async_tnt.training.data import TrainingData, dataset_data, nmnist_data
@@ -22,29 +18,19 @@ if TYPE_CHECKING:
     from async_tnt.training.settings import TrainSettings, settings_for
     from async_tnt.training.windows import Recordings, Windows, make_windows, split_recordings
 
-_MODULES = {
-    "Augmentation": "augment",
-    "Dataset": "dataset",
-    "Evaluation": "evaluation",
-    "Recordings": "windows",
-    "TrainResult": "loop",
-    "TrainSettings": "settings",
-    "TrainingData": "data",
-    "Windows": "windows",
-    "dataset_data": "data",
-    "evaluate": "evaluation",
-    "make_windows": "windows",
-    "nmnist_data": "data",
-    "pipeline_of": "pipeline",
-    "read_dataset": "dataset",
-    "settings_for": "settings",
-    "split_recordings": "windows",
-    "train": "loop",
-}
-__all__ = list(_MODULES)
+if not TYPE_CHECKING:
+    from async_tnt.lazy_names import lazy_names
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    __all__, __getattr__, __dir__ = lazy_names(
+        globals(),
+        {
+            "augment": "Augmentation",
+            "data": "TrainingData dataset_data nmnist_data",
+            "dataset": "Dataset read_dataset",
+            "evaluation": "Evaluation evaluate",
+            "loop": "TrainResult train",
+            "pipeline": "pipeline_of",
+            "settings": "TrainSettings settings_for",
+            "windows": "Recordings Windows make_windows split_recordings",
+        },
+    )

@@ -56,10 +56,13 @@ def test_public_names_are_there_in_every_way():
         from async_tnt import procesor  # noqa: F401
 
 
-def test_type_checkers_see_the_same_names():
-    imports = [n for n in ast.walk(ast.parse(Path(async_tnt.__file__).read_text())) if isinstance(n, ast.ImportFrom)]
-    seen = {alias.asname: node.module.removeprefix("async_tnt.") for node in imports for alias in node.names}
-    assert seen == async_tnt._MODULES
+@pytest.mark.parametrize("package", [async_tnt, async_tnt.sources, async_tnt.training])
+def test_type_checkers_see_the_same_names(package):
+    imports = [n for n in ast.walk(ast.parse(Path(package.__file__).read_text())) if isinstance(n, ast.ImportFrom)]
+    seen = {alias.name: n.module for n in imports for alias in n.names if alias.name != "lazy_names"}
+    assert sorted(seen) == package.__all__
+    for name, module in seen.items():
+        assert getattr(package, name) is getattr(importlib.import_module(module), name)
 
 
 def test_a_package_that_is_missing_is_named():
@@ -92,20 +95,6 @@ def test_works_where_nothing_can_be_cached(tmp_path):
     env = os.environ | {"NUMBA_CACHE_DIR": str(blocked / "cache")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, timeout=120)
     assert done.stdout == "1\n", done.stderr
-
-
-def test_warmup_tells_a_terminal_what_takes_so_long(monkeypatch, capsys):
-    from async_tnt import compile_ahead
-
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    monkeypatch.setattr(compile_ahead, "PATIENCE_S", 0.0)
-    async_tnt.warmup()
-    assert "compiling kernels, once on this machine" in capsys.readouterr().err
-
-
-def test_warmup_says_how_long_it_took():
-    assert 0 < async_tnt.warmup() < 60
-    assert 0 < async_tnt.warmup(async_tnt.TNTConfig(grid=(20, 20))) < 60
 
 
 def test_processors_may_be_made_in_several_threads_at_once():

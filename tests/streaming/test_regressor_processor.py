@@ -10,7 +10,7 @@ from deciding import key, total_and_size
 from held_memory import held
 from made import random_events, random_model, random_regressor_model
 
-from async_tnt import Processor, TNTConfig, astream, load_model, stream, warmup
+from async_tnt import Processor, TNTConfig, astream, load_model, stream
 from async_tnt.checking.reference import reference_pipeline
 
 CONFIG = TNTConfig(window_us=1000, landmark="regressor", t_max=2.0)
@@ -108,11 +108,6 @@ def test_stream_and_astream_from_a_saved_model(tmp_path):
     own = list(stream(packets, CONFIG, classifier=total_and_size, regressor=lambda raw: (16.5, 16.5)))
     centre = list(stream(packets, CONFIG.replace(landmark="center"), classifier=total_and_size))
     assert [key(d) for d in own] == [key(d) for d in centre]
-
-
-def test_warmup_takes_a_model_and_a_configuration_with_a_regressor():
-    assert 0 < warmup(MODEL) < 60
-    assert 0 < warmup(CONFIG) < 60
 
 
 def test_processors_of_one_model_in_several_threads():

@@ -1,0 +1,54 @@
+"""The kernels that a stream calls from Python, with the types of their arguments: what can be compiled ahead."""
+
+from typing import Any
+
+from numba import boolean, float32, float64, int64, types, uint8
+
+from .absorb import absorb, absorb_one, store_events
+from .classify import absorb_and_decide, classify_array, classify_cells, softmax
+from .heatmap import find_landmark
+from .readout import cells_to_float32, empty_volume
+from .records import CHECK_TYPES, COLUMN_TYPES, LOAD_TYPES, check_columns, find_late, load_records
+from .trigger import advance_triggers, why_due
+
+_STATE = _TRIGGER = float64[::1]
+_ARRAY = float32[:, :, ::1]
+_VOLUME = types.Array(float32, 3, "C", readonly=True)
+_NETWORK = int64[::1], float32[::1], float32[::1], uint8[::1]
+_LAYERS = types.Tuple((*(float32[:, :, :, ::1], float32[:, ::1]) * 3, float32[::1]))
+_MAPS = types.Tuple((*(float32[:, ::1],) * 4, float32[::1]))
+
+ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    kernel.__name__: (kernel, arguments)
+    for kernel, arguments in (
+        (load_records, LOAD_TYPES),
+        (check_columns, CHECK_TYPES),
+        (find_late, (int64[::1], int64, boolean[::1])),
+        (empty_volume, (_STATE, _ARRAY, int64, int64, int64)),
+        (absorb, (_STATE, *COLUMN_TYPES, int64, int64)),
+        (absorb_one, (_STATE, int64, int64, int64, int64)),
+        (store_events, (_STATE, *COLUMN_TYPES, int64, int64, *COLUMN_TYPES, int64)),
+        (cells_to_float32, (_STATE, _ARRAY, int64)),
+        (advance_triggers, (_TRIGGER, _STATE, int64[::1], int64, int64)),
+        (why_due, (_TRIGGER, int64, int64, boolean)),
+        (softmax, (float32[::1], float64[::1])),
+        (find_landmark, (_VOLUME, _LAYERS, _MAPS)),
+        (classify_array, (_VOLUME, *_NETWORK, float32[::1])),
+        (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1])),
+        (
+            absorb_and_decide,
+            (
+                _STATE,
+                *COLUMN_TYPES,
+                int64,
+                int64,
+                _TRIGGER,
+                *_NETWORK,
+                float32[:, ::1],
+                float64[:, ::1],
+                int64[:, ::1],
+            ),
+        ),
+    )
+}
+"""Name -> (kernel, types of its arguments). What is built of others comes after them."""

@@ -1,0 +1,115 @@
+"""When a stream opens, all that it calls has been compiled, and a second process has taken half of the work."""
+
+import subprocess
+import sys
+
+import pytest
+
+import async_tnt
+from async_tnt import compile_ahead
+
+STREAMS = """
+import sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from async_tnt import CompiledClassifier, EVENT_DTYPE, LeakyIntegrator, Processor, TNTConfig, load_model, warmup
+from async_tnt.networks.engines import choose_engine, Engine
+from made import random_model
+
+def compiled():
+    # also what was loaded from the cache: on a new machine it would be compiled
+    modules = [module for name, module in sys.modules.items() if name.startswith("async_tnt.kernels.")]
+    kernels = [kernel for module in modules for kernel in vars(module).values() if isinstance(kernel, Dispatcher)]
+    return {(kernel.py_func.__name__, types) for kernel in kernels for types in kernel.signatures}
+
+records = np.zeros(4, EVENT_DTYPE)
+records["t"] = [0, 3, 50_000, 250_000]
+columns = tuple(records[name].copy() for name in ("t", "x", "y", "p"))
+TRIGGERS = {}, {"every_events": 1}, {"activity": LeakyIntegrator(1, 1000)}, {"confidence": 0.5, "late": "drop"}
+
+def stream_all(model, **networks):
+    for settings in TRIGGERS:
+        processor = Processor(model, **networks, **settings)
+        for packet in (records, columns, (300_000, 1, 1, 1), (300_001, 1, 1, 1)):
+            processor.push(packet)
+        processor.fire(), processor.finish()
+
+MODELS = {kind: random_model(TNTConfig(landmark=kind), widths=(2, 2, 2)) for kind in ("running", "window", "regressor")}
+
+"""
+CASES = {
+    "warmup_for_anything": """
+warmup()
+before = compiled()
+for model in MODELS.values():
+    stream_all(model)
+    CompiledClassifier(model)(np.zeros(model.config.shape))
+stream_all(MODELS["running"].config, classifier=lambda volume: [0.0])
+""",
+    "warmup_for_a_model": """
+warmup(load_model("digits"))
+before = compiled()
+stream_all(load_model("digits"))
+stream_all(load_model("digits"), classifier=lambda volume: [0.0] * 10)
+""",
+    "warmup_for_a_landmark_network": """
+warmup(MODELS["regressor"])
+before = compiled()
+stream_all(MODELS["regressor"])
+""",
+    "warmup_for_a_configuration": """
+warmup(TNTConfig(landmark="window"))
+before = compiled()
+stream_all(TNTConfig(landmark="window"), classifier=lambda volume: [0.0])
+""",
+    "a_processor_of_an_engine": """
+engines = [Engine("compiled", model, model.classes) for model in MODELS.values()]
+engines.append(Engine("other", TNTConfig(), ("a",), {"classifier": lambda volume: [0.0]}))
+processors = [engine.processor(**settings) for engine in engines for settings in TRIGGERS]
+before = compiled()
+for processor in processors:
+    processor.push(records), processor.push(columns), processor.fire(), processor.finish()
+""",
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_nothing_is_compiled_after(case, pytestconfig):
+    path = f"import sys; sys.path.insert(0, {str(pytestconfig.rootpath / 'tests')!r})"
+    code = path + STREAMS + CASES[case] + "print(*compiled() - before)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
+
+
+def test_warmup_explains_a_long_wait_and_returns_its_seconds(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setattr(compile_ahead, "PATIENCE_S", 0.0)
+    assert async_tnt.warmup() > 0
+    assert "compiling kernels, once on this machine" in capsys.readouterr().err
+
+
+@pytest.fixture
+def cold(monkeypatch):
+    """As on a machine with two cores where nothing has been compiled yet."""
+    monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel, types: False)
+    monkeypatch.setattr(compile_ahead, "_n_cores", lambda: 2)
+
+
+def test_a_second_process_compiles_the_network(cold):
+    child = compile_ahead._start_child(["classify_cells", "softmax"])
+    assert child.wait() == 0
+
+
+@pytest.mark.parametrize("program", ["/no/such/python", "/bin/false"])
+def test_a_second_process_that_fails_leaves_the_work_to_the_first(cold, monkeypatch, program):
+    monkeypatch.setattr(sys, "executable", program)
+    assert async_tnt.warmup(async_tnt.load_model("digits")) > 0
+
+
+def test_no_second_process_where_it_would_not_pay(cold, monkeypatch):
+    assert compile_ahead._start_child(["softmax"]) is None
+    monkeypatch.setattr(compile_ahead, "_n_cores", lambda: 1)
+    assert compile_ahead._start_child(["classify_cells"]) is None
+    monkeypatch.undo()
+    async_tnt.warmup(async_tnt.load_model("digits"))
+    assert compile_ahead._start_child(["classify_cells"]) is None  # the cache has it
