@@ -50,6 +50,13 @@ def test_by_hand_in_every_form(form):
     assert (refuse.newest_us, refuse.n_dropped) == (-1, 0)
 
 
+def test_single_events_are_late_as_in_a_packet():
+    decoder = EventDecoder(SENSOR, "drop")
+    kept = [row for event in packet(T).tolist() for row in rows(decoder.decode_one(*event))]
+    assert kept == packet(T)[KEPT].tolist()
+    assert (decoder.n_dropped, decoder.newest_us) == (4, 9)
+
+
 @pytest.mark.parametrize(
     ("first", "second", "message"),
     [
