@@ -196,6 +196,7 @@ WRONG_FORMS = [
     ),
     ((T, X[:4], Y, P), EQUAL + "5, 4, 5, 5"),
     ((*list(packet().values())[:3], np.zeros(6, "u1")), EQUAL + "5, 5, 5, 6"),
+    (([], X, Y, P), EQUAL + "0, 5, 5, 5"),
     ((T, X, Y, 1), EQUAL + "5, 5, 5, 1"),
     (np.zeros((2, 3), EVENT_DTYPE), "`t` must have one dimension, got shape (2, 3)"),
     (np.zeros((0, 3), EVENT_DTYPE), "`t` must have one dimension, got shape (0, 3)"),
@@ -276,6 +277,7 @@ def test_every_entry_refuses_the_same(take):
 
 ONE = [
     ((-1, 0, 0, 1), ValueError, "`t` must be in [0, 2**62) microseconds, got -1 at event 0"),
+    ((2**62, 0, 0, 1), ValueError, f"`t` must be in [0, 2**62) microseconds, got {2**62} at event 0"),
     ((2**64, 0, 0, 1), ValueError, f"`t` must fit in int64, got {2**64} at event 0"),
     ((5, 346, 0, 1), ValueError, "`x` must be in [0, 346), got 346 at event 0"),
     ((5, -1, 0, 1), ValueError, "`x` must be in [0, 346), got -1 at event 0"),
