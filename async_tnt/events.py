@@ -163,8 +163,9 @@ class EventDecoder:
         # all four: Numba's dispatch should refuse the other byte order, but once took an empty column of it
         if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
             return None
+        width, height = self.sensor
         try:
-            if check_columns(t, x, y, p, *self.sensor) != FINE:
+            if check_columns(t, x, y, p, width, height) != FINE:
                 return None
         except (TypeError, NumbaError):  # not one-dimensional, contiguous, aligned, writeable
             return None
