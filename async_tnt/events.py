@@ -51,6 +51,7 @@ def empty_columns(n: int) -> Columns:
 
 _T, _XY, _P = map(np.dtype, (np.int64, np.uint16, np.uint8))
 _DTYPES = (_T, _XY, _XY, _P)
+_ARRAY = np.ndarray
 _RECORDS = (np.ndarray, np.memmap, np.recarray)  # no other subclass: compiled code would not see a mask
 _NO_EVENTS = empty_columns(0)
 _new_tuple = tuple.__new__  # what Columns(...) does, without a call of Python code
@@ -158,7 +159,7 @@ class EventDecoder:
         if len(events) != 4:
             return None
         t, x, y, p = events
-        if not (type(t) is type(x) is type(y) is type(p) is np.ndarray):
+        if not (type(t) is type(x) is type(y) is type(p) is _ARRAY):
             return None
         # all four: Numba's dispatch should refuse the other byte order, but once took an empty column of it
         if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
