@@ -52,14 +52,15 @@ def test_classifier_by_hand():
         for channel in range(2):
             network.conv1.weight[channel, channel, 1, 1] = 1
             network.conv2.weight[channel, channel, 1, 1] = 1
+        network.conv2.bias[1] = -1
         # Flattened channel by channel, then row by row: (c0 left, c0 right, c1 left, c1 right).
         network.fc1.weight[:] = torch.tensor([[1.0, 10.0, 100.0, 1000.0]])
         network.fc2.weight[:] = 1
         network.fc2.bias[:] = 0.5
     volume = torch.zeros(2, 4, 8)
     volume[0, 1, 2], volume[0, 3, 4:] = 16, 4  # left mean 1; right mean 4 * 4 / 16 = 1
-    volume[1, :, :4], volume[1, 0, 7] = 3, -16  # left mean 3; the negative one is cut by ReLU
-    assert network(volume).tolist() == [1 + 10 + 300 + 0.5]
+    volume[1, :, :4], volume[1, 0, 7] = 3, -16  # left 3 - 1, right 0 - 1; ReLU cuts the negative ones
+    assert network(volume).tolist() == [1 + 10 + 200 + 0.5]
 
 
 def test_regressor_starts_exactly_at_the_image_centre():
@@ -72,7 +73,7 @@ def test_regressor_starts_exactly_at_the_image_centre():
 
 
 def test_regressor_by_hand():
-    """h = 3 on pixel (3, 1) of a 5 x 3 grid and 1 elsewhere: l = (15 (2, 1) + 2 (3, 1)) / 17."""
+    """h = 3 on pixel (3, 0) of a 5 x 3 grid and 1 elsewhere: l = (15 (2, 1) + 2 (3, 0)) / 17."""
     network = LandmarkRegressor(1, (5, 3), n_filters=1).double()
     with torch.no_grad():
         for w in network.parameters():
@@ -81,10 +82,10 @@ def test_regressor_by_hand():
             conv.weight[0, 0, 1, 1] = 1
         network.heatmap.weight[:] = 1
     volume = torch.zeros(1, 3, 5, dtype=torch.float64)
-    volume[0, 1, 3] = torch.log(torch.tensor(3.0, dtype=torch.float64))
-    assert network(volume).tolist() == pytest.approx([36 / 17, 1])
+    volume[0, 0, 3] = torch.log(torch.tensor(3.0, dtype=torch.float64))
+    assert network(volume).tolist() == pytest.approx([36 / 17, 15 / 17])
     # An exponent of 1e5 does not overflow: all the weight on that pixel.
-    assert network(volume * 1e5).tolist() == pytest.approx([3, 1])
+    assert network(volume * 1e5).tolist() == pytest.approx([3, 0])
 
 
 @pytest.mark.parametrize(
