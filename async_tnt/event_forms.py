@@ -1,4 +1,4 @@
-"""The forms in which the field hands events around, each taken apart into four columns, unchecked.
+"""The accepted forms of events, each split into four columns, unchecked.
 
     a structured array      fields t|ts|timestamp, x, y, p|on|polarity|pol, in any order and of any integer type:
                             Metavision, faery, neuromorphic-drivers, dv-processing's .numpy(), tonic
@@ -7,7 +7,7 @@
     an object               with .t .x .y .p, with .polarity_events (neuromorphic-drivers' packets), or with .numpy()
     None, or anything empty no events
 
-Times are integer microseconds, polarity bool, 0/1 or -1/+1. A field under two names, and masked arrays, are refused.
+Times are integer microseconds, polarity is bool, 0/1 or -1/+1. A field under two names and masked arrays are rejected.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ NAMES = {
     "p": ("p", "on", "polarity", "pol"),
 }
 UNMASKED = "`.compressed()` of each column, or `.data` to use every event"
-MAX_DEPTH = 4  # an object's .numpy() may be events in another form, but not itself forever
+MAX_DEPTH = 4  # `.numpy()` may return events in another form, but not endlessly
 FORMS = (
     "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
     "(t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
@@ -61,7 +61,7 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
         is_event = isinstance(events[0], (dict, np.void)) or (isinstance(events[0], tuple) and len(events) != 4)
         if isinstance(events, list) and is_event:
             raise TypeError(
-                f"a list of single events ({type(events[0]).__name__} at event 0) is not a packet: hand it to "
+                f"a list of single events ({type(events[0]).__name__} at event 0) is not a packet: pass it to "
                 "`stream`, event by event, or push four columns (t, x, y, p)"
             )
         if len(events) != 4:
@@ -111,7 +111,3 @@ def the_name(field: str, have: Collection[str], what: str) -> str:
     if found:
         raise ValueError(f"events need one field `{field}`, got {' and '.join(found)} in {what}; leave out all but one")
     raise ValueError(f"events need a field `{field}` (one of {', '.join(NAMES[field])}), got {what}")
-
-
-def brief(value: Any) -> str:
-    return str(value)[:40] if isinstance(value, (str, np.generic)) else type(value).__name__

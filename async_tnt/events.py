@@ -1,7 +1,7 @@
-"""Decoding: whatever the field calls events becomes four checked, contiguous columns.
+"""Decoding: events in any accepted form become four checked, contiguous columns.
 
-Nothing is checked again after this. Numba compiles once more for every read-only, strided or unaligned array and never
-checks bounds, so packets are brought into one form here, once, and refused here if they are invalid.
+Nothing is checked again after this. Numba compiles separately for read-only, strided and unaligned arrays and never
+checks bounds, so packets are brought into one form here, once, and rejected here if they are invalid.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import NumbaError
 
-from async_tnt.event_forms import NAMES, brief, named_columns
+from async_tnt.event_forms import NAMES, named_columns
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.records import (
     CHECK_TYPES,
@@ -36,29 +36,24 @@ class Columns(NamedTuple):
     They may be scratch memory of the decoder: valid until its next call.
     """
 
-    t: np.ndarray
-    """int64, microseconds, in [0, 2**62)."""
-    x: np.ndarray
-    """uint16, in [0, sensor width)."""
-    y: np.ndarray
-    """uint16, in [0, sensor height)."""
-    p: np.ndarray
-    """uint8, 0 or 1."""
+    t: np.ndarray  # int64, microseconds, in [0, 2**62)
+    x: np.ndarray  # uint16, in [0, sensor width)
+    y: np.ndarray  # uint16, in [0, sensor height)
+    p: np.ndarray  # uint8, 0 or 1
     n: int
-    """How many events."""
 
 
 def empty_columns(n: int) -> Columns:
-    """Room for n events, still empty."""
+    """Room for n events, none of them set."""
     t, x, y, p = (np.empty(n, dtype) for dtype in _DTYPES)
     return Columns(t, x, y, p, 0)
 
 
 _T, _XY, _P = map(np.dtype, (np.int64, np.uint16, np.uint8))
+_DTYPES = (_T, _XY, _XY, _P)
 _ARRAY = np.ndarray
 _RECORDS = (np.ndarray, np.memmap, np.recarray)  # no other subclass: compiled code would not see a mask
-_DTYPES = (_T, _XY, _XY, _P)
-NO_EVENTS = empty_columns(0)
+_NO_EVENTS = empty_columns(0)
 _new_tuple = tuple.__new__  # what Columns(...) does, without a call of Python code
 
 
@@ -79,7 +74,7 @@ class EventDecoder:
         self.sensor = sensor
         self.late = late
         self.reset()
-        self._scratch = NO_EVENTS
+        self._scratch = empty_columns(1024)
         self._dtype: np.dtype | None = None
         self._names: tuple[str, ...] | None = None
         self._layout: np.ndarray | None = None
@@ -110,38 +105,34 @@ class EventDecoder:
         Raises
         ------
         ValueError, TypeError : the packet breaks a rule; the message names field, rule, value and event.
-            None of its events counts then.
+            Then none of its events are used.
         """
+        columns = None
         if type(events) is tuple:
             columns = self._checked_as_they_are(events)
-        else:
-            columns = self._decode_records(events) if type(events) in _RECORDS else None
+        elif type(events) in _RECORDS:
+            columns = self._decode_records(events)
         if columns is None:
-            named = named_columns(events)
-            columns = NO_EVENTS if named is None else checked_columns(*named, self.sensor)
-        if self.late != "accept" and columns.n:
-            columns = self._apply_policy(columns)
-        return columns
+            columns = _decode_any(events, self.sensor)
+        return self._apply_policy(columns) if self.late != "accept" and columns.n else columns
 
     def decode_one(self, t: int, x: int, y: int, p: int) -> Columns:
         """`decode` for one event; quick for Python integers."""
+        width, height = self.sensor
         try:
-            width, height = self.sensor
             valid = type(t | x | y | p) is int and 0 <= t < MAX_TIME_US and 0 <= x < width and 0 <= y < height
-            if not (valid and -1 <= p <= 1) or (self.late != "accept" and t < self.newest_us):
-                return self.decode(([t], [x], [y], [p]))
         except TypeError:  # `|` refuses floats
+            valid = False
+        if not (valid and -1 <= p <= 1) or (self.late != "accept" and t < self.newest_us):
             return self.decode(([t], [x], [y], [p]))
         if self.late != "accept":
             self.newest_us = t
-        if len(self._scratch.t) == 0:
-            self._scratch = empty_columns(1024)
         column_t, column_x, column_y, column_p, _ = self._scratch
         column_t[0], column_x[0], column_y[0], column_p[0] = t, x, y, p > 0
         return _new_tuple(Columns, (column_t, column_x, column_y, column_p, 1))
 
     def _decode_records(self, events: np.ndarray) -> Columns | None:
-        """Packed records of whole numbers, quickly; None where they need a closer look."""
+        """Packed records of whole numbers, by the fast path; None if they need a closer look."""
         dtype = events.dtype
         if dtype is not self._dtype or dtype.names is not self._names:  # fields can be renamed in place
             self._dtype, self._names = dtype, dtype.names
@@ -150,9 +141,9 @@ class EventDecoder:
             return None
         n = len(events)
         if n == 0:
-            return NO_EVENTS if events.ndim == 1 else None
+            return _NO_EVENTS if events.ndim == 1 else None
         if n > len(self._scratch.t):
-            self._scratch = empty_columns(max(1024, 2 * n))
+            self._scratch = empty_columns(2 * n)
         t, x, y, p, _ = self._scratch
         width, height = self.sensor
         try:
@@ -164,17 +155,17 @@ class EventDecoder:
         return _new_tuple(Columns, (t, x, y, p, n))
 
     def _checked_as_they_are(self, events: tuple[Any, ...]) -> Columns | None:
-        """Columns that have the right form already, not copied; None for any others."""
+        """Columns that already have the right form, without a copy; None for all others."""
         if len(events) != 4:
             return None
         t, x, y, p = events
         if not (type(t) is type(x) is type(y) is type(p) is _ARRAY):
             return None
+        # all four: Numba's dispatch should refuse the other byte order, but once took an empty column of it
+        if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
+            return None
         width, height = self.sensor
         try:
-            # all four: Numba's dispatch should refuse the other byte order, but once took an empty column of it
-            if t.dtype is not _T or x.dtype is not _XY or y.dtype is not _XY or p.dtype is not _P:
-                return None
             if check_columns(t, x, y, p, width, height) != FINE:
                 return None
         except (TypeError, NumbaError):  # not one-dimensional, contiguous, aligned, writeable
@@ -200,30 +191,34 @@ class EventDecoder:
         return Columns(t, x, y, p, t.size)
 
 
+def _decode_any(events: Any, sensor: tuple[int, int]) -> Columns:
+    columns = named_columns(events)
+    return _NO_EVENTS if columns is None else checked_columns(*columns, sensor)
+
+
 def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> Columns:
-    """Four columns of any integer type as `Columns`, or an error that names the first event at fault."""
-    columns = {"t": np.asarray(t), "x": np.asarray(x), "y": np.asarray(y), "p": np.asarray(p)}
+    """Four columns of any integer type as `Columns`, or an error that names the first invalid event."""
+    columns = dict(zip(NAMES, map(np.asarray, (t, x, y, p)), strict=True))
     for field, column in columns.items():
         if column.ndim != 1:
             raise ValueError(f"`{field}` must have one dimension, got shape {column.shape}")
         _check_type(field, column)
-    sizes = {field: column.size for field, column in columns.items()}
-    if len(set(sizes.values())) != 1:
-        raise ValueError(f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes.values()))}")
-    if columns["t"].size == 0:
-        return NO_EVENTS
+    sizes = [column.size for column in columns.values()]
+    if len(set(sizes)) != 1:
+        raise ValueError(f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes))}")
+    if sizes[0] == 0:
+        return _NO_EVENTS
     _check_range("t", columns["t"], MAX_TIME_US, "2**62) microseconds")
     _check_range("x", columns["x"], sensor[0], f"{sensor[0]})")
     _check_range("y", columns["y"], sensor[1], f"{sensor[1]})")
     polarity = columns["p"]
     off = polarity == 0
     allowed = off | (polarity == 1)
-    minus = polarity == -1 if polarity.dtype.kind == "i" else np.zeros(polarity.shape, bool)
-    if not off.any():
-        allowed |= minus
+    if polarity.dtype.kind == "i" and not off.any():
+        allowed |= polarity == -1
     if not allowed.all():
         i = int(np.argmin(allowed))
-        mixed = " beside 0 in the same packet" if minus[i] else ""
+        mixed = " beside 0 in the same packet" if polarity[i] == -1 else ""
         raise ValueError(f"`p` must be 0 or 1, or -1 or +1, got {polarity[i]}{mixed} at event {i}")
     columns["p"] = polarity == 1
     # C-contiguous, aligned and writeable (what is not is copied): one compiled version
@@ -234,8 +229,7 @@ def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> 
 
 def as_events(events: Any, sensor: tuple[int, int]) -> np.ndarray:
     """Any accepted form of events as a new structured array of `EVENT_DTYPE`, checked."""
-    named = named_columns(events)
-    columns = NO_EVENTS if named is None else checked_columns(*named, sensor)
+    columns = _decode_any(events, sensor)
     packed = np.empty(columns.n, EVENT_DTYPE)
     for field, column in zip(NAMES, columns[:4], strict=True):
         packed[field] = column
@@ -246,14 +240,17 @@ def _check_type(field: str, column: np.ndarray) -> None:
     kind = column.dtype.kind
     if kind in ("iub" if field == "p" else "iu"):
         return
-    if kind == "f" and column.size and not np.isfinite(column).all():
+    if kind == "f" and not np.isfinite(column).all():
         i = int(np.argmin(np.isfinite(column)))
         raise ValueError(f"`{field}` must be a whole number, got {column[i]} at event {i}")
     if kind == "O":
         for i, value in enumerate(column):
             if type(value) is int and not -(1 << 63) <= value < 1 << 63:
                 raise ValueError(f"`{field}` must fit in int64, got {value} at event {i}")
-    got = f"{column.dtype}" + (f" ({brief(column[0])} at event 0)" if column.size else "")
+    got = str(column.dtype)
+    if column.size:
+        value = column[0]
+        got += f" ({str(value)[:40] if isinstance(value, (str, np.generic)) else type(value).__name__} at event 0)"
     if field == "t" and kind in "fmM":
         raise TypeError(
             f"`t` must be integer microseconds, got {got}; its unit is unknown: "
@@ -282,9 +279,8 @@ def _record_layout(dtype: np.dtype) -> np.ndarray | None:
             return None
         number, offset = dtype.fields[found[0]][:2]
         kind = KIND.get(number.str[1:])
-        if kind is None or number.str[0] == ">" or (field != "p" and number.kind == "b"):
-            return None
-        if field == "p" and number.str[1:] == "u8":  # it would be read as int64: 2**64 - 1 is not -1
+        refused = "u8" if field == "p" else "b1"  # the kernel would take a polarity of 2**64 - 1 for -1
+        if kind is None or number.str[0] == ">" or number.str[1:] == refused:
             return None
         layout += [offset, kind]
     return np.array([*layout, dtype.itemsize], np.int64)

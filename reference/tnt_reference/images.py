@@ -13,7 +13,7 @@ def count_image(t: Column, x: Column, y: Column, p: Column, *, sensor: tuple[int
 
     Parameters
     ----------
-    t, x, y, p : columns of N events, in any order: microseconds (which do not matter); whole sensor pixels; bool,
+    t, x, y, p : columns of N events, in any order: microseconds (ignored); whole sensor pixels; bool,
         0/1 or -1/+1.
     sensor : (width, height).
 

@@ -45,12 +45,12 @@ def landmark(
 
     Returns
     -------
-    float64 tensor (N, 2), (x, y) in grid pixels. Rows of events outside the window hold the image centre;
-    those events take no part in any other row, and nothing reads theirs.
+    float64 tensor (N, 2), (x, y) in grid pixels. Rows of events outside the window hold the image centre
+    and are never read; those events do not affect any other row.
 
     Raises
     ------
-    ValueError, TypeError for an unknown name or for columns that are no events of this sensor.
+    ValueError, TypeError : an unknown name, or columns that are not events of this sensor.
 
     References
     ----------

@@ -66,7 +66,7 @@ class LandmarkRegressor(nn.Module):
 
     The thesis does not say how its heatmap is kept non-negative, nor how the network starts; both are our
     choice. `exp` makes the centroid the expectation under a softmax over all pixels: it can be as sharp as
-    the training wants it. The 1x1 convolution starts at zero, so that h = 1 everywhere and the first
+    training makes it. The 1x1 convolution starts at zero, so that h = 1 everywhere and the first
     landmark is exactly the image centre, whatever the events. At the first step, therefore, only the 1x1
     convolution has a gradient; from the second on, all layers have one. It carries no bias: a constant
     added to the exponent leaves the centroid as it is.
@@ -98,7 +98,7 @@ class LandmarkRegressor(nn.Module):
         a = F.relu(self.conv2(a))
         a = F.relu(self.conv3(a))
         exponent = self.heatmap(a)[..., 0, :, :].double()  # (..., H, W)
-        # The centroid does not feel a common factor: take the largest cell as 1, so that exp cannot overflow.
+        # A common factor does not change the centroid: make the largest cell 1, so that exp cannot overflow.
         h = torch.exp(exponent - exponent.detach().amax(dim=(-2, -1), keepdim=True))  # (..., H, W)
         x, y = (torch.arange(side, dtype=torch.float64, device=h.device) for side in self.grid)  # (W,), (H,)
         l_x = (h.sum(dim=-2) * x).sum(-1) / h.sum(dim=(-2, -1))  # (...)
@@ -121,7 +121,7 @@ class Pipeline(nn.Module):
 
     Raises
     ------
-    ValueError, TypeError : settings that do not fit together, when built; bad events, when called.
+    ValueError, TypeError : settings that do not fit together, when built; invalid events, when called.
     """
 
     def __init__(

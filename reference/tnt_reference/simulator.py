@@ -81,7 +81,7 @@ def _next_crossing(
     now: float, light_now: float, t0: float, t1: float, l0: float, l1: float, upper: float, lower: float
 ) -> tuple[float, float, int] | None:
     """Time, log luminance and polarity where the light first reaches `upper` or `lower` up to t1, or None."""
-    if light_now >= upper:  # here and below: already there, which only a far-off start can be
+    if light_now >= upper:  # here and below: already past it, as only a start far from the light can be
         return now, light_now, 1
     if light_now <= lower:
         return now, light_now, 0

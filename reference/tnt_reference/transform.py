@@ -42,13 +42,13 @@ def tnt_coordinates(
         kept  iff  tau_i > 0  and  0 <= u_i <= W - 1  and  0 <= v_i <= H - 1
 
     "Kept" is decided up to BORDER_TOLERANCE: where mathematics puts an event exactly on the border, the
-    rounding of one order of operations or another must not throw it out. Such events are put on the border.
+    rounding of one order of operations or another must not drop it. Such events are put on the border.
 
     Parameters
     ----------
     t, x, y : columns of N events, in arrival order: microseconds, sensor pixels. Float64 columns that
         require a gradient get one.
-    start_us, window_us : the window, `start_us <= t <= start_us + window_us`. Other events take no part.
+    start_us, window_us : the window, `start_us <= t <= start_us + window_us`. Other events are ignored.
     sensor, grid : (width, height).
     t_max : tau at the window's end. The thesis has B - 1.
     landmark : "center", "running", "line" or "window"; or (x, y); or a tensor (N, 2). Grid pixels.
@@ -57,7 +57,7 @@ def tnt_coordinates(
     Returns
     -------
     TNTCoordinates(u, v, kept), each (N,). Where tau is 0, or the event is outside the window, it is not
-    kept, and its u and v are finite but mean nothing.
+    kept, and its u and v are finite but meaningless.
 
     Raises
     ------

@@ -37,7 +37,7 @@ def event_volume(
     t, x, y, p : columns of N events in arrival order: integer microseconds; sensor pixels; bool, 0/1 or
         -1/+1. Torch tensors or anything `torch.as_tensor` takes. Never modified. Float64 t, x, y that
         require a gradient get one.
-    start_us, window_us : the window, `start_us <= t <= start_us + window_us`. Other events take no part.
+    start_us, window_us : the window, `start_us <= t <= start_us + window_us`. Other events are ignored.
         The window's right end lies exactly at bin B - 1.
     sensor, grid : (width, height). Sensor pixels map onto the grid corner to corner.
     bins : B.
@@ -92,7 +92,7 @@ def tnt_volume(
 
         V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)      over the kept events
 
-    with (u_i, v_i) and "kept" as `tnt_coordinates` says; its further parameters are `t_max`, `landmark` and
+    with (u_i, v_i) and "kept" as `tnt_coordinates` defines them; its additional parameters are `t_max`, `landmark` and
     `remove_flow`. All others, the result and the errors are those of `event_volume`. A landmark that
     requires a gradient gets one.
 

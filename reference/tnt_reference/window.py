@@ -28,7 +28,7 @@ def window_events(
 
     Integer times are subtracted as int64 *before* any float appears: float32 loses microseconds after
     16.8 s. The window is closed at its right end, so that `start_us = t_1`, `window_us = t_N - t_1`, the
-    thesis' own form, keeps its last event. Float64 columns are taken as they are (derivatives pass).
+    thesis' own form, keeps its last event. Float64 columns are used as they are, so that gradients pass.
     """
     start = whole_number("start_us", start_us)
     length = whole_number("window_us", window_us)

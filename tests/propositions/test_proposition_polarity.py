@@ -6,7 +6,6 @@ A pixel follows log luminance L; for a pattern that moves with velocity v, dL/dt
 import numpy as np
 import pytest
 
-from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.scene import Scene, render
 from async_tnt.simulation.simulator import simulate_events
 from async_tnt.simulation.trajectories import ConstantVelocity
@@ -15,17 +14,12 @@ SENSOR = (34, 34)
 THRESHOLD = 0.19  # log 5 = 1.609 holds 8 of them
 
 
-def light_of_motion(image, start, end, duration_us=100_000):
-    """Frames of log luminance, and their times, while `image` moves from displacement `start` to `end`."""
-    velocity = tuple((b - a) / (duration_us * 1e-6) for a, b in zip(start, end, strict=True))
-    motion = ConstantVelocity(velocity, start, duration_us)
-    times = np.linspace(0, duration_us, 101)
-    return render(image, *motion.position(times), scene=Scene(contrast=5.0, gamma=1.0), sensor=SENSOR), times
-
-
 def events_of_motion(image, start, end):
-    """Events of noiseless pixels that see `image` move."""
-    return simulate_events(*light_of_motion(image, start, end), THRESHOLD, THRESHOLD)
+    """Events of noiseless pixels that see `image` move from displacement `start` to `end` in 100 ms."""
+    motion = ConstantVelocity(tuple(10 * (b - a) for a, b in zip(start, end, strict=True)), start, 100_000)
+    times = np.linspace(0, 100_000, 101)
+    light = render(image, *motion.position(times), scene=Scene(contrast=5.0, gamma=1.0), sensor=SENSOR)
+    return simulate_events(light, times, THRESHOLD, THRESHOLD)
 
 
 def counts(events, polarity):
@@ -36,62 +30,21 @@ def counts(events, polarity):
     return image
 
 
-def bar():
-    image = np.zeros((28, 28))
-    image[8:20, 8:20] = 1
-    return image
-
-
-@pytest.mark.parametrize(
-    ("start", "end"), [((0.0, 3.0), (6.0, 3.0)), ((3.0, 6.0), (3.0, 0.0)), ((0.0, 0.0), (6.0, 5.0))]
-)
+@pytest.mark.parametrize(("start", "end"), [((0.0, 3.0), (6.0, 3.0)), ((3.0, 6.0), (3.0, 0.0))])
 def test_reversed_motion_flips_the_polarity_at_each_pixel(start, end):
     """dL/dt = -v . grad L: -v for v gives -dL/dt, so n_ON(v) = n_OFF(-v) and n_OFF(v) = n_ON(-v), pixel by pixel.
 
-    The square is wider than the way it goes, so one edge alone passes over a pixel, and its light only rises or
-    only falls (but for two corners when it goes askew, which are left out). A pixel that the edge passes
-    altogether gives floor(log 5 / C) = 8 events.
+    The square is wider than the way it goes, so one edge alone passes over a pixel, and its light only rises or only
+    falls. A pixel that the edge passes altogether gives floor(log 5 / C) = 8 events.
     """
-    there, back = events_of_motion(bar(), start, end), events_of_motion(bar(), end, start)
-    change = np.diff(light_of_motion(bar(), start, end)[0], axis=0)
-    one_edge = (change > -1e-12).all(0) | (change < 1e-12).all(0)
-    askew = start[0] != end[0] and start[1] != end[1]
-    assert one_edge.all() != askew
-    on, off = counts(there, 1) * one_edge, counts(there, 0) * one_edge
-    np.testing.assert_array_equal(counts(back, 0) * one_edge, on)
-    np.testing.assert_array_equal(counts(back, 1) * one_edge, off)
-    assert on.max() == off.max() == 8
-    assert not (on * off).any() and (on > 0).sum() >= 60 and (off > 0).sum() >= 60
-    assert np.abs(on - counts(back, 1) * one_edge).max() == 8  # not the same polarity
-
-
-def test_each_pixels_sequence_is_played_backwards_with_the_signs_flipped():
-    """A stripe passes over a pixel and off it again: OFF x 8, then ON x 8; the other way the same, since reversal of
-    time turns the order round and flips each sign: s_k(-v) = -s_{n+1-k}(v)."""
-    stripe = np.zeros((28, 28))
-    stripe[:, 12:15] = 1
-    there, back = (events_of_motion(stripe, *ends) for ends in (((-6, 3), (12, 3)), ((12, 3), (-6, 3))))
-    n_compared = 0
-    for x in range(12, 20):
-        one, other = (e["p"][(e["x"] == x) & (e["y"] == 17)].tolist() for e in (there, back))
-        assert one == [0] * 8 + [1] * 8
-        assert other == [1 - p for p in one[::-1]]
-        n_compared += len(one)
-    assert n_compared == 128
-
-
-def test_reversed_motion_flips_the_polarity_with_real_pixels_too():
-    """With mismatched thresholds, refractory time, noise and random states: the images of sum s, there and back,
-    correlate at less than -0.9; two recordings of the same motion at more than +0.9."""
-
-    def net(speed, seed):
-        motion = ConstantVelocity.towards(30.0, speed, duration_us=100_000)
-        events = simulate_digit(bar(), np.random.default_rng(seed), trajectory=motion)
-        return (counts(events, 1) - counts(events, 0)).ravel()
-
-    there, again, back = net(60.0, 1), net(60.0, 2), net(-60.0, 3)
-    assert np.corrcoef(there, back)[0, 1] < -0.9
-    assert np.corrcoef(there, again)[0, 1] > 0.9
+    square = np.zeros((28, 28))
+    square[8:20, 8:20] = 1
+    there, back = events_of_motion(square, start, end), events_of_motion(square, end, start)
+    on, off = counts(there, 1), counts(there, 0)
+    np.testing.assert_array_equal(counts(back, 0), on)
+    np.testing.assert_array_equal(counts(back, 1), off)
+    assert on.max() == off.max() == 8 and not (on * off).any()
+    assert (on > 0).sum() >= 60 and (off > 0).sum() >= 60
 
 
 LONG = np.zeros((28, 28))

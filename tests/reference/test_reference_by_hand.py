@@ -1,8 +1,8 @@
-"""Volumes worked out with pencil and paper: sums and twins cannot see an error made on both sides."""
+"""Volumes and landmarks worked out with pencil and paper: twins cannot see an error made on both sides."""
 
 import pytest
 import torch
-from tnt_reference import event_volume, tnt_coordinates, tnt_volume
+from tnt_reference import event_volume, fitted_flow, landmark, tnt_coordinates, tnt_volume
 
 # 9 bins in 800 us: bin position = TNT time = t / 100. Centre of a 5 x 5 grid: (2, 2).
 SQUARE = dict(start_us=0, window_us=800, sensor=(5, 5), grid=(5, 5))
@@ -120,14 +120,62 @@ def test_line_with_and_without_its_flow():
     assert u.tolist() == pytest.approx([2.0, (3 - 16 / 9 - 4 / 9 * 0.75) / 6 + 2])
 
 
-def test_counts_of_kept_and_dropped():
-    t, x = [0, 99, 100, 800, 801], [2, 4, 4, 4, 2]
-    kept = tnt_coordinates(t, x, [2] * 5, landmark="center", **SQUARE).kept
-    assert kept.tolist() == [False, False, True, True, False]
-
-
 def test_epoch_microseconds_lose_nothing():
     start = 1_700_000_000_123_457  # neither float32 nor float64 seconds could hold it to a microsecond
     shifted = dict(SQUARE, start_us=start)
     volume = event_volume([start + 301], [1], [3], [1], **shifted)
     assert cells(volume) == {(3, 3, 1): 0.99, (4, 3, 1): 0.01}
+
+
+# x_g = x/2, y_g = y/2; c = (2, 1)
+SMALL = dict(start_us=100, window_us=8, sensor=(9, 5), grid=(5, 3))
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("center", [[2.0, 1.0]] * 3),
+        ("running", [[1.0, 0.5], [1.5, 1.0], [1.0, 1.0]]),
+        ("window", [[1.0, 1.0]] * 3),
+    ],
+)
+def test_centroids(name, expected):
+    assert landmark(name, [101, 102, 103], [2, 4, 0], [1, 3, 2], **SMALL).tolist() == expected
+
+
+def test_line_is_the_ridge_intercept_of_the_events_so_far():
+    t, x, y = [102, 106, 108], [2, 6, 7], [4, 0, 2]  # f = 0.25, 0.75, 1
+    # 1 event:  C = 0: the event itself.
+    # 2 events: mean_x 4, mean_f 1/2, C_xf = 2 (2/4) = 1, C_ff = 1/8: m = 8/9, l = 4 - 4/9 = 32/9.
+    #           y: mean 2, C_yf = -1, m = -8/9, l = 2 + 4/9 = 22/9.
+    # 3 events: mean_x 5, mean_f 2/3, df = -5/12, 1/12, 4/12; C_ff = 42/144 = 7/24;
+    #           C_xf = (15 + 1 + 8)/12 = 2: m = 2/(31/24) = 48/31, l = 5 - 32/31 = 123/31.
+    #           C_yf = (2 (-5) - 2 (1) + 0)/12 = -1: m = -24/31, l = 2 + 16/31 = 78/31.
+    in_pixels = [[2, 4], [32 / 9, 22 / 9], [123 / 31, 78 / 31]]
+    flow_in_pixels = [[0, 0], [8 / 9, -8 / 9], [48 / 31, -24 / 31]]
+    assert landmark("line", t, x, y, **SMALL) * 2 == pytest.approx(torch.tensor(in_pixels))
+    assert fitted_flow(t, x, y, **SMALL) * 2 == pytest.approx(torch.tensor(flow_in_pixels))
+
+
+def test_events_outside_the_window_take_no_part():
+    t, x, y = [99, 101, 109, 102, 0], [8, 2, 8, 4, 8], [4, 1, 4, 3, 4]
+    for name in ("running", "line", "window"):
+        rows = landmark(name, t, x, y, **SMALL)
+        assert torch.equal(rows[[1, 3]], landmark(name, [101, 102], [2, 4], [1, 3], **SMALL))
+        assert rows[[0, 2, 4]].tolist() == [[2.0, 1.0]] * 3  # the centre: filled in, never read
+    assert fitted_flow(t, x, y, **SMALL)[[0, 2, 4]].tolist() == [[0.0, 0.0]] * 3
+
+
+def test_line_is_accurate_for_a_late_burst():
+    """1,000 events within 1,000 us of a 10-second window, at f = 0.9: C_ff is tiny, mean_f^2 is not."""
+    t = torch.arange(9_000_000, 9_001_000)
+    x = torch.arange(1000) % 34
+    window_us, n = 10_000_000, 1000
+    # In integers: df = (t - mean)/window, sum (t - mean)^2 = n (n^2 - 1)/12.
+    c_ff = n * (n * n - 1) / 12 / window_us**2
+    two_mean_x, two_mean_t = 2 * int(x.sum()) / n, 2 * 9_000_000 + 999
+    c_xf = sum((2 * int(a) - two_mean_x) * (2 * int(b) - two_mean_t) for a, b in zip(x, t, strict=True))
+    m = c_xf / 4 / window_us / (c_ff + 1)
+    expected = two_mean_x / 2 - m * two_mean_t / 2 / window_us
+    got = landmark("line", t, x, x, start_us=0, window_us=window_us, sensor=(34, 34), grid=(34, 34))
+    assert got[-1, 0].item() == pytest.approx(expected, abs=1e-12)

@@ -1,111 +1,90 @@
-"""What holds for every stream: sums, derivatives, order, and that no input gives inf or NaN."""
+"""What holds for every stream: sums, derivatives, finite values, and agreement with plain Python loops.
+
+The loops are written from the equations alone. Up to the volume's sums both do the same float64 operations in the same
+order, so that those comparisons ask for equality. Landmark `line` is compared with exact rational arithmetic.
+"""
+
+from fractions import Fraction
+from itertools import product
 
 import pytest
 import torch
+from hypothesis import Phase, find, given, settings
+from hypothesis import strategies as st
 from tnt_reference import event_volume, fitted_flow, landmark, tnt_coordinates, tnt_volume
+from tnt_reference.coordinates import bin_position
 
 LANDMARKS = ("center", "running", "line", "window")
+POLARITIES = ("signed", "unsigned", "split")
 WINDOW = dict(start_us=1_000, window_us=5_000, sensor=(12, 9), grid=(8, 7))
 VOLUME = dict(WINDOW, bins=5)
+ATOL_LANDMARK = 1e-9  # grid pixels, the bound of the theory
+ATOL_VOLUME = 1e-12  # a dozen events of weight 1: only the order of float64 sums and products differs
 
 
-def stream(n=60, seed=0):
+def stream(n):
     """Random integer events, some at the window's ends and some outside it."""
-    g = torch.Generator().manual_seed(seed)
-    t = torch.randint(900, 6_100, (n,), generator=g)
+    g = torch.Generator().manual_seed(0)
     x, y = torch.randint(0, 12, (n,), generator=g), torch.randint(0, 9, (n,), generator=g)
-    return t, x, y, torch.randint(0, 2, (n,), generator=g)
+    return torch.randint(900, 6_100, (n,), generator=g), x, y, torch.randint(0, 2, (n,), generator=g)
 
 
-def smooth_stream(n=7, seed=1):
-    """Real-valued events away from cell and border edges, where the volume has a derivative."""
-    g = torch.Generator().manual_seed(seed)
-
-    def uniform(low, high):
-        return (torch.rand(n, generator=g, dtype=torch.float64) * (high - low) + low).requires_grad_()
-
-    return uniform(3_000, 5_900), uniform(2, 9), uniform(2, 6), torch.randint(0, 2, (n,), generator=g)
-
-
-@pytest.mark.parametrize("polarity", ["signed", "unsigned", "split"])
+@pytest.mark.parametrize("polarity", POLARITIES)
 @pytest.mark.parametrize("name", ["raw", *LANDMARKS])
 def test_volume_sums_to_the_kept_signs(name, polarity):
     t, x, y, p = stream(n=400)
+    options = dict(VOLUME, polarity=polarity, dtype=torch.float64)
     if name == "raw":
         kept = (t >= 1_000) & (t <= 6_000)
-        volume = event_volume(t, x, y, p, **VOLUME, polarity=polarity, dtype=torch.float64)
+        volume = event_volume(t, x, y, p, **options)
     else:
         kept = tnt_coordinates(t, x, y, **WINDOW, landmark=name).kept
-        volume = tnt_volume(t, x, y, p, **VOLUME, polarity=polarity, landmark=name, dtype=torch.float64)
+        volume = tnt_volume(t, x, y, p, **options, landmark=name)
     n_on, n_off = int((kept & (p == 1)).sum()), int((kept & (p == 0)).sum())
-    assert min(n_on, n_off) > 20
-    assert (~kept).sum() > 5
-    if polarity == "split":
-        assert volume.shape == (10, 7, 8)
-        assert volume[:5].sum().item() == pytest.approx(n_on)
-        assert volume[5:].sum().item() == pytest.approx(n_off)
-    else:
-        assert volume.shape == (5, 7, 8)
-        assert volume.sum().item() == pytest.approx(n_on - n_off if polarity == "signed" else n_on + n_off)
-
-
-def test_split_recombines_to_signed_and_unsigned():
-    events = stream(n=300)
-    signed, unsigned, split = (
-        tnt_volume(*events, **VOLUME, polarity=name, dtype=torch.float64) for name in ("signed", "unsigned", "split")
-    )
-    assert split.abs().max() > 1
-    torch.testing.assert_close(split[:5] - split[5:], signed, rtol=0, atol=1e-12)
-    torch.testing.assert_close(split[:5] + split[5:], unsigned, rtol=0, atol=1e-12)
+    assert min(n_on, n_off) > 20 and (~kept).sum() > 5
+    expected = {"signed": [n_on - n_off], "unsigned": [n_on + n_off], "split": [n_on, n_off]}[polarity]
+    assert volume.shape == (5 * len(expected), 7, 8)
+    assert [part.sum().item() for part in volume.split(5)] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
     "options",
     [
-        *({"landmark": name} for name in LANDMARKS),
-        {"landmark": "line", "remove_flow": True},
+        {"transform": None},
+        {"landmark": "running"},
+        {"landmark": "line", "remove_flow": True, "t_max": 2.0},
+        {"landmark": "window", "polarity": "unsigned"},
         {"landmark": (3.0, 3.0), "polarity": "split"},
-        {"polarity": "unsigned", "t_max": 2.0},
+        {"landmark": "given"},
     ],
     ids=str,
 )
-def test_gradients_of_events(options):
-    t, x, y, p = smooth_stream()
+def test_gradients(options):
+    """Of real-valued events away from the edges of cells and border, and of a landmark for each event."""
+    g = torch.Generator().manual_seed(1)
+    t, x, y, l_x, l_y = (
+        (torch.rand(4, generator=g, dtype=torch.float64) * (high - low) + low).requires_grad_()
+        for low, high in ((3_000, 5_900), (2, 9), (2, 6), (4.0, 4.3), (2.8, 3.0))
+    )
+    p = torch.tensor([1, 0, 1, 1])
 
-    def volume(t, x, y):
-        return tnt_volume(t, x, y, p, **VOLUME, **options, dtype=torch.float64)
+    def volume(t, x, y, l_x, l_y):
+        if "transform" in options:
+            return event_volume(t, x, y, p, **VOLUME, dtype=torch.float64)
+        given = {"landmark": torch.stack([l_x, l_y], 1)} if options["landmark"] == "given" else {}
+        return tnt_volume(t, x, y, p, **VOLUME, **{**options, **given}, dtype=torch.float64)
 
-    assert volume(t, x, y).abs().sum() > 1
-    assert torch.autograd.gradcheck(volume, (t, x, y))
-
-
-def test_gradients_of_raw_events():
-    t, x, y, p = smooth_stream()
-    assert torch.autograd.gradcheck(lambda t, x, y: event_volume(t, x, y, p, **VOLUME, dtype=torch.float64), (t, x, y))
-
-
-@pytest.mark.parametrize("n_rows", [0, 7], ids=["(2,)", "(7, 2)"])
-def test_gradients_of_a_given_landmark(n_rows):
-    t, x, y, p = (column.detach() for column in smooth_stream())
-    point = torch.tensor([4.1, 2.9], dtype=torch.float64)
-    point = (point.repeat(n_rows, 1) if n_rows else point).requires_grad_()
-
-    def volume(point):
-        return tnt_volume(t, x, y, p, **VOLUME, landmark=point, dtype=torch.float64)
-
-    assert volume(point).abs().sum() > 1
-    assert torch.autograd.gradcheck(volume, (point,))
+    assert volume(t, x, y, l_x, l_y).abs().sum() > 1
+    assert torch.autograd.gradcheck(volume, (t, x, y, l_x, l_y), fast_mode=True)
 
 
-def test_gradients_keep_the_sum_on_cell_edges_too():
+def test_gradients_keep_the_sum_on_the_edges_of_cells_too():
     """On a whole coordinate k has a kink; whichever side is taken, moving an event must create no mass."""
     x = torch.tensor([4.0], dtype=torch.float64, requires_grad=True)
-    volume = event_volume(
-        [2_250], x, [4], [1], start_us=1_000, window_us=5_000, sensor=(9, 9), grid=(9, 9), bins=5, dtype=torch.float64
-    )
+    at = dict(start_us=1_000, window_us=5_000, sensor=(9, 9), grid=(9, 9), bins=5, dtype=torch.float64)
+    volume = event_volume([2_250], x, [4], [1], **at)
     assert (volume != 0).sum() == 1  # on the edge in all three directions
-    (gradient,) = torch.autograd.grad(volume.sum(), x)
-    assert gradient.item() == 0
+    assert torch.autograd.grad(volume.sum(), x)[0].item() == 0
 
 
 DEGENERATE = {
@@ -113,65 +92,149 @@ DEGENERATE = {
     "one event": ([2_000], [3], [4], [1]),
     "one event at the start": ([1_000], [3], [4], [1]),
     "all at one timestamp": ([2_000] * 5, [3, 3, 4, 0, 11], [4, 4, 4, 0, 8], [1, 0, 1, 0, 1]),
-    "all at the start": ([1_000] * 5, [3, 3, 4, 0, 11], [4, 4, 4, 0, 8], [1, 0, 1, 0, 1]),
     "all outside": ([0, 999, 6_001], [3, 3, 3], [4, 4, 4], [1, 1, 1]),
     "one microsecond after the start": ([1_001], [11], [8], [0]),
 }
 
 
-@pytest.mark.parametrize("case", DEGENERATE)
+@pytest.mark.parametrize("case", DEGENERATE.values(), ids=DEGENERATE)
 @pytest.mark.parametrize("name", [*LANDMARKS, (1.0, 2.0)], ids=str)
 def test_degenerate_input_gives_finite_values_and_gradients(case, name):
-    *where, p = DEGENERATE[case]
+    *where, p = case
     t, x, y = (torch.tensor(column, dtype=torch.float64, requires_grad=True) for column in where)
     u, v, kept = tnt_coordinates(t, x, y, **WINDOW, landmark=name)
     assert u.isfinite().all() and v.isfinite().all() and len(kept) == len(t)
+    assert fitted_flow(t, x, y, **WINDOW).shape == (len(t), 2)
     for remove_flow in {False, name == "line"}:
         volume = tnt_volume(t, x, y, p, **VOLUME, landmark=name, remove_flow=remove_flow)
         assert volume.shape == (5, 7, 8) and volume.isfinite().all()
-        gradients = torch.autograd.grad(
-            (volume * volume).sum() + u.sum() + v.sum(), (t, x, y), retain_graph=True, allow_unused=True
-        )
+        loss = (volume * volume).sum() + u.sum() + v.sum()
+        gradients = torch.autograd.grad(loss, (t, x, y), retain_graph=True, allow_unused=True)
         assert all(gradient is None or gradient.isfinite().all() for gradient in gradients)
-
-
-def test_events_at_the_start_are_in_bin_0_of_the_raw_volume_and_dropped_by_the_transform():
-    events = DEGENERATE["all at the start"]
-    assert event_volume(*events, **VOLUME)[0].sum() == 1  # 3 ON, 2 OFF
-    assert event_volume(*events, **VOLUME)[1:].abs().sum() == 0
-    for name in LANDMARKS:
-        assert tnt_volume(*events, **VOLUME, landmark=name).abs().sum() == 0
-
-
-def test_no_events_give_zeros_and_no_rows():
-    nothing = ([], [], [])
-    assert event_volume(*nothing, [], **VOLUME).abs().sum() == 0
-    assert tnt_volume(*nothing, [], **VOLUME).abs().sum() == 0
-    for name in LANDMARKS:
-        assert landmark(name, *nothing, **WINDOW).shape == (0, 2)
-    assert fitted_flow(*nothing, **WINDOW).shape == (0, 2)
-
-
-def test_the_thesis_own_window_keeps_its_last_event_in_the_last_bin():
-    t = [7_000, 7_500, 9_000]
-    at = dict(start_us=t[0], window_us=t[-1] - t[0], sensor=(5, 5), grid=(5, 5))
-    assert event_volume(t, [1, 2, 3], [1, 2, 3], [1, 1, 1], **at)[8, 3, 3] == 1
-
-
-@pytest.mark.parametrize("name", ["center", "window"])
-def test_order_matters_only_to_causal_landmarks(name):
-    t, x, y, p = stream(n=100)
-    backwards = tuple(column.flip(0) for column in (t, x, y, p))
-    forwards = tnt_volume(t, x, y, p, **VOLUME, landmark=name, dtype=torch.float64)
-    assert forwards.abs().sum() > 10
-    torch.testing.assert_close(
-        tnt_volume(*backwards, **VOLUME, landmark=name, dtype=torch.float64), forwards, rtol=0, atol=1e-12
-    )
 
 
 def test_only_the_cast_at_the_end_is_float32():
     events = stream(n=300)
     exact = tnt_volume(*events, **VOLUME, dtype=torch.float64)
-    assert tnt_volume(*events, **VOLUME).dtype == torch.float32
     assert torch.equal(tnt_volume(*events, **VOLUME), exact.float())
     assert not torch.equal(exact.float().double(), exact)
+
+
+def test_line_in_chunks_equals_all_at_once(monkeypatch):
+    t, x, y, _ = stream(n=50)
+    whole = landmark("line", t, x, y, **WINDOW)
+    for chunk_cells in (1, 50, 150, 2450):  # 1, 1, 3 and 49 prefixes at a time
+        monkeypatch.setattr("tnt_reference.landmarks._CHUNK_CELLS", chunk_cells)
+        torch.testing.assert_close(landmark("line", t, x, y, **WINDOW), whole, rtol=0, atol=1e-12)
+
+
+# -- against loops -------------------------------------------------------------------------------------------
+
+
+@st.composite
+def windows(draw):
+    """A window's settings and up to 12 events: unsorted, repeated, at the ends, outside, far from 0."""
+    window_us = draw(st.sampled_from([1, 2, 7, 800, 105_000]))
+    start_us = draw(st.sampled_from([0, -5, 123, 1_700_000_000_123_457]))
+    sensor = draw(st.tuples(st.integers(2, 12), st.integers(2, 12)))
+    grid = draw(st.tuples(st.integers(2, 7), st.integers(2, 7)))
+    dt = st.one_of(st.integers(-2, window_us + 2), st.sampled_from([0, 1, window_us - 1, window_us]))
+    event = st.tuples(dt, st.integers(0, sensor[0] - 1), st.integers(0, sensor[1] - 1), st.booleans())
+    events = draw(st.lists(event, max_size=12))
+    t, x, y, p = ([e[k] for e in events] for k in range(4))
+    return ([start_us + a for a in t], x, y, p), dict(start_us=start_us, window_us=window_us, sensor=sensor, grid=grid)
+
+
+def line(x, f):
+    """(intercept, slope) of the ridge line through these points, exactly."""
+    mean_x, mean_f = Fraction(sum(x), len(x)), sum(f) / len(f)
+    c_xf = sum((a - mean_x) * (b - mean_f) for a, b in zip(x, f, strict=True))
+    m = c_xf / (sum((b - mean_f) ** 2 for b in f) + 1)
+    return mean_x - m * mean_f, m
+
+
+def k(a):
+    return max(0.0, 1.0 - abs(a))
+
+
+def volume_of(placed, bins, grid, polarity):
+    """placed: (b, v, u, is_on) of each kept event. Visits every cell for every event."""
+    volume = torch.zeros(2 * bins if polarity == "split" else bins, grid[1], grid[0], dtype=torch.float64)
+    for b, v, u, is_on in placed:
+        sign = -1.0 if polarity == "signed" and not is_on else 1.0
+        first = bins if polarity == "split" and not is_on else 0
+        for i_b, i_y, i_x in product(range(bins), range(grid[1]), range(grid[0])):
+            volume[first + i_b, i_y, i_x] += sign * k(i_b - b) * k(i_y - v) * k(i_x - u)
+    return volume
+
+
+@given(windows(), st.sampled_from(LANDMARKS))
+def test_landmarks(window, name):
+    """Centroids to the last bit, as (S / n) (W - 1) / (Ws - 1) is written: the kernels do the same operations."""
+    (t, x, y, _), where = window
+    start, length, sensor, grid = where.values()
+    rows, flow = landmark(name, t, x, y, **where), fitted_flow(t, x, y, **where)
+    inside = [i for i in range(len(t)) if start <= t[i] <= start + length]
+    for i, (axis, column) in product(inside, enumerate((x, y))):
+        members = [j for j in inside if j <= i or name == "window"]
+        of_members = [column[j] for j in members]
+        got = rows[i, axis].item()
+        if name == "center":
+            assert got == (grid[axis] - 1) / 2
+        elif name == "line":
+            scale = Fraction(grid[axis] - 1, sensor[axis] - 1)
+            intercept, slope = line(of_members, [Fraction(t[j] - start, length) for j in members])
+            assert got == pytest.approx(float(intercept * scale), abs=ATOL_LANDMARK, rel=0)
+            assert flow[i, axis].item() == pytest.approx(float(slope * scale), abs=ATOL_LANDMARK, rel=0)
+        else:
+            assert got == sum(of_members) / len(members) * (grid[axis] - 1) / (sensor[axis] - 1)
+
+
+@pytest.mark.parametrize("bins", [2, 4, 9])
+def test_bin_position_rounds_as_the_equation_is_written(bins):
+    """((B - 1) dt) / window: on a whole bin the event lies on it, where (B - 1)(dt / window) may miss it."""
+    for window_us in (49, 105_000):
+        dt = torch.randint(0, window_us + 1, (500,), generator=torch.Generator().manual_seed(3)).double()
+        assert bin_position(dt, window_us, bins).tolist() == [(bins - 1) * a / window_us for a in dt.tolist()]
+
+
+@given(
+    windows(),
+    st.sampled_from(["raw", "line, flow removed", *LANDMARKS]),
+    st.sampled_from([0.5, 1, 2.0, 3.7, 8.0]),
+    st.integers(1, 5),
+    st.sampled_from(POLARITIES),
+)
+def test_volumes(window, kind, t_max, bins, polarity):
+    (t, x, y, p), where = window
+    start, length, sensor, grid = where.values()
+    how = dict(landmark=kind.removesuffix(", flow removed"), remove_flow=kind == "line, flow removed", t_max=t_max)
+    options = dict(where, bins=bins, polarity=polarity, dtype=torch.float64)
+    if kind == "raw":
+        got = event_volume(t, x, y, p, **options)
+    else:
+        rows, flow = landmark(how["landmark"], t, x, y, **where).tolist(), fitted_flow(t, x, y, **where).tolist()
+        u, v, kept = tnt_coordinates(t, x, y, **where, **how)
+        got = tnt_volume(t, x, y, p, **options, **how)
+    placed = []
+    for i in range(len(t)):
+        dt = t[i] - start
+        tau = t_max * dt / length
+        at = [column[i] * (grid[a] - 1) / (sensor[a] - 1) for a, column in enumerate((x, y))]
+        is_kept = 0 <= dt <= length
+        if kind != "raw" and is_kept and tau > 0:
+            at = [at[a] - rows[i][a] - how["remove_flow"] * flow[i][a] * (dt / length) for a in (0, 1)]
+            at = [at[a] / tau + (grid[a] - 1) / 2 for a in (0, 1)]
+            assert [u[i].item(), v[i].item()] == at
+        if kind != "raw":
+            is_kept = is_kept and tau > 0 and all(0 <= a <= side - 1 for a, side in zip(at, grid, strict=True))
+            assert kept[i].item() == is_kept
+        if is_kept:
+            placed.append(((bins - 1) * dt / length, at[1], at[0], p[i]))
+    torch.testing.assert_close(got, volume_of(placed, bins, grid, polarity), rtol=0, atol=ATOL_VOLUME)
+
+
+def test_the_strategy_reaches_kept_events():
+    """Guards the tests above against agreeing on empty volumes."""
+    seek = settings(phases=[Phase.generate], database=None)
+    assert find(windows(), lambda window: tnt_coordinates(*window[0][:3], **window[1]).kept.sum() >= 5, settings=seek)

@@ -52,14 +52,15 @@ def test_classifier_by_hand():
         for channel in range(2):
             network.conv1.weight[channel, channel, 1, 1] = 1
             network.conv2.weight[channel, channel, 1, 1] = 1
+        network.conv2.bias[1] = -1
         # Flattened channel by channel, then row by row: (c0 left, c0 right, c1 left, c1 right).
         network.fc1.weight[:] = torch.tensor([[1.0, 10.0, 100.0, 1000.0]])
         network.fc2.weight[:] = 1
         network.fc2.bias[:] = 0.5
     volume = torch.zeros(2, 4, 8)
     volume[0, 1, 2], volume[0, 3, 4:] = 16, 4  # left mean 1; right mean 4 * 4 / 16 = 1
-    volume[1, :, :4], volume[1, 0, 7] = 3, -16  # left mean 3; the negative one is cut by ReLU
-    assert network(volume).tolist() == [1 + 10 + 300 + 0.5]
+    volume[1, :, :4], volume[1, 0, 7] = 3, -16  # left 3 - 1, right 0 - 1; ReLU cuts the negative ones
+    assert network(volume).tolist() == [1 + 10 + 200 + 0.5]
 
 
 def test_regressor_starts_exactly_at_the_image_centre():
@@ -72,7 +73,7 @@ def test_regressor_starts_exactly_at_the_image_centre():
 
 
 def test_regressor_by_hand():
-    """h = 3 on pixel (3, 1) of a 5 x 3 grid and 1 elsewhere: l = (15 (2, 1) + 2 (3, 1)) / 17."""
+    """h = 3 on pixel (3, 0) of a 5 x 3 grid and 1 elsewhere: l = (15 (2, 1) + 2 (3, 0)) / 17."""
     network = LandmarkRegressor(1, (5, 3), n_filters=1).double()
     with torch.no_grad():
         for w in network.parameters():
@@ -81,91 +82,33 @@ def test_regressor_by_hand():
             conv.weight[0, 0, 1, 1] = 1
         network.heatmap.weight[:] = 1
     volume = torch.zeros(1, 3, 5, dtype=torch.float64)
-    volume[0, 1, 3] = torch.log(torch.tensor(3.0, dtype=torch.float64))
-    assert network(volume).tolist() == pytest.approx([36 / 17, 1])
+    volume[0, 0, 3] = torch.log(torch.tensor(3.0, dtype=torch.float64))
+    assert network(volume).tolist() == pytest.approx([36 / 17, 15 / 17])
     # An exponent of 1e5 does not overflow: all the weight on that pixel.
-    assert network(volume * 1e5).tolist() == pytest.approx([3, 1])
+    assert network(volume * 1e5).tolist() == pytest.approx([3, 0])
 
 
-def test_regressor_gradient_reaches_the_last_layer_first_and_all_layers_then():
-    network = LandmarkRegressor(5, (12, 10), n_filters=4)
-    optimizer = torch.optim.SGD(network.parameters(), lr=0.1)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"landmark": "center", "polarity": "split"},
+        {"landmark": "running"},
+        {"landmark": "line", "polarity": "unsigned"},
+        {"landmark": "line", "remove_flow": True},
+        {"landmark": "window"},
+        {"transform": "none"},
+    ],
+    ids=str,
+)
+def test_pipeline_is_volume_then_classifier(options):
+    classifier = Classifier(10 if options.get("polarity") == "split" else 5, (9, 8), n_classes=3)
+    pipeline = Pipeline(classifier, **SETTINGS, grid=(9, 8), **options)
     *events, start_us = window()
-    volume = event_volume(*events, start_us=start_us, window_us=5_000, sensor=(12, 10), grid=(12, 10), bins=5)
-
-    def largest_gradients():
-        optimizer.zero_grad()
-        (network(volume) - torch.tensor([8.0, 2.0])).square().sum().backward()
-        return {name: w.grad.abs().max().item() for name, w in network.named_parameters()}
-
-    first = largest_gradients()
-    assert first.pop("heatmap.weight") > 1e-3
-    assert set(first.values()) == {0.0}
-    optimizer.step()
-    assert min(largest_gradients().values()) > 0
-
-
-def test_regressor_learns_where_the_events_are():
-    """A blob of events at random places: from the centre, 2.5 px off on average, to below a pixel."""
-    g = torch.Generator().manual_seed(1)
-    centres = torch.rand(32, 2, generator=g) * 7 + 2
-    volumes = torch.zeros(32, 1, 12, 12)
-    grid = torch.arange(12.0)
-    for volume, (x, y) in zip(volumes, centres, strict=True):
-        volume[0] = 5 * (-((grid[:, None] - y) ** 2 + (grid - x) ** 2) / 4).exp()
-    network = LandmarkRegressor(1, (12, 12), n_filters=4)
-    optimizer = torch.optim.Adam(network.parameters(), lr=0.02)
-
-    def error():
-        return (network(volumes) - centres).norm(dim=1).mean()
-
-    assert error() > 2
-    for _ in range(100):
-        optimizer.zero_grad()
-        error().backward()
-        optimizer.step()
-    assert error() < 0.7
-
-
-NAMES = ["center", "running", "line", "window"]
-
-
-@pytest.mark.parametrize("polarity", ["signed", "unsigned", "split"])
-@pytest.mark.parametrize("name", NAMES)
-def test_pipeline_is_volume_then_classifier(name, polarity):
-    classifier = Classifier(10 if polarity == "split" else 5, (9, 8), n_classes=3)
-    pipeline = Pipeline(classifier, **SETTINGS, grid=(9, 8), polarity=polarity, landmark=name)
-    *events, start_us = window()
-    volume = tnt_volume(
-        *events,
-        start_us=start_us,
-        window_us=5_000,
-        sensor=(12, 10),
-        grid=(9, 8),
-        bins=5,
-        t_max=2.0,
-        polarity=polarity,
-        landmark=name,
-    )
+    at = dict(start_us=start_us, window_us=5_000, sensor=(12, 10), grid=(9, 8), bins=5)
+    volume = event_volume(*events, **at) if "transform" in options else tnt_volume(*events, **at, t_max=2.0, **options)
     assert volume.abs().sum() > 10
     assert torch.equal(pipeline.volume(*window()), volume)
     torch.testing.assert_close(pipeline(*window()), classifier(volume))
-
-
-def test_pipeline_without_transform_sees_the_raw_volume():
-    pipeline = Pipeline(Classifier(5, (12, 10)), **SETTINGS, transform="none")
-    *events, start_us = window()
-    raw = event_volume(*events, start_us=start_us, window_us=5_000, sensor=(12, 10), grid=(12, 10), bins=5)
-    assert torch.equal(pipeline.volume(*window()), raw)
-
-
-def test_pipeline_removes_the_flow():
-    pipeline = Pipeline(Classifier(5, (12, 10)), **SETTINGS, landmark="line", remove_flow=True)
-    *events, start_us = window()
-    at = dict(start_us=start_us, window_us=5_000, sensor=(12, 10), grid=(12, 10), bins=5, t_max=2.0)
-    without = tnt_volume(*events, **at, landmark="line", remove_flow=True)
-    assert not torch.equal(without, tnt_volume(*events, **at, landmark="line"))
-    assert torch.equal(pipeline.volume(*window()), without)
 
 
 def with_regressor(dtype=torch.float32):
@@ -175,44 +118,6 @@ def with_regressor(dtype=torch.float32):
         landmark="regressor",
         regressor=LandmarkRegressor(5, (12, 10), n_filters=4),
     ).to(dtype)
-
-
-def test_pipeline_with_an_untrained_regressor_is_the_pipeline_about_the_centre():
-    pipeline = with_regressor()
-    about_the_centre = Pipeline(pipeline.classifier, **SETTINGS, landmark="center")
-    assert torch.equal(pipeline(*window()), about_the_centre(*window()))
-
-
-def test_pipeline_learns_end_to_end_through_the_landmark():
-    """The loss is the classifier's alone; what moves the landmark came through the transform."""
-    pipeline = with_regressor()
-    windows = [window(seed, start_us=seed * 5_000) for seed in range(6)]
-    target = torch.tensor([0, 1, 2, 0, 1, 2])
-    optimizer = torch.optim.Adam(pipeline.parameters(), lr=0.01)
-    losses = []
-    for step in range(25):
-        optimizer.zero_grad()
-        losses.append(torch.nn.functional.cross_entropy(pipeline.batch(windows), target))
-        losses[-1].backward()
-        if step == 1:
-            assert all(w.grad.abs().max() > 0 for w in pipeline.parameters())
-        optimizer.step()
-    assert losses[-1] < losses[0] / 2
-    moved = pipeline.regressor(pipeline.raw_volume(*windows[0])) - torch.tensor([5.5, 4.5])
-    assert moved.norm() > 0.05
-
-
-def test_pipeline_gradient_is_the_derivative():
-    """With a regressor that has left its start, all the way from the first layer's bias to the logits."""
-    pipeline = with_regressor(torch.float64)
-    torch.nn.init.normal_(pipeline.regressor.heatmap.weight)
-    bias = pipeline.regressor.conv1.bias
-
-    def logits(value):
-        return torch.func.functional_call(pipeline, {"regressor.conv1.bias": value}, window())
-
-    assert torch.autograd.grad(logits(bias).sum(), bias)[0].abs().max() > 1e-6
-    assert torch.autograd.gradcheck(logits, (bias.detach().clone().requires_grad_(),), eps=1e-7, atol=1e-5)
 
 
 def lively():
@@ -239,12 +144,14 @@ def test_after_one_step_the_gradient_reaches_the_regressors_first_layer_and_is_r
     last.grad = at_first[1]
     optimizer.step()
     assert first_gradients()[0].abs().max() > 1e-3
+    pipeline(*window()).sum().backward()
+    assert all(weight.grad.abs().max() > 0 for weight in pipeline.parameters())
 
     def logits(weight):
         return torch.func.functional_call(pipeline, {"regressor.conv1.weight": weight}, window())
 
     weight = first.detach().clone().requires_grad_()
-    assert torch.autograd.gradcheck(logits, (weight,), eps=1e-7, atol=1e-6, rtol=1e-4)
+    assert torch.autograd.gradcheck(logits, (weight,), eps=1e-7, atol=1e-6, rtol=1e-4, fast_mode=True)
 
 
 def test_pipeline_gradient_reaches_the_events():
@@ -262,38 +169,15 @@ def test_pipeline_gradient_reaches_the_events():
         return pipeline(t, x, y, p, 1_000)
 
     assert torch.autograd.gradcheck(logits, columns, atol=1e-6, rtol=1e-4)
-    both = torch.autograd.grad(logits(*columns)[0], x)[0]
-    fixed = pipeline.regressor(pipeline.raw_volume(t, x, y, p, 1_000)).detach()
-    volume = tnt_volume(
-        t,
-        x,
-        y,
-        p,
-        start_us=1_000,
-        window_us=5_000,
-        sensor=(12, 10),
-        grid=(12, 10),
-        bins=5,
-        t_max=2.0,
-        landmark=fixed,
-        dtype=torch.float64,
-    )
-    by_place = torch.autograd.grad(pipeline.classifier(volume)[0], x)[0]
-    assert by_place.abs().max() > 1e-2 and (both - by_place).abs().max() > 1e-4
 
 
-@pytest.mark.parametrize("name", [*NAMES, "regressor"])
+@pytest.mark.parametrize("name", ["center", "running", "line", "window", "regressor"])
 def test_batch_equals_one_by_one_and_may_hold_empty_windows(name):
     pipeline = with_regressor() if name == "regressor" else Pipeline(Classifier(5, (12, 10)), **SETTINGS, landmark=name)
     windows = [window(0), ([], [], [], [], 77), window(2, n=1), window(3, start_us=9)]
     together = pipeline.batch(windows)
     assert together.isfinite().all()
     torch.testing.assert_close(together, torch.stack([pipeline(*w) for w in windows]))
-
-
-def test_pipeline_takes_any_network():
-    pipeline = Pipeline(torch.nn.Flatten(), **SETTINGS)
-    assert pipeline(*window()).shape == (5 * 10 * 12,)
 
 
 REGRESSOR = LandmarkRegressor(5, (12, 10))
