@@ -12,10 +12,9 @@ from async_tnt.config import LANDMARKS, POLARITIES, TNTConfig
 from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import check_writable
 from async_tnt.networks.model import Model, bundled_models, load_model
-from async_tnt.sources.files.fitting import check_sensor
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
-from async_tnt.sources.sensor import format_size
+from async_tnt.sources.sensor import check_sensor, format_size
 from async_tnt.views.figure_events import draw_events
 from async_tnt.views.figure_motions import draw_motions
 from async_tnt.views.figure_overview import draw_overview
