@@ -11,29 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import is_whole, plain_array
+from async_tnt.checks import plain_array
 from async_tnt.config import MAX_SIDE
 from async_tnt.files import check_writable, replacing
 from async_tnt.sources.files.npy_arrays import map_npy
 from async_tnt.sources.sensor import Sensor, format_size
-
-
-def checked_sensor(sensor: Any) -> Sensor:
-    """(width, height) as two Python integers.
-
-    Raises
-    ------
-    ValueError : not two whole numbers in [1, 2**15].
-    """
-    try:
-        width, height = sensor
-    except (TypeError, ValueError):
-        width = height = None
-    if not (is_whole(width) and is_whole(height)):
-        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {sensor!r}")
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise ValueError(f"`sensor` must have sides in [1, {MAX_SIDE}] pixels, got {sensor!r}")
-    return int(width), int(height)
 
 
 def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
