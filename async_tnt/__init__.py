@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `X as X` re-exports
     from async_tnt.triggers import LeakyIntegrator as LeakyIntegrator
     from async_tnt.volume import TNTVolume as TNTVolume
 
-__version__ = "0.1.0"
+from async_tnt.version import __version__ as __version__  # noqa: E402
 
 if not TYPE_CHECKING:  # type checkers use the imports above; __getattr__ would let every name pass
     from async_tnt.lazy_names import lazy_names

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from async_tnt import __version__
 from async_tnt.archive.executor import Lost
+from async_tnt.version import __version__
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

@@ -13,12 +13,12 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt import __version__
 from async_tnt.engines import Engine, is_onnx, regressor_path
 from async_tnt.networks.model import Model, bundled_models
 from async_tnt.sources.class_folders import is_recording
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.version import __version__
 
 
 @dataclass(frozen=True)

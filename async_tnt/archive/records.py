@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt import __version__
 from async_tnt.archive.job import Job, Task, sha256_of
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine, choose_engine
 from async_tnt.networks.model import UncheckedModelWarning
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.version import __version__
 
 Record = dict[str, Any]
 

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt import CompiledClassifier, Model
 from async_tnt.checking.timing import is_installed
+from async_tnt.networks.compiled import CompiledClassifier
+from async_tnt.networks.model import Model
 
 Network = Callable[[np.ndarray], np.ndarray]
 """Volume (C, H, W) -> logits (n_classes,), float32, in memory that the next call may overwrite."""

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt import Model, Processor
 from async_tnt.checking.bench_volumes import PACKETS, timed_packets, timed_singles
 from async_tnt.checking.interleaved import WorkDiffers, check_logits
 from async_tnt.checking.moments import windows_of
 from async_tnt.checking.timing import interleave, latency, no_collector, spread, work_clock
+from async_tnt.networks.model import Model
+from async_tnt.processor import Processor
 
 TOLERANCE = 1e-4
 """Largest difference of a cell, as a share of the largest cell."""

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt import CompiledClassifier, Model, TNTVolume
 from async_tnt.checking.backends import Network
 from async_tnt.checking.interleaved import Backend, compare
 from async_tnt.checking.moments import Moment, Moments
+from async_tnt.networks.compiled import CompiledClassifier
+from async_tnt.networks.model import Model
+from async_tnt.volume import TNTVolume
 
 
 class Feed:

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt import TNTConfig, TNTVolume
 from async_tnt.checking.moments import made_columns, structured
 from async_tnt.checking.timing import interleave, spread, work_clock
+from async_tnt.config import TNTConfig
+from async_tnt.volume import TNTVolume
 
 GRIDS = ((34, 34), (346, 260), (1280, 720))
 PACKETS = (10, 100, 1300)

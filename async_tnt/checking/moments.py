@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from async_tnt import EVENT_DTYPE, TNTConfig
+from async_tnt.config import TNTConfig
+from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 NEW_EVENTS = (1, 10, 100, 1300)

@@ -138,7 +138,7 @@ def cpu_name() -> str:
 
 def _version(package: str) -> str | None:
     if package == "async_tnt":
-        from async_tnt import __version__  # also right in a checkout that is not installed
+        from async_tnt.version import __version__  # also right in a checkout that is not installed
 
         return __version__
     try:

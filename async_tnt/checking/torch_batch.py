@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from async_tnt import Model, TNTConfig
+from async_tnt.config import TNTConfig
+from async_tnt.networks.model import Model
 from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
 
 BORDER_TOLERANCE = 1e-5  # pixels, the rounding of float32 at these sizes; see `tnt_reference`

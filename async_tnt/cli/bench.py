@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt import Model, load_model, warmup
 from async_tnt.checking.backends import ENGINES, dense_networks, left_out
 from async_tnt.checking.bench_every_event import bench_every_event
 from async_tnt.checking.bench_latency import bench_latency, bench_stream
@@ -19,7 +18,9 @@ from async_tnt.checking.bench_volumes import GRIDS, PACKETS, bench_volume
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
+from async_tnt.compile_ahead import warmup
 from async_tnt.config import LANDMARKS
+from async_tnt.networks.model import Model, load_model
 from async_tnt.progress import Bar, progress
 
 DESCRIPTION = """\

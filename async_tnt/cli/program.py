@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import NoReturn
 
-from async_tnt import __version__
 from async_tnt.cli.output import complain, one_line
 from async_tnt.signals import handled_by
+from async_tnt.version import __version__
 
 COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)
     "run": ("async_tnt.cli.run", "stream recordings through a model and print its decisions"),

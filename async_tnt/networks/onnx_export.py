@@ -111,7 +111,7 @@ def _makers() -> tuple[Any, Any]:
 def _model(
     model: Model, network: str, nodes: Sequence[Any], weights: dict[str, np.ndarray], output: tuple[str, Any, int]
 ) -> onnx.ModelProto:
-    from async_tnt import __version__
+    from async_tnt.version import __version__
 
     _, onnx = _makers()
     n_bytes = sum(w.nbytes for w in weights.values())
