@@ -203,10 +203,10 @@ def _check_workers(client: Any, address: str, tasks: Sequence[Any]) -> None:
         import os
 
         try:
-            import async_tnt
+            from async_tnt.version import __version__
         except ImportError as error:
             return None, str(error), []
-        return async_tnt.__version__, "", [file for file in files if not os.access(file, os.R_OK)]
+        return __version__, "", [file for file in files if not os.access(file, os.R_OK)]
 
     try:
         found = client.run(look, files)

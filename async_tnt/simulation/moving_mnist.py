@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-import async_tnt
 from async_tnt.archive.executor import available_cores, run_all
 from async_tnt.progress import progress
 from async_tnt.simulation.digits import simulate_digit
@@ -29,6 +28,7 @@ from async_tnt.simulation.scene import Scene
 from async_tnt.simulation.set_manifest import MovingMnist, other_parameters, read_manifest, shard_names, write_manifest
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
+from async_tnt.version import __version__
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def build(
             "scene": dataclasses.asdict(scene),
             "frame_us": float(frame_us),
         },
-        "package_version": async_tnt.__version__,
+        "package_version": __version__,
     }
     parameters = {
         "kind": kind,
