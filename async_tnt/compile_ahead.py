@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.entry_points import ENTRY_POINTS
 from async_tnt.kernels.jit import can_be_cached, is_cached
 from async_tnt.networks.model import Model
+from async_tnt.process import available_cores
 
 PATIENCE_S, PATIENCE_OF_LOGS_S = 1.0, 5.0  # silent until then, on a terminal and elsewhere
 CHILD_S = 120.0  # a child that takes longer is not waited for
@@ -87,9 +89,9 @@ def compile_kernels(names: Iterable[str]) -> float:
         wanted = [name for name in ENTRY_POINTS if name in names]  # in the order of compilation
         child = _start_child([name for name in wanted if name in OTHER_HALF])
         if child is not None:
-            _compile(name for name in wanted if name not in (*OTHER_HALF, "absorb_and_decide"))
-            _wait_for(child)
-        _compile(wanted)
+            with _ending(child):
+                _compile(name for name in wanted if name not in (*OTHER_HALF, "absorb_and_decide"))
+        _compile(wanted)  # what the child has compiled is loaded
     finally:
         notice.cancel()
     return time.perf_counter() - started
@@ -105,10 +107,12 @@ def _compile(names: Iterable[str]) -> None:
 def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:
     """Start a process that fills the cache with these kernels; None where that would not pay."""
     kernel, types = ENTRY_POINTS["absorb"]
-    worthwhile = "classify_cells" in names and can_be_cached(kernel) and _n_cores() > 1
+    worthwhile = "classify_cells" in names and can_be_cached(kernel) and available_cores() > 1
     if not worthwhile or is_cached(kernel, types) or is_cached(*ENTRY_POINTS["classify_cells"]):
         return None
-    code = f"from async_tnt.compile_ahead import _compile; _compile({names})"
+    # it ends without a word on Ctrl-C, which a terminal sends to it, too
+    code = "import signal; signal.signal(signal.SIGINT, signal.SIG_DFL)\n"
+    code += f"from async_tnt.compile_ahead import _compile; _compile({names})"
     # -P, and our own path: it shall find the same modules as this process, and nothing in the current folder
     path = os.pathsep.join(os.path.abspath(folder) for folder in sys.path if folder)
     try:
@@ -123,16 +127,16 @@ def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:
         return None
 
 
-def _wait_for(child: subprocess.Popen[bytes]) -> None:
+@contextlib.contextmanager
+def _ending(child: subprocess.Popen[bytes]) -> Iterator[None]:
+    """Wait for it at the end; kill it if it takes too long, or if we are interrupted."""
     try:
-        child.wait(CHILD_S)
-    except subprocess.TimeoutExpired:
+        yield
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(CHILD_S)
+    finally:
         child.kill()
         child.wait()
-
-
-def _n_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _explain_wait() -> None:

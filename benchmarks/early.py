@@ -20,7 +20,7 @@ from draw_early import draw_early
 from measure_early import measure_early, n_settings
 from script_options import report_of, script_parser, write_outputs
 
-from async_tnt.archive.executor import available_cores
+from async_tnt.process import available_cores
 from async_tnt.progress import progress
 
 QUICK = 20  # recordings

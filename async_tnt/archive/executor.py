@@ -14,7 +14,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from async_tnt.signals import handled_by
+from async_tnt.process import handled_by
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -45,13 +45,6 @@ class Executor(Protocol):
         its tasks are repeated; `lost` makes the result of a task that ended two workers.
         """
         ...
-
-
-def available_cores() -> int:
-    """Cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def executor_of(workers: int = 1) -> Executor:

@@ -13,7 +13,7 @@ from types import FrameType
 from typing import NoReturn
 
 from async_tnt.cli.output import complain, one_line
-from async_tnt.signals import handled_by
+from async_tnt.process import handled_by
 from async_tnt.version import __version__
 
 COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)

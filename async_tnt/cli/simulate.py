@@ -10,11 +10,11 @@ import sys
 import time
 from pathlib import Path
 
-from async_tnt.archive.executor import available_cores
 from async_tnt.cli.data_options import add_folder, data_folder, seed_number
 from async_tnt.cli.options import positive_int
 from async_tnt.cli.output import complain
 from async_tnt.files import check_folder
+from async_tnt.process import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.comparison import compare, recordings_by_image
 from async_tnt.simulation.motions import KINDS

@@ -9,11 +9,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.archive.executor import available_cores
 from async_tnt.checking.timing import machine
 from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder, seed_number
 from async_tnt.cli.options import positive_int
 from async_tnt.files import check_folder, write_text
+from async_tnt.process import available_cores
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.table import ROWS, TRAINED_ON
 

@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.archive.executor import available_cores, run_all
+from async_tnt.archive.executor import run_all
+from async_tnt.process import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist

@@ -92,7 +92,7 @@ def test_warmup_explains_a_long_wait_and_returns_its_seconds(monkeypatch, capsys
 def cold(monkeypatch):
     """As on a machine with two cores where nothing has been compiled yet."""
     monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel, types: False)
-    monkeypatch.setattr(compile_ahead, "_n_cores", lambda: 2)
+    monkeypatch.setattr(compile_ahead, "available_cores", lambda: 2)
 
 
 def test_a_second_process_compiles_the_network(cold):
@@ -108,7 +108,7 @@ def test_a_second_process_that_fails_leaves_the_work_to_the_first(cold, monkeypa
 
 def test_no_second_process_where_it_would_not_pay(cold, monkeypatch):
     assert compile_ahead._start_child(["softmax"]) is None
-    monkeypatch.setattr(compile_ahead, "_n_cores", lambda: 1)
+    monkeypatch.setattr(compile_ahead, "available_cores", lambda: 1)
     assert compile_ahead._start_child(["classify_cells"]) is None
     monkeypatch.undo()
     async_tnt.warmup(async_tnt.load_model("digits"))

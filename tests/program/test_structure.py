@@ -9,7 +9,7 @@ import async_tnt
 
 # from the ground up; ARCHITECTURE.md says what each room is for
 FLOORS = [
-    {"kernels", "checks", "decision", "files", "lazy_names", "progress", "signals", "version"},
+    {"kernels", "checks", "decision", "files", "lazy_names", "process", "progress", "version"},
     {"checked_tensors", "config", "event_forms"},
     {"events", "networks", "triggers", "volume_state"},
     {"compile_ahead", "deferred_landmark", "representations", "sources"},

@@ -1,7 +1,8 @@
-"""Signals that end a program: Ctrl-C, SIGTERM (systemd, docker, timeout), SIGHUP (the terminal closes)."""
+"""This process: the cores it may use, and the signals that end it."""
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -9,7 +10,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-# Windows has no SIGHUP
+# Ctrl-C, SIGTERM (systemd, docker, timeout), SIGHUP (the terminal closes), which Windows does not have
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
@@ -31,3 +32,8 @@ def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[dic
     finally:
         for number, known in before.items():
             signal.signal(number, known)
+
+
+def available_cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
