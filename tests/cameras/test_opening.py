@@ -104,18 +104,6 @@ def test_what_a_user_reads(name, table, error, message):
         open_camera(name, drivers=table)
 
 
-def test_no_camera(monkeypatch):
-    monkeypatch.setattr(sys, "platform", "linux")
-    table = {"a": missing, **drivers(name="b"), **cannot_look(RuntimeError("Other error"))}
-    with pytest.raises(OSError) as caught:
-        open_camera("camera", drivers=table)
-    assert str(caught.value) == (
-        "camera: no camera found; b 1.0 found none; a is not installed; c 2 cannot search: Other error (no USB here?). "
-        "Is it plugged in, and used by no other program? Does lsusb show it, and do udev rules let users read it "
-        "(neuromorphic-drivers-install-udev-rules)?"
-    )
-
-
 @pytest.mark.parametrize("absent", [set(), {"neuromorphic_drivers"}, set(LIBRARIES)])
 def test_the_installed_libraries_look_for_a_camera(absent, monkeypatch):
     for module in absent:

@@ -9,7 +9,7 @@ from made import nasty_streams, random_events
 import async_tnt
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
 
-SENSORS = [(34, 34), (7, 5), (2, 2), (1280, 720), (40, 1)]
+SENSORS = [(34, 34), (7, 5), (2, 2), (300, 200), (40, 1)]
 
 
 def twin(events, sensor, roi, mask, crop):

@@ -52,7 +52,8 @@ def read(path, **how):
 def test_a_file_cut_at_any_byte_gives_its_first_events(tmp_path, name):
     path = written(tmp_path / name, EVENTS, SMALL)
     data = path.read_bytes()
-    sizes = range(0, len(data), len(data) // 3 if name.endswith(IN_CHILD) else 1)
+    step = len(data) // 3 if name.endswith(IN_CHILD) else 7 if name.endswith(".npz") else 1
+    sizes = range(0, len(data), step)
     n_silent = 0
     for size in sizes:
         path.write_bytes(data[:size])
