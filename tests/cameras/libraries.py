@@ -33,7 +33,7 @@ class Neuromorphic:
         properties = self.module.name_to_properties(self.models[model])
         return properties.width, properties.height
 
-    def packet_of(self, events, model="Prophesee EVK4", overflows=(), **others):
+    def packet_of(self, events, model="Prophesee EVK4", overflows=()):
         """As the library makes it: columns that have nothing are None."""
         made = self._packets[model]()
         for column in self._packets[model].__annotations__:
@@ -44,8 +44,6 @@ class Neuromorphic:
                 made.polarity_events[theirs] = events[ours]
             if len(overflows):
                 made.polarity_events_overflow_indices = np.array(overflows, np.uint64)
-        for column, value in others.items():
-            setattr(made, column, value)
         return made
 
     def opened(self, *packets, model="Prophesee EVK4", name="camera"):
@@ -65,7 +63,6 @@ class PlayedHandle:
         self.closed = False
 
     def open(self, **settings):
-        self.settings = settings
         return self
 
     def properties(self):
@@ -106,9 +103,9 @@ class Dv:
             store.push_back(t, x, y, bool(p))
         return store
 
-    def opened(self, *packets, model="DAVIS", name="camera", resolution=(346, 260)):
+    def opened(self, *packets, model="DAVIS", name="camera"):
         """A camera that sends these and stops running then."""
-        return self.opened_input(PlayedInput(packets, resolution), model, name)
+        return self.opened_input(PlayedInput(packets), model, name)
 
     def opened_input(self, source, model="DAVIS", name="camera"):
         """Anything in the place of the library's camera."""
@@ -121,15 +118,14 @@ class Dv:
 class PlayedInput:
     """In the place of a camera of `dv_processing.io.camera`."""
 
-    def __init__(self, batches, resolution):
+    def __init__(self, batches):
         self._batches = list(batches)
-        self.getEventResolution = lambda: resolution
+
+    def getEventResolution(self):
+        return Dv.sensor
 
     def isRunning(self):
         return bool(self._batches)
 
     def getNextEventBatch(self):
-        batch = self._batches.pop(0) if self._batches else None
-        if isinstance(batch, Exception):
-            raise batch
-        return batch
+        return self._batches.pop(0) if self._batches else None

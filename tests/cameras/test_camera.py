@@ -1,14 +1,13 @@
 """A camera from its opening to its end: packets, counts, closing and cables."""
 
 from itertools import islice
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cameras.made_devices import PanicException, made_events, opened
 from waiting import meanwhile, until
 
-from async_tnt.sources import BackgroundReader, cameras
+from async_tnt.sources import BackgroundReader
 
 HOUR_US = 3_600_000_000
 
@@ -31,14 +30,6 @@ def test_close_from_another_thread_ends_the_loop(pause_s, read_s):
     assert camera.closed and camera.device is None and camera.counts.events == 1
 
 
-def test_many_threads_may_close():
-    for _ in range(20):
-        device, camera = opened(*(made_events(k) for k in range(50)))
-        with meanwhile(list, camera), meanwhile(camera.close), meanwhile(camera.close):
-            camera.close()
-        assert device.n_closed == 1 and camera.counts.events == 50 - len(device.packets)
-
-
 def test_a_loop_may_be_left_and_resumed_until_the_camera_is_closed():
     device, camera = opened(*(made_events(k) for k in range(5)))
     with camera as same:
@@ -51,24 +42,13 @@ def test_a_loop_may_be_left_and_resumed_until_the_camera_is_closed():
     assert list(camera) == [] and camera.closed and device.n_closed == 1
 
 
-def test_a_silent_camera_is_asked_now_and_then(monkeypatch):
-    device, camera = opened(None, None, pause_s=0.25)
-    pauses = []
-
-    def wait(seconds):
-        pauses.append(seconds)
-        if len(pauses) == 3:
-            camera.close()
-
-    monkeypatch.setattr(camera._closing, "wait", wait)
-    assert list(camera) == [] and device.n_reads == 3 and pauses == [0.25] * 3
-
-
 # -- the cable -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("background", [False, True])
-@pytest.mark.parametrize("error", [RuntimeError("Usb(NoDevice)"), PanicException("Usb(NoDevice)\nat lib.rs:3")])
+@pytest.mark.parametrize(
+    ("background", "error"),
+    [(False, RuntimeError("Usb(NoDevice)")), (True, PanicException("Usb(NoDevice)\nat lib.rs:3"))],
+)
 def test_unplugged_after_the_packets_before(background, error):
     device, camera = opened(made_events(1, 2), None, made_events(3), error)
     came = []
@@ -83,26 +63,6 @@ def test_unplugged_after_the_packets_before(background, error):
     assert list(camera) == [] and camera.counts.events == 3
 
 
-def test_a_device_that_cannot_even_be_closed(caplog):
-    device, camera = opened(RuntimeError("Usb(Pipe)"))
-
-    def close():
-        raise RuntimeError("Usb(NoDevice)")
-
-    device.close = close
-    with pytest.raises(OSError, match=r"Usb\(Pipe\)"):
-        list(camera)
-    assert "closing it failed: Usb(NoDevice)" in caplog.text
-
-
-def test_ctrl_c_is_no_failure():
-    device, camera = opened(KeyboardInterrupt(), made_events(1))
-    with pytest.raises(KeyboardInterrupt):
-        list(camera)
-    assert not camera.closed and device.n_closed == 0
-    assert next(iter(camera))["t"].tolist() == [1]
-
-
 # -- counts, and invalid events --------------------------------------------------------------------------
 
 
@@ -113,11 +73,3 @@ def test_events_whose_time_jumps_are_left_out():
     came = list(islice(camera, 2))
     assert came[0]["t"].tolist() == [1] and came[1] is packets[2] and camera.counts.packets == 2
     assert camera.summary() == "2 packets, 2 events (jumps in time: 2, lost: unknown)"
-
-
-def test_silence_by_the_computers_clock_is_no_jump(monkeypatch):
-    _, camera = opened(made_events(5), made_events(HOUR_US), made_events(2 * HOUR_US))
-    times_ns = iter([0, 1000 * HOUR_US, 1000 * HOUR_US])
-    monkeypatch.setattr(cameras, "time", SimpleNamespace(monotonic_ns=lambda: next(times_ns)))
-    assert [camera._read()["t"].tolist() for _ in range(2)] == [[5], [HOUR_US]]
-    assert camera._read() is None and camera.counts.jumped == 1

@@ -1,7 +1,5 @@
 """Packets of both camera libraries, through `Camera` to a processor: laws of both, and what only one of them has."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from cameras.libraries import Dv, Neuromorphic
@@ -12,8 +10,7 @@ from made import events_of, random_events
 import async_tnt
 from async_tnt.events import as_events
 from async_tnt.kernels.clock import AGREEING_PACKETS as N
-from async_tnt.sources import open_camera, open_recording, sample_recordings
-from async_tnt.sources.camera_drivers import WAIT_S, NeuromorphicDrivers
+from async_tnt.sources import open_recording, sample_recordings
 
 HOUR_US = 3_600_000_000
 EPOCH_US = 1_700_000_000_000_000  # dv-processing's times count from 1970
@@ -105,31 +102,7 @@ def test_a_recording_played_as_a_camera_gives_its_decisions(library):
     assert [decision.label for decision in decisions] == ["3", "3", "3"]
 
 
-def test_a_silent_camera_waits_in_the_library_or_is_asked_now_and_then(library):
-    camera = library.opened(None)
-    timeout_s = getattr(camera.device, "settings", {}).get("iterator_timeout", 0)
-    assert camera._read() is None and camera.counts.dropped is None
-    assert 0.001 <= timeout_s + camera._device.pause_s <= 0.2  # what `close` may have to wait for
-
-
 # -- neuromorphic-drivers alone --------------------------------------------------------------------------
-
-
-def test_its_packets_are_a_form_of_events_and_not_copied(neuromorphic):
-    packet = neuromorphic.packet_of(random_events(9))
-    assert next(iter(neuromorphic.opened(packet))) is packet.polarity_events
-    assert as_events(packet, (34, 34)).tolist() == random_events(9).tolist()
-    assert len(as_events(neuromorphic.packet_of([]), (34, 34))) == 0
-
-
-def test_frames_and_imu_samples_are_left_out(neuromorphic):
-    frame = neuromorphic.module.Frame()
-    frame.start_t, frame.t, frame.pixels = 1, 2, np.zeros((260, 346), np.uint16)
-    imu = np.zeros(2, np.dtype([("t", "<u8"), *((name, "<f4") for name in "abcdefg")]))
-    others = {"model": "iniVation DAVIS 346", "frames": [frame], "imu_events": imu}
-    packets = [neuromorphic.packet_of(random_events(n), **others) for n in (5, 0)]
-    (came,) = read_until_unplugged(neuromorphic.opened(*packets, model="iniVation DAVIS 346"))
-    assert came.tolist() == random_events(5).tolist()
 
 
 def test_losses_are_counted(neuromorphic):
@@ -140,50 +113,9 @@ def test_losses_are_counted(neuromorphic):
     assert camera.summary() == "3 packets, 27 events (gaps: 3, raw packets dropped: 6, at most 11 waiting)"
     counts = camera.counts
     assert (counts.overflows, counts.dropped, counts.most_waiting) == (3, 6, 11)
-    assert repr(camera).startswith(f"Camera({camera.name}, closed, CameraCounts(packets=3, events=27, ")
-
-
-def test_a_camera_without_permission(neuromorphic):
-    """As the library lists it: no serial number, and why. Its address is no network address."""
-    nd, asked = neuromorphic.module, []
-
-    def open_it(**settings):
-        asked.append(settings)
-        raise RuntimeError('"1:2" is not a valid IPv4 address')
-
-    listed = [nd.ListedDevice(nd.Name.PROPHESEE_EVK4, nd.Connection.USB_SUPER, "1:2", None, "Access denied")]
-    library = SimpleNamespace(list_devices=lambda: listed, open=open_it)
-    with pytest.raises(OSError, match=r"cannot be opened; .* found Prophesee EVK4 but cannot open it: Access denied"):
-        open_camera("camera:evk4", drivers={"nd": lambda: NeuromorphicDrivers(library)})
-    assert asked == [{"iterator_timeout": WAIT_S, "address": "1:2"}]
 
 
 # -- dv-processing alone ---------------------------------------------------------------------------------
-
-
-def test_a_store_of_several_parts_is_copied(dv):
-    """A store is a list of packets that it may share."""
-    events = random_events(20)
-    store = dv.packet_of(events[:5])
-    store.add(dv.packet_of(events[5:]))
-    camera = dv.opened(store)
-    packet = next(iter(camera))
-    assert as_events(packet, (34, 34)).tolist() == events.tolist()
-    packet["x"] = 99
-    assert as_events(store, (34, 34)).tolist() == events.tolist()
-
-
-def test_a_camera_of_frames_alone(dv):
-    with pytest.raises(OSError, match=r"found DAVIS 00050423 but cannot open it: it has no stream of events"):
-        dv.opened(resolution=None)
-
-
-def test_what_the_library_reports_fits_a_line(dv):
-    with pytest.raises(RuntimeError) as caught:
-        dv.module.io.camera.open("no such serial")
-    camera = dv.opened(dv.packet_of(random_events(7)), caught.value)
-    with pytest.raises(OSError, match=r"is gone after 7 events \(Could not find device with given serial number\); "):
-        list(camera)
 
 
 def test_a_file_of_the_library_read_as_a_camera(dv, tmp_path):

@@ -26,9 +26,8 @@ def test_any_source_by_name():
         open_source("gone.npy")
 
 
-def davis(device=None, serial="00000042", sensor=(346, 260)):
-    device = device or PlayedDevice(sensor=sensor)
-    return found(device, "iniVation DAVIS 346", ("davis346", "davis"), serial)
+def davis():
+    return found(PlayedDevice(sensor=(346, 260)), "iniVation DAVIS 346", ("davis346", "davis"), "00000042")
 
 
 def evk4(device=None, serial="00050423", **known):
@@ -50,7 +49,6 @@ def cannot_look(error):
 ALL = drivers(evk4(), evk4(serial="00050424"), davis())
 SEVERAL = {"a": missing, **drivers(name="b"), **drivers(davis(), name="c"), **drivers(evk4(), name="d")}
 BUSY = drivers(evk4(RuntimeError("already used by another program")), davis())
-SMALL = drivers(davis(sensor=(240, 180)))
 
 
 @pytest.mark.parametrize(
@@ -58,23 +56,14 @@ SMALL = drivers(davis(sensor=(240, 180)))
     [
         ("camera", ALL, "Prophesee EVK4 00050423 by played 1.0"),
         ("camera:EVK4:00050424", ALL, "Prophesee EVK4 00050424 by played 1.0"),
-        ("camera:davis346", ALL, "iniVation DAVIS 346 00000042 by played 1.0"),
         ("camera:davis:00000042", ALL, "iniVation DAVIS 346 00000042 by played 1.0"),
         ("camera", SEVERAL, "iniVation DAVIS 346 00000042 by c 1.0"),  # the first library that has one
         ("camera:evk4", SEVERAL, "Prophesee EVK4 00050423 by d 1.0"),
         ("camera", BUSY, "iniVation DAVIS 346 00000042 by played 1.0"),  # the first that opens
-        ("camera:davis", SMALL, "iniVation DAVIS 346 00000042 by played 1.0"),
     ],
 )
 def test_a_name_selects_a_camera(name, table, opened):
     assert open_camera(name, drivers=table).name == opened
-
-
-def test_a_small_davis_is_no_davis346():
-    small = PlayedDevice(sensor=(240, 180))
-    with pytest.raises(OSError, match=r"no camera found; .* found iniVation DAVIS 346 7, which has 240x180 pixels"):
-        open_camera("camera:davis346", drivers=drivers(davis(small, "7")))
-    assert small.n_closed == 1
 
 
 SHY = evk4(RuntimeError("device not found"), serial=None, problem="Access denied (insufficient permissions)")
@@ -90,7 +79,6 @@ UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
             ImportError,
             r"camera: a is not installed; b is not installed: cameras need one of them, pip install '\.\[cameras\]'$",
         ),
-        ("camera", {"a": broken}, ImportError, r"a does not load: libusb\.so\.0: cannot open .*: cameras"),
         ("camera", {"a": broken, **drivers()}, OSError, r"played 1\.0 found none; a does not load: libusb[^;]*$"),
         (
             "camera:evk4:1",
@@ -107,9 +95,8 @@ UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
         ("camera", drivers(evk4(PanicException("index\nat 3"))), OSError, r"cannot open it: index\. "),
         ("camera", cannot_look(PanicException("poisoned")), OSError, r"c 2 cannot search: poisoned \(no USB here\?\)"),
         ("camera", drivers(evk4(KeyboardInterrupt())), KeyboardInterrupt, "^$"),
-        ("camera", cannot_look(KeyboardInterrupt()), KeyboardInterrupt, "^$"),
         ("camera:evk9", {}, ValueError, "camera:evk9: no such kind of camera; known are davis, davis346, .*, evk4"),
-        *((name, {}, ValueError, UNKNOWN) for name in ("camera:", "camera:evk4:", "camera::1", "cameras", "evk4")),
+        *((name, {}, ValueError, UNKNOWN) for name in ("camera:", "camera::1", "cameras")),
     ],
 )
 def test_what_a_user_reads(name, table, error, message):
@@ -117,22 +104,7 @@ def test_what_a_user_reads(name, table, error, message):
         open_camera(name, drivers=table)
 
 
-def test_no_camera(monkeypatch):
-    monkeypatch.setattr(sys, "platform", "linux")
-    table = {"a": missing, **drivers(name="b"), **cannot_look(RuntimeError("Other error"))}
-    with pytest.raises(OSError) as caught:
-        open_camera("camera", drivers=table)
-    assert str(caught.value) == (
-        "camera: no camera found; b 1.0 found none; a is not installed; c 2 cannot search: Other error (no USB here?). "
-        "Is it plugged in, and used by no other program? Does lsusb show it, and do udev rules let users read it "
-        "(neuromorphic-drivers-install-udev-rules)?"
-    )
-    monkeypatch.setattr(sys, "platform", "win32")
-    with pytest.raises(OSError, match=r"no camera found; b 1\.0 found none\. Is it plugged in, .* program\?$"):
-        open_camera("camera", drivers=drivers(name="b"))
-
-
-@pytest.mark.parametrize("absent", [set(), {"neuromorphic_drivers"}, {"dv_processing"}, set(LIBRARIES)])
+@pytest.mark.parametrize("absent", [set(), {"neuromorphic_drivers"}, set(LIBRARIES)])
 def test_the_installed_libraries_look_for_a_camera(absent, monkeypatch):
     for module in absent:
         monkeypatch.setitem(sys.modules, module, None)

@@ -8,7 +8,7 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.mask_learning import count_pixels, hot_pixels, learn_mask
 
 SENSOR = (34, 34)
-RECORDINGS = {digit: open_recording(path).read() for digit, path in sample_recordings().items()}
+RECORDINGS = {digit: open_recording(sample_recordings()[digit]).read() for digit in (0, 1, 8)}
 
 
 def planted(pixels, n, *, seed=0, duration_us=315_000):
@@ -54,15 +54,11 @@ BRIGHT = [(5, 5), (6, 5), (30, 30)]
     [
         # in the dark corner of a recording 60 events are many; on the digit's edge they would be normal
         ([RECORDINGS[0], *planted([(0, 0), (33, 0), (33, 33)], 60)], [(0, 0), (33, 0), (33, 33)]),
-        *(
-            ([random_events(20_000), *planted([at], 400)], [at])
-            for at in [(0, 0), (33, 0), (0, 33), (33, 33), (1, 1), (32, 1), (0, 16), (16, 33)]
-        ),
+        *(([random_events(20_000), *planted([at], 400)], [at]) for at in [(0, 0), (33, 33), (32, 1), (0, 16)]),
         ([random_events(5_000), *planted(FOUR, 500)], FOUR),
         ([random_events(5_000), *planted([(x, y) for x in range(10, 14) for y in range(10, 14)], 500)], []),  # a lamp
         (list(planted([(3, 4), (20, 30)], 300)), [(3, 4), (20, 30)]),  # alone in the dark
         ([random_events(2000), *planted(BRIGHT[:1], 100_000), *planted(BRIGHT[1:], 60)], BRIGHT),  # one outshines two
-        ([], []),
         ([None, random_events(0)], []),
     ],
 )
@@ -114,12 +110,6 @@ def test_four_equal_neighbours_explain_a_pixel_and_three_do_not(corner):
     assert not hot_pixels(counts).any()
 
 
-@pytest.mark.parametrize("sensor", [(1, 1), (2, 2), (3, 7), (40, 1)])
-def test_small_sensors(sensor):
-    mask = learn_mask([random_events(3000, sensor=sensor)], sensor)
-    assert mask.shape == sensor[::-1] and not mask.any()
-
-
 def test_counts_equal_numpy():
     events = random_events(10_000, sensor=(50, 20), seed=3)
     expected = np.zeros((20, 50), int)
@@ -131,9 +121,7 @@ def test_counts_equal_numpy():
     ("settings", "message"),
     [
         ({"factor": 1}, "`factor` must be above 1, got 1"),
-        ({"factor": float("nan")}, "`factor` must be above 1, got nan"),
         ({"false_alarms": 0}, "`false_alarms` must be above 0, got 0"),
-        ({"sensor": (0, 5)}, r"`sensor` must have sides in \[1, 32768\] pixels, got \(0, 5\)"),
         ({"source": [([1], [34], [0], [1])]}, r"`x` must be in \[0, 34\), got 34 at event 0"),
     ],
 )

@@ -1,13 +1,12 @@
 """The queue alone: several producers, every form of packet, asyncio, the end."""
 
 import asyncio
-import itertools
 import threading
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from made import events_of, random_events
+from made import random_events
 from waiting import meanwhile
 
 import async_tnt
@@ -41,18 +40,9 @@ def test_every_form_is_copied_and_counted(form):
     assert queue.counters.handed_out == 100
 
 
-@pytest.mark.parametrize("packet, n", [((5, 1, 2, 1), 1), (None, 0), ((), 0), ([], 0), (EVENTS[3], 1), (EVENTS[:0], 0)])
-def test_small_packets(packet, n):
+@pytest.mark.parametrize("junk", ["hello", np.zeros(3), (1, 2)])
+def test_an_invalid_packet_is_refused_by_its_reader(junk):
     queue = PacketQueue()
-    queue.put(packet)
-    assert queue.backlog == n
-    assert as_events(next(queue), (34, 34)).tobytes() == as_events(packet, (34, 34)).tobytes()
-
-
-@pytest.mark.parametrize("junk", ["hello", 7, np.zeros(3), {"t": 1}, (1, 2)])
-@pytest.mark.parametrize("copy", [False, True])
-def test_an_invalid_packet_is_refused_by_its_reader(junk, copy):
-    queue = PacketQueue(copy=copy)
     queue.put(junk)
     queue.end()
     assert queue.backlog == 0
@@ -143,28 +133,6 @@ def test_a_packet_or_the_end_wakes_a_task_that_waits():
     assert in_asyncio(queue, queue.close) == []
 
 
-def test_a_queue_that_never_runs_empty_leaves_other_tasks_their_turn(monkeypatch):
-    monkeypatch.setattr("async_tnt.sources.queue.YIELD_AFTER_S", -1.0)
-    turns = itertools.count()
-
-    async def other():
-        while True:
-            next(turns)
-            await asyncio.sleep(0)
-
-    async def run():
-        queue = PacketQueue(max_packets=100)
-        for packet in PACKETS:
-            queue.put(packet)
-        queue.end()
-        task = asyncio.create_task(other())
-        assert len(await collect(queue)) == len(PACKETS)
-        task.cancel()
-
-    asyncio.run(run())
-    assert next(turns) >= len(PACKETS)
-
-
 def test_cancelled_while_it_waits_loses_nothing():
     async def run():
         queue = PacketQueue()
@@ -177,16 +145,3 @@ def test_cancelled_while_it_waits_loses_nothing():
         return [await anext(queue), await anext(queue)]
 
     assert [packet.tobytes() for packet in asyncio.run(run())] == [packet.tobytes() for packet in PACKETS[:2]]
-
-
-def test_an_event_loop_that_is_gone_does_no_harm():
-    queue = PacketQueue()
-    loop = asyncio.new_event_loop()
-    task = loop.create_task(anext(queue))
-    loop.run_until_complete(asyncio.sleep(0.01))
-    sleepers = list(queue._sleepers)
-    task.cancel()
-    loop.run_until_complete(asyncio.gather(task, return_exceptions=True))
-    loop.close()
-    queue._sleepers = sleepers  # as if the loop had been stopped without a word
-    assert queue.put(events_of([1], [1], [1], [1])) and next(queue)["t"] == [1]

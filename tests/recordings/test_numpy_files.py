@@ -92,58 +92,30 @@ def test_npz_in_every_form_kept_in_memory_or_unpacked_block_by_block(tmp_path, m
     assert unpacked == {f"{name}.npy" for name in ("sensor", *FORMS[form])}
 
 
-@pytest.mark.parametrize("form", ["records", "table, column by column", "columns"])
-def test_memory_does_not_grow_with_what_is_unpacked(tmp_path, monkeypatch, form):
-    monkeypatch.setattr(numpy_files, "KEPT_EVENTS", 0)
-    arrays = {name: np.zeros((20_000 * len(a), *a.shape[1:]), a.dtype, "F") for name, a in FORMS[form].items()}
-    np.savez_compressed(tmp_path / "a.npz", **arrays)
-    unpacked = sum(array.nbytes for array in arrays.values())
-    del arrays
-    tracemalloc.start()
-    try:
-        assert open_recording(tmp_path / "a.npz").n_events == 1_000_000
-        assert tracemalloc.get_traced_memory()[1] < 9e6 < unpacked
-    finally:
-        tracemalloc.stop()
-
-
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
         (COLUMNS | {"t": np.array([1.0, 2.0, 3.0])}, "`t` must be integer microseconds, got float64"),
         (COLUMNS | {"x": np.array([1, -1, 3])}, "event 1: t = 20, x = -1, y = 4, p = 0 is not a valid event"),
         (COLUMNS | {"y": np.array([1, 2, 65536])}, "event 2: t = 20, x = 5, y = 65536, p = 1 is not a valid event"),
-        (COLUMNS | {"p": np.array([1, 2, 0], np.uint8)}, "event 1: t = 20, x = 300, y = 4, p = 2 is not a valid event"),
-        (COLUMNS | {"p": np.array([1, -1, 0])}, "event 2: p = 0, and before it -1: polarity is 0/1 or -1/\\+1, not"),
         (COLUMNS | {"t": np.array([1, 2])}, "must have equal lengths, got 2, 3, 3, 3"),
         (
             COLUMNS | {"t": np.array([1, 2, 1 << 63], np.uint64)},
             "event 2: t = 9223372036854775808, x = 5, y = 6, p = 1",
         ),
         (COLUMNS | {"sensor": np.array([300, 260])}, "event 1 at x = 300, y = 4 is off the 300 x 260 sensor"),
-        (COLUMNS | {"sensor": np.array([346, 6])}, "event 2 at x = 5, y = 6 is off the 346 x 6 sensor"),
-        (COLUMNS | {"sensor": np.array([346.0, 260.0])}, "`sensor` must be two positive integers"),
         (COLUMNS | {"sensor": np.array([0, 260])}, "`sensor` must be two positive integers"),
         ({"t": EVENTS["t"], "x": EVENTS["x"]}, r"`events`, or t, x, y and p; got \['t', 'x'\]"),
         (COLUMNS | {"ts": EVENTS["t"]}, "events need one field `t`, got t and ts in the archive; leave out all but"),
         ({"events": np.zeros(2, "V70000")}, r"events\.npy: an event must take at most 65536 bytes, got 70000"),
         (np.zeros((3, 5), int), r"an \(N, 4\) array of those columns, got shape \(3, 5\) of int64"),
         (EVENTS[["t", "x", "y"]], "need a field `p` .one of p, on, polarity, pol., got a structured array with fields"),
-        (EVENTS.reshape(3, 1), r"must have one dimension, got shape \(3, 1\)"),
     ],
 )
 def test_other_layouts_and_values_out_of_range_are_refused(tmp_path, arrays, message):
     path = tmp_path / ("a.npz" if isinstance(arrays, dict) else "a.npy")
     with pytest.raises(ValueError, match=rf"{path.name}: .*{message}"):
         open_recording(saved(path, arrays))
-
-
-def test_a_name_that_is_there_twice_is_refused(tmp_path):
-    path = saved(tmp_path / "a.npz", {"events": EVENTS})
-    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
-        archive.writestr("events.npy", b"")
-    with pytest.raises(ValueError, match="the archive holds `events` twice"):
-        open_recording(path)
 
 
 def npy(shape, descr="'<i8'", padding=0):
@@ -154,23 +126,16 @@ def npy(shape, descr="'<i8'", padding=0):
 
 IMPOSSIBLE = {
     "a long header": npy((1,), padding=20_000),
-    "a longer header than file": npy((1,), padding=20_000)[:500],
     "a header of 4 GiB": npy((1,))[:8] + b"\xff" * 4 + npy((1,))[12:],
     "more bytes than numbers": npy((1,)) + b"more",
     "a million million numbers": npy((10**12,)),
     "2**62 numbers": npy((2**62,)),
-    "2**61 numbers of 13 bytes": npy((2**61,), "[('t', '<i8'), ('x', '<u2'), ('y', '<u2'), ('p', '|u1')]"),
-    "sides whose product overflows": npy((2**31, 2**31, 4)),
     "sides whose product overflows to the right size": npy((2**32, 2**32, 1)),
-    "no numbers, but sides that overflow": npy((0, 2**40, 2**40)),
-    "beyond int64": npy((2**64,)),
     "beyond what Python prints": npy(f"({'9' * 4000}, {'9' * 4000})"),
     "negative sides": npy((-1, -1)),
-    "a hundred sides": npy((1,) * 100),
     "records of nothing": npy((2**62,), "'V0'"),
     "Python objects": npy((1,), "'O'"),
     "no literal": npy("(1,) if 1else (2,)"),
-    "no type": npy((1,), "'?!'"),
 }
 
 
@@ -197,16 +162,3 @@ def test_an_impossible_header_takes_no_memory_and_is_refused_in_one_line_of_ours
     text = str(raised.value)
     assert text.startswith(f"{path}: not a readable NumPy file: ") and len(text) < len(str(path)) + 300
     assert "\n" not in text and "allow_pickle" not in text
-
-
-def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path):
-    path = tmp_path / "a.npz"
-    data = npy((10**8,), EVENT_DTYPE.descr)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("events.npy", data)
-    archive = bytearray(path.read_bytes())
-    place = archive.rindex(b"PK\x01\x02") + 24  # the central directory: size when unpacked
-    archive[place : place + 4] = (len(data) - 8 + 10**8 * EVENT_DTYPE.itemsize).to_bytes(4, "little")
-    path.write_bytes(archive)
-    with pytest.raises(ValueError, match=r"a\.npz: not a readable NumPy file: events\.npy ends before its array does$"):
-        open_recording(path)

@@ -163,14 +163,6 @@ def test_unwrapped_by_hand():
     assert times() == []
 
 
-@pytest.mark.parametrize("bit", range(32))
-def test_one_wrong_bit_in_a_time_moves_no_other_event(tmp_path, bit):
-    events = made_events(50)
-    wrong = events.copy()
-    wrong["t"][20] ^= 1 << bit
-    np.testing.assert_array_equal(np.delete(read(tmp_path / "a.dat", dat(wrong)), 20), np.delete(events, 20))
-
-
 @pytest.mark.parametrize(
     ("suffix", "version"), [(".raw", "evt2"), (".raw", "evt3"), (".dat", "dat2"), (".es", None), (".aedat4", None)]
 )
