@@ -1,6 +1,7 @@
 """UdpSource and UdpSender on loopback: packets, the ways to iterate, limits, names."""
 
 import asyncio
+import itertools
 import socket
 
 import numpy as np
@@ -149,3 +150,24 @@ def test_wrong_urls_say_what_is_wrong(url, message):
 def test_wrong_settings(made, settings, message):
     with pytest.raises(ValueError, match=message):
         made(**settings)
+
+
+def test_other_tasks_run_while_datagrams_never_pause():
+    turns = itertools.count()
+
+    async def other():
+        while True:
+            next(turns)
+            await asyncio.sleep(0)
+
+    async def run():
+        with listening(max_datagrams=1) as source, UdpSender(port=source.port) as sender:
+            sender.send(EVENTS)
+            task = asyncio.ensure_future(other())
+            packets = aiter(source)
+            for _ in range(25):
+                await anext(packets)
+            task.cancel()
+
+    asyncio.run(run())
+    assert next(turns) >= 20

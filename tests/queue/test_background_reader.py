@@ -193,3 +193,17 @@ async def asynchronous():
 def test_wrong_arguments(settings, error, message):
     with pytest.raises(error, match=f"^{message}"):
         BackgroundReader(**({"source": PACKETS} | settings))
+
+
+@pytest.mark.parametrize("copy", [True, False])
+def test_packets_are_copied_unless_they_are_the_readers_own(copy):
+    packets = PACKETS[5:8]
+    got = list(BackgroundReader(packets, copy=copy))
+    assert [np.shares_memory(one, other) for one, other in zip(got, packets, strict=True)] == [not copy] * 3
+
+
+def test_a_failing_on_close_still_stops_the_thread():
+    reader = BackgroundReader(PACKETS, max_packets=1, on_close=lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        reader.close(60)
+    assert not threads() and reader.close()

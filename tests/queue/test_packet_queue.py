@@ -1,6 +1,7 @@
 """The queue alone: several producers, every form of packet, asyncio, the end."""
 
 import asyncio
+import itertools
 import threading
 from types import SimpleNamespace
 
@@ -145,3 +146,25 @@ def test_cancelled_while_it_waits_loses_nothing():
         return [await anext(queue), await anext(queue)]
 
     assert [packet.tobytes() for packet in asyncio.run(run())] == [packet.tobytes() for packet in PACKETS[:2]]
+
+
+def test_a_queue_that_never_runs_empty_leaves_other_tasks_their_turn(monkeypatch):
+    monkeypatch.setattr("async_tnt.sources.queue.YIELD_AFTER_S", -1.0)
+    turns = itertools.count()
+
+    async def other():
+        while True:
+            next(turns)
+            await asyncio.sleep(0)
+
+    async def run():
+        queue = PacketQueue(max_packets=100)
+        for packet in PACKETS:
+            queue.put(packet)
+        queue.end()
+        task = asyncio.create_task(other())
+        assert len(await collect(queue)) == len(PACKETS)
+        task.cancel()
+
+    asyncio.run(run())
+    assert next(turns) >= len(PACKETS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recordings.written import made_events, written
 
-from async_tnt.sources.files import child_source
+from async_tnt.sources.files import child_process, child_source
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import DamagedRecording
 
@@ -64,3 +64,31 @@ def test_what_came_before_an_error_is_kept(tmp_path, monkeypatch):
     with pytest.warns(DamagedRecording, match="damaged recording: after event 2: its message. Keeping the 2 events"):
         assert recording.n_events == 2
     assert recording.sensor is None
+
+
+READER = """
+def read(path):
+    yield None
+    for n in range(3):
+        yield memoryview(bytes([n]))
+    raise KeyError("broken\\nat three")
+"""
+
+
+def test_the_alarm_is_set_while_a_file_is_read_and_not_while_the_parent_reads(tmp_path, monkeypatch):
+    calls = []
+
+    class Sender:
+        def __init__(self, fd, readable):
+            assert (fd, readable) == (7, False)
+
+        def send_bytes(self, message):
+            calls.append(message)
+
+    monkeypatch.setattr(child_process.connection, "Connection", Sender)
+    monkeypatch.setattr(child_process, "_limit_memory", lambda: None)
+    monkeypatch.setattr(child_process.signal, "alarm", calls.append, raising=False)
+    (tmp_path / "reader.py").write_text(READER)
+    child_process.main(str(tmp_path / "reader.py"), "FILE", 7)
+    messages = [b"null", b"\x00", b"\x01", b"\x02", b"", b"'broken\\nat three'"]
+    assert calls == [120, *[call for message in messages for call in (0, message, 120)]]

@@ -1,6 +1,8 @@
 """HDF5 files: layouts, compression, and where they may keep their events: in the file itself, in chunks."""
 
 import sys
+from collections import Counter
+from io import FileIO
 
 import numpy as np
 import pytest
@@ -140,3 +142,36 @@ def test_links_within_the_file_are_followed(tmp_path):
         file.move("recorded/left/t", "recorded/left/times")
         file["recorded/left/t"] = h5py.SoftLink("times")
     assert_holds(path, EVENTS)
+
+
+SETS = [f"events/{name}" for name in "txyp"]
+
+
+class Watched(FileIO):
+    """A file that counts where reads begin."""
+
+    def __init__(self, path):
+        super().__init__(path)
+        self.reads = Counter()
+
+    def readinto(self, buffer):
+        self.reads[self.tell()] += 1
+        return super().readinto(buffer)
+
+
+@pytest.mark.parametrize("chunks", [(5_000,) * 4, (5_000, 700, 3_333, 90), (64,) * 4, (100, 101, 5_000, 1)])
+def test_each_chunk_is_read_once(tmp_path, monkeypatch, chunks):
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        for name, chunk in zip(SETS, chunks, strict=True):
+            file.create_dataset(name, data=EVENTS[name[-1]], chunks=(chunk,), compression="gzip")
+    with h5py.File(path) as file:
+        ids = [file[name].id for name in SETS]
+        places = [each.get_chunk_info(i).byte_offset for each in ids for i in range(each.get_num_chunks())]
+    watched = Watched(path)
+    real = h5py.File
+    monkeypatch.setattr(h5py, "File", lambda path, mode: real(watched, mode, rdcc_nbytes=1))  # no chunk fits its cache
+    monkeypatch.setattr(hdf5, "BLOCK_EVENTS", 100)
+    assert_holds(path, EVENTS)
+    watched.close()
+    assert {watched.reads[place] for place in places} == {1}

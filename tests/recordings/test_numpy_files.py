@@ -162,3 +162,39 @@ def test_an_impossible_header_takes_no_memory_and_is_refused_in_one_line_of_ours
     text = str(raised.value)
     assert text.startswith(f"{path}: not a readable NumPy file: ") and len(text) < len(str(path)) + 300
     assert "\n" not in text and "allow_pickle" not in text
+
+
+@pytest.mark.parametrize("form", ["records", "table, column by column", "columns"])
+def test_memory_does_not_grow_with_what_is_unpacked(tmp_path, monkeypatch, form):
+    monkeypatch.setattr(numpy_files, "KEPT_EVENTS", 0)
+    arrays = {name: np.zeros((20_000 * len(a), *a.shape[1:]), a.dtype, "F") for name, a in FORMS[form].items()}
+    np.savez_compressed(tmp_path / "a.npz", **arrays)
+    unpacked = sum(array.nbytes for array in arrays.values())
+    del arrays
+    tracemalloc.start()
+    try:
+        assert open_recording(tmp_path / "a.npz").n_events == 1_000_000
+        assert tracemalloc.get_traced_memory()[1] < 9e6 < unpacked
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_name_that_is_there_twice_is_refused(tmp_path):
+    path = saved(tmp_path / "a.npz", {"events": EVENTS})
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("events.npy", b"")
+    with pytest.raises(ValueError, match="the archive holds `events` twice"):
+        open_recording(path)
+
+
+def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path):
+    path = tmp_path / "a.npz"
+    data = npy((10**8,), EVENT_DTYPE.descr)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("events.npy", data)
+    archive = bytearray(path.read_bytes())
+    place = archive.rindex(b"PK\x01\x02") + 24  # the central directory: size when unpacked
+    archive[place : place + 4] = (len(data) - 8 + 10**8 * EVENT_DTYPE.itemsize).to_bytes(4, "little")
+    path.write_bytes(archive)
+    with pytest.raises(ValueError, match=r"a\.npz: not a readable NumPy file: events\.npy ends before its array does$"):
+        open_recording(path)
