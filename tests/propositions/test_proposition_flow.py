@@ -46,26 +46,21 @@ def test_proposition_1_in_x_y_and_t():
     assert min(difference(moving, still.roll(by, (1, 2))) for by in shifts) >= 2
 
 
-@pytest.mark.parametrize("fixed", ["center", (28.0, 28.0), (30.5, 25.25)], ids=str)
-@pytest.mark.parametrize("flow", [(16.0, -8.0), (-3.7, 11.1)], ids=str)
-def test_proposition_2_event_by_event(fixed, flow):
+@pytest.mark.parametrize("fixed", ["center", (30.5, 25.25)], ids=str)
+def test_proposition_2_event_by_event(fixed):
     """TNT(L_v e) = TNT(e) + v / t_max, for each event, at any place, time and fixed landmark; to 1e-12 px.
-
-    u = (x + v f - l) / (t_max f) + c. Without the division by the time the same flow moves the events apart:
-    by v f, from v/8 to all of v.
-    """
+    u = (x + v f - l) / (t_max f) + c."""
+    flow = -3.7, 11.1
     g = torch.Generator().manual_seed(3)
     t = torch.randint(WINDOW_US // 8, WINDOW_US + 1, (500,), generator=g).sort().values
     x, y = torch.rand(2, 500, generator=g, dtype=torch.float64) * 10 + 23
     settings = dict(start_us=0, window_us=WINDOW_US, sensor=SENSOR, grid=SENSOR, t_max=T_MAX, landmark=fixed)
     still = tnt_coordinates(t, x, y, **settings)
-    f = t.double() / WINDOW_US
     moved = tnt_coordinates(t, *move_by_flow(t, x, y, flow, start_us=0, window_us=WINDOW_US), **settings)
     both = still.kept & moved.kept
     assert both.sum() > 300
     for got, v in ((moved.u - still.u, flow[0]), (moved.v - still.v, flow[1])):
         assert (got[both] - v / T_MAX).abs().max() < 1e-12
-        assert ((v * f).max() - (v * f).min()).abs() > 0.8 * abs(v)
 
 
 def square(flow):

