@@ -125,23 +125,6 @@ def test_columns_of_any_numbers(data, sensor, types):
 # -- anything at all -----------------------------------------------------------------------------------------
 
 
-class Holder:
-    """An object that hands something out in one of the ways that the decoder knows."""
-
-    def __init__(self, how, value):
-        setattr(self, how, (lambda: value) if how == "numpy" else value)
-
-    def __repr__(self):
-        raise RuntimeError("no words for it")
-
-
-class NoArray:
-    """An object that claims to be an array."""
-
-    def __array__(self, dtype=None, copy=None):
-        raise ZeroDivisionError
-
-
 def containers(parts):
     fields = st.sampled_from([name for names in NAMES.values() for name in names] + ["polarity_events", "shape"])
     return st.one_of(
@@ -149,25 +132,20 @@ def containers(parts):
         st.tuples(parts, parts, parts, parts),
         st.builds(namedtuple("Quad", "p y x t"), parts, parts, parts, parts),
         st.dictionaries(fields, parts, max_size=6).map(lambda fields: SimpleNamespace(**fields)),
-        st.builds(Holder, st.sampled_from(["polarity_events", "numpy"]), parts),
+        parts.map(lambda part: SimpleNamespace(numpy=lambda: part)),
     )
 
 
 SCALARS = st.one_of(
-    st.integers(-1, 33),
     st.integers(),
     st.floats(),
     st.text(max_size=4),
-    st.binary(max_size=4),
-    st.sampled_from([None, True, 1j, object(), int, ..., range(4), iter(()), np.float32, np.ma.masked, NoArray()]),
+    st.sampled_from([None, True, 1j, object(), int, ..., range(4), iter(()), np.float32(1), np.ma.masked]),
 )
-COLUMNS = st.sampled_from(  # two events each
-    [[0, 1], (1, 1), [True, False], [-1, 1], np.array([1, 0]), np.array([0, 1], ">u2"), np.zeros(2, "u1"), [33, 2**62]]
-)
+COLUMNS = st.sampled_from([[0, 1], (1, 1), [True, False], [-1, 1], np.array([0, 1], ">u2"), [33, 2**62]])  # two events
 RECORDS = st.tuples(*[hnp.scalar_dtypes()] * 4).map(lambda types: list(zip("txyp", types, strict=True)))
 ARRAYS = hnp.arrays(
-    st.one_of(hnp.scalar_dtypes(), RECORDS, st.just(EVENT_DTYPE)),
-    hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4),
+    st.one_of(hnp.scalar_dtypes(), RECORDS, st.just(EVENT_DTYPE)), hnp.array_shapes(min_dims=0, max_side=4)
 )
 
 

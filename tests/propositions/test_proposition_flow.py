@@ -183,28 +183,3 @@ def test_the_classifiers_features_translate_with_the_flow():
 
     assert max(worst(lambda v: tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX))) < 1e-12
     assert min(worst(lambda v: event_volume(**square(v), **options))) > 1
-
-
-# -- what this rests on: the translations that layers are equivariant to --------------------------------------
-
-
-def test_convolution_is_equivariant_to_translation_away_from_the_border():
-    """(L_t f) * phi = L_t (f * phi) (Wang 2019); the outermost pixels are not equivariant: they see zero padding."""
-    g = torch.Generator().manual_seed(0)
-    image, phi = torch.randn(2, 15, 15, generator=g), torch.randn(3, 2, 3, 3, generator=g)
-    moved = torch.zeros_like(image)
-    moved[:, :10, 3:] = image[:, 5:, :12]  # by (-5, 3)
-    of_moved, of_still = (F.conv2d(f.double()[None], phi.double(), padding=1)[0] for f in (moved, image))
-    got, expected = of_moved[:, :10, 3:], of_still[:, 5:, :12]  # where both sides lie in the image
-    inner = (..., slice(1, -1), slice(1, -1))
-    assert difference(got[inner], expected[inner]) < 1e-12 and difference(got, expected) > 1
-
-
-def test_average_pooling_by_2_is_equivariant_to_even_translations_only():
-    """A bar on columns 4 and 5 fills pooled column 2; one pixel on it half fills two: 1/2 away from every L_k P(f)."""
-    bar = torch.zeros(1, 8, 16)
-    bar[..., 4:6] = 1
-    pooled, by_1, by_2 = (F.avg_pool2d(bar.roll(k, -1), 2) for k in (0, 1, 2))
-    assert torch.equal(by_2, pooled.roll(1, -1))
-    assert by_1[0, 0].tolist() == [0, 0, 0.5, 0.5, 0, 0, 0, 0]
-    assert min(difference(by_1, pooled.roll(k, -1)) for k in range(8)) == 0.5

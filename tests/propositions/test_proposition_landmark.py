@@ -11,7 +11,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from made import events_of, nasty_streams
+from made import nasty_streams
 from tnt_reference import LandmarkRegressor, event_volume, tnt_coordinates, tnt_volume
 
 from async_tnt import TNTConfig, TNTVolume
@@ -63,32 +63,6 @@ def test_proposition_3_in_the_stream_to_the_last_bit(data):
     if len(events):
         step = np.multiply(a, np.subtract(config.grid, 1) / np.subtract(SENSOR, 1))
         assert np.subtract(there.landmark, here.landmark) == pytest.approx(step, abs=1e-12)
-
-
-def a_digit():
-    """Events of an object 12 px across that moves 6 px right, in the upper left of the sensor."""
-    rng, n = np.random.default_rng(0), 1_024
-    t = np.sort(rng.integers(100, WINDOW_US, n))
-    x, y = rng.integers(1, 13, n) + np.rint(6 * t / WINDOW_US).astype(int), rng.integers(2, 14, n)
-    return events_of(t, x, y, rng.integers(0, 2, n))
-
-
-def test_proposition_3_about_the_centroid_of_the_window():
-    """To the last bit, since the mean of 1,024 events is exact."""
-    config = TNTConfig(window_us=WINDOW_US, t_max=2.0, landmark="window")
-    here, there = (streamed(events, config) for events in (a_digit(), shifted(a_digit(), (13, 17))))
-    assert here.array.tobytes() == there.array.tobytes() and np.abs(here.array).max() > 2
-    assert cells(here).tobytes() == cells(there).tobytes()
-
-
-def test_about_a_fixed_point_the_volume_of_a_translated_stream_is_another():
-    """`center` stays, so event i goes a / tau_i: neither identical nor a translation. The best whole translation leaves
-    differences of more than half of the largest cell; without the transform, a translation by a is exact."""
-    about_centre = TNTConfig(window_us=WINDOW_US, t_max=2.0, landmark="center", polarity="unsigned")
-    for config in (about_centre, about_centre.replace(transform="none")):
-        here, there = (streamed(events, config).array for events in (a_digit(), shifted(a_digit(), (9, 9))))
-        best = min(np.abs(there - np.roll(here, by, (1, 2))).max() for by in np.ndindex(19, 19)) / here.max()
-        assert best == 0 if config.transform == "none" else best > 0.5
 
 
 # -- fractions of a pixel: the reference --------------------------------------------------------------------------

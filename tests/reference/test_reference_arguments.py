@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tnt_reference
 import torch
-from tnt_reference import event_volume, fitted_flow, landmark, tnt_coordinates, tnt_volume
+from tnt_reference import event_volume, fitted_flow, landmark, tnt_volume
 
 WINDOW = dict(start_us=1_000, window_us=5_000, sensor=(34, 34), grid=(34, 34))
 T, X, Y, P = [1_200, 1_300, 5_000, 6_000], [0, 33, 17, 5], [33, 0, 16, 4], [1, 0, 0, 1]
