@@ -15,7 +15,6 @@ from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.representations.motion import move_by_flow
 from async_tnt.simulation.simulator import simulate_events
 from async_tnt.sources.pixel_filter import PixelFilter
-from async_tnt.sources.pixel_masks import save_mask
 
 SENSOR = (346, 260)
 CONFIG = TNTConfig(sensor=SENSOR, grid=(20, 16), bins=3)
@@ -76,12 +75,9 @@ OUT_OF_RANGE = [
     ("x", "<i4", [346, -1, 65536 + 3]),  # 3 in 16 bits
     ("x", "<i8", [-1, 2**32 + 3, -(2**63)]),
     ("x", "<u8", [2**63 + 3, 2**64 - 1]),
-    ("x", "i1", [-1]),
-    ("y", "<u2", [260]),
     ("y", "<i2", [260, -1]),
     ("p", "u1", [2, 255]),
     ("p", "i1", [2, -2]),
-    ("p", "<u2", [65535, 256]),
     ("p", "<i2", [2, -2, 256]),
     ("p", "<i8", [2**32 + 1, 2**32 - 1]),
     ("p", "<u8", [2, 2**64 - 1]),  # 2**64 - 1 is not -1
@@ -120,7 +116,6 @@ NO_UNIT = (
 NOT_WHOLE = [
     ("t", [0.5, 1, 2, 3, 4], TypeError, NO_UNIT.format("float64 (0.5")),
     ("t", np.zeros(5, "m8[us]"), TypeError, NO_UNIT.format("timedelta64[us] (0 microseconds")),
-    ("t", [True] * 5, TypeError, "`t` must be whole numbers, got bool (True at event 0)"),
     ("x", ["a" * 99] * 5, TypeError, f"`x` must be whole numbers, got <U99 ({'a' * 40} at event 0)"),
     ("y", [None] * 5, TypeError, "`y` must be whole numbers, got object (NoneType at event 0)"),
     ("x", [0, 1, 2, np.inf, 4], ValueError, "`x` must be a whole number, got inf at event 3"),
@@ -247,7 +242,6 @@ def test_no_mask_of_any_other_array_is_ignored():
         ("fc2.bias", lambda bias: Model(model.config, model.weights | {"fc2.bias": bias}, model.classes), 10),
         ("volume", CompiledClassifier(model), model.config.shape),
         ("mask", lambda mask: PixelFilter((34, 34), mask=mask), (34, 34)),
-        ("mask", lambda mask: save_mask("never_written.npy", mask), (34, 34)),
         ("x", lambda x: move_by_flow([1, 2], x, [3, 4], (1, 1), start_us=0, window_us=10), 2),
         ("log_frames", lambda frames: simulate_events(frames, [0, 1], 0.2, 0.2), (2, 3, 3)),
     ):
