@@ -159,7 +159,7 @@ def test_the_classifiers_features_translate_with_the_flow():
     """Phi(V(TNT(L_v e))) = L Phi(V(TNT(e))): by (8, -4) cells after conv1, by (2, -1) after conv1, pool, conv2, pool.
 
     v / t_max is a multiple of 4, as two poolings ask for. The outermost cells, which see the zero padding, are
-    left out. Features of the raw volumes agree nowhere near as well.
+    left out. Features of the raw volumes differ by more than a standard deviation.
     """
     torch.manual_seed(0)
     network = Classifier(BINS, SENSOR).double().requires_grad_(False)

@@ -111,14 +111,6 @@ def test_only_the_cast_at_the_end_is_float32():
     assert not torch.equal(exact.float().double(), exact)
 
 
-def test_line_in_chunks_equals_all_at_once(monkeypatch):
-    t, x, y, _ = stream(n=50)
-    whole = landmark("line", t, x, y, **WINDOW)
-    for chunk_cells in (1, 50, 150, 2450):  # 1, 1, 3 and 49 prefixes at a time
-        monkeypatch.setattr("tnt_reference.landmarks._CHUNK_CELLS", chunk_cells)
-        torch.testing.assert_close(landmark("line", t, x, y, **WINDOW), whole, rtol=0, atol=1e-12)
-
-
 # -- against loops -------------------------------------------------------------------------------------------
 
 
