@@ -131,6 +131,8 @@ def test_one_decoder_takes_any_form_after_any_other():
     for layout in LAYOUTS.values():
         for events in (records(layout), tuple(EVENTS), records(layout)):
             assert decoded(decoder, events) == EVENTS
+        # one event whose pixels lie on the sensor with their bytes swapped, too
+        assert decoded(decoder, records(layout)[2:3]) == [column[2:3] for column in EVENTS]
         assert decoded(decoder, None) == [[], [], [], []]
 
 
