@@ -1,8 +1,8 @@
 """TNTConfig checks itself, cannot be changed, and survives JSON."""
 
 import json
+import math
 import re
-from collections import OrderedDict
 from dataclasses import FrozenInstanceError, fields
 from fractions import Fraction
 
@@ -27,59 +27,43 @@ OTHER = {
     "remove_flow": True,
 }
 
-NO_SIZES = (34, None, "ab", (34,), (34, 34, 34), (34.0, 34), (True, 34), {34, 35}, np.array([34, 34]), (34, [34]))
-NO_WHOLE_NUMBERS = (9.0, "9", None, True, np.True_, np.array([9, 9]), Fraction(9))
-NO_NUMBERS = ("8", None, True, (8.0,), np.array(8.0), 8j, np.True_)
-NO_NAMES = ("", "nonsense", None, 0, [], np.array(["a", "b"]), b"center")
-FLOW = '`remove_flow` needs landmark="line" and transform="tnt", got landmark={!r}, transform={!r}'
+SIZE = "`{}` must be two whole numbers (width, height), got {!r}"
+WHOLE = "`{}` must be a whole number, got {!r}"
+ONE_OF = "`{}` must be one of {}, got {!r}"
 CELLS = "`grid` and `bins` must give fewer than 2**31 cells, got {}"
+FLOW = '`remove_flow` needs landmark="line" and transform="tnt", got landmark={!r}, transform={!r}'
+
+
+def flow(landmark, transform):
+    values = {"remove_flow": True, "landmark": landmark, "transform": transform}
+    return values, ValueError, FLOW.format(landmark, transform)
+
 
 WRONG = [
+    *[({"sensor": v}, TypeError, SIZE.format("sensor", v)) for v in (34, None, "ab", (34,), (34.0, 34), (True, 34))],
+    ({"grid": [34] * 3}, TypeError, SIZE.format("grid", [34] * 3)),
     *[
-        ({name: value}, TypeError, f"`{name}` must be two whole numbers (width, height), got {value!r}")
-        for name in ("sensor", "grid")
-        for value in NO_SIZES
+        ({name: side}, ValueError, f"`{name}` must have sides of 2 to 32768 pixels, got {side}")
+        for name, side in (("sensor", (1, 34)), ("sensor", (34, 32769)), ("grid", (34, -34)), ("grid", (34, 10**30)))
     ],
-    *[
-        ({name: value}, ValueError, f"`{name}` must have sides of 2 to 32768 pixels, got {value}")
-        for name in ("sensor", "grid")
-        for value in ((1, 34), (34, 1), (34, -34), (32769, 34), (34, 10**30))
-    ],
-    *[
-        ({name: value}, TypeError, f"`{name}` must be a whole number, got {value!r}")
-        for name in ("bins", "window_us")
-        for value in NO_WHOLE_NUMBERS
-    ],
+    *[({"bins": value}, TypeError, WHOLE.format("bins", value)) for value in (9.0, "9", True, np.array([9, 9]))],
+    ({"window_us": 1e5}, TypeError, WHOLE.format("window_us", 1e5)),
     *[({"bins": value}, ValueError, f"`bins` must be in [1, 1024], got {value}") for value in (0, 1025, 10**30)],
+    *[({"window_us": v}, ValueError, f"`window_us` must be in [1, 3600000000], got {v}") for v in (0, 3_600_000_001)],
+    *[({"t_max": v}, TypeError, f"`t_max` must be a number, got {v!r}") for v in ("8", True, (8.0,), 8j)],
     *[
-        ({"window_us": value}, ValueError, f"`window_us` must be in [1, 3600000000], got {value}")
-        for value in (0, 3_600_000_001)
+        ({"t_max": value}, ValueError, f"`t_max` must be in [1e-6, 1e6], got {got}")
+        for value, got in ((0, 0.0), (9e-7, 9e-7), (1e6 + 1, 1e6 + 1), (math.nan, math.nan), (10**400, math.inf))
     ],
-    *[({"t_max": value}, TypeError, f"`t_max` must be a number, got {value!r}") for value in NO_NUMBERS],
     *[
-        ({"t_max": value}, ValueError, f"`t_max` must be in [1e-6, 1e6], got {float(value)}")
-        for value in (0, -8.0, 9e-7, 1e6 + 1, float("inf"), float("nan"), Fraction(1, 10**7))
-    ],
-    ({"t_max": 10**400}, ValueError, "`t_max` must be in [1e-6, 1e6], got inf"),
-    *[
-        ({name: value}, ValueError, f"`{name}` must be one of {', '.join(allowed)}, got {value!r}")
+        ({name: value}, ValueError, ONE_OF.format(name, ", ".join(allowed), value))
         for name, allowed in (("landmark", LANDMARKS), ("polarity", POLARITIES), ("transform", TRANSFORMS))
-        for value in (*NO_NAMES, allowed[0].upper())
+        for value in (allowed[0].upper(), None, [])
     ],
-    *[
-        ({"remove_flow": value}, TypeError, f"`remove_flow` must be True or False, got {value!r}")
-        for value in (1, None, np.True_)
-    ],
-    *[
-        (
-            {"remove_flow": True, "landmark": landmark, "transform": transform},
-            ValueError,
-            FLOW.format(landmark, transform),
-        )
-        for landmark, transform in (("center", "tnt"), ("line", "none"), ("window", "none"))
-    ],
+    ({"remove_flow": 1}, TypeError, "`remove_flow` must be True or False, got 1"),
+    flow("center", "tnt"),
+    flow("line", "none"),
     ({"grid": (32768, 32767), "bins": 1}, ValueError, CELLS.format(2147549184)),
-    ({"grid": (1023, 1023), "bins": 1024}, ValueError, CELLS.format(2147483648)),
     ({"grid": (1023, 1023), "bins": 512, "polarity": "split"}, ValueError, CELLS.format(2147483648)),
 ]
 
@@ -106,20 +90,15 @@ def test_defaults_are_the_thesis():
     assert (config.transform, config.remove_flow) == ("tnt", False)
 
 
-@pytest.mark.parametrize("number", [int, np.int8, np.uint16, np.int32, np.uint64, np.array])
+@pytest.mark.parametrize("number", [np.int8, np.uint64, np.array])
 def test_numbers_of_any_type_become_pythons_own(number):
     made = TNTConfig(
-        sensor=(number(50), number(40)), grid=[number(20), number(30)], bins=number(7), window_us=number(99)
+        sensor=(number(50), number(40)), grid=[number(20), number(30)], bins=number(7), window_us=number(99), t_max=2
     )
-    expected = TNTConfig(sensor=(50, 40), grid=(20, 30), bins=7, window_us=99)
+    expected = TNTConfig(sensor=(50, 40), grid=(20, 30), bins=7, window_us=99, t_max=2.0)
     assert made == expected and hash(made) == hash(expected)
     assert {type(value) for value in (*made.sensor, *made.grid, made.bins, made.window_us)} == {int}
-
-
-@pytest.mark.parametrize("value", [2, np.float32(2), np.int32(2), Fraction(2), np.float16(2)])
-def test_t_max_becomes_a_float(value):
-    config = TNTConfig(t_max=value)
-    assert config == TNTConfig(t_max=2.0) and type(config.t_max) is float
+    assert type(made.t_max) is type(TNTConfig(t_max=np.float32(2)).t_max) is type(TNTConfig(t_max=Fraction(2)).t_max)
 
 
 def test_a_configuration_is_a_value_and_cannot_be_changed():
@@ -163,36 +142,14 @@ def test_any_configuration_survives_json(config):
     assert config.shape == (config.bins * (1 + (config.polarity == "split")), *config.grid[::-1])
 
 
-def test_from_dict_takes_any_mapping_and_fills_in_defaults():
-    assert TNTConfig.from_dict(OrderedDict(bins=3)) == TNTConfig(bins=3)
-
-
 @pytest.mark.parametrize(
     ("values", "error", "message"),
     [
         ({"z": 9, "bins": 9, 1: 1}, ValueError, f"unknown configuration 1, z; known: {NAMES}"),
         (["bins"], TypeError, "a configuration must be a mapping of names to values, got ['bins']"),
-        (None, TypeError, "a configuration must be a mapping of names to values, got None"),
         ({"sensor": [34]}, TypeError, "`sensor` must be two whole numbers (width, height), got (34,)"),
     ],
 )
 def test_from_dict_refuses(values, error, message):
     with pytest.raises(error, match=f"^{re.escape(message)}$"):
         TNTConfig.from_dict(values)
-
-
-JSON = st.recursive(
-    st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5)),
-    lambda parts: st.one_of(st.lists(parts, max_size=3), st.dictionaries(st.text(max_size=3), parts, max_size=3)),
-    max_leaves=5,
-)
-
-
-@given(st.one_of(JSON, st.dictionaries(st.sampled_from(sorted(OTHER)), JSON | st.sampled_from(list(OTHER.values())))))
-def test_any_json_is_a_configuration_or_refused(values):
-    try:
-        config = TNTConfig.from_dict(values)
-    except (ValueError, TypeError) as error:
-        assert str(error)
-    else:
-        assert config == TNTConfig.from_dict(config.to_dict())

@@ -3,7 +3,6 @@
 import re
 from collections import namedtuple
 from types import SimpleNamespace
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,10 +13,8 @@ from async_tnt import EVENT_DTYPE, Model, Processor, TNTConfig, TNTVolume
 from async_tnt.events import EventDecoder, as_events
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.representations.motion import move_by_flow
-from async_tnt.simulation.scene import render
 from async_tnt.simulation.simulator import simulate_events
 from async_tnt.sources.pixel_filter import PixelFilter
-from async_tnt.sources.pixel_masks import save_mask
 
 SENSOR = (346, 260)
 CONFIG = TNTConfig(sensor=SENSOR, grid=(20, 16), bins=3)
@@ -57,6 +54,8 @@ def assert_refused(events, error, message):
         with pytest.raises(error) as refused:
             decoder.decode(events)
         assert str(refused.value) == message
+    with pytest.raises(error, match=f"^{re.escape(message)}$"):
+        as_events(events, SENSOR)
     assert [a.tobytes() for a in arrays] == before
     assert (decoder.newest_us, decoder.n_dropped) == (13, 0)
 
@@ -70,26 +69,18 @@ RULES = {
     "p": "`p` must be 0 or 1, or -1 or +1",
 }
 OUT_OF_RANGE = [
-    ("t", "<i8", [-1, -(2**63), 2**62, 2**63 - 1]),
-    ("t", "<u8", [2**62, 2**63, 2**64 - 1]),
-    ("t", "<i4", [-1]),
-    ("x", "<u2", [346, 32768, 65535]),
-    ("x", "<i2", [346, -1, -32768]),
-    ("x", "<i4", [346, -1, 65536 + 3, -65536 + 3]),  # 3 in 16 bits
-    ("x", "<u4", [346, 65536 + 3, 2**32 - 1]),
-    ("x", "<i8", [346, -1, 2**32 + 3, -(2**32) + 3, -(2**63)]),
-    ("x", "<u8", [346, 2**63 + 3, 2**64 - 1]),
-    ("x", "i1", [-1, -128]),
-    ("y", "<u2", [260, 65535]),
+    ("t", "<i8", [-1, 2**62, 2**63 - 1]),
+    ("t", "<u8", [2**62, 2**64 - 1]),
+    ("x", "<u2", [346, 65535]),
+    ("x", "<i4", [346, -1, 65536 + 3]),  # 3 in 16 bits
+    ("x", "<i8", [-1, 2**32 + 3, -(2**63)]),
+    ("x", "<u8", [2**63 + 3, 2**64 - 1]),
     ("y", "<i2", [260, -1]),
-    ("y", "<i4", [260, 65536 + 3]),
-    ("p", "u1", [2, 128, 255]),
-    ("p", "i1", [2, -2, 127, -128]),
-    ("p", "<u2", [65535, 256]),
+    ("p", "u1", [2, 255]),
+    ("p", "i1", [2, -2]),
     ("p", "<i2", [2, -2, 256]),
-    ("p", "<u4", [2**32 - 1]),
-    ("p", "<i8", [2**32 + 1, 2**32 - 1, 256]),
-    ("p", "<u8", [2, 2**63, 2**64 - 1]),  # 2**64 - 1 is not -1
+    ("p", "<i8", [2**32 + 1, 2**32 - 1]),
+    ("p", "<u8", [2, 2**64 - 1]),  # 2**64 - 1 is not -1
 ]
 
 
@@ -125,13 +116,9 @@ NO_UNIT = (
 NOT_WHOLE = [
     ("t", [0.5, 1, 2, 3, 4], TypeError, NO_UNIT.format("float64 (0.5")),
     ("t", np.zeros(5, "m8[us]"), TypeError, NO_UNIT.format("timedelta64[us] (0 microseconds")),
-    ("t", [True] * 5, TypeError, "`t` must be whole numbers, got bool (True at event 0)"),
-    ("x", [1.0, 2, 3, 4, 5], TypeError, "`x` must be whole numbers, got float64 (1.0 at event 0)"),
     ("x", ["a" * 99] * 5, TypeError, f"`x` must be whole numbers, got <U99 ({'a' * 40} at event 0)"),
     ("y", [None] * 5, TypeError, "`y` must be whole numbers, got object (NoneType at event 0)"),
-    ("y", np.array(Y, object), TypeError, "`y` must be whole numbers, got object (int at event 0)"),
-    ("t", [0, 1, np.nan, 3, 4], ValueError, "`t` must be a whole number, got nan at event 2"),
-    ("x", np.array([0, 1, 2, np.inf, 4], "f2"), ValueError, "`x` must be a whole number, got inf at event 3"),
+    ("x", [0, 1, 2, np.inf, 4], ValueError, "`x` must be a whole number, got inf at event 3"),
     ("y", np.array([1, 2, 3, 4, -(2**70)], object), ValueError, f"`y` must fit in int64, got {-(2**70)} at event 4"),
 ]
 
@@ -150,149 +137,81 @@ class Broken:
         raise KeyError("no such chunk")
 
 
-class Itself:
-    @property
-    def polarity_events(self):
-        return self
-
-
 def never_ready():
     raise RuntimeError("not\n  ready")
 
 
-NOT_EVENTS = [
-    (np.zeros((5, 4)), "a plain array of shape (5, 4)"),
-    (torch.zeros(5, 4), "a plain array of shape (5, 4)"),
-    (float("nan"), "float"),
-    ("t,x,y,p", "str"),
-    (dict(t=T, x=X, y=Y, p=P), "dict"),
-    ((event for event in ()), "generator"),
-    (SimpleNamespace(x=X), "SimpleNamespace"),
-    (SimpleNamespace(numpy=lambda: 5), "int"),
-    (Itself(), "Itself"),
-]
+ENDLESS = SimpleNamespace()
+ENDLESS.polarity_events = ENDLESS
+
+NO_EVENTS = (
+    "events must be a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
+    "(t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy(); got "
+)
 FOUR = "a tuple of events must hold four columns (t, x, y, p), got "
 EQUAL = "t, x, y and p must have equal lengths, got "
 MISSING = "events need a field `{}` (one of {}), got {}"
 TWICE = "events need one field `{}`, got {} in {}; leave out all but one"
-ALL_P = "p, on, polarity, pol"
 Timeless = namedtuple("Timeless", "x y p when")
 WRONG_FORMS = [
-    ((T, X, Y), FOUR + "3"),
-    ([T, X, Y, P, P], FOUR + "5"),
-    (Timeless(X, Y, P, T), MISSING.format("t", "t, ts, timestamp", "a Timeless with attributes x, y, p")),
+    (np.zeros((5, 4)), TypeError, NO_EVENTS + "a plain array of shape (5, 4)"),
+    (torch.zeros(5, 4), TypeError, NO_EVENTS + "a plain array of shape (5, 4)"),
+    ("t,x,y,p", TypeError, NO_EVENTS + "str"),
+    (dict(t=T, x=X, y=Y, p=P), TypeError, NO_EVENTS + "dict"),
+    (ENDLESS, TypeError, NO_EVENTS + "SimpleNamespace"),
+    ((T, X, Y), ValueError, FOUR + "3"),
+    (Timeless(X, Y, P, T), ValueError, MISSING.format("t", "t, ts, timestamp", "a Timeless with attributes x, y, p")),
     (
         np.zeros(0, [("t", "<i8"), ("y", "<u2"), ("p", "u1")]),
+        ValueError,
         MISSING.format("x", "x", "a structured array with fields t, y, p"),
-    ),
-    (SimpleNamespace(ts=T, x=X, y=Y), MISSING.format("p", ALL_P, "a SimpleNamespace with attributes ts, x, y")),
-    (
-        np.zeros(5, [("ts", "<i8"), *EVENT_DTYPE.descr]),
-        TWICE.format("t", "ts and t", "a structured array with fields ts, t, x, y, p"),
     ),
     (
         SimpleNamespace(t=T, x=X, y=Y, p=P, on=P),
+        ValueError,
         TWICE.format("p", "p and on", "a SimpleNamespace with attributes t, x, y, p, on"),
     ),
-    ((T, X[:4], Y, P), EQUAL + "5, 4, 5, 5"),
-    ((*list(packet().values())[:3], np.zeros(6, "u1")), EQUAL + "5, 5, 5, 6"),
-    (([], X, Y, P), EQUAL + "0, 5, 5, 5"),
-    ((T, X, Y, 1), EQUAL + "5, 5, 5, 1"),
-    (np.zeros((2, 3), EVENT_DTYPE), "`t` must have one dimension, got shape (2, 3)"),
-    (np.zeros((0, 3), EVENT_DTYPE), "`t` must have one dimension, got shape (0, 3)"),
-    ((T, [X, X], Y, P), "`x` must have one dimension, got shape (2, 5)"),
-    (tuple(np.array([column]).T for column in (T, X, Y, P)), "`t` must have one dimension, got shape (5, 1)"),
-    (([5, 2**64], [0, 0], [0, 0], [0, 0]), f"`t` must fit in int64, got {2**64} at event 1"),
-    ((T, Broken(), Y, P), "`x` must be a column of whole numbers: 'no such chunk'"),
-]
-NO_COLUMNS = [
-    (SimpleNamespace(numpy=never_ready), "SimpleNamespace.numpy() failed: not ready"),
-    (
-        np.zeros(5, [("t", "<i8"), ("x", [("a", "<u2")]), ("y", "<u2"), ("p", "u1")]),
-        "`x` must be whole numbers, got [('a', '<u2')] ((0,) at event 0)",
-    ),
+    ((T, X[:4], Y, P), ValueError, EQUAL + "5, 4, 5, 5"),
+    ((*list(packet().values())[:3], np.zeros(6, "u1")), ValueError, EQUAL + "5, 5, 5, 6"),
+    (([], X, Y, P), ValueError, EQUAL + "0, 5, 5, 5"),
+    (np.zeros((2, 3), EVENT_DTYPE), ValueError, "`t` must have one dimension, got shape (2, 3)"),
+    (np.zeros((0, 3), EVENT_DTYPE), ValueError, "`t` must have one dimension, got shape (0, 3)"),
+    (tuple(np.array([c]).T for c in (T, X, Y, P)), ValueError, "`t` must have one dimension, got shape (5, 1)"),
+    ((T, Broken(), Y, P), ValueError, "`x` must be a column of whole numbers: 'no such chunk'"),
+    (SimpleNamespace(numpy=never_ready), TypeError, "SimpleNamespace.numpy() failed: not ready"),
     (
         list(np.zeros(4, EVENT_DTYPE)),
+        TypeError,
         "a list of single events (void at event 0) is not a packet: pass it to `stream`, event by event, or push "
         "four columns (t, x, y, p)",
     ),
-    ((T, X, Y, None), "`p` must be whole numbers, got object (NoneType at event 0)"),
-    (("abc", X, Y, P), "`t` must be whole numbers, got <U3 (abc at event 0)"),
-    (SimpleNamespace(t=never_ready, x=X, y=Y, p=P), "`t` must be whole numbers, got object (function at event 0)"),
+    ((T, X, Y, None), TypeError, "`p` must be whole numbers, got object (NoneType at event 0)"),
 ]
 
 
-@pytest.mark.parametrize(("events", "got"), NOT_EVENTS, ids=[got for _, got in NOT_EVENTS])
-def test_what_is_not_events_at_all(events, got):
-    accepted = (
-        "a structured array with fields t|ts|timestamp, x, y, p|on|polarity|pol, a tuple of four columns "
-        "(t, x, y, p), or an object with .t .x .y .p, .polarity_events or .numpy()"
-    )
-    assert_refused(events, TypeError, f"events must be {accepted}; got {got}")
-
-
-@pytest.mark.parametrize(
-    ("events", "message", "error"),
-    [*((*case, ValueError) for case in WRONG_FORMS), *((*case, TypeError) for case in NO_COLUMNS)],
-)
-def test_events_of_a_wrong_form(events, message, error):
+@pytest.mark.parametrize(("events", "error", "message"), WRONG_FORMS)
+def test_events_of_a_wrong_form(events, error, message):
     assert_refused(events, error, message)
 
 
-def test_objects_of_other_libraries():
-    decode = EventDecoder(SENSOR).decode
-    with pytest.raises(ValueError, match=r"^`x` must be a column of whole numbers: .*inhomogeneous"):
-        decode((T, [1, [2, 3], 4, 5, 6], Y, P))
-    with pytest.raises(TypeError, match=r"^Tensor\.numpy\(\) failed: .*requires grad"):
-        decode(torch.zeros(3, requires_grad=True))
-    with pytest.raises(ValueError, match=r"^events need one field `t`, got t and ts and timestamp in a Mock"):
-        decode(Mock())  # has every attribute
-
-
-# -- every entry ---------------------------------------------------------------------------------------------
-
-
-def total(volume):
-    return volume.sum((1, 2))
-
-
-@pytest.mark.parametrize(
-    "take",
-    [
-        lambda events: as_events(events, SENSOR),
-        lambda events: TNTVolume(CONFIG).update(events),
-        lambda events: Processor(CONFIG, classifier=total).push(events),
-    ],
-    ids=["as_events", "update", "push"],
-)
-def test_every_entry_refuses_the_same(take):
-    for events, error, message in [
-        (tuple(packet(x=[0, 1, 346, 3, 4]).values()), ValueError, r"^`x` must be in \[0, 346\), got 346 at event 2$"),
-        (as_records(packet(p=[1, 1, 2, 1, 1])), ValueError, "^`p` must be 0 or 1, or -1 or [+]1, got 2 at event 2$"),
-        (5, TypeError, "^events must be a structured array .*; got int$"),
-    ]:
-        with pytest.raises(error, match=message):
-            take(events)
-
+# -- single events -------------------------------------------------------------------------------------------
 
 ONE = [
-    ((-1, 0, 0, 1), ValueError, "`t` must be in [0, 2**62) microseconds, got -1 at event 0"),
-    ((2**62, 0, 0, 1), ValueError, f"`t` must be in [0, 2**62) microseconds, got {2**62} at event 0"),
+    ((-1, 0, 0, 1), ValueError, f"{RULES['t']}, got -1 at event 0"),
+    ((2**62, 0, 0, 1), ValueError, f"{RULES['t']}, got {2**62} at event 0"),
     ((2**64, 0, 0, 1), ValueError, f"`t` must fit in int64, got {2**64} at event 0"),
-    ((5, 346, 0, 1), ValueError, "`x` must be in [0, 346), got 346 at event 0"),
-    ((5, -1, 0, 1), ValueError, "`x` must be in [0, 346), got -1 at event 0"),
-    ((5, 0, 260, 1), ValueError, "`y` must be in [0, 260), got 260 at event 0"),
-    ((5, 0, 0, 2), ValueError, "`p` must be 0 or 1, or -1 or +1, got 2 at event 0"),
-    ((5, 0, 0, -2), ValueError, "`p` must be 0 or 1, or -1 or +1, got -2 at event 0"),
+    ((5, 346, 0, 1), ValueError, f"{RULES['x']}, got 346 at event 0"),
+    ((5, -1, 0, 1), ValueError, f"{RULES['x']}, got -1 at event 0"),
+    ((5, 0, 260, 1), ValueError, f"{RULES['y']}, got 260 at event 0"),
+    ((5, 0, 0, 2), ValueError, f"{RULES['p']}, got 2 at event 0"),
+    ((5, 0, 0, -2), ValueError, f"{RULES['p']}, got -2 at event 0"),
     ((5.0, 0, 0, 1), TypeError, NO_UNIT.format("float64 (5.0")),
-    ((5, 0, "1", 1), TypeError, "`y` must be whole numbers, got <U1 (1 at event 0)"),
-    ((5, [1, 2], 0, 1), ValueError, "`x` must have one dimension, got shape (1, 2)"),
 ]
 
 
 @pytest.mark.parametrize(("event", "error", "message"), ONE)
 def test_single_events(event, error, message):
-    volume, processor = TNTVolume(CONFIG), Processor(CONFIG, classifier=total)
+    volume, processor = TNTVolume(CONFIG), Processor(CONFIG, classifier=lambda volume: volume.sum((1, 2)))
     for take in (EventDecoder(SENSOR).decode_one, volume.update_one, processor.push_one):
         with pytest.raises(error, match=f"^{re.escape(message)}$"):
             take(*event)
@@ -302,42 +221,29 @@ def test_single_events(event, error, message):
 
 # -- masked arrays -------------------------------------------------------------------------------------------
 
-MASKED = np.ma.array(as_records(packet()), mask=[0, 1, 0, 0, 0])
 
-
-@pytest.mark.parametrize(
-    ("name", "events"),
-    [
-        ("t", tuple(MASKED[field] for field in "txyp")),
+def test_no_mask_of_events_is_ignored():
+    masked = np.ma.array(as_records(packet()), mask=[0, 1, 0, 0, 0])
+    for name, events in (
+        ("t", tuple(masked[field] for field in "txyp")),
         ("p", (T, X, Y, np.ma.array(P))),  # one that masks nothing
         ("y", (5, 1, np.ma.masked, 1)),
-        ("x", SimpleNamespace(t=T, x=MASKED["x"], y=Y, p=P)),
-        ("events", MASKED),
-        ("events", MASKED[1]),
-        ("events", SimpleNamespace(numpy=lambda: MASKED)),
-    ],
-)
-def test_no_mask_of_events_is_ignored(name, events):
-    advice = "pass `.compressed()` of each column, or `.data` to use every event"
-    message = f"`{name}` must not be a masked array, whose mask would be ignored; {advice}"
-    assert_refused(events, TypeError, message)
+        ("events", masked),
+        ("events", SimpleNamespace(numpy=lambda: masked)),
+    ):
+        advice = "pass `.compressed()` of each column, or `.data` to use every event"
+        message = f"`{name}` must not be a masked array, whose mask would be ignored; {advice}"
+        assert_refused(events, TypeError, message)
 
 
-MODEL = random_model()
-
-
-@pytest.mark.parametrize(
-    ("name", "take", "shape"),
-    [
-        ("fc2.bias", lambda bias: Model(MODEL.config, MODEL.weights | {"fc2.bias": bias}, MODEL.classes), 10),
-        ("volume", CompiledClassifier(MODEL), MODEL.config.shape),
+def test_no_mask_of_any_other_array_is_ignored():
+    model = random_model()
+    for name, take, shape in (
+        ("fc2.bias", lambda bias: Model(model.config, model.weights | {"fc2.bias": bias}, model.classes), 10),
+        ("volume", CompiledClassifier(model), model.config.shape),
         ("mask", lambda mask: PixelFilter((34, 34), mask=mask), (34, 34)),
-        ("mask", lambda mask: save_mask("never_written.npy", mask), (34, 34)),
         ("x", lambda x: move_by_flow([1, 2], x, [3, 4], (1, 1), start_us=0, window_us=10), 2),
         ("log_frames", lambda frames: simulate_events(frames, [0, 1], 0.2, 0.2), (2, 3, 3)),
-        ("image", lambda image: render(image, [0.0], [0.0]), (3, 3)),
-    ],
-)
-def test_no_mask_of_any_other_array_is_ignored(name, take, shape):
-    with pytest.raises(TypeError, match=rf"^`{name}` must not be a masked array, .*; pass `\.filled\(value\)`, or"):
-        take(np.ma.masked_all(shape))
+    ):
+        with pytest.raises(TypeError, match=rf"^`{name}` must not be a masked array, .*; pass `\.filled\(value\)`, or"):
+            take(np.ma.masked_all(shape))

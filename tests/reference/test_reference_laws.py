@@ -6,13 +6,13 @@ order, so that those comparisons ask for equality. Landmark `line` is compared w
 
 from fractions import Fraction
 from itertools import product
+from random import Random
 
 import pytest
 import torch
 from hypothesis import Phase, find, given, settings
 from hypothesis import strategies as st
 from tnt_reference import event_volume, fitted_flow, landmark, tnt_coordinates, tnt_volume
-from tnt_reference.coordinates import bin_position
 
 LANDMARKS = ("center", "running", "line", "window")
 POLARITIES = ("signed", "unsigned", "split")
@@ -53,8 +53,7 @@ def test_volume_sums_to_the_kept_signs(name, polarity):
         {"transform": None},
         {"landmark": "running"},
         {"landmark": "line", "remove_flow": True, "t_max": 2.0},
-        {"landmark": "window", "polarity": "unsigned"},
-        {"landmark": (3.0, 3.0), "polarity": "split"},
+        {"landmark": "window", "polarity": "split"},
         {"landmark": "given"},
     ],
     ids=str,
@@ -87,30 +86,22 @@ def test_gradients_keep_the_sum_on_the_edges_of_cells_too():
     assert torch.autograd.grad(volume.sum(), x)[0].item() == 0
 
 
-DEGENERATE = {
-    "no events": ([], [], [], []),
-    "one event": ([2_000], [3], [4], [1]),
-    "one event at the start": ([1_000], [3], [4], [1]),
-    "all at one timestamp": ([2_000] * 5, [3, 3, 4, 0, 11], [4, 4, 4, 0, 8], [1, 0, 1, 0, 1]),
-    "all outside": ([0, 999, 6_001], [3, 3, 3], [4, 4, 4], [1, 1, 1]),
-    "one microsecond after the start": ([1_001], [11], [8], [0]),
-}
-
-
-@pytest.mark.parametrize("case", DEGENERATE.values(), ids=DEGENERATE)
 @pytest.mark.parametrize("name", [*LANDMARKS, (1.0, 2.0)], ids=str)
-def test_degenerate_input_gives_finite_values_and_gradients(case, name):
-    *where, p = case
-    t, x, y = (torch.tensor(column, dtype=torch.float64, requires_grad=True) for column in where)
-    u, v, kept = tnt_coordinates(t, x, y, **WINDOW, landmark=name)
-    assert u.isfinite().all() and v.isfinite().all() and len(kept) == len(t)
-    assert fitted_flow(t, x, y, **WINDOW).shape == (len(t), 2)
-    for remove_flow in {False, name == "line"}:
-        volume = tnt_volume(t, x, y, p, **VOLUME, landmark=name, remove_flow=remove_flow)
-        assert volume.shape == (5, 7, 8) and volume.isfinite().all()
-        loss = (volume * volume).sum() + u.sum() + v.sum()
-        gradients = torch.autograd.grad(loss, (t, x, y), retain_graph=True, allow_unused=True)
-        assert all(gradient is None or gradient.isfinite().all() for gradient in gradients)
+def test_degenerate_input_gives_finite_values_and_gradients(name):
+    for times in ([], [1_000], [1_001], [2_000] * 5, [0, 999, 6_001]):
+        n = len(times)
+        t, x, y = (
+            torch.tensor(column[:n], dtype=torch.float64, requires_grad=True)
+            for column in (times, [11, 3, 3, 4, 0], [8, 4, 4, 4, 0])
+        )
+        u, v, _ = tnt_coordinates(t, x, y, **WINDOW, landmark=name)
+        assert u.isfinite().all() and v.isfinite().all() and fitted_flow(t, x, y, **WINDOW).shape == (n, 2)
+        for remove_flow in {False, name == "line"}:
+            volume = tnt_volume(t, x, y, [1, 0, 1, 0, 1][:n], **VOLUME, landmark=name, remove_flow=remove_flow)
+            assert volume.shape == (5, 7, 8) and volume.isfinite().all()
+            loss = (volume * volume).sum() + u.sum() + v.sum()
+            gradients = torch.autograd.grad(loss, (t, x, y), retain_graph=True, allow_unused=True)
+            assert all(gradient is None or gradient.isfinite().all() for gradient in gradients)
 
 
 def test_only_the_cast_at_the_end_is_float32():
@@ -118,14 +109,6 @@ def test_only_the_cast_at_the_end_is_float32():
     exact = tnt_volume(*events, **VOLUME, dtype=torch.float64)
     assert torch.equal(tnt_volume(*events, **VOLUME), exact.float())
     assert not torch.equal(exact.float().double(), exact)
-
-
-def test_line_in_chunks_equals_all_at_once(monkeypatch):
-    t, x, y, _ = stream(n=50)
-    whole = landmark("line", t, x, y, **WINDOW)
-    for chunk_cells in (1, 50, 150, 2450):  # 1, 1, 3 and 49 prefixes at a time
-        monkeypatch.setattr("tnt_reference.landmarks._CHUNK_CELLS", chunk_cells)
-        torch.testing.assert_close(landmark("line", t, x, y, **WINDOW), whole, rtol=0, atol=1e-12)
 
 
 # -- against loops -------------------------------------------------------------------------------------------
@@ -140,7 +123,7 @@ def windows(draw):
     grid = draw(st.tuples(st.integers(2, 7), st.integers(2, 7)))
     dt = st.one_of(st.integers(-2, window_us + 2), st.sampled_from([0, 1, window_us - 1, window_us]))
     event = st.tuples(dt, st.integers(0, sensor[0] - 1), st.integers(0, sensor[1] - 1), st.booleans())
-    events = draw(st.lists(event, max_size=12))
+    events = draw(st.lists(event, min_size=draw(st.sampled_from([0, 1, 12])), max_size=12))
     t, x, y, p = ([e[k] for e in events] for k in range(4))
     return ([start_us + a for a in t], x, y, p), dict(start_us=start_us, window_us=window_us, sensor=sensor, grid=grid)
 
@@ -190,14 +173,6 @@ def test_landmarks(window, name):
             assert got == sum(of_members) / len(members) * (grid[axis] - 1) / (sensor[axis] - 1)
 
 
-@pytest.mark.parametrize("bins", [2, 4, 9])
-def test_bin_position_rounds_as_the_equation_is_written(bins):
-    """((B - 1) dt) / window: on a whole bin the event lies on it, where (B - 1)(dt / window) may miss it."""
-    for window_us in (49, 105_000):
-        dt = torch.randint(0, window_us + 1, (500,), generator=torch.Generator().manual_seed(3)).double()
-        assert bin_position(dt, window_us, bins).tolist() == [(bins - 1) * a / window_us for a in dt.tolist()]
-
-
 @given(
     windows(),
     st.sampled_from(["raw", "line, flow removed", *LANDMARKS]),
@@ -236,5 +211,5 @@ def test_volumes(window, kind, t_max, bins, polarity):
 
 def test_the_strategy_reaches_kept_events():
     """Guards the tests above against agreeing on empty volumes."""
-    seek = settings(phases=[Phase.generate], database=None)
-    assert find(windows(), lambda window: tnt_coordinates(*window[0][:3], **window[1]).kept.sum() >= 5, settings=seek)
+    seek = settings(phases=[Phase.generate], database=None, max_examples=200)
+    find(windows(), lambda w: tnt_coordinates(*w[0][:3], **w[1]).kept.sum() >= 5, settings=seek, random=Random(0))

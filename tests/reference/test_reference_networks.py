@@ -19,21 +19,7 @@ def seeded():
     torch.manual_seed(0)
 
 
-def test_classifier_shapes_and_parameter_names():
-    shapes = {name: tuple(w.shape) for name, w in Classifier().state_dict().items()}
-    assert shapes == {
-        "conv1.weight": (16, 9, 3, 3),
-        "conv1.bias": (16,),
-        "conv2.weight": (32, 16, 3, 3),
-        "conv2.bias": (32,),
-        "fc1.weight": (64, 32 * 8 * 8),
-        "fc1.bias": (64,),
-        "fc2.weight": (10, 64),
-        "fc2.bias": (10,),
-    }
-
-
-@pytest.mark.parametrize("grid", [(34, 34), (4, 4), (5, 7), (40, 26)])
+@pytest.mark.parametrize("grid", [(4, 4), (5, 7), (40, 26)])
 def test_classifier_takes_one_volume_or_several(grid):
     network = Classifier(channels=3, grid=grid, n_classes=4, widths=(5, 6, 7))
     volumes = torch.randn(6, 3, grid[1], grid[0])
@@ -64,7 +50,7 @@ def test_classifier_by_hand():
 
 
 def test_regressor_starts_exactly_at_the_image_centre():
-    for grid in [(34, 34), (7, 5), (346, 260), (13, 200)]:
+    for grid in [(34, 34), (7, 5), (13, 200)]:
         volume = torch.randn(3, 4, grid[1], grid[0])
         centre = [(grid[0] - 1) / 2, (grid[1] - 1) / 2]
         first = LandmarkRegressor(4, grid, n_filters=3)(volume)
@@ -92,9 +78,7 @@ def test_regressor_by_hand():
     "options",
     [
         {"landmark": "center", "polarity": "split"},
-        {"landmark": "running"},
-        {"landmark": "line", "polarity": "unsigned"},
-        {"landmark": "line", "remove_flow": True},
+        {"landmark": "line", "polarity": "unsigned", "remove_flow": True},
         {"landmark": "window"},
         {"transform": "none"},
     ],
@@ -120,64 +104,34 @@ def with_regressor(dtype=torch.float32):
     ).to(dtype)
 
 
-def lively():
-    """A pipeline with larger weights: of the default ones, derivatives are as small as a check of them is coarse."""
+def test_gradients_reach_the_events_and_the_regressors_first_layer_and_are_right():
+    """Real-valued events act on the logits in two ways: by their own place, and by the landmark drawn from them."""
     pipeline = with_regressor(torch.float64)
     with torch.no_grad():
         for weight in pipeline.classifier.parameters():
-            weight *= 5
-    return pipeline
-
-
-def test_after_one_step_the_gradient_reaches_the_regressors_first_layer_and_is_right():
-    """From the start with a zero 1x1 convolution: through landmark, transform, volume and classifier, in float64."""
-    pipeline = lively()
-    optimizer = torch.optim.Adam(pipeline.regressor.parameters(), lr=0.5)
-    first, last = pipeline.regressor.conv1.weight, pipeline.regressor.heatmap.weight
-
-    def first_gradients():
-        loss = torch.nn.functional.cross_entropy(pipeline(*window())[None], torch.tensor([2]))
-        return torch.autograd.grad(loss, (first, last))
-
-    at_first = first_gradients()
-    assert at_first[0].abs().max() == 0 and at_first[1].abs().max() > 1e-3
-    last.grad = at_first[1]
-    optimizer.step()
-    assert first_gradients()[0].abs().max() > 1e-3
-    pipeline(*window()).sum().backward()
-    assert all(weight.grad.abs().max() > 0 for weight in pipeline.parameters())
-
-    def logits(weight):
-        return torch.func.functional_call(pipeline, {"regressor.conv1.weight": weight}, window())
-
-    weight = first.detach().clone().requires_grad_()
-    assert torch.autograd.gradcheck(logits, (weight,), eps=1e-7, atol=1e-6, rtol=1e-4, fast_mode=True)
-
-
-def test_pipeline_gradient_reaches_the_events():
-    """Real-valued events act on the logits in two ways: by their own place, and by the landmark drawn from them."""
-    pipeline = lively()
+            weight *= 5  # of the default ones, derivatives are as small as a check of them is coarse
     torch.nn.init.normal_(pipeline.regressor.heatmap.weight)
     g = torch.Generator().manual_seed(3)
-    t, x, y = (
-        torch.rand(9, generator=g, dtype=torch.float64) * span + low for low, span in ((3_000, 2_800), (2, 7), (2, 6))
-    )
+    columns = [
+        torch.rand(9, generator=g, dtype=torch.float64) * span + low for span, low in ((2_800, 3_000), (7, 2), (6, 2))
+    ]
     p = torch.randint(0, 2, (9,), generator=g)
-    columns = tuple(column.requires_grad_() for column in (t, x, y))
 
-    def logits(t, x, y):
-        return pipeline(t, x, y, p, 1_000)
+    def logits(t, x, y, weight):
+        return torch.func.functional_call(pipeline, {"regressor.conv1.weight": weight}, (t, x, y, p, 1_000))
 
-    assert torch.autograd.gradcheck(logits, columns, atol=1e-6, rtol=1e-4)
+    inputs = [value.detach().clone().requires_grad_() for value in (*columns, pipeline.regressor.conv1.weight)]
+    gradients = torch.autograd.grad(logits(*inputs)[0], inputs)
+    assert min(gradient.abs().max() for gradient in gradients) > 1e-6
+    assert torch.autograd.gradcheck(logits, inputs, eps=1e-7, atol=1e-6, rtol=1e-4, fast_mode=True)
 
 
-@pytest.mark.parametrize("name", ["center", "running", "line", "window", "regressor"])
-def test_batch_equals_one_by_one_and_may_hold_empty_windows(name):
-    pipeline = with_regressor() if name == "regressor" else Pipeline(Classifier(5, (12, 10)), **SETTINGS, landmark=name)
-    windows = [window(0), ([], [], [], [], 77), window(2, n=1), window(3, start_us=9)]
-    together = pipeline.batch(windows)
-    assert together.isfinite().all()
-    torch.testing.assert_close(together, torch.stack([pipeline(*w) for w in windows]))
+def test_batch_equals_one_by_one_and_may_hold_empty_windows():
+    for pipeline in (with_regressor(), Pipeline(Classifier(5, (12, 10)), **SETTINGS, landmark="line")):
+        windows = [window(0), ([], [], [], [], 77), window(2, n=1), window(3, start_us=9)]
+        together = pipeline.batch(windows)
+        assert together.isfinite().all()
+        torch.testing.assert_close(together, torch.stack([pipeline(*w) for w in windows]))
 
 
 REGRESSOR = LandmarkRegressor(5, (12, 10))
@@ -191,17 +145,12 @@ BAD_PIPELINES = [
         r"the classifier is built for \(channels, grid\) \(5, \(12, 10\)\), "
         r"these settings give \(10, \(12, 10\)\)",
     ),
-    (dict(grid=(9, 9)), r"the classifier is built for .* these settings give \(5, \(9, 9\)\)"),
     (
         dict(landmark="regressor", regressor=LandmarkRegressor(9, (12, 10))),
         r"the regressor is built for \(channels, grid\) \(9, \(12, 10\)\)",
     ),
-    (dict(polarity="both"), r"`polarity` must be one of signed, unsigned, split, got 'both'"),
     (dict(t_max=-1.0), r"`t_max` must be positive and finite, got -1.0"),
-    (dict(remove_flow=True), r"`remove_flow` needs the flow fitted by .* got landmark 'running'"),
     (dict(landmark="regressor", regressor=REGRESSOR, remove_flow=True), r"`remove_flow` needs the flow"),
-    (dict(window_us=0), r"`window_us` must be positive, got 0"),
-    (dict(bins=0), r"`bins` must be at least 1, got 0"),
 ]
 
 
