@@ -2,6 +2,7 @@
 
 A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
 A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) -> WindowClassifier.decide
+             or, for the compiled classifier, many in one compiled call -> WindowClassifier.decide_stretch
 """
 
 from __future__ import annotations
@@ -29,7 +30,11 @@ from async_tnt.windows import WindowScheduler
 
 def _trigger(name: str) -> property:
     """A trigger's setting, which may be changed while the stream runs."""
-    return property(lambda self: getattr(self._triggers, name), lambda self, value: self._set(name, value))
+    return property(
+        lambda self: getattr(self._triggers, name),
+        lambda self, value: self._set(name, value),
+        doc=f"The trigger `{name}`, see `Processor`; may be changed at any time.",
+    )
 
 
 class Processor:
@@ -152,7 +157,8 @@ class Processor:
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _choose_paths(self) -> None:
-        """Let single events go straight to the open volume where the settings allow it."""
+        """Note whether triggers look at each event, and let single events go straight to the volume where there is only
+        one and nothing else has to see them first."""
         direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
         self._by_event = self._triggers.by_event
@@ -189,7 +195,7 @@ class Processor:
             n_before = self._windows.oldest.n_events
             answer = self._absorb_one(t, x, y, p)
         if answer != ABSORBED:
-            return self._absorb(self._decoder.decode_one(t, x, y, p))
+            return decisions + self._absorb(self._decoder.decode_one(t, x, y, p))
         if self._by_event:
             self._accept(self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions)
         return decisions
@@ -321,7 +327,8 @@ class Processor:
         """The state of the stream: open windows, counts and triggers, but not the classifier. Another processor with
         the same configuration and settings, in any process, continues from it bit for bit (`restore_state`)."""
         arrays = self._windows.save() | with_prefix("triggers", self._triggers.save())
-        arrays["door"] = np.array((self._decoder.newest_us, self._decoder.n_dropped), np.int64)  # the decoder's
+        # "door": the decoder, as states have named it from the first version on
+        arrays["door"] = np.array((self._decoder.newest_us, self._decoder.n_dropped), np.int64)
         return state_bytes(arrays, {"fixed": self._fixed, "triggers": self._triggers.settings()})
 
     def restore_state(self, state: bytes) -> None:

@@ -165,7 +165,7 @@ class TNTVolume:
         try:
             # `|` refuses floats; a NumPy scalar would make Numba compile for its type
             if type(t | x | y | p) is int and self._is_plain:
-                return absorb_one(self._buffer, t, x, y, p * 1)
+                return absorb_one(self._buffer, t, x, y, p * 1)  # True becomes 1, or Numba would compile for bool
         except (TypeError, OverflowError):
             pass  # the decoder names the mistake
         return REFUSED
@@ -280,7 +280,15 @@ class TNTVolume:
         dropped = self._decoder.n_dropped
         decided = self.n_decided
         outside = received - kept - late - tau_zero - unstored - decided
-        return Counts(received + dropped, kept, outside, tau_zero, late + dropped, unstored, decided)
+        return Counts(
+            received=received + dropped,
+            kept=kept,
+            dropped_outside=outside,
+            dropped_tau_zero=tau_zero,
+            dropped_late=late + dropped,
+            dropped_unstored=unstored,
+            dropped_decided=decided,
+        )
 
     @property
     def n_events(self) -> int:

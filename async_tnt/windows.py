@@ -118,7 +118,7 @@ class WindowScheduler:
         if start_us + self._window_us <= t_us:  # then none is open
             hops = (t_us - self._window_us - start_us) // self.hop_us + 1
             start_us += hops * self.hop_us
-            self._remember(hops, 0)
+            self._remember(hops, early=False)
         while start_us <= t_us or not self._open:
             volume = self._free.pop()
             volume.open(start_us)
@@ -148,7 +148,7 @@ class WindowScheduler:
         if self._open:
             self._inform_oldest()
 
-    def _remember(self, hops: int, early: int) -> None:
+    def _remember(self, hops: int, early: bool) -> None:
         """The window to look back from is now this many hops later; `early`: the one before it was closed early."""
         before = self._closed_early << hops if hops < REMEMBERED else 0
         self._closed_early = (before | early) & ((1 << REMEMBERED) - 1)
@@ -162,7 +162,8 @@ class WindowScheduler:
         """All volumes, which of them are open, and the counts."""
         order = [self.volumes.index(volume) for volume in (*self._open, *self._free)]
         next_us = -1 if self._next_start_us is None else self._next_start_us
-        counts = [len(self._open), next_us, -1, self._n_received, self._n_late, self._n_decided]
+        unused = -1  # version 0.1 had the end of the newest window that was closed early here
+        counts = [len(self._open), next_us, unused, self._n_received, self._n_late, self._n_decided]
         arrays = {"order": np.array(order, np.int64), "counts": np.array(counts, np.int64)}
         closed_early = self._closed_early.to_bytes(REMEMBERED // 8, "little")
         arrays["closed_early"] = np.frombuffer(closed_early, np.uint8)
@@ -207,7 +208,7 @@ class WindowScheduler:
             self._closed_early = int.from_bytes(words.tobytes(), "little")
         elif 0 <= decided_us < first_us:  # states of version 0.1 know only the newest such window
             self._closed_early = 1
-            self._remember((first_us - decided_us) // self.hop_us - 1, 0)
+            self._remember((first_us - decided_us) // self.hop_us - 1, early=False)
         self._inform_oldest()
 
     def counts(self, n_dropped: int) -> Counts:

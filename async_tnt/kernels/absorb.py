@@ -192,7 +192,7 @@ def _place(buffer, ints, t, p, m):
         )
         n_kept += keep
     ints[S.KEPT] += n_kept
-    # the log is a ring: first up to its end, then from its beginning
+    # the log is a ring, longer than a block: first up to its end, then from its beginning
     at = ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1)
     m_to_end = min(m, ints[S.LOG_SIZE] - at)
     for i in range(m_to_end):

@@ -21,7 +21,8 @@ def forward(layout, weights, maps, dirty):
 
     Parameters
     ----------
-    layout, weights, maps, dirty : the classifier's, see `layout`. Maps and dirty mask are updated in place.
+    layout, weights, maps, dirty : the classifier's, see `layout`. Maps, dirty mask and the scratch numbers of the layout
+        are updated in place.
     """
     forward_conv_1(layout, weights, maps, dirty)
     forward_conv_2(layout, weights, maps, dirty)
@@ -41,7 +42,7 @@ def forward_conv_1(layout, weights, maps, dirty):
         flags = layout[L.DIRTY_1] + n_rows + row * n_columns
         column = _next_dirty(dirty, flags, 0, n_columns)
         while column < n_columns:
-            first = max(min(column, n_columns - CELLS_1), 0)
+            first = max(min(column, n_columns - CELLS_1), 0)  # at the right edge, also cells that are not dirty
             n = min(CELLS_1, n_columns - first)
             inputs = layout[L.INPUT] + 2 * row * n_channels * pitch + 2 * first
             cells = layout[L.POOLED_1] + ((row + 1) * (n_columns + 2) + first + 1) * n_filters

@@ -89,7 +89,7 @@ def place_event(grid, dt, on, num_x, num_y, den):
 
 @inlined
 def add_event(buffer, corner, row, y_frac, x_frac, lower, upper):
-    """Add one placed event to the two times four numbers around its place.
+    """Add one placed event to four cells, 2 x 2 neighbours, each of which is a pair (lower, upper); see `state`.
 
     Parameters
     ----------
