@@ -56,9 +56,6 @@ def test_split_saccades_at_105_210_and_315_ms_on_any_clock():
     assert [len(piece) for piece in before] == [1, 0, 0, 0]
 
 
-# -- pauses ----------------------------------------------------------------------------------------------------
-
-
 def test_pauses_by_hand():
     """A gap of exactly the threshold is a pause; the cut is the first event after it."""
     events = at_times(0, 5, 15, 24, 34, 35)
@@ -81,9 +78,6 @@ def test_pauses_equal_the_reference_and_lie_between_pieces(data):
         assert after["t"].min() - before["t"].max() >= gap_us
     for piece in pieces:
         assert (np.diff(np.sort(piece["t"])) < gap_us).all()
-
-
-# -- errors ----------------------------------------------------------------------------------------------------
 
 
 def test_bad_arguments():

@@ -91,9 +91,6 @@ def test_the_centre_as_answer_equals_landmark_center(sensor, grid, bound):
         assert volume.counts == center.counts and volume.array.any()
 
 
-# -- what a regressor sees and returns -----------------------------------------------------------------------
-
-
 def test_it_sees_the_raw_volume_of_its_window_read_only():
     seen = []
 

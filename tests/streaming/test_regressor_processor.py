@@ -52,9 +52,6 @@ def test_a_callable_beside_a_configuration_or_in_place_of_a_models():
     assert mine.landmark == (20.0, 10.0) != models.landmark and mine.fire().label in MODEL.classes
 
 
-# -- check ---------------------------------------------------------------------------------------------------
-
-
 def test_check_compares_with_the_torch_reference(tmp_path, program):
     path, recording = random_regressor_model(sharpness=5.0).save(tmp_path / "m.safetensors"), sample_recordings()[3]
     code, out, _ = program("check", recording, "--model", path, "--prefixes", 1)

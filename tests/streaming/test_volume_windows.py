@@ -23,9 +23,6 @@ def brightest(raw):
     return x + 0.5, y + 0.25
 
 
-# -- windows -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("landmark", ["center", "window"])
 def test_window_is_half_open(landmark):
     volume = opened(CONFIG.replace(landmark=landmark))
@@ -54,9 +51,6 @@ def test_array_is_a_read_only_float32_view_of_the_open_window():
     assert not volume.array.any()
 
 
-# -- events --------------------------------------------------------------------------------------------------
-
-
 def test_events_before_the_open_window_are_dropped_and_counted():
     volume = opened(CONFIG.replace(landmark="running"), 1000)
     volume.update(([1500, 999, 0, 1600], [3, 30, 30, 3], [3, 30, 30, 3], [1, 1, 1, 1]))
@@ -74,9 +68,6 @@ def test_what_is_refused():
         TNTVolume(TNTConfig(landmark="window"), replay_events=0)
     with pytest.raises(ValueError, match=r"`flow` needs landmark=.line. and transform=.tnt., got landmark='center'"):
         _ = TNTVolume(CONFIG).flow
-
-
-# -- the replay buffer ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("landmark", ["window", "regressor"])
