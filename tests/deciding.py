@@ -12,6 +12,12 @@ def total_and_size(volume):
     return [float(volume.sum()), float(np.abs(volume).sum())]
 
 
+def uneven(volume):
+    """A classifier whose probabilities go up and down with what it sees."""
+    total, size = float(volume.sum()), float(np.abs(volume).sum())
+    return np.array([total, 0.5 * size - 1.5, np.sin(size)], np.float32)
+
+
 def key(decision):
     return (
         decision.trigger,

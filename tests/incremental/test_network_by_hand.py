@@ -1,25 +1,28 @@
 """What the compiled classifier computes: bit for bit its twin in NumPy, by hand, and finite or refused."""
 
+from functools import partial
 from importlib import import_module
 from pkgutil import iter_modules
 
 import numpy as np
 import pytest
 from incremental.cases import NETWORKS, of_all
-from incremental.oracles import forward
 from made import events_of, random_events, random_model
 from numba.core.registry import CPUDispatcher
+from oracles import forward
 
 from async_tnt import CompiledClassifier, LeakyIntegrator, Model, Processor, TNTConfig, TNTVolume, kernels
+from async_tnt.kernels import classify
 
 
 def test_no_kernel_may_reorder_arithmetic():
     """However a stream is cut, its bits stay: sums keep their order, and 1 / 0 is inf as in the equations."""
     modules = [import_module(f"async_tnt.kernels.{module.name}") for module in iter_modules(kernels.__path__)]
-    compiled = {id(k): k for module in modules for k in vars(module).values() if isinstance(k, CPUDispatcher)}
+    compiled = [k for module in modules for k in vars(module).values() if isinstance(k, CPUDispatcher)]
     assert len(compiled) > 60
-    for kernel in compiled.values():
+    for kernel in compiled:
         assert not kernel.targetoptions.get("fastmath") and kernel.targetoptions["error_model"] == "numpy"
+    assert classify.absorb_and_decide.targetoptions["nogil"]  # other threads run while a packet is decided
 
 
 @of_all
@@ -40,12 +43,11 @@ def test_logits_are_those_of_the_twin_bit_for_bit(network):
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none")
 
 
-def by_hand(tap: tuple[int, int] = (1, 1)) -> Model:
-    """8 x 8 pixels, one bin: the first convolution is one tap and its negative in the middle, the second adds the one
+def by_hand() -> Model:
+    """8 x 8 pixels, one bin: the first convolution is the middle tap and its negative, the second adds the one
     and four times the other, the dense layer weighs the four places by 1, 10, 100, 1000."""
     weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=2, widths=(2, 1, 1)).weights.items()}
-    weights["conv1.weight"][0, 0][tap] = 1
-    weights["conv1.weight"][1, 0, 1, 1] = -1
+    weights["conv1.weight"][:, 0, 1, 1] = 1, -1
     weights["conv2.weight"][0, :, 1, 1] = 1, 4
     weights["fc1.weight"][:] = 1, 10, 100, 1000
     weights["fc1.bias"][:] = 0.5
@@ -75,17 +77,6 @@ def test_one_small_network_event_by_event():
     assert classifier.refresh(volume).tolist() == [1.0, 0.5]
 
 
-@pytest.mark.parametrize("x, place", [(0, 1), (3, 10), (4, 10), (7, 0)])
-def test_a_tap_reaches_its_neighbour_only(x, place):
-    """A convolution of the left neighbour: an event changes the cell on its right, across the pool's border, and falls
-    off at the image's."""
-    classifier, volume = CompiledClassifier(by_hand(tap=(1, 0))), TNTVolume(CONFIG)
-    volume.open(0)
-    classifier.refresh(volume)
-    volume.update_one(100, x, 1, 1)
-    assert classifier.refresh(volume)[0] == 2 * (0.5 + place / 16)
-
-
 def test_probabilities_of_logits_beyond_the_range_of_exp():
     weights = dict(by_hand().weights)
     weights["fc1.weight"] = np.zeros((1, 4))
@@ -100,18 +91,13 @@ def test_probabilities_of_logits_beyond_the_range_of_exp():
 
 FINITE = "^`classifier` must return finite logits, got"
 LOUD = 7, 7  # an event here overflows; elsewhere events hardly count
-AT_EVENTS = [
-    {"every_events": 1},
-    {"confidence": 1.0},
-    {"activity": LeakyIntegrator(0.5, 1000.0)},
-    {"every_events": 1, "hop_us": 400},
-    {"every_events": 1, "late": "drop"},
-]
-of_both_kinds = pytest.mark.parametrize("kind", ["inf", "nan"])
 
 
-def overflowing(kind: str) -> Model:
-    """A place of the image whose weights are 1e38: an event there makes infinities, or infinity minus infinity."""
+def overflowing(kind: str, **settings) -> list[Processor]:
+    """A place of the image has weights of 1e38: an event there makes infinities, or infinity minus infinity.
+
+    On the compiled path, and on the general one.
+    """
     weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=2, widths=(2, 2, 3)).weights.items()}
     weights["conv1.weight"][0, 0, 1, 1] = weights["conv2.weight"][0, 0, 1, 1] = 1
     weights["fc1.weight"][:2, 3] = 1e38  # of filter 0 the lower right
@@ -119,49 +105,22 @@ def overflowing(kind: str) -> Model:
     weights["fc2.weight"][0] = {"inf": [1e38, 0, 0], "nan": [1e38, -1e38, 0]}[kind]
     weights["fc2.weight"][1, 2] = 0.01
     weights["fc2.bias"][:] = 0.1, 0.2
-    return Model(CONFIG, weights, ("a", "b"))
-
-
-def processors(kind: str, **settings) -> list[Processor]:
-    """On the compiled path, and on the general one."""
-    model = overflowing(kind)
-    dense = CompiledClassifier(model)
-    general = Processor(CONFIG, classifier=lambda v: dense(v), classes=["a", "b"], **settings)
+    model = Model(CONFIG, weights, ("a", "b"))
+    general = Processor(CONFIG, classifier=CompiledClassifier(model).__call__, classes=["a", "b"], **settings)
     return [Processor(model, **settings), general]
 
 
-@of_both_kinds
-def test_the_numbers_do_overflow_and_come_back(kind):
-    model = overflowing(kind)
-    volume, classifier = TNTVolume(CONFIG), CompiledClassifier(model)
-    volume.open(0)
-    volume.update_one(100, *LOUD, 1)
-    assert np.isnan(classifier.refresh(volume)).any() == (kind == "nan")
-    assert not np.isfinite(classifier(volume.array)).all()
-    classifier.refresh(volume)
-    volume.update_one(100, *LOUD, 0)
-    assert classifier.refresh(volume).tobytes() == CompiledClassifier(model)(volume.array).tobytes()
-    assert np.isfinite(classifier.refresh(volume)).all()
-
-
-def test_a_relu_keeps_nan():
-    """An infinity in the first map, weighed with 0 in the second: that is nan, and stays it up to the logits."""
-    weights = {name: np.zeros_like(w) for name, w in overflowing("inf").weights.items()}
-    weights["conv1.weight"][0, 0, 1, 1] = 3e38
-    volume, classifier = TNTVolume(CONFIG), CompiledClassifier(Model(CONFIG, weights, ("a", "b")))
-    volume.open(5)
-    volume.update(([5, 5], [7, 7], [7, 7], [1, 1]))  # two events at one pixel: 6e38
-    assert np.isnan(classifier.refresh(volume)).all()
-    with np.errstate(all="ignore"):
-        assert np.isnan(forward(weights, volume.array)).all()
-
-
-@of_both_kinds
 @pytest.mark.parametrize(
     "settings, size",  # `late="drop"` has seen all times of a packet, also of one that is absorbed in part
-    [(settings, size) for settings in AT_EVENTS for size in (1, 7, 1500) if size == 1 or "late" not in settings],
+    [
+        ({"every_events": 1}, 1500),
+        ({"confidence": 1.0}, 7),
+        ({"activity": LeakyIntegrator(0.5, 1000.0)}, 1500),
+        ({"every_events": 1, "hop_us": 400}, 7),
+        ({"every_events": 1, "late": "drop"}, 1),
+    ],
 )
-def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, size, kind):
+def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, size):
     """Its later events are not: pushed again, the stream continues there. After the next event, which cancels it, the
     stream is as without both."""
     loud, k = [4, 9, 700, 1303], np.arange(1500)
@@ -170,7 +129,7 @@ def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, s
         events["x"][at : at + 2], events["y"][at : at + 2] = LOUD
         events["p"][at : at + 2] = 1, 0
     found = []
-    for processor in processors(kind, **settings):
+    for processor in overflowing("inf", **settings):
         first, errors, decisions = 0, [], []
         while first < len(events):
             last = min(first + size, len(events))
@@ -188,18 +147,16 @@ def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, s
     assert found[0] == found[1]
 
 
-@of_both_kinds
-@pytest.mark.parametrize(
-    "settings", [{}, {"every_us": 10}, {"every_us": 10, "confidence": 0.9}, {"hop_us": 400}], ids=str
-)
+@pytest.mark.parametrize("kind", ["inf", "nan"])
+@pytest.mark.parametrize("settings", [{}, {"every_us": 10, "confidence": 0.9}, {"hop_us": 400}], ids=str)
 def test_a_decision_that_is_due_is_tried_again(settings, kind):
     """At a window's end, or when time is up, the event that makes it due is not absorbed; the next push tries again."""
-    for processor in processors(kind, **settings):
+    for processor in overflowing(kind, **settings):
         assert processor.push_one(0, 1, 1, 1) == []
         assert processor.push_one(5, *LOUD, 1) == []
         again = (
-            lambda processor=processor: processor.push_one(1002, 1, 1, 1),
-            lambda processor=processor: processor.push(([1002, 1003], [1, 1], [1, 1], [1, 1])),
+            partial(processor.push_one, 1002, 1, 1, 1),
+            partial(processor.push, ([1002, 1003], [1, 1], [1, 1], [1, 1])),
             processor.fire,
         )
         for attempt in 2 * again:
@@ -210,14 +167,3 @@ def test_a_decision_that_is_due_is_tried_again(settings, kind):
         decision = processor.push_one(1002, 1, 1, 1)[0]
         assert (decision.events, decision.window_start_us, decision.time_us) == (3, 0, 6)
         assert np.isfinite(decision.logits).all() and processor.counts.received == 4
-
-
-def test_fire_and_finish_until_another_classifier_is_there():
-    for processor in processors("inf"):
-        processor.push_one(5, *LOUD, 1)
-        for attempt in (processor.fire, processor.finish, processor.finish):
-            with pytest.raises(ValueError, match=FINITE):
-                attempt()
-        processor.classifier = quiet = CompiledClassifier(random_model(CONFIG, classes=2, widths=(2, 2, 2)))
-        expected = quiet(processor.volume()).tobytes()
-        assert [decision.logits.tobytes() for decision in processor.finish()] == [expected]

@@ -14,18 +14,16 @@ from hypothesis import strategies as st
 from incremental.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network, of_all
 from made import events_of, nasty_streams, random_events
 
-from async_tnt import CompiledClassifier, TNTConfig, TNTVolume, load_model, volume_state
+from async_tnt import TNTConfig, TNTVolume, volume_state
 from async_tnt.kernels import layout as L
 from async_tnt.kernels import state as S
 from async_tnt.kernels.sync_input import NUMBERS_PER_LOGGED
-from async_tnt.sources.files.nmnist import read_nmnist
-from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 DUPLICATES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda one: pickle.loads(pickle.dumps(one))}
 
 
 def logits_after_packets(network: Network, events: np.ndarray, sizes) -> list[bytes]:
-    """The logits after each packet of these sizes, over and over, held against the whole network's."""
+    """The logits after each packet of these sizes, held against the whole network's."""
     classifier, volume, seen, first = network.classifier(), network.volume(), [], 0
     for size in itertools.cycle(sizes):
         if first >= len(events):
@@ -46,7 +44,6 @@ def test_at_every_event_of_a_random_stream(network):
     assert len(set(logits_after_packets(network, events, [1]))) > 0.4 * n  # most events change the logits
 
 
-@settings(max_examples=200)
 @given(st.sampled_from(NETWORKS), st.data(), st.lists(st.integers(1, 7), min_size=1, max_size=4))
 def test_at_every_packet_of_a_nasty_stream(network, data, sizes):
     events = data.draw(nasty_streams(network.config.sensor, 2 * WINDOW_US, 77))
@@ -58,23 +55,6 @@ def test_after_long_packets(network):
     events = random_events(5000, seed=3, duration_us=9000, sensor=network.config.sensor)
     events["t"][::17] = np.maximum(events["t"][::17] - 500, 0)  # out of order within a block
     logits_after_packets(network, events, [100, 2, 1300, 7])
-
-
-def test_on_recordings_with_the_bundled_model(data):
-    """At each event of a sample, and after packets of N-MNIST recordings."""
-    model = load_model("digits")
-    classifier, dense, volume = CompiledClassifier(model), CompiledClassifier(model), TNTVolume(model.config)
-    distinct, events = set(), open_recording(sample_recordings()[0]).read()
-    for event in events.tolist():
-        volume.update_one(*event)
-        distinct.add(classifier.refresh(volume).tobytes())
-        assert dense(volume.array).tobytes() in distinct
-    assert len(distinct) > 0.5 * len(events) > 1500
-    for path in sorted((data / "nmnist" / "Test").glob("*/*.bin"))[::97]:
-        volume.reset()
-        for packet in np.array_split(read_nmnist(path), 50):
-            volume.update(packet)
-            assert classifier.refresh(volume).tobytes() == dense(volume.array).tobytes()
 
 
 # -- in any order, with copies -----------------------------------------------------------------------------------
@@ -90,7 +70,7 @@ steps = st.one_of(
 )
 
 
-@settings(max_examples=400)
+@settings(max_examples=2 * settings.default.max_examples)
 @given(st.sampled_from(NETWORKS[:7]), st.lists(steps, min_size=4, max_size=40))
 def test_two_volumes_and_two_classifiers_in_any_order(network, script):
     """The volumes are of one shape and two kinds. Each has a twin with the same events that only the whole network
@@ -172,31 +152,9 @@ def test_packets_about_as_long_as_the_log_or_as_it_pays_to_follow_it(network, mo
         logits_after_packets(network, events, sizes)
 
 
-def test_the_log_is_followed_where_that_pays():
-    """Otherwise all cells would be read each time: of a few new events only the cells around them are compared.
-
-    A cell that no new event touches is given a wrong value in the classifier's input. It stays.
-    """
-    classifier, volume = DIGITS.classifier(), DIGITS.volume()
-    volume.open(0)
-    classifier.refresh(volume)
-    layout, maps = classifier.network.layout, classifier.network.maps
-    far_away = layout[L.INPUT] + 34 * layout[L.CHANNELS] * 36 + 34  # pixel (33, 33) of channel 0
-    n = int(np.prod(DIGITS.config.shape)) // NUMBERS_PER_LOGGED
-    assert maps[far_away] == 0
-    maps[far_away] = 5
-    for _ in range(3):
-        volume.update(([2000] * n, [17] * n, [17] * n, [1] * n))
-        classifier.refresh(volume)
-        assert maps[far_away] == 5
-    volume.update(([2000] * (n + 1), [17] * (n + 1), [17] * (n + 1), [1] * (n + 1)))
-    classifier.refresh(volume)
-    assert maps[far_away] == 0
-
-
 @of_all
 def test_a_used_volume_equals_a_fresh_one(network):
-    """Of every landmark, after windows of few events and of many. The networks' part is in the laws above."""
+    """Of every landmark, after windows of few events and of many."""
     fresh, used = network.volume(), network.volume()
     for n in (700, 9, 0):
         used.open(0)
@@ -248,12 +206,8 @@ def test_any_float_array_of_the_right_shape_will_do_and_logits_are_the_callers(n
     assert (first == 7).all()
 
 
-@pytest.mark.parametrize(
-    "other, got",
-    [({"bins": 8}, r"\(8, 34, 34\)"), ({"grid": (34, 33)}, r"\(9, 33, 34\)"), ({"polarity": "split"}, r"\(18, 34, 34")],
-)
-def test_a_volume_of_another_shape_is_refused(other, got):
-    volume = TNTVolume(TNTConfig(**other))
+def test_a_volume_of_another_shape_is_refused():
+    volume = TNTVolume(TNTConfig(polarity="split"))
     for call, argument in ((DIGITS.dense().refresh, volume), (DIGITS.dense(), volume.array)):
-        with pytest.raises(ValueError, match=rf"^`volume` must have shape \(9, 34, 34\), got {got}"):
+        with pytest.raises(ValueError, match=r"^`volume` must have shape \(9, 34, 34\), got \(18, 34, 34\)"):
             call(argument)

@@ -1,11 +1,14 @@
-"""Processor: what a decision holds, and which settings and classifiers are refused."""
+"""Processor: what a decision holds, and which settings, triggers and classifiers are refused."""
+
+import math
+import re
 
 import numpy as np
 import pytest
-from deciding import CONFIG, at, run, total_and_size
-from made import events_of, random_events, random_model
+from deciding import CONFIG, at, total_and_size
+from made import random_events
 
-from async_tnt import Processor, ReplayBufferFull
+from async_tnt import LeakyIntegrator, Processor, ReplayBufferFull
 
 
 def test_decision_carries_logits_probabilities_and_label():
@@ -18,38 +21,10 @@ def test_decision_carries_logits_probabilities_and_label():
     assert decision.logits.dtype == np.float32
 
 
-@pytest.mark.parametrize("logits", [[1000.0, 1000.0], [-1000.0, -1000.0], [3e38, 3e38]], ids=str)
-def test_large_logits_have_probabilities(logits):
-    assert Processor(CONFIG, classifier=lambda volume: logits).fire().probabilities.tolist() == [0.5, 0.5]
-
-
-def test_fire_before_the_first_event_is_an_empty_window():
-    decision = Processor(CONFIG, classifier=total_and_size).fire()
-    assert (decision.events, decision.trigger) == (0, "fire")
-    assert Processor(CONFIG, classifier=total_and_size, start_us=70).fire().window_start_us == 70
-
-
-def test_a_model_brings_its_network_and_classes():
-    model = random_model(CONFIG, classes=3)
-    processor = Processor(model)
-    processor.push(random_events(100, duration_us=900))
-    assert processor.fire().label in model.classes
-    assert Processor(model, classifier=lambda volume: [1.0, 0.0], classes=["a", "b"]).fire().label == "a"
-
-
-def test_a_torch_module_may_be_the_classifier():
-    import torch
-
-    module = torch.nn.Sequential(torch.nn.Flatten(0), torch.nn.Linear(9 * 34 * 34, 4))
-    processor = Processor(CONFIG, classifier=lambda volume: module(torch.tensor(volume)).detach())
-    assert processor.fire().logits.shape == (4,)
-
-
 @pytest.mark.parametrize(
     ("answer", "classes", "message"),
     [
         ([float("nan"), 1.0], None, "finite logits, got"),
-        ([1.0, float("inf")], None, "finite logits, got"),
         (None, None, "finite logits, got"),
         ([0.0], ["a", "b"], "2 logits, one for each class, got 1"),
     ],
@@ -75,20 +50,12 @@ def test_a_full_replay_buffer_warns_after_the_packet_is_processed():
     assert quiet.counts == strict.counts and quiet.counts.received == 40
 
 
-def test_start_may_be_a_numpy_integer():
-    decisions, _ = run(events_of(*at([60_100, 70_000_000])), start_us=np.uint64(60_000))
-    assert [d.window_start_us for d in decisions] == [60_000, 70_000_000]
-
-
 @pytest.mark.parametrize(
     "settings, message",
     [
         ({"hop_us": 1001}, "`hop_us` must be at most window_us = 1000, got 1001"),
-        ({"hop_us": 0}, "`hop_us` must be at least 1, got 0"),
-        ({"hop_us": np.True_}, "`hop_us` must be a whole number"),  # with NumPy 1 it is one for operator.index
         ({"hop_us": 1}, r"`hop_us` must be at least window_us / 256 = 4, got 1: 1000 windows would be open"),
         ({"start_us": -1}, r"`start_us` must be in \[0, 2\*\*62\), got -1"),
-        ({"start_us": 1.5}, "`start_us` must be a whole number of microseconds, got 1.5"),
         ({"classes": "cat"}, "`classes` must be a sequence of names, got the single string 'cat'"),
         ({"late": "later"}, "`late` must be one of accept, drop, raise, got 'later'"),
         ({"classifier": 7}, "`classifier` must be callable, got int"),
@@ -99,3 +66,32 @@ def test_start_may_be_a_numpy_integer():
 def test_bad_settings(settings, message):
     with pytest.raises((ValueError, TypeError), match=message):
         Processor(**({"model": CONFIG, "classifier": total_and_size} | settings))
+
+
+BAD_TRIGGERS = [
+    ("every_us", 0, ValueError, "`every_us` must be at least 1, got 0"),
+    ("every_us", True, TypeError, "`every_us` must be a whole number, got True"),
+    ("every_events", 1.0, TypeError, "`every_events` must be a whole number, got 1.0"),
+    ("confidence", 1.01, ValueError, "`confidence` must be a probability in (0, 1], got 1.01"),
+    ("confidence", math.nan, ValueError, "`confidence` must be a probability in (0, 1], got nan"),
+    ("confidence", "high", TypeError, "`confidence` must be a number, got 'high'"),
+    ("activity", 5, TypeError, "`activity` must be a LeakyIntegrator(threshold, leak_us), got 5"),
+]
+
+
+@pytest.mark.parametrize("name, value, error, message", BAD_TRIGGERS)
+def test_bad_triggers_are_refused_and_change_nothing(name, value, error, message):
+    with pytest.raises(error, match=f"^{re.escape(message)}$"):
+        Processor(CONFIG, classifier=total_and_size, **{name: value})
+    good = {"every_us": 70, "every_events": 5, "confidence": 0.999, "activity": LeakyIntegrator(3.0, 500.0)}
+    processor = Processor(CONFIG, classifier=total_and_size, **good)
+    with pytest.raises(error, match=f"^{re.escape(message)}$"):
+        setattr(processor, name, value)
+    assert {name: getattr(processor, name) for name in good} == good
+
+
+@pytest.mark.parametrize("place, name", [(0, "threshold"), (1, "leak_us"), (2, "charge")])
+def test_bad_integrators(place, name):
+    for value, error in ((0, ValueError), (math.nan, ValueError), ("3", TypeError)):
+        with pytest.raises(error, match=f"^`{name}` must be a .*number, got {value!r}$"):
+            LeakyIntegrator(*[value if k == place else 3.0 for k in range(3)])

@@ -1,23 +1,24 @@
-"""Landmark "regressor" in a Processor: decisions equal the torch pipeline's."""
-
-import threading
-import tracemalloc
+"""Landmark "regressor" in a Processor: decisions equal the torch pipeline's, and `async-tnt check` says so."""
 
 import numpy as np
 import pytest
-from deciding import key, total_and_size
-from held_memory import held
-from made import random_events, random_model, random_regressor_model
+from deciding import total_and_size
+from made import random_events, random_regressor_model
 
 from async_tnt import Processor, TNTConfig, stream
+from async_tnt.checking.equality import check_recording
 from async_tnt.checking.reference import reference_pipeline
+from async_tnt.networks.compiled import CompiledRegressor
+from async_tnt.sources.files.recording import sample_recordings
 
 CONFIG = TNTConfig(window_us=1000, landmark="regressor", t_max=2.0)
 MODEL = random_regressor_model(CONFIG, widths=(3, 4, 5), regressor_widths=(9, 5, 8), sharpness=20.0)
 
 
-@pytest.mark.parametrize("settings", [{"every_events": 37}, {"hop_us": 300, "every_us": 170}], ids=str)
-@pytest.mark.parametrize("polarity", ["signed", "split"])
+@pytest.mark.parametrize(
+    "settings, polarity",
+    [({"every_events": 37}, "signed"), ({"hop_us": 300, "every_us": 170}, "split")],
+)
 def test_decisions_equal_the_torch_pipeline(settings, polarity):
     config = CONFIG.replace(polarity=polarity, sensor=(40, 34), grid=(34, 30), bins=5)
     model = random_regressor_model(config, sharpness=10.0, seed=2)
@@ -51,40 +52,16 @@ def test_a_callable_beside_a_configuration_or_in_place_of_a_models():
     assert mine.landmark == (20.0, 10.0) != models.landmark and mine.fire().label in MODEL.classes
 
 
-def test_a_model_whose_transform_is_none_has_no_regressor():
-    config = CONFIG.replace(transform="none")
-    model, plain = random_model(config, seed=3), random_model(config.replace(landmark="running"), seed=3)
-    events = [random_events(200, duration_us=2500)]
-    assert [key(d) for d in stream(events, model)] == [key(d) for d in stream(events, plain)]
-    assert Processor(model).landmark == (16.5, 16.5)
+def test_check_compares_with_the_torch_reference(tmp_path, program):
+    path, recording = random_regressor_model(sharpness=5.0).save(tmp_path / "m.safetensors"), sample_recordings()[3]
+    code, out, _ = program("check", recording, "--model", path, "--prefixes", 1)
+    assert code == 0 and "volume against reference, its own landmark" in out and "stream and batch are equal" in out
 
 
-def test_processors_of_one_model_in_several_threads():
-    """Each has scratch memory of its own."""
-    packets = [np.split(random_events(2000, seed=seed, duration_us=10_000), 40) for seed in range(4)]
-    expected = [[key(d) for d in stream(source, MODEL)] for source in packets]
-    got = [None] * len(packets)
-
-    def work(k):
-        got[k] = [key(d) for d in stream(packets[k], MODEL)]
-
-    threads = [threading.Thread(target=work, args=(k,)) for k in range(len(packets))]
-    [thread.start() for thread in threads], [thread.join() for thread in threads]
-    assert got == expected
-
-
-def test_a_long_stream_leaves_nothing_behind():
-    processor = Processor(MODEL, every_us=500, hop_us=500)
-    packet = random_events(500, duration_us=1000)
-    tracemalloc.start()
-    try:
-        for k in range(60):
-            processor.push(packet)
-            packet["t"] += 1000
-            if k == 20:
-                before = held()
-        after = held()
-    finally:
-        tracemalloc.stop()
-    assert processor.counts.received == 30_000
-    assert before > 0 and after - before < 20_000
+def test_check_sees_a_regressor_that_is_off(monkeypatch):
+    right = CompiledRegressor.__call__
+    monkeypatch.setattr(CompiledRegressor, "__call__", lambda self, raw: tuple(np.add(right(self, raw), 2e-4)))
+    model = random_regressor_model(regressor_widths=(9, 20, 8), sharpness=5.0)
+    comparisons = check_recording(random_events(400, duration_us=200_000, sensor=(20, 25)), model, prefixes=5)
+    failed = [(c.what, c.config) for c in comparisons if not c.holds]
+    assert failed == [("landmark against reference, px", "regressor")]

@@ -33,12 +33,11 @@ def expected():
     "source",
     [
         lambda: packets(70),
-        lambda: iter(EVENTS),  # single records
         lambda: EVENTS.tolist(),  # single tuples
         lambda: [None, EVENTS[:0], EVENTS, None],
         lambda: (tuple(packet[name] for name in "txyp") for packet in packets(33)),
     ],
-    ids=["packets", "records", "tuples", "empty", "columns"],
+    ids=["packets", "tuples", "empty", "columns"],
 )
 def test_any_source_gives_the_same_decisions(source, expected):
     assert keys(stream(source(), MODEL)) == expected
@@ -56,15 +55,6 @@ def test_astream_equals_stream(expected):
     assert keys(asyncio.run(collect())) == expected
 
 
-def test_stream_is_lazy_and_decisions_keep_their_numbers():
-    decisions, before = [], []
-    for decision in stream(packets(100), MODEL):
-        assert decisions or decision.window_start_us == EVENTS["t"][0]
-        decisions.append(decision)
-        before.append(key(decision))
-    assert keys(decisions) == before
-
-
 def test_the_model_may_be_a_path_or_a_processor(tmp_path, expected):
     path = MODEL.save(tmp_path / "m.safetensors")
     processor = Processor(MODEL)
@@ -72,20 +62,8 @@ def test_the_model_may_be_a_path_or_a_processor(tmp_path, expected):
         assert keys(stream([EVENTS], model)) == expected
     with pytest.raises(TypeError, match="a Processor has its settings already, got also every_us"):
         next(stream([EVENTS], processor, every_us=5))
-
-
-def test_settings_reach_the_processor():
     triggers = {d.trigger for d in stream([EVENTS], MODEL, every_events=10)}
     assert triggers == {"every_events", "window", "end"}
-
-
-def test_two_processors_side_by_side_do_not_affect_each_other(expected):
-    a, b = Processor(MODEL), Processor(MODEL)
-    got_a, got_b = [], []
-    for packet in packets(13):
-        got_a += a.push(packet)
-        got_b += b.push(packet)
-    assert keys(got_a + a.finish()) == keys(got_b + b.finish()) == expected
 
 
 def test_mistakes_show_before_the_first_event():

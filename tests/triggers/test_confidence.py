@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from made import random_model
 
-from async_tnt import CompiledClassifier, Counts, LeakyIntegrator, Model, Processor, TNTConfig
+from async_tnt import CompiledClassifier, Counts, Model, Processor, TNTConfig
 
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none", polarity="unsigned")
 
@@ -68,23 +68,11 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
         [("confidence", 1000, 1502, 3, True)],
         (3, 2),
     ),
-    "with every_events it is checked only there": (
-        {"every_events": 2},
-        range(9),
-        [("every_events", 0, 1, 2, False), ("confidence", 0, 3, 4, True)],
-        (5, 0),
-    ),
     "with every_us it is checked only there": (
         {"every_us": 100},
         (0, 50, 150, 160, 170, 180, 290, 1000),
         [("every_us", 0, 50, 2, False), ("confidence", 0, 180, 6, True), ("end", 1000, 1000, 1, False)],
         (1, 0),  # the one at 290 shows that it is 200
-    ),
-    "with activity it is checked only there": (
-        {"activity": LeakyIntegrator(2.0, 1e9)},
-        (0, 0, 1, 1, 1, 1),
-        [("activity", 0, 0, 2, False), ("confidence", 0, 1, 4, True)],
-        (2, 0),
     ),
     "at a window's end it is not checked: the window is complete anyhow": (
         {"every_us": 5000},
@@ -134,35 +122,15 @@ def test_by_hand(classifier, settings, times, expected, dropped, single):
         assert decision.probability == pytest.approx(1 / (1 + np.exp(-float(decision.events))))
 
 
-def test_fire_shows_the_probability_and_closes_nothing(classifier):
-    processor = Processor(CONFIG, classifier=classifier, confidence=0.95, every_events=5)
-    processor.push(at(0, 1, 2, 3))
-    assert summary([processor.fire()]) == [("fire", 0, 3, 4, False)] and processor.fire().probability > 0.95
-    assert summary(processor.push(at(4))) == [("confidence", 0, 4, 5, True)]
-
-
-def test_between_a_closed_window_and_the_next_none_is_open(classifier):
-    processor = Processor(CONFIG, classifier=classifier, confidence=0.95)
-    processor.push(at(700, 701, 702))
-    for _ in range(2):
-        assert processor.fire().events == 0 and not processor.volume().any()
-        assert processor.landmark == (3.5, 3.5) and processor.finish() == []
-    assert processor.push_one(710, 3, 3, 1) == []
-    assert processor.counts.dropped_decided + processor.counts.dropped_late == 1
-    assert processor.push(at(1700, 1701)) == []
-    assert summary(processor.push_one(1702, 3, 3, 1)) == [("confidence", 1700, 1702, 3, True)]
-
-
-@pytest.mark.parametrize("single", [False, True])
-def test_switched_off_after_it_closed_a_window(classifier, single):
+def test_switched_off_after_it_closed_a_window(classifier):
     """Events that still arrive for that window are dropped, on the path without triggers, too."""
     processor = Processor(CONFIG, classifier=classifier, confidence=0.95)
     processor.push(at(0, 1, 2))
     processor.confidence = None
     for t in (3, 4, 999):
-        assert (processor.push_one(t, 1, 1, 1) if single else processor.push(at(t))) == []
+        assert processor.push_one(t, 1, 1, 1) == []
     assert processor.counts == Counts(received=6, kept=3, dropped_decided=3)
-    assert (processor.push_one(1000, 1, 1, 1) if single else processor.push(at(1000))) == []
+    assert processor.push(at(1000)) == []
     assert summary(processor.finish()) == [("end", 1000, 1000, 1, False)]
 
 

@@ -4,24 +4,17 @@ import copy
 import itertools
 from functools import cache
 
-import numpy as np
-import pytest
+from deciding import uneven
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
-from made import events_of, nasty_streams, random_events, random_model
-from triggers.oracle import Oracle, as_values
+from made import nasty_streams, random_events, random_model
+from oracles import Oracle, as_values
 
 from async_tnt import CompiledClassifier, LeakyIntegrator, Processor, TNTConfig
 
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=2, window_us=1000, t_max=2.0, transform="none")
 TNT = CONFIG.replace(transform="tnt")
 REPLAYED = CONFIG.replace(transform="tnt", landmark="window")
-
-
-def uneven(volume: np.ndarray) -> np.ndarray:
-    """A classifier whose probabilities go up and down with what it sees."""
-    total, size = float(volume.sum()), float(np.abs(volume).sum())
-    return np.array([total, 0.5 * size - 1.5, np.sin(size)], np.float32)
 
 
 @cache
@@ -81,10 +74,6 @@ def assert_equal(oracle: Oracle, processor: Processor, decisions: list, expected
     assert (counts.dropped_late, counts.dropped_decided) == (oracle.dropped_late, oracle.dropped_decided)
 
 
-def asked(oracle: Oracle, events: np.ndarray) -> list:
-    return [decision for event in events.tolist() for decision in oracle.push(event)]
-
-
 @given(
     events=nasty_streams((8, 8), 3500, 50, max_events=70),
     way=ways,
@@ -102,7 +91,7 @@ def test_any_triggers_any_windows_any_packets(events, way, windows, triggers, cu
             processor.push(events[first : first + size]) if size else processor.push_one(*events[first].tolist())
         )
         first += size or 1
-    assert_equal(oracle, processor, decisions, asked(oracle, events))
+    assert_equal(oracle, processor, decisions, oracle.push_all(events))
 
 
 @given(
@@ -120,7 +109,7 @@ def test_settings_may_change_in_midstream(events, way, windows, triggers, change
     for size, (name, value) in [*changes, (len(events), ("every_us", None))]:
         packet = events[first : first + size]
         first += size
-        expected += asked(oracle, packet)
+        expected += oracle.push_all(packet)
         for part in packet[:, None] if single else [packet]:
             decisions += processor.push(part)
         oracle.change(**{name: value})
@@ -142,28 +131,4 @@ def test_long_streams(seed, way, hop_us, triggers, size):
     events = random_events(1300, seed=seed, duration_us=5200, sensor=(8, 8), start_us=7)
     oracle, processor = pair(*way, hop_us=hop_us, **triggers)
     decisions = [d for first in range(0, 1300, size) for d in processor.push(events[first : first + size])]
-    assert_equal(oracle, processor, decisions, asked(oracle, events))
-
-
-@pytest.mark.parametrize("way", ["callable", "compiled"])
-def test_the_comparisons_see_every_trigger_closed_windows_and_dropped_events(way):
-    events = random_events(1500, seed=1, duration_us=8000, sensor=(8, 8))
-    events["t"][500:700] -= 900  # late ones
-    triggers, dropped = set(), np.zeros(2, int)
-    for kinds in ({"every_us": 77, "confidence": 0.9}, {"every_events": 3}, {"activity": LeakyIntegrator(5, 30)}):
-        oracle, processor = pair(CONFIG, way, **kinds)
-        decisions = processor.push(events)
-        assert_equal(oracle, processor, decisions, asked(oracle, events))
-        triggers |= {d.trigger for d in decisions}
-        dropped += processor.counts.dropped_late, processor.counts.dropped_decided
-    assert triggers == {"every_us", "every_events", "activity", "confidence", "window"}
-    assert (dropped > 50).all()
-
-
-@pytest.mark.parametrize("way", ["callable", "compiled"])
-def test_gaps_of_years_cost_nothing(way):
-    events = events_of([5, 6, 10**9, 10**15, 10**15 + 3, 10**15 + 2000], [1, 2, 3, 4, 5, 6], [1] * 6, [1] * 6)
-    oracle, processor = pair(CONFIG, way, every_us=1)
-    decisions = processor.push(events)
-    assert_equal(oracle, processor, decisions, asked(oracle, events))
-    assert len(decisions) < 12
+    assert_equal(oracle, processor, decisions, oracle.push_all(events))

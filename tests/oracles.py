@@ -1,20 +1,92 @@
-"""The windows and triggers of a Processor in plain Python: integers, floats, lists, one event at a time.
+"""Slow twins: the classifier in NumPy, bit for bit, and a Processor's windows and triggers in plain Python.
 
-Written from the docstrings, not from the code: time passes to an event's time first, moment by moment, and windows
-close and open on the way; then the event is added to every open window that holds it, and the triggers that see
-events are asked. The oldest open window is the one that decides.
+The classifier (`forward`) spells out each operation, rounded once. Nothing of the product is used but the order of its
+sums, which is part of what it promises:
 
-What a window shows is kept in a TNTVolume of its own, opened by hand.
+    convolution 1   bias, then channel by channel the nine taps      fma
+    convolution 2   bias, then tap by tap the channels               fma
+    pooling         0 + the four places, row by row; times 1/4
+    dense 1         what each place adds, filter by filter (fma); sums of a row's places; sums of rows; + bias
+    dense 2         bias, then unit by unit, product and sum rounded each
+
+The windows and triggers (`Oracle`) are integers, floats and lists, one event at a time, written from the docstrings:
+time passes to an event's time first, moment by moment, and windows close and open on the way; then the event is added
+to every open window that holds it, and the triggers that see events are asked. The oldest open window is the one that
+decides. What a window shows is kept in a TNTVolume of its own, opened by hand.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from async_tnt import LeakyIntegrator, TNTConfig, TNTVolume
+
+
+def fma(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """a b + c in float32 with one rounding.
+
+    The product of two float32 is exact in float64. The sum is rounded there to odd: where it is not exact, the last
+    bit is made 1, which keeps what is left out in view of the second rounding (Boldo and Melquiond 2008).
+    """
+    product = np.float64(a) * np.float64(b)
+    c = np.float64(c)
+    total = product + c
+    rest = total - product
+    error = (product - (total - rest)) + (c - rest)  # exactly what the sum lacks (Knuth's two-sum)
+    even = total.view(np.int64) & 1 == 0
+    odd = np.where((error != 0) & even, np.nextafter(total, np.where(error > 0, np.inf, -np.inf)), total)
+    return odd.astype(np.float32)
+
+
+def relu(x: np.ndarray) -> np.ndarray:
+    return np.where(x < 0, np.float32(0), x)
+
+
+def pool(x: np.ndarray) -> np.ndarray:
+    """(H, W, F) -> (H // 2, W // 2, F)."""
+    rows, columns = x.shape[0] // 2, x.shape[1] // 2
+    total = np.zeros((rows, columns, x.shape[2]), np.float32)
+    for r, q in np.ndindex(2, 2):
+        total = total + x[r : 2 * rows : 2, q : 2 * columns : 2]
+    return total * np.float32(0.25)
+
+
+def convolve(x: np.ndarray, weights: np.ndarray, bias: np.ndarray, channels_first: bool) -> np.ndarray:
+    """(H, W, C), (F, C, 3, 3) -> (H, W, F), zeros around."""
+    height, width, n_channels = x.shape
+    framed = np.pad(x, ((1, 1), (1, 1), (0, 0)))
+    total = np.broadcast_to(bias, (height, width, len(bias)))
+    order = np.ndindex(n_channels, 3, 3) if channels_first else ((c, i, j) for i, j, c in np.ndindex(3, 3, n_channels))
+    for c, i, j in order:
+        total = fma(weights[:, c, i, j], framed[i : i + height, j : j + width, c, None], total)
+    return total
+
+
+def forward(weights: Mapping[str, np.ndarray], volume: np.ndarray) -> np.ndarray:
+    """(C, H, W) -> logits (K,)."""
+    x = np.ascontiguousarray(volume.transpose(1, 2, 0))
+    x = pool(relu(convolve(x, weights["conv1.weight"], weights["conv1.bias"], channels_first=True)))
+    x = pool(relu(convolve(x, weights["conv2.weight"], weights["conv2.bias"], channels_first=False)))
+    rows, columns, n_filters = x.shape
+    dense = weights["fc1.weight"].reshape(-1, n_filters, rows, columns)  # torch flattens (F, H, W)
+    hidden = np.zeros(len(dense), np.float32)
+    for row in range(rows):
+        row_sum = np.zeros(len(dense), np.float32)
+        for column in range(columns):
+            partial = np.zeros(len(dense), np.float32)
+            for f in range(n_filters):
+                partial = fma(x[row, column, f], dense[:, f, row, column], partial)
+            row_sum = row_sum + partial
+        hidden = hidden + row_sum
+    hidden = relu(hidden + weights["fc1.bias"])
+    logits = weights["fc2.bias"].copy()
+    for j, value in enumerate(hidden):
+        logits = logits + value * weights["fc2.weight"][:, j]
+    return logits
+
 
 Values = tuple[str, int, int, int, bool, bytes]
 
@@ -22,9 +94,9 @@ Values = tuple[str, int, int, int, bool, bytes]
 class Window:
     """An open window."""
 
-    def __init__(self, config: TNTConfig, start_us: int) -> None:
+    def __init__(self, config: TNTConfig, start_us: int, regressor: Callable | None) -> None:
         self.start_us, self.end_us = start_us, start_us + config.window_us
-        self.volume = TNTVolume(config)
+        self.volume = TNTVolume(config, regressor=regressor)
         self.volume.open(start_us)
         self.times: list[int] = []
 
@@ -40,9 +112,10 @@ class Oracle:
         hop_us: int | None = None,
         start_us: int | None = None,
         late: str = "accept",
+        regressor: Callable | None = None,
         **triggers: object,
     ) -> None:
-        self.config, self.classify, self.late = config, classify, late
+        self.config, self.classify, self.late, self.regressor = config, classify, late, regressor
         self.hop_us = hop_us or config.window_us
         self.windows: list[Window] = []
         self.next_start_us = start_us
@@ -96,6 +169,9 @@ class Oracle:
             decisions += self._decide(oldest, trigger, now_us=max(oldest.times))
         return decisions
 
+    def push_all(self, events: np.ndarray) -> list[Values]:
+        return [decision for event in events.tolist() for decision in self.push(event)]
+
     def finish(self) -> list[Values]:
         decisions = [self._decision(window, "end")[0] for window in self.windows if window.times]
         self.windows = []
@@ -136,7 +212,7 @@ class Oracle:
         while self.next_start_us <= t_us or not self.windows:
             if not self.windows:
                 self.n_decided, self.passed_us = 0, max(t_us, self.next_start_us)
-            self.windows.append(Window(self.config, self.next_start_us))
+            self.windows.append(Window(self.config, self.next_start_us, self.regressor))
             self.next_start_us += self.hop_us
 
     def _close(self, decided: bool, now_us: int) -> None:
