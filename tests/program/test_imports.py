@@ -1,6 +1,5 @@
 """What the package costs: imports, compiled kernels and their cache, memory."""
 
-import ast
 import importlib
 import inspect
 import os
@@ -61,15 +60,6 @@ def test_public_names_are_there_in_every_way():
         async_tnt.procesor  # noqa: B018
     with pytest.raises(ImportError, match="cannot import name 'procesor'"):
         from async_tnt import procesor  # noqa: F401
-
-
-@pytest.mark.parametrize("package", [async_tnt, async_tnt.sources, async_tnt.training])
-def test_type_checkers_see_the_same_names(package):
-    imports = [n for n in ast.walk(ast.parse(Path(package.__file__).read_text())) if isinstance(n, ast.ImportFrom)]
-    seen = {alias.name: n.module for n in imports for alias in n.names if alias.name != "lazy_names"}
-    assert sorted(seen) == package.__all__
-    for name, module in seen.items():
-        assert getattr(package, name) is getattr(importlib.import_module(module), name)
 
 
 def test_works_where_nothing_can_be_cached(tmp_path):

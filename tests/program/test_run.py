@@ -80,13 +80,6 @@ def test_late_and_unordered_events_are_reported(tmp_path, program):
     assert program("run", path)[::2] == (0, message)
 
 
-def test_a_name_with_a_line_break_stays_on_its_line(tmp_path, program):
-    path = tmp_path / "a\nb.bin"
-    path.write_bytes(SAMPLES[3].read_bytes())
-    assert "\na\\nb.bin " in program("run", path)[1]
-    assert decisions_of(program, path)[0]["recording"] == str(path)
-
-
 def test_digits_on_some_real_recordings(data):
     """Every tenth test recording; all of them: docs/results.md."""
     processor = Processor(load_model("digits"), start_us=0)
