@@ -21,8 +21,8 @@ def forward(layout, weights, maps, dirty):
 
     Parameters
     ----------
-    layout, weights, maps, dirty : the classifier's, see `layout`. Maps, dirty mask and the scratch numbers of the layout
-        are updated in place.
+    layout, weights, maps, dirty : the classifier's, see `layout`. Maps, dirty mask and the scratch part of the layout are
+        updated in place.
     """
     forward_conv_1(layout, weights, maps, dirty)
     forward_conv_2(layout, weights, maps, dirty)

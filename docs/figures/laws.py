@@ -8,6 +8,7 @@ Needs the batch reference (torch) and the bundled samples; the picture needs mat
 from __future__ import annotations
 
 import argparse
+import functools
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -47,6 +48,7 @@ def points(seed: int) -> np.ndarray:
     return 100 + 10 * np.sqrt(rng.random(N)) * np.cos(2 * np.pi * rng.random(N))
 
 
+@functools.cache
 def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: bool) -> np.ndarray:
     """How far each event of a moving object lies from the same event of the object at rest, after the
     transform, in units of D / t_max, where D is the displacement over the window."""

@@ -122,23 +122,21 @@ def prefix_means(pixels: torch.Tensor) -> torch.Tensor:
 
 def prefix_lines(pixels: torch.Tensor, f: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Row i: intercept and slope of the ridge line through rows 0..i. (M, 2), (M,) -> (M, 2), (M, 2)."""
-    means = prefix_means(pixels)  # (M, 2)
+    means, mean_fs = prefix_means(pixels), prefix_means(f[:, None])  # (M, 2), (M, 1)
     intercepts, slopes = [means[:0]], [means[:0]]  # so that no events give (0, 2)
     n_rows = max(1, _CHUNK_CELLS // max(1, len(f)))
     for first in range(0, len(f), n_rows):  # R prefixes at a time: all of them at once would be M x M
         last = min(first + n_rows, len(f))
         mean_xy = means[first:last]  # (R, 2)
-        f_j, xy_j = f[:last], pixels[:last].double()  # (K,), (K, 2)
-        member = torch.ones(last - first, last, dtype=torch.float64, device=f.device).tril(first)  # (R, K)
-        mean_f = (member * f_j).sum(1) / member.sum(1)  # (R,)
-        df = member * (f_j - mean_f[:, None])  # (R, K), 0 for events after the prefix
+        mean_f = mean_fs[first:last]  # (R, 1)
+        df = f[:last] - mean_f  # (R, K)
+        df[:, first:].tril_()  # 0 for events after the prefix
         c_ff = (df * df).sum(1)  # (R,)
-        c_xf = torch.stack(
-            [(df * (xy_j[:, k] - mean_xy[:, k, None])).sum(1) for k in (0, 1)], dim=1
-        )  # (R, 2), centred before it is multiplied: no cancellation
+        # a row of df adds up to 0, so any one point may be taken off each pixel: a near one, against cancellation
+        c_xf = df @ (pixels[:last] - means[last - 1])  # (R, 2)
         m = c_xf / (c_ff + 1)[:, None]  # (R, 2)
         slopes.append(m)
-        intercepts.append(mean_xy - m * mean_f[:, None])
+        intercepts.append(mean_xy - m * mean_f)
     return torch.cat(intercepts), torch.cat(slopes)
 
 

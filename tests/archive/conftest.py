@@ -1,15 +1,7 @@
 """Recordings, executors, and a Dask cluster."""
 
-import contextlib
-import json
-import os
-import subprocess
-import sys
-import threading
-import time
-
 import pytest
-from processes import PATHS, wait_until
+from processes import wait_until
 
 from async_tnt.archive.executor import executor_of
 from async_tnt.sources.files.recording import sample_recordings
@@ -36,70 +28,36 @@ def samples(tmp_path_factory):
     return folder
 
 
-@contextlib.contextmanager
-def dask_cluster(folder, n_workers):
-    """Address of a Dask scheduler, with workers of one thread that are replaced when they end."""
-    written = folder / "scheduler.json"
-    options = {
-        "env": {**os.environ, "PYTHONPATH": PATHS, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"},
-        "stdout": subprocess.DEVNULL,
-        "stderr": subprocess.DEVNULL,
-    }
-    common = ["--host", "127.0.0.1", "--no-dashboard"]
-    worker = ["--nthreads", "1", "--no-nanny", "--death-timeout", "60", "--local-directory", str(folder)]
-    processes = []
+def dask_cluster(n_workers):
+    """Workers of one thread each, which are replaced when they end."""
+    distributed = pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
+    import dask
 
-    def start(module, *words):
-        process = subprocess.Popen([sys.executable, "-m", f"distributed.cli.{module}", *common, *words], **options)
-        processes.append(process)
-        return process
-
-    def keep_worker():
-        while scheduler.poll() is None:
-            start("dask_worker", address, *worker).wait()
-
-    scheduler = start("dask_scheduler", "--port", "0", "--scheduler-file", str(written))
-    threads = [threading.Thread(target=keep_worker) for _ in range(n_workers)]
-    try:
-        wait_until(lambda: written.exists() and written.read_text().endswith("}"))
-        address = json.loads(written.read_text())["address"]
-        for thread in threads:
-            thread.start()
-        yield address
-    finally:
-        scheduler.kill()
-        scheduler.wait()
-        while any(thread.is_alive() for thread in threads):  # one may just be starting another worker
-            for process in processes:
-                process.kill()
-            time.sleep(0.05)
+    with dask.config.set({"distributed.scheduler.allowed-failures": 1}):
+        return distributed.LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=":0")
 
 
 @pytest.fixture(scope="session")
-def any_cluster(tmp_path_factory):
-    pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
-    with dask_cluster(tmp_path_factory.mktemp("cluster"), 2) as address:
-        yield address
+def two_workers():
+    with dask_cluster(2) as cluster:
+        yield cluster
 
 
 @pytest.fixture
-def cluster(any_cluster, monkeypatch):
+def cluster(two_workers, monkeypatch):
     """Address of a scheduler, once both its workers are there: a test before may have ended some."""
-    from distributed import Client
-
     from async_tnt.archive import dask_executor
 
     monkeypatch.setattr(dask_executor, "CONNECT_S", 120.0)
-    with Client(any_cluster, timeout=120, set_as_default=False) as client:
-        wait_until(lambda: len(client.nthreads()) == 2)
-    return any_cluster
+    wait_until(lambda: len(two_workers.scheduler.workers) == 2)
+    return two_workers.scheduler_address
 
 
 @pytest.fixture
-def empty_cluster(tmp_path):
+def empty_cluster():
     """Address of a scheduler without workers."""
-    with dask_cluster(tmp_path, 0) as address:
-        yield address
+    with dask_cluster(0) as cluster:
+        yield cluster.scheduler_address
 
 
 @pytest.fixture(params=["serial", "processes", "dask"])

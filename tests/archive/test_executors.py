@@ -2,8 +2,6 @@
 
 import contextlib
 import os
-from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
@@ -11,7 +9,7 @@ from archive.made_work import broken, deadly, make_tasks, record_of
 from archive.simple_work import raise_odd, sleep_or_end, twice, unpicklable
 from processes import started, wait_until
 
-from async_tnt.archive.executor import _Call, _Worker, run_all
+from async_tnt.archive.executor import run_all
 from async_tnt.archive.records import lost
 
 posix = pytest.mark.skipif(os.name != "posix", reason="kill -9 of POSIX")
@@ -40,32 +38,6 @@ def test_a_task_that_ends_its_workers_is_lost_and_the_others_are_done_once(execu
     if "processes" in request.node.name:  # tasks queued behind a lost one are begun once; Dask may repeat a chunk
         begun = (tmp_path / "set" / "begun").read_text().split()
         assert sorted(begun) == sorted([*names, "once", "poison"])
-
-
-@posix
-@replacing_workers
-def test_without_lost_a_task_that_ends_its_workers_is_an_error(executor, tmp_path):
-    with pytest.raises(ChildProcessError, match=r"worker process ended without an answer|ended its workers"):
-        list(executor.run(deadly, make_tasks(tmp_path / "set", ["a", "poison"])))
-
-
-@posix
-def test_all_tasks_may_end_their_workers():
-    assert sorted(run_all(os._exit, [3, 4, 5], 2, lambda code: -code)) == [-5, -4, -3]
-
-
-@posix
-def test_a_call_that_a_broken_pool_forgot_counts_as_lost():
-    worker = _Worker(twice)
-    try:
-        worker.submit(1, 0)
-        assert worker.calls.popleft().future.result(120) == 2
-        worker.kill()
-        worker._manager.join(120)
-        worker.calls.append(_Call(Future(), 3, 0))
-        assert worker.has_answered() and isinstance(worker.calls[0].future.exception(), BrokenProcessPool)
-    finally:
-        worker.stop()
 
 
 def test_more_workers_than_tasks_and_large_results():
@@ -116,11 +88,3 @@ def test_killing_the_program_ends_its_workers_in_the_middle_of_their_tasks(tmp_p
         assert all(is_running(pid) for pid in pids)
         process.kill()
         wait_until(lambda: not any(is_running(pid) for pid in pids))
-
-
-@posix
-def test_killing_the_program_leaves_no_traceback_of_its_workers():
-    with started("-c", "from archive.simple_work import run_quick; run_quick()") as process:
-        process.stdout.read(50)
-        process.kill()
-        assert "Traceback" not in process.communicate()[1]

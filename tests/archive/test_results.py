@@ -2,7 +2,6 @@
 
 import json
 import os
-import stat
 from dataclasses import replace
 
 import pytest
@@ -11,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt.archive import parquet, results
-from async_tnt.archive.collect import Progress, collect, collect_to_file
+from async_tnt.archive.collect import Progress, collect_to_file
 from async_tnt.archive.executor import executor_of
 from async_tnt.archive.job import Job
 from async_tnt.archive.records import failed
@@ -86,12 +85,6 @@ def unfinished(request, tmp_path):
 # -- collecting ----------------------------------------------------------------------------------------------------
 
 
-def test_in_memory(tasks):
-    progress = Progress()
-    records = collect(record_of, tasks, executor_of(), progress)
-    assert [record["recording"] for record in records] == sorted(NAMES) and progress.done == len(NAMES)
-
-
 def test_interrupted_on_any_executor_it_resumes_to_the_same_file(executor, tasks, tmp_path):
     plain, out = tmp_path / "plain.jsonl", tmp_path / "r.jsonl"
     records, _ = collected_to(plain, tasks)
@@ -105,7 +98,7 @@ def test_interrupted_on_any_executor_it_resumes_to_the_same_file(executor, tasks
 
 
 @of_both_formats
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(order=st.permutations(NAMES), stops=st.lists(st.integers(0, 5), max_size=3), torn=st.integers(0, 400))
 def test_orders_stops_and_torn_ends_give_the_same_file(tmp_path_factory, name, order, stops, torn):
     folder = tmp_path_factory.mktemp("any")
@@ -200,30 +193,6 @@ def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp
     collected_to(unfinished, theirs, restart=True)
 
 
-def test_errors_are_nothing_to_lose(tasks, tmp_path):
-    collected_to(tmp_path / "r.jsonl", tasks, lambda task: failed(task, "torn"))
-    _, progress = collected_to(tmp_path / "r.jsonl", make_tasks(tmp_path / "other", ["x"]))
-    assert (progress.done, progress.gone) == (1, 5)
-
-
-@pytest.mark.skipif(os.name == "nt", reason="modes and links of POSIX")
-@of_both_formats
-def test_links_and_modes_stay(name, tasks, tmp_path):
-    real, link = tmp_path / "far" / f"real_{name}", tmp_path / name
-    real.parent.mkdir()
-    link.symlink_to(real)  # to nothing yet
-    collected_to(link, tasks[:3])
-    (tmp_path / "new").touch()
-    assert link.is_symlink() and real.stat().st_mode == (tmp_path / "new").stat().st_mode
-    real.chmod(0o600)
-    with pytest.raises(Stopped):
-        collected_to(link, tasks, watch=stopping_after(1))
-    assert stat.S_IMODE(lines_path(link).stat().st_mode) == 0o600
-    collected_to(link, tasks)
-    assert link.is_symlink() and stat.S_IMODE(real.stat().st_mode) == 0o600
-    assert [path.name for path in tmp_path.rglob("*real*")] == [real.name]
-
-
 @pytest.mark.needs_pyarrow
 def test_parquet_has_row_groups_and_its_settings(tasks, tmp_path, monkeypatch):
     import pyarrow.parquet
@@ -251,16 +220,6 @@ def test_cut_anywhere_it_holds_its_whole_lines(unfinished):
             assert path.read_bytes() == whole[: ends[n]], length
 
 
-@pytest.mark.parametrize("tail", [b"\x00" * 90, b"\xff", b'{"recording": "x", "er', b"[" * 100_000])
-def test_whatever_follows_the_last_whole_line_is_cut_off(tail, unfinished):
-    path = lines_path(unfinished)
-    before = path.read_bytes()
-    path.write_bytes(before + tail)
-    with ResultFile(unfinished, JOB) as file:
-        assert file.versions.keys() == {"a", "b", "ccc"}
-    assert path.read_bytes() == before
-
-
 def test_the_newest_line_of_a_recording_counts(unfinished):
     with ResultFile(unfinished, JOB) as file:
         assert not file.is_finished({"a", "b", "ccc"})
@@ -272,8 +231,7 @@ def test_the_newest_line_of_a_recording_counts(unfinished):
 
 
 @pytest.mark.parametrize(
-    "line",
-    [b"[" * 100_000, b"{}", b'{"recording": 3}', b"9" * 5000, b"NaN", b'{"recording": "x"}', b"\xff", b""],
+    "line", [b"[" * 100_000, b'{"recording": 3}', b"9" * 5000, b'{"recording": "x"}', b"\xff", b""]
 )
 def test_a_damaged_line_is_refused(line, unfinished):
     path = lines_path(unfinished)
@@ -289,7 +247,7 @@ def test_a_damaged_line_is_refused(line, unfinished):
 
 @pytest.mark.parametrize("restart", [False, True])
 @pytest.mark.parametrize("place", [lines_path, lambda out: out])
-@pytest.mark.parametrize("theirs", [b"my notes", b"my notes\n", b'{"a": 1}\n', b"\x00\xff\n\n", b"[]\n"])
+@pytest.mark.parametrize("theirs", [b"my notes", b'{"a": 1}\n', b"\x00\xff\n\n"])
 def test_files_of_others_stay(theirs, place, restart, unfinished):
     place(unfinished).write_bytes(theirs)
     before = content(unfinished)
@@ -312,8 +270,7 @@ def test_two_programs_at_once_are_refused(unfinished):
     ResultFile(unfinished, JOB).close()
 
 
-@pytest.mark.parametrize("replaced", [False, True])
-def test_a_file_that_goes_before_it_is_locked_is_not_written(replaced, unfinished, monkeypatch):
+def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeypatch):
     """Opened, then locked: in between the program that had locked it may have finished."""
     lock, path = results._lock, lines_path(unfinished)
     gone = []
@@ -321,8 +278,7 @@ def test_a_file_that_goes_before_it_is_locked_is_not_written(replaced, unfinishe
     def lock_late(file):
         if not gone:
             gone.append(path.rename(path.with_name("gone")))
-            if replaced:
-                path.touch()
+            path.touch()
         lock(file)
 
     monkeypatch.setattr(results, "_lock", lock_late)

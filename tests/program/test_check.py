@@ -8,15 +8,16 @@ from made import random_events
 
 from async_tnt import TNTVolume, load_model
 from async_tnt.checking.equality import Comparison, check_recording
-from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.files.recording import sample_recordings
 
 CONFIGS = {"center", "running", "line", "window", "line, flow removed", "no transform", "the model"}
 
 
 def test_it_holds_stream_and_batch_equal(program, tmp_path):
-    path = tmp_path / "short.bin"
-    write_nmnist(path, random_events(150, duration_us=200_000))
+    path, events = tmp_path / "short.npy", random_events(150, duration_us=200_000)
+    events["t"][30:140:7] = events["t"][29:139:7] - 20_000  # times may run backwards
+    np.save(path, events)
     code, printed, _ = program("check", path, "--prefixes", "all")
     assert code == 0 and "stream and batch are equal" in printed and "FAILS" not in printed
     code, printed, _ = program("check", path, "--json", "--prefixes", "3")
@@ -24,13 +25,6 @@ def test_it_holds_stream_and_batch_equal(program, tmp_path):
     rows = report["recordings"][str(path)]
     assert code == 0 and report["equal"] and all(row["holds"] and row["n"] > 0 for row in rows)
     assert {row["config"] for row in rows} == CONFIGS
-
-
-def test_times_may_run_backwards(program, tmp_path):
-    events = random_events(600, duration_us=300_000)
-    events["t"][100:500:7] = events["t"][99:499:7] - 20_000
-    np.save(tmp_path / "backwards.npy", events)
-    assert program("check", tmp_path / "backwards.npy", "--prefixes", "2")[0] == 0
 
 
 def test_it_says_no_when_a_landmark_is_wrong_by_a_millionth_of_a_pixel(monkeypatch, program):
@@ -48,7 +42,7 @@ def test_a_comparison_never_forgets_a_nan_and_holds_only_if_something_was_compar
     assert not comparison.holds
 
 
-@pytest.mark.parametrize("digit", range(10))
+@pytest.mark.parametrize("digit", [1, 4, 8])
 def test_stream_equals_batch_on_a_real_recording(data, digit):
     path = sorted((data / "nmnist" / "Test" / str(digit)).glob("*.bin"))[digit]
     comparisons = check_recording(read_nmnist(path), load_model("digits"), prefixes=4)

@@ -1,6 +1,5 @@
 """What the package costs: imports, compiled kernels and their cache, memory."""
 
-import ast
 import importlib
 import inspect
 import os

@@ -4,21 +4,20 @@ import io
 import json
 import sys
 import threading
+from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from listening import free_port, send_in_parts
 from made import random_events, random_model
 
-from async_tnt import Counts, Processor, TNTConfig, load_model
-from async_tnt.cli.live_view import MOST_CLASSES, LiveView
+from async_tnt import Processor, TNTConfig, load_model
+from async_tnt.cli.live_view import LiveView
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 EVENTS = open_recording(sample_recordings()[7]).read()
-CONFIG = TNTConfig(window_us=1000)
 
 
-@pytest.mark.parametrize("options", ["", "--latest 4096", "--latest 64 --roi 60,0,34,34 --crop --sensor 100x40"])
+@pytest.mark.parametrize("options", ["", "--latest 64 --roi 60,0,34,34 --crop --sensor 100x40"])
 def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, program):
     port, sent = free_port(), EVENTS.copy()
     sent["x"] += 60 if "--roi" in options else 0
@@ -39,51 +38,19 @@ def test_a_stream_from_the_network_gives_the_decisions_of_its_file(options, prog
     assert all(("--latest" not in options) or (d["n_skipped"] == 0 and d["backlog"] >= 0) for d in got[:-1])
 
 
-def drawn(classes, push):
+def test_the_view_shows_the_newest_decision_and_what_waits():
     rich_console = pytest.importorskip("rich.console", reason="rich is not installed (extra `view`)")
     console = rich_console.Console(file=io.StringIO(), force_terminal=True, width=160, color_system=None)
-    with LiveView(classes, "a recording", console) as view:
-        push(view)
-    last = console.file.getvalue().split("a recording")[-1]
-    return [line.rstrip() for line in last.splitlines() if line.strip("\x1b[?25hK \n")]
-
-
-def test_the_view_shows_the_newest_decision():
-    model = random_model(CONFIG, classes=3)
+    model = random_model(TNTConfig(window_us=1000), classes=3)
     processor = Processor(model, every_events=20)
     decisions = processor.push(random_events(100, duration_us=900))
-    counts = processor.counts
-
-    def push(view):
-        view.show(decisions[:2], 50.0, Counts(received=40, kept=30))
-        view.show(decisions[2:], 70.0, counts)
-        view.show([], 1.0, counts)
-
-    *bars, decision, rates, events = drawn(model.classes, push)
-    for name, p, line in zip(model.classes, decisions[-1].probabilities, bars, strict=True):
-        assert line.startswith(name) and line.endswith(f"{p:.2f}")
-    assert decision == f"{decisions[-1].label} at 0.001 s, every_events; 60 us to a decision"
-    assert rates.endswith("decisions/s") and counts.moved_off == counts.received - counts.kept > 0
-    assert events == f"100 events, {counts.moved_off} moved off the grid, 0 dropped"
-
-
-def test_the_view_shows_the_queue_and_what_came_before_the_first_decision():
-    class Queue:
-        delay_us, backlog, n_skipped = 2_500, 1_000, 7
-
-    decision = Processor(random_model(CONFIG, classes=2)).fire()
-    lines = drawn(["a", "b"], lambda view: view.show([decision], 9.0, Counts(received=9, dropped_late=2), Queue()))
-    assert lines[-2:] == ["9 events, 0 moved off the grid, 9 dropped", "2.5 ms old, 1,000 events waiting, 7 skipped"]
-    lines = drawn(["a", "b"], lambda view: view.show([], 1.0, Counts(received=1234)))
-    assert lines[:1] == ["no decision yet, 1,234 events"]
-
-
-def test_the_view_shows_the_likeliest_of_many_classes():
-    model = random_model(CONFIG, classes=40)
-    decision = Processor(model).fire()
-    lines = drawn(model.classes, lambda view: view.show([decision], 9.0, Counts()))
-    best = sorted(np.argsort(-decision.probabilities, kind="stable")[:MOST_CLASSES])
-    assert [" ".join(line.split()[:2]) for line in lines[:MOST_CLASSES]] == [model.classes[k] for k in best]
+    queue = SimpleNamespace(delay_us=2_500, backlog=1_000, n_skipped=7)
+    with LiveView(model.classes, "a recording", console) as view:
+        view.show(decisions, 50.0, processor.counts, queue)
+    last = console.file.getvalue().split("a recording")[-1]
+    assert f"{decisions[-1].label} at 0.001 s, every_events" in last
+    assert all(f"{probability:.2f}" in last for probability in decisions[-1].probabilities)
+    assert "100 events" in last and "1,000 events waiting, 7 skipped" in last
 
 
 def test_without_rich_the_message_names_the_extra(monkeypatch):

@@ -1,8 +1,6 @@
 """What is there already: files are replaced and keep their permissions, everything else stays as it is."""
 
-import contextlib
 import os
-import socket
 import stat
 
 import numpy as np
@@ -16,7 +14,6 @@ from async_tnt.archive.records import run_recording
 from async_tnt.cli import main
 from async_tnt.engines import choose_engine
 from async_tnt.files import Replacement, replacing, write_text
-from async_tnt.simulation.shards import write_shard
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixel_masks import save_mask
@@ -28,12 +25,6 @@ def draw(path):
     from async_tnt.views.figure_style import new_figure, save
 
     save(new_figure(1.0, 1.0), path, 50)
-
-
-def plot_curves(path):
-    from async_tnt.training.run_folder import plot_curves
-
-    plot_curves([{"epoch": 1, "loss": 1.0, "training": 0.5}], path)
 
 
 def view(path):
@@ -49,38 +40,21 @@ def collect(path):
     list(collect_to_file(run_recording, [task], executor_of(), path, Progress()))
 
 
-def shard(path):
-    write_shard(
-        path,
-        [random_events(20)],
-        labels=[1],
-        image=[0],
-        flow=np.zeros((1, 2, 2)),
-        flow_times_us=[0, 105_000],
-        sensor=(34, 34),
-        duration_us=105_000,
-    )
-
-
 WRITERS = {
     "model.safetensors": lambda path: random_model().save(path),
     "mask.npy": lambda path: save_mask(path, np.zeros((3, 4), bool)),
     "recording.bin": lambda path: write_nmnist(path, random_events(20)),
     "figure.png": draw,
-    "curves.png": plot_curves,
     "view.rrd": view,
     "results.jsonl": collect,
-    "shard.safetensors": shard,
     "numbers.json": lambda path: write_text(path, "{}"),
 }
 SAMPLE = str(sample_recordings()[3])
 COMMANDS = {  # nothing that they would read is there: to name it in an error, work must have begun
     "run.jsonl": ["run", SAMPLE, "--model", "nowhere", "--out", "OUT"],
-    "evaluate.jsonl": ["evaluate", "nowhere", "nowhere", "--out", "OUT"],
     "evaluate.png": ["evaluate", "nowhere", "nowhere", "--picture", "OUT"],
     "export.onnx": ["export", "nowhere", "--out", "OUT"],
     "mask.npy": ["mask", "nowhere.npy", "--out", "OUT"],
-    "mask.png": ["mask", "nowhere.npy", "--out", "m.npy", "--picture", "OUT"],
     "plot.svg": ["plot", "nowhere.npy", "--out", "OUT"],
     "view.rrd": ["view", "nowhere.npy", "--model", "nowhere", "--out", "OUT"],
     "train.safetensors": ["train", "nowhere", "--out", "OUT"],
@@ -94,16 +68,15 @@ COMMANDS = {  # nothing that they would read is there: to name it in an error, w
 def obstacles(path):
     """Put what must not be replaced at `path`, one after the other; gives what must be as it was, None at the end."""
     other = path.with_name("other")
-    for make in (os.mkdir, os.mkfifo, listen, make_device):
+    for make in (os.mkdir, os.mkfifo):
         for place in (path, other):
-            with contextlib.suppress(PermissionError):  # only root makes devices
-                make(place)
-                if place is other:
-                    path.symlink_to(other)
-                yield place
-                if place is other:
-                    path.unlink()
-                (os.rmdir if make is os.mkdir else os.unlink)(place)
+            make(place)
+            if place is other:
+                path.symlink_to(other)
+            yield place
+            if place is other:
+                path.unlink()
+            (os.rmdir if make is os.mkdir else os.unlink)(place)
     for target in (path.name, "/dev/null", "/dev/stdout"):
         path.symlink_to(target)
         yield path
@@ -118,15 +91,6 @@ def obstacles(path):
 def identity(path):
     status = os.lstat(path)
     return status.st_ino, status.st_mode, status.st_rdev, status.st_size, status.st_mtime_ns
-
-
-def listen(path):
-    with socket.socket(socket.AF_UNIX) as listener:
-        listener.bind(os.path.relpath(path))  # such a name has at most 107 bytes
-
-
-def make_device(path):
-    os.mknod(path, stat.S_IFCHR | 0o666, os.makedev(1, 3))
 
 
 @pytest.fixture
@@ -173,16 +137,6 @@ def test_a_command_refuses_its_output_before_any_work(name, folder, capsys):
         assert captured.err.count("\n") == 1 and name in captured.err and "nowhere" not in captured.err
         assert captured.out == "" and identity(obstacle) == before
     assert os.listdir(folder) == ["precious"]
-
-
-@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("precious")])
-def test_lines_beside_a_parquet_file_are_a_file(make, folder, capsys):
-    make(folder / "r.parquet.jsonl")
-    assert main(["run", SAMPLE, "--out", "r.parquet"]) == 2
-    assert "r.parquet.jsonl is a " in capsys.readouterr().err
-    with pytest.raises(FileExistsError, match="expected a regular file or a new name"):
-        collect(folder / "r.parquet")
-    assert (folder / "precious").read_text() == "precious"
 
 
 def test_what_the_program_prints_to_is_not_replaced(folder, capfd):

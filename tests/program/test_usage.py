@@ -7,8 +7,6 @@ from async_tnt.cli.program import COMMANDS
 from async_tnt.sources.files.recording import sample_recordings
 
 SAMPLE = str(sample_recordings()[3])
-INTEGRATOR = "must be two positive numbers, events:microseconds, such as 60:4000, got "
-REGION = "must be four whole numbers X,Y,WIDTH,HEIGHT"
 
 
 @pytest.fixture
@@ -39,20 +37,14 @@ def test_help_has_a_description_and_options(command, capsys):
     [
         ("", "the following arguments are required: COMMAND"),
         ("fly", "invalid choice: 'fly'"),
-        ("run --late maybe", "invalid choice: 'maybe'"),
         ("run --every-us 0", "argument --every-us: must be at least 1, got 0"),
         ("check --prefixes x", "argument --prefixes: "),
         ("run --live --speed 0", "argument --speed: must be a positive number, got '0'"),
         ("run --confidence 0", "argument --confidence: must be a probability in (0, 1], got '0'"),
-        ("run --confidence sure", "argument --confidence: must be a probability in (0, 1], got 'sure'"),
         ("run --confidence nan", "argument --confidence: must be a probability in (0, 1], got 'nan'"),
-        ("run --activity 60", f"argument --activity: {INTEGRATOR}'60'"),
-        ("run --activity 60:0", f"argument --activity: {INTEGRATOR}'60:0'"),
-        ("run --activity inf:5", f"argument --activity: {INTEGRATOR}'inf:5'"),
-        ("run --activity nan:5", f"argument --activity: {INTEGRATOR}'nan:5'"),
-        ("run --roi 1,2,3", REGION),
-        ("run --roi a,b,c,d", REGION),
-        ("run --roi 1x2x3x4", REGION),
+        ("run --activity 60:0", "must be two positive numbers, events:microseconds, such as 60:4000, got '60:0'"),
+        ("run --activity nan:5", "must be two positive numbers, events:microseconds, such as 60:4000, got 'nan:5'"),
+        ("run --roi 1,2,3", "must be four whole numbers X,Y,WIDTH,HEIGHT"),
     ],
 )
 def test_bad_usage_refers_to_help(words, message, refused):
@@ -66,11 +58,8 @@ def test_bad_usage_refers_to_help(words, message, refused):
         ("run --live --json", "exclude each other"),
         ("run --speed 2", "--speed belongs to --live"),
         ("run SAMPLE --latest 5", "--latest belongs to a camera or the network"),
-        ("view SAMPLE --latest 5", "--latest belongs to a camera or the network"),
         ("run --model digitz", "no model file digitz, and no bundled model of that name (bundled: digits)"),
         ("run udp://127.0.0.1", "expected udp://HOST:PORT"),
-        ("run udp://127.0.0.1:99999", "expected udp://HOST:PORT"),
-        ("run tcp://127.0.0.1:5", "expected udp://HOST:PORT"),
         ("run udp://127.0.0.1:5?format=jpeg", "format"),
         ("run udp://203.0.113.1:50000", "203.0.113.1"),
         ("run udp://127.0.0.1:0 --roi 60,0,34,34 --crop", "does not say the camera's pixels, which --crop needs: give"),
@@ -86,24 +75,22 @@ def test_what_cannot_be_done_is_one_line(words, message, refused, tmp_path):
 @pytest.mark.parametrize(
     "words",
     [
-        ["run"],
-        ["check"],
-        ["export", "--out", "m.onnx"],
-        ["send", "udp://127.0.0.1:9"],
-        ["train", "--out", "m.safetensors"],
-        ["evaluate", "digits"],
-        ["simulate", "--out", "set", "--mnist"],
-        ["mask"],
-        ["plot", "--out", "p.png"],
-        ["view", "--out", "v.rrd"],
-        ["bench", "--model"],
-        ["run", "--late"],
-        ["table", "--nmnist"],
-        ["run", SAMPLE, "--out"],
-        ["evaluate", "digits", ".", "--picture"],
+        "run",
+        "check",
+        "export --out m.onnx",
+        "send udp://127.0.0.1:9",
+        "train --out m.safetensors",
+        "evaluate digits",
+        "simulate --out set --mnist",
+        "mask",
+        "plot --out p.png",
+        "view --out v.rrd",
+        "bench --model",
+        "run --late",
+        "table --nmnist",
+        "run samples --out",
     ],
-    ids=" ".join,
 )
 def test_an_error_is_one_line_whatever_the_name(words, refused, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert "no\\n\\x1b[31mwhere" in refused(*words, "no\n\x1b[31mwhere")
+    assert "no\\n\\x1b[31mwhere" in refused(*words.split(), "no\n\x1b[31mwhere")
