@@ -128,9 +128,9 @@ def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(done, 
     assert code == 2 and "holds a run with other iterations" in err
 
 
-def test_smoke_makes_its_own_motions_in_two_processes(nmnist, mnist, tmp_path, program, monkeypatch):
+def test_smoke_makes_its_own_motions(nmnist, mnist, tmp_path, program, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = ["--nmnist", nmnist, "--mnist", mnist, "--rows", "line", "--workers", 2, "--iterations", 2]
+    words = ["--nmnist", nmnist, "--mnist", mnist, "--rows", "line", "--workers", 1, "--iterations", 2]
     code, printed, _ = program("table", "--smoke", *words)
     assert code == 0 and "line, flow removed, unsigned" in printed and "30 motions of 5 MNIST test images" in printed
     assert (tmp_path / "table-smoke" / "results.json").exists()
