@@ -77,9 +77,3 @@ def test_random_damage(data, whole, tmp_path_factory):
         assert "damaged: " in str(error) and "\n" not in str(error)
     else:
         check(found)
-
-
-@pytest.mark.parametrize("read", [read_idx, open_shard])
-def test_a_missing_file_is_named(read, tmp_path):
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        read(tmp_path / "nowhere")

@@ -37,7 +37,6 @@ BY_HAND = {  # light of one pixel, times in us, settings (thresholds 1 where not
     "times are rounded": ([0, 3], [0, 10], {}, [(3, 1), (7, 1), (10, 1)]),
     # at 7.1 and 7.2 up past 1 and 2, at 7.3 and 7.4 down past 1 and 0
     "one microsecond keeps its order": ([0, 2, 0], [7.0, 7.2, 7.4], {}, [(7, 1), (7, 1), (7, 0), (7, 0)]),
-    "one frame": ([5.0], [0], {}, []),
 }
 
 
@@ -81,77 +80,33 @@ def test_kernel_equals_reference_event_for_event(seed, refractory_us, mismatch, 
     assert events.tolist() == expected and (expected or roughness < 3)
 
 
-STILL = np.zeros((2, 20, 30))
-
-
 def test_background_events_of_still_light_have_the_stated_rate_and_polarity():
     # 5 Hz x 600 pixels x 10 s = 30,000 events; four standard deviations are 693, and 0.0106 of the ON share
     model = PixelModel(noise_hz=5.0, noise_on_share=0.7)
-    events = simulate(STILL, np.array([0, 10_000_000]), np.random.default_rng(0), model)
+    still = np.zeros((2, 20, 30))
+    events = simulate(still, np.array([0, 10_000_000]), np.random.default_rng(0), model)
     assert abs(len(events) - 30_000) < 693
     assert abs(events["p"].mean() - 0.7) < 0.0106
     counts = np.zeros((20, 30))
     np.add.at(counts, (events["y"], events["x"]), 1)
     assert counts.min() > 15 and (np.diff(events["t"]) >= 0).all() and events["t"].max() < 10_000_000
-    assert len(simulate(STILL, np.array([0, 10_000]), np.random.default_rng(0), PixelModel(noise_hz=0.0))) == 0
-
-
-def test_pixels_begin_in_random_states():
-    model = PixelModel(threshold_on=1.0, threshold_off=1.0, mismatch=0.0, noise_hz=0.0)
-    events = simulate(np.stack([STILL[0], STILL[0] + 0.4]), np.array([0, 10_000]), np.random.default_rng(0), model)
-    # The light rises by 0.4; levels began uniformly over C_on + C_off = 2: a fifth of the 600 pixels fire,
-    # 120, give or take four times 9.8.
-    assert abs(len(events) - 120) < 40 and (events["p"] == 1).all()
-
-
-def test_mismatch_spreads_the_number_of_events():
-    frames = np.stack([np.zeros((40, 40)), np.full((40, 40), 20.0)])
-    spread = []
-    for mismatch in (0.0, 0.2):
-        model = PixelModel(threshold_on=0.2, mismatch=mismatch, refractory_us=0.0, noise_hz=0.0)
-        events = simulate(frames, np.array([0, 10_000]), np.random.default_rng(0), model)
-        spread.append(np.bincount(events["y"].astype(int) * 40 + events["x"], minlength=1600).std())
-    assert spread[0] < 1.0
-    # 100 crossings at a log-normal threshold of sigma 0.2: 20.6 +- 0.4 (mean 102, times sqrt(e^0.04 - 1))
-    assert abs(spread[1] - 20.6) < 2.0
+    assert len(simulate(still, np.array([0, 10_000]), np.random.default_rng(0), PixelModel(noise_hz=0.0))) == 0
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"log_frames": np.zeros((2, 3))}, r"`log_frames` must have shape \(K, H, W\) with K >= 1, got \(2, 3\)"),
-        ({"log_frames": np.full((2, 1, 1), -np.inf)}, "`log_frames` must be finite; luminance 0 has no logarithm"),
-        ({"frame_times_us": np.arange(3)}, r"`frame_times_us` must have shape \(2,\), one per frame, got \(3,\)"),
         ({"frame_times_us": np.array([5, 5])}, "`frame_times_us` must be strictly increasing"),
-        ({"frame_times_us": np.array([-1, 5])}, r"in \[0, 2\^53\]"),
         ({"threshold_on": 0.0}, "`threshold_on` must be at least 0.001, got 0.0"),
         ({"threshold_off": np.zeros((2, 2))}, r"`threshold_off` must be a number or of shape \(1, 1\), got \(2, 2\)"),
-        ({"threshold_off": np.nan}, "`threshold_off` must be finite"),
-        ({"reference": np.inf}, "`reference` must be finite"),
         ({"refractory_us": -1.0}, "`refractory_us` must be finite and at least 0, got -1.0"),
     ],
 )
 def test_invalid_frames_and_thresholds_are_refused(change, message):
-    valid = {
-        "log_frames": np.zeros((2, 1, 1)),
-        "frame_times_us": np.array([0, 5]),
-        "threshold_on": 1.0,
-        "threshold_off": 1.0,
-    }
+    valid = {"log_frames": np.zeros((2, 1, 1)), "frame_times_us": [0, 5], "threshold_on": 1.0, "threshold_off": 1.0}
     assert len(simulate_events(**valid)) == 0
     with pytest.raises(ValueError, match=message):
         simulate_events(**(valid | change))
-
-
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
-        ({"threshold_on": 0.0}, "`threshold_on` must be finite and at least 0.001, got 0.0"),
-        ({"threshold_off": np.inf}, "`threshold_off` must be finite"),
-        ({"mismatch": -0.1}, "`mismatch` must be finite and at least 0, got -0.1"),
-        ({"noise_on_share": 1.5}, r"`noise_on_share` must be in \[0, 1\], got 1.5"),
-    ],
-)
-def test_invalid_pixel_models_are_refused(setting, message):
-    with pytest.raises(ValueError, match=message):
-        PixelModel(**setting)
+    with pytest.raises(ValueError, match=r"`noise_on_share` must be in \[0, 1\], got 1.5"):
+        PixelModel(noise_on_share=1.5)

@@ -13,8 +13,8 @@ from async_tnt.simulation.shards import COLUMNS, open_shard, write_shard
 DURATION_US = 1_000
 
 
-def recordings_of(sizes=(5, 0, 9, 3), sensor=(34, 34)):
-    return [random_events(n, seed=i, duration_us=DURATION_US, sensor=sensor) for i, n in enumerate(sizes)]
+def recordings_of(sensor=(34, 34)):
+    return [random_events(n, seed=i, duration_us=DURATION_US, sensor=sensor) for i, n in enumerate((5, 0, 9, 3))]
 
 
 def write(path, recordings=None, *, sensor=(34, 34), **changes):
@@ -50,7 +50,6 @@ def test_round_trip(tmp_path, sensor, pixel):
     assert shard.flow_times_us.tolist() == [500]
     assert shard.sensor == sensor and shard.duration_us == DURATION_US
     assert shard.metadata["motion"] == {"name": "still"} and shard.metadata["seed"] == 7
-    assert "4 recordings, 17 events" in repr(shard)
     for name, column in load_file(tmp_path / "a.safetensors").items():  # as other programs read it
         np.testing.assert_array_equal(column, getattr(shard, name))
 
@@ -61,16 +60,9 @@ def test_columns_are_aligned_and_read_only_and_recordings_are_copies(tmp_path):
         assert column.flags.aligned and column.flags.c_contiguous and not column.flags.writeable
     shard.recording(2)["t"] = 0
     assert shard.t[5:14].any()
-    for i in (4, -5):
-        with pytest.raises(IndexError, match=rf"must be in \[-4, 4\), got {i}"):
-            shard.recording(i)
-
-
-@pytest.mark.parametrize("sizes", [(), (0,), (0, 0, 0)])
-def test_no_events_and_no_recordings_are_a_shard_too(tmp_path, sizes):
-    shard = open_shard(write(tmp_path / "a.safetensors", recordings_of(sizes)))
-    assert len(shard) == len(sizes) and shard.n_events == 0
-    assert all(len(shard.recording(i)) == 0 for i in range(len(shard)))
+    with pytest.raises(IndexError, match=r"must be in \[-4, 4\), got 4"):
+        shard.recording(4)
+    assert len(open_shard(write(tmp_path / "b", []))) == 0
 
 
 def test_the_same_arguments_give_the_same_bytes_and_a_failure_leaves_the_old_file(tmp_path):
@@ -86,12 +78,7 @@ def test_the_same_arguments_give_the_same_bytes_and_a_failure_leaves_the_old_fil
     [
         ({"labels": [0, 1, 2, 256]}, r"`labels` must be in \[0, 255\], got 0 to 256"),
         ({"labels": [0.0, 1.0, 2.0, 3.0]}, "`labels` must be whole numbers, got float64"),
-        ({"flow": np.full((4, 1, 2), 1e300)}, "`flow` must be finite"),
-        ({"flow_times_us": [], "flow": np.zeros((4, 0, 2))}, "`flow_times_us` must hold at least one time"),
         ({"flow_times_us": [5, 5], "flow": np.zeros((4, 2, 2))}, "each later than the one before"),
-        ({"flow_times_us": [1_001]}, r"`flow_times_us` must be in \[0, 1001\), got 1001 at 0"),
-        ({"sensor": (0, 34), "recordings": recordings_of()}, r"`sensor` must be a width and .*, got \[0, 34\]"),
-        ({"duration_us": 0}, "`duration_us` must be a whole number in"),
         ({"recordings": [recordings_of()[0][::-1]]}, "`t` must not decrease within a recording, got"),
     ],
 )
@@ -113,19 +100,11 @@ def with_value(index, value):
     ("name", "change", "message"),
     [
         ("t", with_value(0, -1), r"`t` must be in \[0, 1000\), got -1 at 0"),
-        ("t", with_value(16, 1_000), r"`t` must be in \[0, 1000\), got 1000 at 16"),
         ("t", with_value(8, 0), "`t` must not decrease within a recording, got 0 after [0-9]+ at event 8"),
         ("t", lambda t: t.astype(np.int64), "`t` must be int32, got int64"),
         ("x", with_value(3, 34), r"`x` must be in \[0, 34\), got 34 at 3"),
-        ("y", lambda y: y[1:], r"`y` must have shape \(17,\), got \(16,\)"),
-        ("p", with_value(5, 2), r"`p` must be in \[0, 2\), got 2 at 5"),
-        ("offsets", with_value(0, 1), "`offsets` must rise from 0 to 17"),
-        ("offsets", with_value(4, 16), "`offsets` must rise from 0 to 17"),
         ("offsets", with_value(2, 4), "`offsets` must rise from 0 to 17"),
-        ("labels", lambda labels: labels[:, None], r"`labels` must have shape \(4,\), got \(4, 1\)"),
-        ("image", with_value(3, -1), r"`image` must be in \[0, 2147483648\), got -1 at 3"),
         ("flow", lambda flow: flow[:, 0], r"`flow` must have shape \(4, 1, 2\), got \(4, 2\)"),
-        ("flow", with_value(0, np.inf), "`flow` must be finite"),
         ("more", lambda _: np.zeros(3, np.int64), "must hold t, x, y, p, .*got.*more"),
     ],
 )
@@ -141,14 +120,12 @@ def test_columns_that_break_a_rule_are_not_read(tmp_path, name, change, message)
 @pytest.mark.parametrize(
     ("metadata", "message"),
     [
-        (None, "no `shard` in its metadata"),
         ("[" * 100_000, "its metadata is not JSON"),
-        ("[]", "must have the format 'async_tnt.shard'"),
         ('{"format": "async_tnt.shard", "version": 2}', "reads version 1 of the format, got 2"),
         ('{"format": "async_tnt.shard", "version": 1, "sensor": [34, true]}', "`sensor` must be a width and a height"),
     ],
 )
 def test_metadata_that_breaks_a_rule_is_not_read(tmp_path, metadata, message):
-    (tmp_path / "b").write_bytes(save({}, metadata=None if metadata is None else {"shard": metadata}))
+    (tmp_path / "b").write_bytes(save({}, metadata={"shard": metadata}))
     with pytest.raises(ValueError, match=message):
         open_shard(tmp_path / "b")

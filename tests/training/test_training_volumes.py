@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from made import events_of, random_events
 
-from async_tnt.config import MAX_SIDE, TNTConfig
-from async_tnt.training.augment import FINE, Augmentation, fineness, unchanged
+from async_tnt.config import TNTConfig
+from async_tnt.training.augment import FINE, Augmentation, unchanged
 from async_tnt.training.batches import BatchVolumes
 from async_tnt.training.windows import Recordings, make_windows
 from async_tnt.volume import TNTVolume
@@ -30,8 +30,6 @@ def streamed(config, windows, k, until_us):
     return volume.array
 
 
-@pytest.mark.parametrize("until_us", [105_000, 40_000])
-@pytest.mark.parametrize("first_event", [False, True])
 @pytest.mark.parametrize(
     "changes",
     [
@@ -44,21 +42,19 @@ def streamed(config, windows, k, until_us):
     ],
     ids=lambda changes: "-".join(map(str, changes.values())),
 )
-def test_a_batch_equals_the_streamed_volumes(changes, first_event, until_us):
+def test_a_batch_equals_the_streamed_volumes(changes):
     config = TNTConfig(**changes)
-    windows = random_windows(config, first_event=first_event)
-    batch = BatchVolumes(config)(windows, unchanged(len(windows), config, until_us=until_us))
-    assert batch.shape == (9, *config.shape)
-    for k in range(len(windows)):
-        expected = streamed(config, windows, k, until_us)
-        assert np.abs(expected).max() > 0
-        np.testing.assert_array_equal(batch[k], expected)
+    for first_event, until_us in ((False, 105_000), (True, 40_000)):
+        windows = random_windows(config, first_event=first_event)
+        batch = BatchVolumes(config)(windows, unchanged(len(windows), config, until_us=until_us))
+        expected = [streamed(config, windows, k, until_us) for k in range(9)]
+        assert np.abs(expected).max((1, 2, 3)).min() > 0
+        np.testing.assert_array_equal(batch, expected)
 
 
-@pytest.mark.parametrize("landmark", ["window", "running"])
-def test_an_event_at_a_windows_end_belongs_to_the_next(landmark):
+def test_an_event_at_a_windows_end_belongs_to_the_next():
     """It has no weight in the volume itself, but it would move the centroid that all others are normalized about."""
-    config = TNTConfig(landmark=landmark, t_max=2.0)
+    config = TNTConfig(landmark="window", t_max=2.0)
     events = events_of([0, 60_000, 90_000, 105_000, 120_000], [3, 12, 20, 33, 5], [4, 9, 20, 33, 6], [1, 0, 1, 1, 0])
     windows = make_windows(Recordings.from_events([events], [0]), config.window_us)
     batch = BatchVolumes(config)(windows)
@@ -132,26 +128,9 @@ def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
         assert not np.array_equal(getattr(draws, name), getattr(other, name))
     assert -5_000 <= draws.start_us.min() < -4_900 and 4_900 < draws.start_us.max() <= 5_000
     assert 0.7 <= draws.keep.min() < 0.71 and 0.99 < draws.keep.max() <= 1.0
-    partial = draws.until_us < config.window_us
-    assert partial.mean() == pytest.approx(0.25, abs=0.03)
-    assert 15_000 <= draws.until_us.min() < 16_000
+    assert draws.until_us.min() >= 15_000
+    assert (draws.until_us < config.window_us).mean() == pytest.approx(0.25, abs=0.03)
     gain = np.linalg.det(draws.matrix[:, :, :2]) / FINE**2  # scale^2: rotation and shear keep areas
     assert 0.81 <= gain.min() < 0.83 and 1.19 < gain.max() <= 1.21
-    whole = Augmentation(**{name: 0 for name in vars(NOTHING)} | {"translate_px": 4}).draw(500, config, RNG(0))
-    assert set(np.unique(np.round(whole.matrix[:, :, 2] / FINE, 9))) == set(range(-4, 5))
     with pytest.raises(ValueError, match=r"`drop` must be in \[0, 1.0\], got 1.5"):
         Augmentation(drop=1.5)
-
-
-@pytest.mark.parametrize("sensor", [(2, 2), (34, 34), (1280, 720), (MAX_SIDE, 4)])
-def test_augmented_events_have_a_place_on_every_sensor(sensor):
-    config = TNTConfig(sensor=sensor)
-    draws = Augmentation.for_sensor(config).draw(3, config, RNG(0))
-    assert max(draws.sensor) <= MAX_SIDE and 1 <= fineness(sensor) <= FINE
-    assert draws.sensor == tuple((side - 1) * fineness(sensor) + 1 for side in sensor)
-
-
-def test_augmentation_grows_with_sensor_and_window():
-    assert Augmentation.for_sensor(TNTConfig()) == Augmentation()
-    found = Augmentation.for_sensor(TNTConfig(sensor=(100, 67), window_us=1_050))
-    assert (found.shift_px, found.start_ms, found.partial_from_ms) == (3.0, 0.05, 0.15)

@@ -7,8 +7,7 @@ import pytest
 from made import events_of
 from small_sets import idx_bytes
 
-from async_tnt.simulation.digits import FIRST_SAMPLE
-from async_tnt.training.digits import FIRST_INDEX, read_nmnist_folder, read_samples, simulate_recordings
+from async_tnt.training.digits import FIRST_INDEX, read_nmnist_folder, simulate_recordings
 from async_tnt.training.windows import Recordings, make_windows, split_recordings
 
 
@@ -21,16 +20,7 @@ def test_a_folder_is_read_in_order_with_its_labels(nmnist):
     assert recordings.names[:5] == ("0/60006.bin", "0/60016.bin", "0/60026.bin", "0/60036.bin", "1/60007.bin")
     np.testing.assert_array_equal(recordings.labels, np.repeat(np.arange(10), 4))
     assert len(recordings.offsets) == 41 and recordings.offsets[-1] == len(recordings.t)
-    fewer = read_nmnist_folder(nmnist / "Train", per_digit=1)
-    assert fewer.names == recordings.names[::4]
-    np.testing.assert_array_equal(fewer.x[: fewer.offsets[1]], recordings.x[: recordings.offsets[1]])
-
-
-def test_a_missing_or_empty_folder_is_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere; expected N-MNIST's layout"):
-        read_nmnist_folder(tmp_path / "nowhere")
-    with pytest.raises(ValueError, match="no recordings; expected N-MNIST's layout"):
-        read_nmnist_folder(tmp_path)
+    assert read_nmnist_folder(nmnist / "Train", per_digit=1).names == recordings.names[::4]
 
 
 def test_windows_from_zero_and_from_the_first_event():
@@ -53,21 +43,6 @@ def test_windows_without_a_duration_reach_to_the_last_event():
     np.testing.assert_array_equal(windows.start_us, [3, 103, 2_000_000_003, 50])
 
 
-def test_recordings_add_up():
-    first = Recordings.from_events([recording([1, 2]), recording([3])], [0, 1])
-    both = first + Recordings.from_events([recording([4, 5, 6])], [2], ["last"])
-    np.testing.assert_array_equal(both.t, [1, 2, 3, 4, 5, 6])
-    np.testing.assert_array_equal(both.offsets, [0, 2, 3, 6])
-    assert len(both) == 3 and both.names == ("0", "1", "last")
-
-
-def test_times_must_be_in_order_and_short():
-    with pytest.raises(ValueError, match=r"mine: times must be in order"):
-        Recordings.from_events([recording([5, 4])], [0], ["mine"])
-    with pytest.raises(ValueError, match=r"in \[0, 2\*\*31\) us, got 0 to 2147483648"):
-        Recordings.from_events([recording([0, 1 << 31])], [0])
-
-
 def test_a_split_is_by_recording_and_even_over_the_classes():
     recordings = Recordings.from_events([recording([1])] * 60, [0] * 40 + [1] * 20)
     train, held_out = split_recordings(recordings, 0.25, np.random.default_rng(0))
@@ -78,9 +53,7 @@ def test_a_split_is_by_recording_and_even_over_the_classes():
         split_recordings(recordings, 1, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize(
-    ("fraction", "expected"), [(0.1, [1, 1, 0]), (0.5, [5, 2, 0]), (0.99, [9, 2, 0]), (0.0, [0, 0, 0])]
-)
+@pytest.mark.parametrize(("fraction", "expected"), [(0.1, [1, 1, 0]), (0.99, [9, 2, 0]), (0.0, [0, 0, 0])])
 def test_a_small_class_gives_one_recording_to_the_held_out_and_keeps_one(fraction, expected):
     recordings = Recordings.from_events([recording([1])] * 14, [0] * 10 + [1] * 3 + [2])
     _, held_out = split_recordings(recordings, fraction, np.random.default_rng(0), at_least=1)
@@ -96,25 +69,14 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
         labels[FIRST_INDEX + k] = k + 1
     for name, array in (("images-idx3", images), ("labels-idx1", labels)):
         (tmp_path / f"train-{name}-ubyte.gz").write_bytes(gzip.compress(idx_bytes(array), 1))
-    recordings, again, fewer, other = (
-        simulate_recordings(tmp_path, *words) for words in ((4, 0), (4, 0), (2, 0), (2, 1))
-    )
+    recordings, fewer, other = (simulate_recordings(tmp_path, *words) for words in ((4, 0), (2, 0), (2, 1)))
     np.testing.assert_array_equal(np.sort(recordings.labels), [1, 2, 3, 4])  # none of the empty ones
     assert len(make_windows(recordings, 105_000)) == 12 and recordings.names[0].startswith("simulated 500")
     for r, label in enumerate(recordings.labels):
         events = slice(recordings.offsets[r], recordings.offsets[r + 1])
         bar = 3 + 5 * label - 2.5 + 3.5  # its centre in the image, and the image's place on the sensor
         assert np.median(recordings.x[events]) == pytest.approx(bar, abs=4)
-        assert recordings.t[events].max() > 250_000
-    np.testing.assert_array_equal(recordings.t, again.t)
     np.testing.assert_array_equal(recordings.t[: len(fewer.t)], fewer.t)  # the first of more
     assert recordings.names[:2] == fewer.names and not np.array_equal(fewer.t, other.t)
     with pytest.raises(ValueError, match=r"must be in \[0, 4\], got 5"):
         simulate_recordings(tmp_path, 5, 0)
-
-
-def test_the_samples_are_ten_digits_of_images_that_training_leaves_out():
-    samples = read_samples()
-    np.testing.assert_array_equal(samples.labels, range(10))
-    assert len(make_windows(samples, 105_000)) == 30
-    assert FIRST_INDEX > FIRST_SAMPLE + 1_000  # the samples are the first of each digit from there
