@@ -157,8 +157,8 @@ class Processor:
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _choose_paths(self) -> None:
-        """Note whether triggers look at each event, and let single events go straight to the volume where there is only
-        one and nothing else has to see them first."""
+        """Note whether triggers look at each event; let single events go straight to the one volume if nothing else has
+        to see them first."""
         direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
         self._by_event = self._triggers.by_event

@@ -3,15 +3,17 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 from deciding import key
 from hypothesis import given
 from hypothesis import strategies as st
-from incremental.cases import DIGITS, NETWORKS, WINDOW_US, of_all, of_some
+from incremental.cases import DIGITS, NETWORKS, SMALL, WINDOW_US, of_all, of_some
 from made import nasty_streams, random_events
 from oracles import Oracle, as_values
 
-from async_tnt import CompiledRegressor, Processor
+from async_tnt import CompiledRegressor, Processor, TNTVolume
+from async_tnt.kernels import state as S
 
 
 def decide(processor, events, size):
@@ -113,3 +115,21 @@ def test_processors_in_threads_decide_as_one_after_the_other(settings):
     with ThreadPoolExecutor(n_threads) as threads:
         assert list(threads.map(lambda seed: work(seed, together.wait), range(n_threads))) == expected
     assert len({str(decisions) for decisions in expected}) == n_threads  # none has another one's
+
+
+N_THREADS = 4
+
+
+def test_windows_opened_in_threads_are_never_taken_for_each_other():
+    """Each window has a number of its own, even where threads open windows at the same time."""
+
+    def open_many(seed):
+        volume, numbers = TNTVolume(SMALL.config), []
+        for k in range(500):
+            volume.open(k)
+            numbers.append(int(volume.state().view(np.int64)[S.EPOCH]))
+        return numbers
+
+    with ThreadPoolExecutor(N_THREADS) as threads:
+        numbers = [number for many in threads.map(open_many, range(N_THREADS)) for number in many]
+    assert len(set(numbers)) == N_THREADS * 500

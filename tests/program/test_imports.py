@@ -1,5 +1,6 @@
 """What the package costs: imports, compiled kernels and their cache, memory."""
 
+import ast
 import importlib
 import inspect
 import os
@@ -65,9 +66,8 @@ def test_public_names_are_there_in_every_way():
 @pytest.mark.parametrize("package", [async_tnt, async_tnt.sources, async_tnt.training])
 def test_type_checkers_see_the_same_names(package):
     imports = [n for n in ast.walk(ast.parse(Path(package.__file__).read_text())) if isinstance(n, ast.ImportFrom)]
-    seen = {
-        alias.name: n.module for n in imports for alias in n.names if alias.name not in ("lazy_names", "__version__")
-    }
+    own = {"lazy_names", "__version__"}
+    seen = {alias.name: n.module for n in imports for alias in n.names if alias.name not in own}
     assert sorted(seen) == package.__all__
     for name, module in seen.items():
         assert getattr(package, name) is getattr(importlib.import_module(module), name)

@@ -3,12 +3,14 @@
 That the same volumes and decisions follow, bit for bit, is a law of tests/test_laws.py.
 """
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from deciding import CONFIG, at, key, total_and_size
-from made import random_events
+from made import random_events, random_model
 
 from async_tnt import LeakyIntegrator, Processor, TNTConfig
 from async_tnt.checked_tensors import read_state, state_bytes
@@ -109,3 +111,25 @@ def test_where_restoring_fails_nothing_has_changed():
     assert here.every_us == 777
     more = random_events(300, seed=2, duration_us=3000)
     assert seen(here, here.push(more)) == seen(untouched, untouched.push(more))
+
+
+def test_in_another_process(tmp_path):
+    model = random_model(CONFIG, classes=3)
+    model.save(tmp_path / "model.safetensors")
+    events = random_events(400, seed=5, duration_us=3000)
+    np.save(tmp_path / "rest.npy", events[170:])
+    here = Processor(model, every_events=10)
+    here.push(events[:170])
+    (tmp_path / "state").write_bytes(here.save_state())
+    code = (
+        "import sys, numpy as np, async_tnt; from pathlib import Path; folder = Path(sys.argv[1])\n"
+        "p = async_tnt.Processor(async_tnt.load_model(folder / 'model.safetensors'), every_events=10)\n"
+        "p.restore_state((folder / 'state').read_bytes())\n"
+        "d = p.push(np.load(folder / 'rest.npy')) + p.finish()\n"
+        "print([(x.trigger, x.time_us, x.logits.tobytes().hex()) for x in d])"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True)
+    decisions = here.push(events[170:]) + here.finish()
+    assert len(decisions) > 20
+    expected = str([(d.trigger, d.time_us, d.logits.tobytes().hex()) for d in decisions])
+    assert done.stdout.strip() == expected, done.stderr

@@ -1,8 +1,10 @@
 """Landmark "regressor" in a Processor: decisions equal the torch pipeline's, and `async-tnt check` says so."""
 
+import threading
+
 import numpy as np
 import pytest
-from deciding import total_and_size
+from deciding import key, total_and_size
 from made import random_events, random_regressor_model
 
 from async_tnt import Processor, TNTConfig, stream
@@ -65,3 +67,17 @@ def test_check_sees_a_regressor_that_is_off(monkeypatch):
     comparisons = check_recording(random_events(400, duration_us=200_000, sensor=(20, 25)), model, prefixes=5)
     failed = [(c.what, c.config) for c in comparisons if not c.holds]
     assert failed == [("landmark against reference, px", "regressor")]
+
+
+def test_processors_of_one_model_in_several_threads():
+    """Each has scratch memory of its own."""
+    packets = [np.split(random_events(2000, seed=seed, duration_us=10_000), 40) for seed in range(4)]
+    expected = [[key(d) for d in stream(source, MODEL)] for source in packets]
+    got = [None] * len(packets)
+
+    def work(k):
+        got[k] = [key(d) for d in stream(packets[k], MODEL)]
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(len(packets))]
+    [thread.start() for thread in threads], [thread.join() for thread in threads]
+    assert got == expected
