@@ -21,7 +21,7 @@ def forward(layout, weights, maps, dirty):
 
     Parameters
     ----------
-    layout, weights, maps, dirty : the classifier's, see `layout`. Maps, dirty mask and the scratch part of the layout are
+    layout, weights, maps, dirty : the classifier's, see `layout`. Maps, mask and the scratch part of the layout are
         updated in place.
     """
     forward_conv_1(layout, weights, maps, dirty)
