@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from engines.foreign import network
-from incremental.cases import LARGE, NETWORKS
+from incremental.cases import NETWORKS
 from made import random_events, random_regressor_model
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, TNTConfig, TNTVolume, load_model
@@ -34,7 +34,7 @@ def assert_same_logits(volume, compiled, *others):
         assert logits.argmax() == expected.argmax()
 
 
-@pytest.mark.parametrize("tested", [*NETWORKS, LARGE], ids=str)
+@pytest.mark.parametrize("tested", NETWORKS, ids=str)
 def test_logits_are_the_same(tested):
     classifiers, volume = engines(tested.model()), tested.volume()
     for packet in [None, *np.split(random_events(900, sensor=tested.config.sensor, seed=4, duration_us=8000), 3)]:

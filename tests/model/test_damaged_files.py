@@ -22,7 +22,7 @@ from async_tnt.networks.onnx_metadata import seal
 ONNX = to_onnx(small_model()).SerializeToString()
 ONNX_REGRESSOR = regressor_to_onnx(small_model(config=WITH_REGRESSOR)).SerializeToString()
 READERS = (load_model, OnnxClassifier, OnnxRegressor)
-STEPS = {load_model: 2, OnnxClassifier: 7, OnnxRegressor: 7}  # bytes from one damage to the next
+STEPS = {load_model: 3, OnnxClassifier: 11, OnnxRegressor: 11}  # bytes from one damage to the next
 of_all = pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.__name__)
 NEITHER = {  # what a file of anything else is called
     load_model: "is not a readable .safetensors file: ",
@@ -81,7 +81,7 @@ def test_any_byte_changed(reader, files, capfd):
     for at in range(0, len(content), every):
         damaged = content[:at] + bytes([content[at] ^ 1 << bits[at]]) + content[at + 1 :]
         n_opened += not refused(reader, path, damaged)
-    assert n_opened < (1 if reader is load_model else 60 // every)
+    assert n_opened < (1 if reader is load_model else 8)
     assert capfd.readouterr() == ("", "")
 
 

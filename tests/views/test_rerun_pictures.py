@@ -51,9 +51,3 @@ def test_pictures_are_bounded_in_number_and_taken_at_every_long_window_end(t, or
     assert offset == 0 or (not short and offset % step == 0)
     two_later = next_moment(next_moment(moment, origin, window, step), origin, window, step)
     assert two_later - moment >= min(step, long)  # at most two in a step
-
-
-def test_class_names_are_shown_as_plain_text_on_one_line():
-    line, other = pictures.bars(np.array([0.5, 0.5]), ["x" * 40, "a\n```b"]).splitlines()
-    assert line.startswith("x" * 15 + "… ") and other.startswith("a '''b ")
-    assert pictures.plain("*a*_b\n# c") == r"\*a\*\_b \# c"
