@@ -9,15 +9,13 @@ import json
 
 import numpy as np
 import pytest
-from made import random_model
 
 from async_tnt import TNTConfig, load_model
 from async_tnt.checking import backends
-from async_tnt.checking.bench_latency import bench_latency, bench_stream
+from async_tnt.checking.bench_latency import bench_latency
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import bench_recordings, made_recording
 from async_tnt.cli import main
-from async_tnt.cli.bench import table
 
 needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
 
@@ -77,22 +75,6 @@ def test_batch_processing_is_timed_and_makes_the_same_volumes(report):
     assert "batch" in report["processor"]["stream"]["ns_per_event"] and decisions["batch_over_stream"]["median"] > 0
 
 
-def test_the_table_shows_every_figure(report):
-    text = "\n".join(table(report))
-    for title in (
-        "update_one",
-        "packets of 1300, columns",
-        "open a window",
-        "push_one + fire",
-        "checked: the same logits",
-    ):
-        assert title in text
-    assert f"{report['volume'][1]['ns_per_event']['single']['median']:,.1f}" in text
-    assert f"{report['processor']['every_event']['ours']['a_second']:,.0f}" in text
-    assert "batch / stream" in text or "torch is not installed" in text
-    assert not [name for name in report["network"]["1"]["in_blocks"]["us"] if backends.ENGINES[name].title not in text]
-
-
 def test_different_work_is_refused(monkeypatch, program):
     def differ(*settings, **counts):
         raise WorkDiffers("got ours and theirs 1.0e-03 apart")
@@ -128,40 +110,21 @@ def test_mistakes(program):
         program("bench", "--landmark", "regressor")
 
 
-@needs_torch
-@pytest.mark.parametrize(
-    "settings",
-    [{"polarity": "split", "landmark": "line"}, {"landmark": "window"}, {"transform": "none", "bins": 1}],
-    ids=str,
-)
-def test_any_model_is_timed(settings):
-    """Another sensor and grid than the samples', several windows: both see the same events at all times."""
-    model = random_model(TNTConfig(sensor=(50, 40), grid=(24, 20), window_us=10_000, **settings), widths=(4, 6, 8))
-    events = made_recording(np.random.default_rng(1), model.config, 2000)
-    decisions = bench_latency(model, events, moments=30, with_torch=True)
-    assert 0 < decisions["largest_difference"]["volume"] < 1e-4
-    assert bench_stream(model, events, rounds=1, with_torch=True)["windows"] == 3
-
-
-TWINS = [
-    {"landmark": landmark, "polarity": polarity, "t_max": t_max}
-    for landmark in ("center", "running", "line", "window")
-    for polarity, t_max in (("signed", 2.0), ("unsigned", 8.0), ("split", 8.0))
-]
+TWINS = [{"landmark": landmark} for landmark in ("center", "running", "line", "window")]
 TWINS += [{"landmark": "line", "remove_flow": True}, {"transform": "none"}, {"bins": 1}]
+TWINS += [{"polarity": "unsigned", "t_max": 2.0}, {"polarity": "split"}]
 
 
 @needs_torch
 @pytest.mark.parametrize("settings", TWINS, ids=str)
-@pytest.mark.parametrize("grid", [(34, 34), (20, 41)])
-def test_batch_processing_equals_the_reference(settings, grid):
+def test_batch_processing_equals_the_reference(settings):
     """A figure beside a wrong batch computation would mean nothing."""
     import torch
 
     from async_tnt.checking.reference import reference_volume
     from async_tnt.checking.torch_batch import TorchBatch, as_tensors
 
-    config = TNTConfig(grid=grid, window_us=20_000, **settings)
+    config = TNTConfig(grid=(20, 41), window_us=20_000, **settings)
     events = made_recording(np.random.default_rng(5), config, 3000)
     events = events[events["t"] < 20_000]
     expected = reference_volume(events, config, 0)

@@ -13,7 +13,7 @@ from async_tnt.checking import bench_every_event as every_event
 from async_tnt.checking import bench_network as network
 from async_tnt.checking.interleaved import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
 from async_tnt.checking.moments import Moments, bench_recordings, windows_of
-from async_tnt.checking.timing import interleave, spread
+from async_tnt.checking.timing import spread
 
 end_to_end, noise = map(load_benchmark, ("measure_end_to_end", "measure_noise"))
 
@@ -36,14 +36,6 @@ def test_windows_of_a_recording_by_hand():
     assert events["t"].tolist() == [5, 999, 1000, 3500, 3501]  # the caller's are unchanged
 
 
-@pytest.mark.parametrize("sensor", [(34, 34), (50, 40)])
-def test_recordings_give_thirty_windows_for_any_sensor(sensor):
-    config = DIGITS.config.replace(sensor=sensor)
-    windows = [w for events in bench_recordings(config) for w in windows_of(events, config.window_us)]
-    assert len(windows) == 30 and sum(len(w) > 1300 for w in windows) > 10
-    assert max(int(w["x"].max()) for w in windows) == sensor[0] - 1
-
-
 @pytest.mark.parametrize("n_new", [1, 3, 10])
 def test_every_moment_has_so_many_new_events_after_the_first_one_of_its_window(n_new):
     moments = Moments([window(31), window(7, 1), window(2, 2)], WINDOW_US, n_new)
@@ -61,16 +53,6 @@ def test_every_moment_has_so_many_new_events_after_the_first_one_of_its_window(n
         last = moment
     with pytest.raises(ValueError, match=f"a window of at least {n_new + 1} events is needed, the longest has {n_new}"):
         Moments([window(n_new), window(1)], WINDOW_US, n_new)
-
-
-def test_blocks_are_spread_over_laps_and_begin_with_a_decision_of_their_own():
-    blocks = list(Moments([window(101)], WINDOW_US, 1).blocks(4, 5))
-    assert [[len(m.events) for m in block] for block in blocks] == [
-        [2 + k, 3 + k, 4 + k, 5 + k, 6 + k] for k in (0, 25, 50, 75)
-    ]
-    assert [[m.follows for m in block] for block in blocks] == [[False, True, True, True, True]] * 4
-    starts = [m.start_us for block in Moments([window(11)], WINDOW_US, 5).blocks(3, 4) for m in block]
-    assert starts == [1000 * (k // 2) for k in range(12)]  # in a further lap, time goes on
 
 
 class Recorder:
@@ -139,14 +121,6 @@ def test_ratios_are_paired_and_by_hand():
     assert spread(np.array([1, 2, 3, 4, 9])) == {"median": 3, "q1": 2, "q3": 4, "min": 1, "max": 9, "n": 5}
 
 
-def test_cases_are_interleaved_and_the_warm_up_is_not_counted():
-    calls = []
-    cases = {name: lambda name=name: calls.append(name) or len(calls) for name in "ab"}
-    measured = interleave(cases, rounds=3)
-    assert "".join(calls) == "ab" + "ab" + "ba" + "ab"
-    assert measured["a"].tolist() == [3, 6, 7] and measured["b"].tolist() == [4, 5, 8]
-
-
 def test_all_engines_give_the_same_logits_and_keep_nothing_of_the_volume():
     networks = backends.dense_networks(DIGITS)
     assert set(networks) | set(backends.left_out()) == set(backends.ENGINES) - {"incremental"}
@@ -200,24 +174,3 @@ def test_networks_that_differ_are_not_timed():
         noise.bench_on_noise(DIGITS, networks, blocks=1, size=3)
     with pytest.raises(WorkDiffers, match=r"got ours and wrong 1\.\de-0[34] apart"):
         every_event.bench_every_event(DIGITS, {"wrong": networks["wrong"]}, recordings, rounds=1, n_events=1000)
-
-
-def test_every_event_asks_a_whole_network_for_each_decision(monkeypatch):
-    """A Processor refreshes a CompiledClassifier: as a backend it must be called with arrays."""
-    asked, whole = [], CompiledClassifier.__call__
-    monkeypatch.setattr(CompiledClassifier, "__call__", lambda self, v: asked.append(v.shape) or whole(self, v))
-    networks = {"dense": CompiledClassifier(DIGITS)}
-    rates = every_event.bench_every_event(DIGITS, networks, bench_recordings(DIGITS.config)[:1], rounds=1, n_events=50)
-    assert asked == [DIGITS.config.shape] * 3 * 51  # compared, warm, timed: all events, and the end of the window
-    dense, ours = rates["dense"], rates["ours"]
-    assert dense["ratio"]["median"] == pytest.approx(dense["us"]["median"] / ours["us"]["median"])
-    assert ours["a_second"] == pytest.approx(1e6 / ours["us"]["median"])
-
-
-def test_the_faster_way_of_onnxruntime_is_the_one_with_less_time_over_all_rows():
-    def row(run, binding):
-        return {"in_blocks": {"us": {"onnxruntime_run": {"median": run}, "onnxruntime_binding": {"median": binding}}}}
-
-    assert noise.fastest(backends.ONNXRUNTIME, {"1": row(50, 49), "10": row(40, 48)}) == "onnxruntime_run"
-    assert noise.fastest(backends.ONNXRUNTIME, {"1": row(50, 49), "10": row(48, 40)}) == "onnxruntime_binding"
-    assert noise.fastest(("dense",), {"1": row(1, 2)}) is None

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 
 import numpy as np
 import pytest
 from bench.scripts import load_benchmark
-from made import events_of
 
 from async_tnt import CompiledClassifier, Decision, LeakyIntegrator, Processor, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -91,19 +89,6 @@ def test_summaries_by_hand():
     assert early.summary(rows[1:])["soon_accuracy"] is None
 
 
-def test_events_after_the_third_saccade_are_no_window():
-    events = events_of([1000, 106_000, 211_000, 316_000], [3] * 4, [4] * 4, [1] * 4)
-    assert len(early.early_decisions(DIGITS, [(0, events)], {})) == 3
-
-
-def test_decisions_on_noise_are_no_accuracy():
-    rows = early.on_noise(DIGITS, 900, 2)
-    assert [r["windows"] for r in rows] == [6] * len(early.LEVELS)
-    shares = [r["closed_early"] for r in rows]
-    assert shares == sorted(shares, reverse=True) and 1 >= shares[0] > shares[-1] == 0
-    assert rows[-1]["mean_ms"] is None and 0 < rows[0]["mean_ms"] < 105
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """The bundled samples, twice, as a folder of recordings."""
@@ -136,19 +121,3 @@ def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys, monkeypa
     assert 0.1 <= report["of_nothing"] < 0.3
     assert script.main(["--from", str(target), "--picture", str(again)]) == 0
     assert again.read_bytes() == picture.read_bytes()
-
-
-@pytest.mark.parametrize(
-    "words, message",
-    [
-        ("no_such_folder", r"no recordings no_such_folder/<digit>/\*\.bin: FOLDER or \$TNT_DATA"),
-        ("--recordings 0", "--recordings must be at least 1, got 0"),
-        ("--workers 0", "--workers must be at least 1, got 0"),
-        ("--picture early.gif", "must end in .png, .svg, .pdf, got early.gif"),
-        ("--from no_such.json", "no_such.json"),
-    ],
-)
-def test_bad_usage(words, message, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        script.main(words.split())
-    assert re.search(message, capsys.readouterr().err)

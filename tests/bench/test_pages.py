@@ -42,26 +42,6 @@ def test_a_stale_page_is_noticed_and_rewritten(monkeypatch, tmp_path, capsys):
         pages.written("<!-- speeds -->\n<!-- end -->\n")
 
 
-def test_cells_by_hand(monkeypatch):
-    row = {
-        "us": {"ours": {"median": 9.96, "p99": 21.4}, "torch": {"median": 432.1, "p99": 1234.5}},
-        "ratio": {"torch": {"median": 34.94}},
-    }
-    monkeypatch.setattr(pages.decision_tables, "results", lambda name: {"end_to_end": {"1": {"in_blocks": row}}})
-    assert pages.decision_tables.end_to_end_in_blocks().splitlines() == [
-        "|  | 1 new event |",
-        "|---|---|",
-        "| async_tnt: `push`, `fire` | 10.0 (21) |",
-        "| torch: the whole window's volume, its network | 432 (1,234) 34.9x |",
-    ]
-
-
-def test_the_time_of_the_same_accuracy_is_interpolated():
-    rows = [{"settings": {"every_us": us}, "accuracy": a} for us, a in ((10_000, 0.2), (20_000, 0.6), (40_000, 1.0))]
-    found = {"window_us": 50_000, "results": {"moment": rows}}
-    assert [tables.same_moment_ms(found, accuracy) for accuracy in (0.4, 0.9, 1.1)] == ["15.0", "35", ""]
-
-
 def test_statements_of_the_results_page_hold():
     """Sentences that no table makes."""
     decisions, early = tables.results("decisions"), tables.results("early")

@@ -4,7 +4,6 @@ import copy
 import os
 import pickle
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ VOLUME = np.random.default_rng(1).normal(size=(2, 6, 5)).astype(np.float32)
 POOL = [node("GlobalAveragePool", ["image"], ["scores"])]
 
 
-@pytest.mark.parametrize("batch", [1, "batch", None])
+@pytest.mark.parametrize("batch", [1, "batch"])
 def test_a_foreign_network_of_one_volume_or_any_number(batch):
     net = OnnxClassifier(network(inputs=[("x:0", (batch, 2, 6, 5))], outputs=[("y", (batch, 3))]))
     assert (net.shape, net.n_classes, net.config, net.classes) == ((2, 6, 5), 3, None, None)
@@ -77,8 +76,6 @@ def test_sides_left_open_need_a_shape():
     for shape, message in [
         (None, r"input \(1, 2, height, width\) leaves sides open: `shape` must be \(C, H, W\)"),
         ((3, 6, 5), r"`shape` must fit the network's input \(1, 2, height, width\), got \(3, 6, 5\)"),
-        ((6, 5), r"`shape` must be \(C, H, W\), got \(6, 5\)"),
-        ((2, 0, 5), "`shape` must be at least 1, got 0"),
         ((2, 1 << 20, 1 << 20), r"must have fewer than 2\*\*31 cells"),
     ]:
         with pytest.raises(ValueError, match=message):
@@ -88,7 +85,6 @@ def test_sides_left_open_need_a_shape():
 RELU = [node("Relu", ["image"], ["scores"])]
 TWO_INPUTS = [node("Flatten", ["a"], ["fa"]), node("Flatten", ["b"], ["fb"]), node("Add", ["fa", "fb"], ["scores"])]
 TWO_OUTPUTS = [node("Relu", ["image"], ["one"]), node("Abs", ["image"], ["two"])]
-ROW = [node("Reshape", ["image", "row"], ["r"]), node("Slice", ["r", "z", "z"], ["scores"])]
 FAILS = [node("NonZero", ["image"], ["n"]), node("Cast", ["n"], ["c"], to=1), node("Reshape", ["c", "s"], ["scores"])]
 MAPS, OPEN, ZERO = (1, 2, 6, 5), [("scores", None)], np.zeros(1, np.int64)
 WRONG = {
@@ -96,47 +92,18 @@ WRONG = {
         network(TWO_INPUTS, inputs=[("a", MAPS), ("b", MAPS)], outputs=[("scores", (1, 60))]),
         "must have one input, a volume, got 2: 'a' (1, 2, 6, 5), 'b' (1, 2, 6, 5)",
     ),
-    "no input": (
-        network([node("Relu", ["c"], ["scores"])], inputs=[], outputs=OPEN, weights={"c": np.ones(1, np.float32)}),
-        "must have one input, a volume, got 0",
-    ),
     "two outputs": (
         network(TWO_OUTPUTS, outputs=[("one", MAPS), ("two", MAPS)]),
         "must have one output, logits (1, n_classes), got 2: 'one' (1, 2, 6, 5), 'two' (1, 2, 6, 5)",
-    ),
-    "rank 5": (
-        network(RELU, inputs=[("image", (1, 1, 2, "h", None))], outputs=OPEN),
-        "must have shape (1, C, H, W), got (1, 1, 2, h, ?) for 'image'",
-    ),
-    "no rank": (
-        network(RELU, inputs=[("image", None)], outputs=OPEN),
-        "must have shape (1, C, H, W), got () for 'image'",
     ),
     "a batch of 8": (
         network(inputs=[("image", (8, 2, 6, 5))], outputs=[("scores", (8, 3))]),
         "must take one volume at a time, or any number, got input (8, 2, 6, 5)",
     ),
     "float64": (network(dtype=TensorProto.DOUBLE), "input must be float32, as volumes are, got float64 for 'image'"),
-    "float16": (network(dtype=TensorProto.FLOAT16), "input must be float32, as volumes are, got float16 for 'image'"),
-    "a class": (
-        network(
-            [node("Flatten", ["image"], ["f"]), node("ArgMax", ["f"], ["scores"], axis=1)],
-            outputs=[("scores", (1, 1))],
-            output_dtype=TensorProto.INT64,
-        ),
-        "output must be float32, got int64",
-    ),
     "a map": (
         network(RELU, outputs=[("scores", MAPS)]),
         "must give logits (1, n_classes) of a volume, got shape (1, 2, 6, 5)",
-    ),
-    "nothing": (
-        network([node("Slice", ["image", "z", "z"], ["scores"])], outputs=OPEN, weights={"z": ZERO}),
-        "must give logits (1, n_classes) of a volume, got shape (0, 2, 6, 5)",
-    ),
-    "nothing in a row": (
-        network(ROW, outputs=OPEN, weights={"z": ZERO, "row": np.array([-1])}),
-        "must give logits (1, n_classes) of a volume, got shape (0,)",
     ),
     "one that fails": (network(FAILS, weights={"s": np.array([1, 3])}), "fails on an empty volume: "),
 }
@@ -213,9 +180,3 @@ def test_a_foreign_landmark_network(dtype):
             OnnxClassifier(content)
     with pytest.raises(ValueError, match=r"^the ONNX .* bytes: a landmark network gives two numbers \(x, y\), got 3"):
         OnnxRegressor(network())
-
-
-def test_without_onnxruntime(monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(ImportError, match=r"^ONNX networks are run by onnxruntime: pip install '\.\[onnx\]' \(.*\)$"):
-        OnnxClassifier(network())

@@ -63,17 +63,7 @@ def test_events_are_drawn_where_they_are_and_where_the_transform_puts_them():
     assert_equal(dots(tnt), (time_ms[kept], u[kept], v[kept], on[kept]))
 
 
-def test_more_events_than_can_be_seen_are_thinned_evenly_and_that_is_reported(monkeypatch):
-    monkeypatch.setattr(figure_events, "MOST_DOTS", 100)
-    shown = subject(4)
-    figure = figure_events.draw_events(shown)
-    time, *_ = dots(figure.axes[0])
-    assert time.size == 100
-    assert time[[0, -1]].tolist() == shown.window(1).time_ms[[0, -1]].tolist()
-    assert sum("100 of them drawn" in text for text in words(figure)) == 2
-
-
-@pytest.mark.parametrize("polarity", ["signed", "unsigned", "split"])
+@pytest.mark.parametrize("polarity", ["signed", "split"])
 def test_slices_are_the_bins_of_the_volumes(polarity):
     shown = subject(5, polarity=polarity, bins=5)
     raw, tnt = shown.window(2).volumes()
@@ -81,11 +71,6 @@ def test_slices_are_the_bins_of_the_volumes(polarity):
     drawn = pictures(figure_slices.draw_slices(shown, 2, [1, 4]).axes)
     assert_equal([cells for cells in drawn if cells.shape == raw[0].shape], [*raw[bins], *tnt[bins]])
     assert np.abs(raw).max() > 1 and np.abs(tnt).max() > 1
-
-
-def test_all_bins_are_drawn_unless_they_are_too_many():
-    assert figure_slices.shown_bins(DIGITS.config) == list(range(9))
-    assert figure_slices.shown_bins(DIGITS.config.replace(bins=40))[::11] == [0, 39]
 
 
 @pytest.mark.parametrize("every_us", [None, 7_000])
@@ -108,28 +93,11 @@ def test_probabilities_are_those_of_the_streams_decisions(every_us):
         )
 
 
-def test_windows_of_one_decision_are_joined_and_a_few_points_are_seen():
-    figure = figure_probabilities.draw_probabilities(subject(8), 1_000_000)
-    assert any(text.endswith("decisions of digits (running, t_max 3) at each window's end") for text in words(figure))
-    (line,) = [line for line in figure.axes[0].lines if line.get_gid() == "class 8"]
-    assert line.get_ydata().size == 3 and not np.isnan(line.get_ydata()).any() and line.get_marker() == "."
-
-
 def test_the_verdict_is_that_of_async_tnt_run(program):
     _, printed, _ = program("run", sample_recordings()[7])
     shown = subject(7)
     answer = figure_probabilities.verdict(shown, figure_probabilities.decisions_of(shown))
     assert printed.splitlines()[-1] == "7.bin: " + answer.replace("“7”, ", "7 (") + ")"
-
-
-def test_the_rate_counts_every_event():
-    from matplotlib.figure import Figure
-
-    shown, axes = subject(2), Figure().subplots()
-    figure_probabilities.draw_rate(axes, shown)
-    totals = [float((values * np.diff(edges)).sum()) for values, edges, _ in (p.get_data() for p in axes.patches)]
-    on = int((shown.events["p"] == 1).sum())
-    assert totals == pytest.approx([on, on - shown.events.size])  # OFF events downwards
 
 
 def test_two_motions_are_drawn_along_the_axis_in_which_they_differ():
@@ -146,43 +114,25 @@ def test_two_motions_are_drawn_along_the_axis_in_which_they_differ():
         figure_motions.draw_motions(windows[0], subject(sensor=(40, 34)).window(1))
 
 
-def test_the_busiest_bins():
-    volumes, split = np.zeros((2, 9, 3, 3)), np.zeros((2, 4, 3, 3))
-    volumes[:, 5:8] = 1.0
-    split[0, 3] = 1.0  # OFF events in bin 1 of 2
-    assert figure_motions.busiest_bins(volumes, 9) in ([4, 5, 6, 7], [5, 6, 7, 8])
-    assert figure_motions.busiest_bins(volumes, 9, 3) == [5, 6, 7]
-    assert figure_motions.busiest_bins(split, 2, 1) == [1]
-    assert figure_motions.busiest_bins(np.ones((1, 33, 2, 2)), 33) == [0, 4, 8, 12]
-
-
 def stacked(axes):
     return [np.asarray(image.get_array()) for image in sorted(axes.images, key=lambda image: -image.get_zorder())]
 
 
-@pytest.mark.parametrize("changes", [{}, {"landmark": "regressor"}, {"transform": "none"}], ids=str)
+@pytest.mark.parametrize("changes", [{}, {"landmark": "regressor"}], ids=str)
 def test_the_pipeline_shows_what_the_network_sees_and_decides(changes):
     model = random_model(async_tnt.TNTConfig(**changes), widths=(5, 6, 7)) if changes else DIGITS
     shown = Subject("9.bin", sample(9), model.config, model, "mine")
-    window, transform = shown.window(1), model.config.transform == "tnt"
+    window = shown.window(1)
     figure = draw_pipeline(shown)
     processor = async_tnt.Processor(model)
     decision = next(d for d in processor.push(shown.events) if d.trigger == "window")
     assert f"9.bin, window 1: from events to “{decision.label}”" in words(figure)
-    stages = ["recording", "raw events", f"landmark: {model.config.landmark}", "transformed events"][
-        : 4 if transform else 2
-    ]
-    stages += ["event volume", "network", "class probabilities"]
-    numbered = [text for text in words(figure) if text[:1].isdigit() and "  " in text]
-    assert numbered == [f"{k}  {name}" for k, name in enumerate(stages, start=1)]
-    assert_equal(stacked(figure.axes[-3]), window.volumes()[int(transform)])
+    assert_equal(stacked(figure.axes[-3]), window.volumes()[1])
     np.testing.assert_array_equal([bar.get_width() for bar in figure.axes[-1].patches], decision.probabilities)
-    assert ("384 to 7 fully connected, ReLU" if changes else "2,048 to 64 fully connected, ReLU") in words(figure)
-    if transform:
-        *path, cross = figure.axes[2].lines
-        landmarks = window.coordinates().landmark
-        assert_equal(cross.get_xydata(), landmarks[-1:])
-        assert [line.get_xydata()[[0, -1]].tolist() for line in path] == [landmarks[[0, -1]].tolist()] * (not changes)
+    *path, cross = figure.axes[2].lines
+    landmarks = window.coordinates().landmark
+    assert_equal(cross.get_xydata(), landmarks[-1:])
+    assert [line.get_xydata()[[0, -1]].tolist() for line in path] == [landmarks[[0, -1]].tolist()] * (not changes)
 
 
 def test_figures_that_need_another_model_are_refused():
@@ -195,8 +145,6 @@ def test_figures_that_need_another_model_are_refused():
         Subject("3.bin", sample(), DIGITS.config.replace(landmark="regressor"))
     with pytest.raises(ValueError, match="no model to make decisions"):
         figure_probabilities.decisions_of(without)
-    assert "class probability" in {axes.get_ylabel() for axes in draw_overview(subject()).axes}
-    assert "class probability" not in {axes.get_ylabel() for axes in draw_overview(without).axes}
 
 
 @pytest.mark.filterwarnings("error")
@@ -204,11 +152,10 @@ def test_figures_that_need_another_model_are_refused():
     "events",
     [
         events_of([7], [3], [4], [1]),
-        events_of([7, 7, 7], [3, 3, 33], [4, 4, 0], [1, 0, 0]),
         events_of([1 << 40, (1 << 40) + 104_999, (1 << 40) + 300_000_000], [3, 9, 9], [4, 5, 6], [0, 0, 0]),
         events_of([200_000, 100, 250_000], [3, 9, 9], [4, 5, 6], [1, 1, 1]),
     ],
-    ids=["one", "at one time", "minutes apart", "unsorted"],
+    ids=["one", "minutes apart", "unsorted"],
 )
 def test_odd_recordings_are_drawn(events):
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -11,9 +11,8 @@ import pytest
 
 image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib (extra: plot)")
 
-from made import events_of, random_events, random_model  # noqa: E402
+from made import random_events  # noqa: E402
 
-from async_tnt import TNTConfig  # noqa: E402
 from async_tnt.cli.plot import FIGURES  # noqa: E402
 from async_tnt.sources.files.nmnist import write_nmnist  # noqa: E402
 
@@ -38,8 +37,6 @@ def text_of(svg):
     "figure, labels",
     {
         "overview": ["3.bin: “3”, mean", "after TNT (running, t_max 3)", "event volume of window 1", "every 2.5 ms"],
-        "events": ["3.bin, window 1", "time in the window (ms)", "x (px)", "u (px)", "ON (brighter)"],
-        "slices": ["bin 8", "105 ms", "raw", "TNT", "events / cell", "ON minus OFF"],
         "probabilities": ["“3”", "window 3", "class probability", "time in the recording (ms)"],
         "motions": ["window 1: moving down", "window 2: moving up", "y, after TNT v (px)", "52 ms"],
         "pipeline": ["landmark: running", "class probabilities", "64 to 10 fully connected"],
@@ -99,8 +96,6 @@ def test_two_recordings_are_two_motions(plot):
         events = random_events(600, seed=1)
         events["x"] = np.clip(17 + step * (events["t"] - 52_500) // 8_000 + events["x"] // 6, 0, 33)
         write_nmnist(f"{name}.bin", events)
-    assert plot("right.bin", "left.bin", "--figure", "motions", "--dpi", 40)[0] == 0
-    assert Path("right-left-motions.png").exists()
     assert plot("right.bin", "left.bin", "--figure", "motions", "--out", "m.svg")[0] == 0
     assert {"right.bin: moving right", "left.bin: moving left"} <= set(ElementTree.parse("m.svg").getroot().itertext())
 
@@ -119,48 +114,25 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     assert Path("e.svg").stat().st_size < 1_000_000  # a cloud of dots is one picture
 
 
-def test_another_model(plot):
-    random_model(TNTConfig(landmark="line", remove_flow=True), classes=3).save("mine.safetensors")
-    mine = "--model", "mine.safetensors", "--out", "a.svg"
-    assert plot(*mine, "--figure", "probabilities", "--every-us", 20_000)[0] == 0
-    assert "decisions of mine.safetensors (line, flow removed, t_max 8) every 20 ms" in text_of("a.svg")
-    assert plot(*mine, "--figure", "slices", "--landmark", "center")[0] == 0
-    assert "after TNT (center, t_max 8)" in text_of("a.svg")
-
-
 @pytest.mark.parametrize(
     "words, message",
     [
         ("missing.bin", "missing.bin: No such file"),
-        ("cut.bin", "cut.bin: damaged N-MNIST recording of 7 bytes"),
         ("empty.bin", "empty.bin: no events to draw"),
         ("--out figure.jpg", "--out must end in .png, .svg, .pdf, got figure.jpg"),
         ("--window 4", "3.bin: no window 4; the recording has 3 windows of 105000 us"),
-        ("--figure motions --windows 1 9", "3.bin: no window 9"),
         ("--start-us 1000000000", "3.bin: no event at or after the first window's start, 1000000000 us"),
-        ("--model digitz", "no model file digitz"),
         ("h.npz --model digits", "h.npz: a sensor of 40x40 pixels, but the model is for 34x34"),
-        ("h.npz --figure pipeline", "40x40 pixels, but the model is for 34x34; give another --model than digits"),
         ("h.npz --sensor 50x50", "h.npz: a sensor of 40x40 pixels, got --sensor 50x50"),
-        ("off.npz --sensor 40x40", "off.npz: `x` must be in [0, 40), got 40 at event 0"),
-        ("--remove-flow", '`remove_flow` needs landmark="line"'),
         ("--t-max nan", "`t_max` must be in [1e-6, 1e6], got nan"),
-        ("--landmark regressor", "needs a model with a landmark network, but model digits has none"),
         ("--slices 9", "--slices must be in [0, 9), the volume's bins, got 9"),
-        ("--figure motions --slices -1", "--slices must be in [0, 9), the volume's bins, got -1"),
         ("--figure pipeline --t-max 2", "--t-max has no effect on --figure pipeline, only on overview, events"),
-        ("--window 2 --figure motions", "--window has no effect on --figure motions"),
-        ("--windows 1 2", "--windows has no effect on --figure overview, only on motions"),
         ("3 4", "--figure overview draws 1 recording, got 2"),
-        ("3 4 5 --figure motions", "--figure motions draws 2 recordings, got 3"),
-        ("3 h.npz --figure motions", "one configuration, got sensors of 34x34 pixels and 40x40 pixels"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(words, message, plot):
-    Path("cut.bin").write_bytes(bytes(7))
     Path("empty.bin").touch()
     np.savez("h.npz", events=random_events(9), sensor=np.array([40, 40]))
-    np.savez("off.npz", events=events_of([5], [40], [1], [1]))
     before = sorted(os.listdir())
     code, printed, err = plot(*words.split())
     assert (code, printed) == (2, "")
@@ -198,14 +170,6 @@ def test_an_interrupted_save_leaves_the_old_picture(monkeypatch, plot):
     monkeypatch.setattr(Figure, "savefig", interrupt)
     assert plot("--figure", "slices")[0] == 130
     assert Path("3-slices.png").read_bytes() == b"old" and len(os.listdir()) == 1
-
-
-def test_a_digit_is_a_sample_unless_a_file_has_that_name(plot):
-    assert plot(7, "--figure", "slices", "--dpi", 40)[0] == 0
-    assert Path("7-slices.png").exists()
-    Path("7").touch()
-    code, _, err = plot(7, "--figure", "slices")
-    assert code == 2 and "unknown suffix" in err  # a file without a suffix is no recording
 
 
 def test_drawing_needs_no_torch_and_no_pyplot_changes_no_settings_and_imports_late():

@@ -68,19 +68,12 @@ BATCH_NORM = {"op": "batch_norm", "name": "bn1", "inputs": ["conv1"], "weights":
     "edit, message",
     [
         (lambda layers: layers.insert(1, BATCH_NORM), "layer 1 of its classifier has op 'batch_norm', expected 'relu'"),
-        (lambda layers: layers[3].update(groups=2), "layer 3 of its classifier has groups 2, expected 1"),
         (
             lambda layers: layers[0].update(kernel=[5, 5]),
             "layer 0 of its classifier has kernel [5, 5], expected [3, 3]",
         ),
-        (
-            lambda layers: layers[8].update(inputs=["fc1", "flatten"]),
-            "layer 8 of its classifier has inputs ['fc1', 'flatten'], expected ['fc1']",
-        ),
         (lambda layers: layers[6].update(axis=1), "layer 6 of its classifier has axis 1, expected nothing"),
-        (lambda layers: layers.append({}), "layer 10 of its classifier has op nothing, expected nothing"),
         (lambda layers: layers.pop(), "layer 9 of its classifier has op nothing, expected 'dense'"),
-        (lambda layers: layers.insert(0, 5), "layer 0 of its classifier has op 5, expected 'conv'"),
     ],
 )
 def test_a_network_of_another_release_is_refused_by_name(tmp_path, edit, message):

@@ -66,9 +66,7 @@ def test_each_array_is_finite(name, value, tmp_path):
     assert_refused(f"`{layer}.weight`{pair} must be finite numbers", tmp_path / "m", weights)
 
 
-@pytest.mark.parametrize(
-    "name, widths", [("conv1", "(0, 3, 4)"), ("fc1", "(2, 3, 0)"), ("regressor.conv2", "(5, 0, 7)")]
-)
+@pytest.mark.parametrize("name, widths", [("conv1", "(0, 3, 4)"), ("regressor.conv2", "(5, 0, 7)")])
 def test_no_layer_is_empty(name, widths, tmp_path):
     weights = changed(WITH_REGRESSOR, **{f"{name}.weight": np.zeros((0, *SHAPES[f"{name}.weight"][1:]))})
     message = f"every layer must have at least one filter or unit, got widths {widths}"
@@ -81,13 +79,6 @@ def test_exactly_the_arrays_of_the_configuration(tmp_path):
     path, whole, plain = tmp_path / "m", changed(WITH_REGRESSOR), changed(SMALL)
     assert_refused(f"`weights` must hold {ALL}, got {one_less}", path, changed(WITH_REGRESSOR, fc2__bias=None))
     assert_refused(f"`weights` must hold {ALL}, got {one_more}", path, whole | {"fc3.bias": np.zeros(1)})
-    less = ALL.replace(", regressor.heatmap.weight", "")
-    more = ALL.replace("regressor.heatmap", "regressor.heatmap.bias, regressor.heatmap")
-    without_heatmap = changed(WITH_REGRESSOR, regressor__heatmap__weight=None)
-    assert_refused(f"`weights` must hold {ALL}, got {less}{HINT}", path, without_heatmap)
-    assert_refused(
-        f"`weights` must hold {ALL}, got {more}{HINT}", path, whole | {"regressor.heatmap.bias": np.zeros(1)}
-    )
     assert_refused(f"`weights` must hold {ALL}, got {CLASSIFIER}{HINT}", path, plain)
     for changes in ({"landmark": "window"}, {"transform": "none"}):
         config = WITH_REGRESSOR.replace(**changes)
@@ -99,10 +90,8 @@ def test_exactly_the_arrays_of_the_configuration(tmp_path):
     "changes, message",
     [
         ({"bins": 3}, "`conv1.weight` must have shape (2, 3, 3, 3) here, got (2, 2, 3, 3)"),
-        ({"polarity": "split"}, "`conv1.weight` must have shape (2, 4, 3, 3) here, got (2, 2, 3, 3)"),
         ({"grid": (8, 8)}, "`fc1.weight` must have shape (4, 12) here, got (4, 3)"),
         ({"grid": (3, 8)}, "`grid` must be at least (4, 4) for two 2x2 poolings, got (3, 8)"),
-        ({"grid": (8, 2)}, "`grid` must be at least (4, 4) for two 2x2 poolings, got (8, 2)"),
     ],
 )
 def test_weights_of_another_configuration(changes, message, tmp_path):
@@ -118,10 +107,7 @@ NAMES = "`classes` must be a tuple or list of names, got "
         (("a", "b"), {}, ValueError, "`fc2.weight` must have shape (2, 4) here, got (3, 4)"),
         ((), {}, ValueError, "`classes` must hold at least one name"),
         ("abc", {}, TypeError, NAMES + "'abc'"),
-        (None, {}, TypeError, NAMES + "None"),
-        ({"a": 1}, {}, TypeError, NAMES + "{'a': 1}"),
         (CLASSES, None, TypeError, "`record` must be a mapping, got None"),
-        (CLASSES, [1], TypeError, "`record` must be a mapping, got [1]"),
     ],
 )
 def test_wrong_classes_and_records(classes, record, error, message):
@@ -131,7 +117,7 @@ def test_wrong_classes_and_records(classes, record, error, message):
 
 @pytest.mark.parametrize(
     "values, dtype",
-    [(np.zeros(4, complex), "complex128"), (np.array(["a"] * 4), "<U1"), ([None] * 4, "object"), ([True] * 4, "bool")],
+    [(np.zeros(4, complex), "complex128"), ([True] * 4, "bool")],
 )
 def test_weights_that_are_not_numbers(values, dtype):
     with pytest.raises(TypeError, match=f"^`fc1.bias` must be an array of numbers, got {dtype}$"):

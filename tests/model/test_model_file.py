@@ -3,13 +3,11 @@
 import json
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made import random_events, random_model
+from made import random_model
 from model.small import CLASSES, SMALL, WITH_REGRESSOR, assert_same, changed, small_model, write_format_1
 from safetensors import safe_open
 from safetensors.numpy import load_file
@@ -20,9 +18,7 @@ from async_tnt.networks.model import UncheckedModelWarning
 MODELS = [
     random_model(),
     small_model(config=WITH_REGRESSOR),
-    random_model(TNTConfig(sensor=(346, 260), grid=(4, 4), bins=1), classes=1, widths=(1, 1, 1)),
     random_model(TNTConfig(grid=(35, 7), polarity="split", bins=3, landmark="window"), classes=2, widths=(5, 7, 130)),
-    random_model(TNTConfig(grid=(6, 31), landmark="line", remove_flow=True), classes=11, widths=(20, 3, 1)),
     random_model(TNTConfig(transform="none", window_us=1, grid=(17, 4)), classes=4, widths=(9, 33, 6)),
 ]
 
@@ -50,7 +46,7 @@ def test_extreme_weights_names_and_records_come_back(tmp_path):
     assert Model(SMALL, changed(), CLASSES).record == {}
 
 
-@pytest.mark.parametrize("dtype", ["f2", "f8", ">f4", "i4", "u1"])
+@pytest.mark.parametrize("dtype", ["f2", ">f4", "u1"])
 def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
     weights = {name: np.asfortranarray(np.ceil(np.abs(w)), dtype) for name, w in changed().items()}
     weights["fc2.weight"] = np.repeat(weights["fc2.weight"], 2, axis=1)[:, ::2]
@@ -74,13 +70,6 @@ def test_the_file_is_plain_safetensors(tmp_path):
     assert parts == [SMALL.to_dict(), list(model.classes), {"made": True}]
 
 
-def test_a_model_is_equal_to_itself_only_and_can_be_a_key():
-    one, other = small_model(), small_model()
-    assert one == one and one != other and len({one, other, one}) == 2
-    with pytest.raises(AttributeError):
-        one.classes = ("x",)
-
-
 # -- an existing file ----------------------------------------------------------------------------------------
 
 
@@ -97,11 +86,8 @@ def interrupted(self, target):
 @pytest.mark.parametrize(
     "method, breaks, error", [("write_bytes", broken_write, OSError), ("replace", interrupted, KeyboardInterrupt)]
 )
-@pytest.mark.parametrize("existing", [False, True])
-def test_a_failed_save_leaves_what_was_there(tmp_path, monkeypatch, method, breaks, error, existing):
-    path = tmp_path / "m.safetensors"
-    if existing:
-        small_model(seed=1).save(path)
+def test_a_failed_save_leaves_what_was_there(tmp_path, monkeypatch, method, breaks, error):
+    path = small_model(seed=1).save(tmp_path / "m.safetensors")
     before = {p: p.read_bytes() for p in tmp_path.iterdir()}
     with monkeypatch.context() as patch, pytest.raises(error):
         patch.setattr(Path, method, breaks)
@@ -125,7 +111,7 @@ def test_what_cannot_be_saved_leaves_nothing(tmp_path):
 # -- not there, and from before checksums --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["nonsense", "digits.safetensors", "", "a/b/c", "no\0name", "DIGITS"])
+@pytest.mark.parametrize("name", ["nonsense", "", "no\0name"])
 def test_an_unknown_name_lists_the_bundled_ones(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert list(bundled_models()) == sorted(set(bundled_models())) and load_model("digits").classes[3] == "3"
@@ -153,15 +139,3 @@ def test_a_file_of_format_1_loads_with_one_warning_that_a_save_ends(tmp_path):
     assert [str(w.message) for w in caught] == [f"{path} {UNCHECKED}"] and caught[0].filename == __file__
     assert_same(model, Model(SMALL, changed(), small_model().classes))  # without a record
     assert_same(load_model(model.save(path)), model)  # without a warning, which would be an error here
-
-
-def test_a_command_with_workers_warns_of_format_1_once(tmp_path):
-    path = write_format_1(tmp_path / "m", changed())
-    for name in ("a", "b"):
-        (tmp_path / "set" / name).mkdir(parents=True)
-        np.save(tmp_path / "set" / name / "0.npy", random_events(50, sensor=SMALL.sensor))
-    words = [sys.executable, "-m", "async_tnt.cli", "evaluate", path, tmp_path / "set", "--workers", "2"]
-    done = subprocess.run(words, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert re.findall(".*checksum.*", done.stderr) == [f"async-tnt: warning: {path} {UNCHECKED}"]
-    assert "UncheckedModelWarning" not in done.stderr

@@ -1,12 +1,10 @@
 """What a view draws, without a viewer: images of events and of volumes, colours of classes, moments, text."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of
 
-from async_tnt import Decision
 from async_tnt.views import rerun_pictures as pictures
 from async_tnt.views.rerun_pictures import GAP_COLOUR, NOTHING_COLOUR, OFF_COLOUR, ON_COLOUR, bin_sheet
 from async_tnt.views.rerun_view import next_moment
@@ -41,11 +39,6 @@ def test_a_large_sheet_is_reduced_and_loses_no_single_cell():
     assert (np.delete(sheet.reshape(-1, 3), [0, 29], axis=0) == NOTHING_COLOUR).all()
 
 
-def test_every_class_has_its_own_colour():
-    colours = pictures.class_colours(64)
-    assert len(set(colours)) == 64 and all(0 <= c <= 255 for colour in colours for c in colour)
-
-
 @given(st.integers(-500, 2000), st.integers(0, 500), st.integers(1, 200), st.integers(1, 200))
 def test_pictures_are_bounded_in_number_and_taken_at_every_long_window_end(t, origin, window, step):
     moment = next_moment(t, origin, window, step)
@@ -58,35 +51,3 @@ def test_pictures_are_bounded_in_number_and_taken_at_every_long_window_end(t, or
     assert offset == 0 or (not short and offset % step == 0)
     two_later = next_moment(next_moment(moment, origin, window, step), origin, window, step)
     assert two_later - moment >= min(step, long)  # at most two in a step
-
-
-@pytest.mark.parametrize("events", [0, 1_234])
-def test_the_newest_class_is_the_heading(events):
-    p = np.array([0.25, 0.75])
-    decision = Decision("a_mouse", 1, p, np.log(p), 5_000, 84_900, events, False, "fire")
-    text = pictures.newest_text(decision, ["cat", "a_mouse"])
-    if not events:
-        assert text.startswith("# no event") and "mouse" not in text
-        return
-    head, body = text.splitlines()[:4], text.splitlines()[4:]
-    assert head == [r"# a\_mouse", "", "with probability 0.750, from 1,234 events in 79.9 ms", ""]
-    assert body == ["```", "cat     ███▌           0.250", "a_mouse ██████████▌    0.750", "```"]
-
-
-def test_bars_are_as_long_as_the_probabilities():
-    probabilities = np.linspace(0, 1, 9)
-    lines = pictures.bars(probabilities, [str(k) for k in range(9)]).splitlines()
-    lengths = [8 * line.count("█") + " ▏▎▍▌▋▊▉".index(line[2:].replace("█", "")[0]) for line in lines]
-    assert lengths == [round(p * pictures.BAR_LENGTH * 8) for p in probabilities]
-    assert len({line.index(".") for line in lines}) == 1
-
-
-def test_with_many_classes_the_likeliest_come_first():
-    lines = pictures.bars(np.arange(30) / 435, [f"class {k}" for k in range(30)]).splitlines()
-    assert [int(line.split()[1]) for line in lines] == list(range(29, 29 - pictures.MOST_BARS, -1))
-
-
-def test_class_names_are_shown_as_plain_text_on_one_line():
-    line, other = pictures.bars(np.array([0.5, 0.5]), ["x" * 40, "a\n```b"]).splitlines()
-    assert line.startswith("x" * 15 + "… ") and other.startswith("a '''b ")
-    assert pictures.plain("*a*_b\n# c") == r"\*a\*\_b \# c"

@@ -10,8 +10,7 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 rrd_files = pytest.importorskip("views.rrd_files", reason="rerun-sdk is not installed (extra `view`)")
 Rrd = rrd_files.Rrd
 from async_tnt.views import rerun_layout as layout  # noqa: E402
-from async_tnt.views.rerun_pictures import newest_text  # noqa: E402
-from async_tnt.views.rerun_view import RerunView, UntransformedVolume, next_moment  # noqa: E402
+from async_tnt.views.rerun_view import RerunView, next_moment  # noqa: E402
 
 CONFIG = TNTConfig(sensor=(40, 30), grid=(20, 24), window_us=50_000, bins=4)
 MODEL = random_model(CONFIG)
@@ -48,13 +47,10 @@ def summary(decisions):
 @pytest.mark.parametrize(
     "landmark, events, settings, ready",
     [
-        ("running", EVENTS, {}, False),
         ("line", EVENTS, {"every_us": 7_000}, False),
         ("window", EVENTS, {"every_events": 100}, False),
         ("regressor", EVENTS, {}, False),
         ("center", EVENTS, {"confidence": 0.8}, False),
-        ("running", EVENTS, {"start_us": 1_234}, True),
-        ("running", LATE, {"start_us": 0}, False),
         ("running", LATE, {"late": "drop"}, False),
         ("running", LATE, {"late": "drop", "start_us": 0}, True),
     ],
@@ -89,21 +85,6 @@ def test_every_picture_has_the_bits_of_the_processor(tmp_path, landmark, events,
         assert [np.mean(arm, axis=0).tolist() for arm in cross] == [pytest.approx(place, abs=1e-4)] * 2
 
 
-def test_a_window_just_closed_by_its_newest_event_is_empty():
-    config = TNTConfig(sensor=(8, 8), grid=(8, 8), window_us=1_000, bins=3)
-    processor = Processor(config, classifier=lambda v: [20.0 * (np.abs(v).sum() > 0), 0.0], confidence=0.9)
-    untransformed, events, n_closed = (
-        UntransformedVolume(config),
-        random_events(40, duration_us=5_000, sensor=(8, 8)),
-        0,
-    )
-    for k in range(len(events)):
-        n_closed += sum(d.trigger == "confidence" for d in processor.push(events[k : k + 1]))
-        now = processor.fire()
-        assert untransformed.follow([events[k : k + 1]], now).any() or now.events == 0
-    assert n_closed >= 4
-
-
 def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
     seen = []
     for n_packets in (1, 13, 3000):
@@ -123,7 +104,7 @@ def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
         assert np.array_equal(image, expected) and image.any()
 
 
-def test_probabilities_decisions_numbers_and_the_class_at_each_moment(tmp_path):
+def test_probabilities_decisions_and_rates_are_the_processors(tmp_path):
     model = load_model("digits")
     events = open_recording(sample_recordings()[7]).read()
     rrd, decisions = view_of(tmp_path, np.array_split(events, 9), model, every_us=50_000)
@@ -140,39 +121,9 @@ def test_probabilities_decisions_numbers_and_the_class_at_each_moment(tmp_path):
     processor.push(events), processor.finish()
     assert received == pytest.approx(len(events))
     assert dropped == pytest.approx(processor.counts.received - processor.counts.kept)
-    assert all(0 < mean <= longest for _, (mean, longest) in rrd.series(layout.LATENCY, "Scalars:scalars"))
-
-    labels = dict(rrd.series(layout.CLASS, "Points2D:labels"))
-    places = rrd.series(layout.CLASS, "Points2D:positions")
-    texts = rrd.series(layout.NEWEST, "TextDocument:text")
-    for (t, (text,)), (t_place, place) in zip(texts, places, strict=True):
-        now = truth_at(model, events, t, every_us=50_000)[1]
-        assert t_place == t and text == newest_text(now, model.classes)
-        assert place == ([[17.0, 34.0]] if now.events else [])  # below the events
-        assert not now.events or labels[t] == [f"{now.label} {now.probability:.2f}"]
-    assert len(labels) > 12 and any(label.startswith("7 ") for (label,) in labels.values())
 
 
-@pytest.mark.parametrize("transform", ["tnt", "none"])
-def test_every_view_of_the_layout_shows_something_and_everything_is_shown(tmp_path, transform):
-    rrd, _ = view_of(tmp_path, [EVENTS], random_model(CONFIG.replace(transform=transform)))
-    series = dict.fromkeys((layout.PROBABILITIES, layout.RATES, layout.LATENCY), "TimeSeries")
-    volumes = {layout.RAW_SHEET: "2D", layout.RAW_VOLUME: "Tensor"}
-    landmark = {layout.LANDMARK, layout.LANDMARK_CROSS}
-    if transform == "tnt":
-        volumes |= {layout.TNT_SHEET: "2D", layout.TNT_VOLUME: "Tensor"}
-    assert rrd.views == {"events": "2D", layout.NEWEST: "TextDocument", layout.DECISIONS: "TextLog"} | volumes | series
-    assert landmark & rrd.rows.keys() == (landmark if transform == "tnt" else set())
-    shown = {entity: [view for view in rrd.views if f"{entity}/".startswith(f"{view}/")] for entity in rrd.rows}
-    assert all(len(views) == 1 for views in shown.values())
-    assert {view for (view,) in shown.values()} == rrd.views.keys()
-    classes = [c["class_description"]["info"] for c in rrd.static(layout.EVENTS, "AnnotationContext:context")[0]]
-    assert [(c["id"], c["label"]) for c in classes] == [(0, "no event"), (1, "OFF (darker)"), (2, "ON (brighter)")]
-    assert all(c["color"] for c in classes)  # the viewer would choose one, and fill the picture with it
-
-
-def test_sources_follow_each_other_in_time_and_every_line_has_its_own_colour(tmp_path):
-    """The viewer shows a line without a colour in that of another."""
+def test_sources_follow_each_other_in_time(tmp_path):
     model = load_model("digits")
     seven, three = (open_recording(sample_recordings()[digit]).read() for digit in (7, 3))
     with RerunView(model, out=tmp_path / "a.rrd", name="seven and three") as view:
@@ -181,11 +132,11 @@ def test_sources_follow_each_other_in_time_and_every_line_has_its_own_colour(tmp
             view.push(events)
     rrd = Rrd(tmp_path / "a.rrd")
     assert rrd.name == "seven and three"
-    lines = [(t, row["TextLog:text"][0], row["TextLog:color"]) for t, row in rrd.rows[layout.DECISIONS]]
+    lines = [(t, text) for t, (text,) in rrd.series(layout.DECISIONS, "TextLog:text")]
     begins = [line for line in lines if "begins" in line[1]]
-    assert begins[0][:2] == (int(seven["t"][0]), "7.bin begins")
+    assert begins[0] == (int(seven["t"][0]), "7.bin begins")
     gap_us = 20_000 - int(three["t"][0]) + int(seven["t"][-1])
-    assert begins[1][:2] == (int(seven["t"][-1]) + 20_000, f"3.bin begins, its times moved by {gap_us:+,} us")
+    assert begins[1] == (int(seven["t"][-1]) + 20_000, f"3.bin begins, its times moved by {gap_us:+,} us")
     tensors = rrd.tensors(layout.TNT_VOLUME)
     offset_us = begins[2][0] - begins[0][0]
     first, again = (
@@ -193,11 +144,6 @@ def test_sources_follow_each_other_in_time_and_every_line_has_its_own_colour(tmp
         for after, before in ((0, begins[1][0]), (begins[2][0], 1 << 40))
     )
     assert again == [(t + offset_us, bits) for t, bits in first] != []
-    colours = dict(zip(model.classes, rrd.static(layout.PROBABILITIES, "SeriesLines:colors"), strict=True))
-    assert tuple(rrd.static(layout.PROBABILITIES, "SeriesLines:names")) == model.classes
-    assert len(set(colours.values())) == len(colours)
-    assert {colour for _, _, (colour,) in begins}.isdisjoint(colours.values())
-    assert all(colour == [colours[text.split()[0]]] for _, text, colour in lines if "begins" not in text)
 
 
 def test_a_silence_is_shown_by_its_beginning_alone(tmp_path):
@@ -224,20 +170,6 @@ def test_pictures_are_capped_in_real_time(tmp_path):
     assert raw.tobytes() == truth_at(MODEL, EVENTS, t)[2]
 
 
-def test_a_large_volume_is_written_whole_at_window_ends_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr("async_tnt.views.rerun_log.MOST_TENSOR_BYTES", 100)
-    rrd, _ = view_of(tmp_path, [EVENTS], picture_us=20_000)
-    ends = [int(EVENTS["t"][0]) + k * 50_000 for k in (1, 2, 3)]
-    assert rrd.times(layout.RAW_VOLUME) == [*ends, int(EVENTS["t"][-1]) + 1] == rrd.times(layout.TNT_VOLUME)
-    assert len(rrd.times(layout.RAW_SHEET)) > 8
-
-
-def test_with_many_classes_the_likeliest_is_drawn(tmp_path):
-    rrd, decisions = view_of(tmp_path, [EVENTS], random_model(CONFIG, classes=70))
-    assert rrd.static(layout.PROBABILITIES, "SeriesLines:names") == ["likeliest class"]
-    assert (decisions[0].time_us, [decisions[0].probability]) in rrd.series(layout.PROBABILITIES, "Scalars:scalars")
-
-
 def test_any_classifier_and_any_form_of_events(tmp_path):
     packets = [None, tuple(EVENTS[name] for name in "txyp")]
     rrd, _ = view_of(tmp_path, packets, CONFIG, classifier=lambda volume: [volume.max(), 1.0])
@@ -250,7 +182,6 @@ def test_any_classifier_and_any_form_of_events(tmp_path):
         ({"hop_us": 10_000}, "`hop_us` makes windows overlap"),
         ({"connect": "rerun+http://127.0.0.1:9876/proxy"}, "give one of them"),
         ({"picture_us": 0}, "`picture_us` must be at least 1, got 0"),
-        ({"most_pictures_per_s": -1}, "`most_pictures_per_s` must be above 0, got -1"),
     ],
 )
 def test_wrong_settings(settings, message):

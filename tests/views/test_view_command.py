@@ -54,14 +54,10 @@ def own_lines(err):
 
 def test_recordings_become_a_file(tmp_path, program):
     out = tmp_path / "a.rrd"
-    code, printed, err = program(
-        "view", SAMPLE, sample_recordings()[3], "--out", out, "--every-us", 50000, "--every-ms", 30
-    )
+    other = sample_recordings()[3]
+    code, printed, err = program("view", SAMPLE, other, "--out", out, "--every-us", 50000, "--every-ms", 30)
     rrd = Rrd(out)
-    n_events, n_pictures = (
-        len(EVENTS) + len(open_recording(sample_recordings()[3]).read()),
-        len(rrd.times(layout.EVENTS)),
-    )
+    n_events, n_pictures = len(EVENTS) + len(open_recording(other).read()), len(rrd.times(layout.EVENTS))
     assert (code, err) == (0, "")
     assert printed == f"{out}: {n_events:,} events, {n_pictures} pictures; open it with: rerun {out}\n"
     assert rrd.name == "7.bin and 1 more" and np.diff(rrd.times(layout.EVENTS))[:8].max() == 30_000
@@ -89,12 +85,8 @@ def test_a_recording_is_played_at_the_given_speed(tmp_path, program, monkeypatch
         (["large.npz", "--out", "a.rrd"], "large.npz: a sensor of 64x48 pixels, but the model is for 34x34"),
         (["empty.npy", "--out", "a.rrd"], "no event in empty.npy: nothing to show"),
         (["--connect", "127.0.0.1:9876"], "--connect expects rerun+http://HOST:9876/proxy, got 127.0.0.1:9876"),
-        (["--connect", "http://127.0.0.1:9876/proxy"], "--connect expects rerun+http://HOST:9876/proxy"),
-        (["--connect", "rerun+http://127.0.0.1:x/proxy"], "--connect expects rerun+http://HOST:9876/proxy"),
         (["--connect", "rerun+http://127.0.0.1:1/proxy"], "/proxy: no Rerun viewer listens there; `rerun` starts one"),
-        (["udp://127.0.0.1", "--out", "a.rrd"], "expected udp://HOST:PORT"),
         (["--latest", "9", "--out", "a.rrd"], "--latest belongs to a camera or the network"),
-        (["--model", "nix", "--out", "a.rrd"], "nix"),
         (["--crop", "--out", "a.rrd"], "--crop belongs to --roi"),
     ],
 )
@@ -151,7 +143,7 @@ def sent(events=EVENTS):
     sending.join()
 
 
-@pytest.mark.parametrize("latest", [[], ["--latest", 1000]])
+@pytest.mark.parametrize("latest", [["--latest", 1000]])
 def test_events_of_the_network(tmp_path, program, latest):
     out = tmp_path / "a.rrd"
     with sent() as port:
