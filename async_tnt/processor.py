@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -29,12 +30,8 @@ from async_tnt.windows import WindowScheduler
 
 
 def _trigger(name: str) -> property:
-    """A trigger's setting, which may be changed while the stream runs."""
-    return property(
-        lambda self: getattr(self._triggers, name),
-        lambda self, value: self._set(name, value),
-        doc=f"The trigger `{name}`, see `Processor`; may be changed at any time.",
-    )
+    doc = f"The trigger `{name}`, see `Processor`; may be changed at any time."
+    return property(attrgetter(f"_triggers.{name}"), lambda self, value: self._set(name, value), doc=doc)
 
 
 class Processor:
@@ -64,8 +61,7 @@ class Processor:
     activity : a `LeakyIntegrator`: decide also when much happens in little time.
     late, replay_events : see `TNTVolume`.
 
-    The triggers `every_us`, `every_events`, `confidence` and `activity` are attributes, too, and may be changed at
-    any time, as may `classifier`.
+    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change at any time.
 
     Examples
     --------
@@ -157,8 +153,7 @@ class Processor:
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _choose_paths(self) -> None:
-        """Note whether triggers look at each event; let single events go straight to the one volume if nothing else has
-        to see them first."""
+        """Whether triggers look at each event; whether single events may go straight to the one volume."""
         direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
         self._by_event = self._triggers.by_event
@@ -288,7 +283,7 @@ class Processor:
         if len(self._windows):
             self._triggers.schedule(now_us, self._windows.oldest.start_us)
 
-    # -- results -----------------------------------------------------------------------------------------
+    # -- results, and the state of the stream ------------------------------------------------------------
 
     def fire(self) -> Decision:
         """Classify the open window as it is now: an empty one before the first event. Changes nothing."""
@@ -301,8 +296,8 @@ class Processor:
         """
         decisions = []
         while len(self._windows):
-            if self._windows.oldest.n_events:
-                decisions.append(self._classifier.decide(self._windows.oldest, "end"))
+            if (oldest := self._windows.oldest).n_events:
+                decisions.append(self._classifier.decide(oldest, "end"))
             self._windows.close_oldest()
         return decisions
 
@@ -321,14 +316,13 @@ class Processor:
         event once, the others once for every window that it belongs to."""
         return self._windows.counts(self._decoder.n_dropped)
 
-    # -- stop here, continue elsewhere -------------------------------------------------------------------
-
     def save_state(self) -> bytes:
         """The state of the stream: open windows, counts and triggers, but not the classifier. Another processor with
         the same configuration and settings, in any process, continues from it bit for bit (`restore_state`)."""
         arrays = self._windows.save() | with_prefix("triggers", self._triggers.save())
-        # "door": the decoder, as states have named it from the first version on
-        arrays["door"] = np.array((self._decoder.newest_us, self._decoder.n_dropped), np.int64)
+        arrays["door"] = np.array(
+            (self._decoder.newest_us, self._decoder.n_dropped), np.int64
+        )  # the decoder's name here
         return state_bytes(arrays, {"fixed": self._fixed, "triggers": self._triggers.settings()})
 
     def restore_state(self, state: bytes) -> None:
