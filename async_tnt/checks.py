@@ -50,7 +50,8 @@ def checked_time(name: str, t_us: Any) -> int:
 
 def plain_array(name: str, values: Any, dtype: DTypeLike | None = None) -> np.ndarray:
     """`np.asarray`, except that a masked array, whose mask that would silently drop, is a TypeError."""
-    refuse_mask(name, values, "`.filled(value)`, or `.data` to use every value")
+    if type(values) is not np.ndarray:  # a masked array is of another
+        refuse_mask(name, values, "`.filled(value)`, or `.data` to use every value")
     return np.asarray(values, dtype)
 
 
