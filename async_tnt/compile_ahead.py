@@ -140,4 +140,10 @@ def _ending(child: subprocess.Popen[bytes]) -> Iterator[None]:
 
 
 def _explain_wait() -> None:
-    print("async_tnt: compiling kernels, once on this machine (about 10 s) ...", file=sys.stderr, flush=True)
+    if _is_compiling():
+        print("async_tnt: compiling kernels, once on this machine (about 10 s) ...", file=sys.stderr, flush=True)
+
+
+def _is_compiling() -> bool:
+    """Whether anything was not in the cache: on a busy machine, loading may take long, too."""
+    return any(any(kernel.stats.cache_misses.values()) for kernel, _ in ENTRY_POINTS.values())

@@ -21,6 +21,14 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def compiled() -> None:
+    """Kernels are compiled once, here: a program that a test starts would say on stderr that it compiles."""
+    from async_tnt import warmup  # not above: OMP_NUM_THREADS has to be set first
+
+    warmup()
+
+
 @pytest.fixture(scope="session")
 def data() -> Path:
     """The folder with `nmnist/` and `mnist/`, or skip."""

@@ -74,11 +74,12 @@ def test_nothing_is_compiled_after(case, pytestconfig):
     assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
 
 
-def test_warmup_explains_a_long_wait_and_returns_its_seconds(monkeypatch, capsys):
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    monkeypatch.setattr(compile_ahead, "PATIENCE_S", 0.0)
+@pytest.mark.parametrize("compiling", [True, False])
+def test_a_long_wait_for_the_compiler_is_explained_and_one_for_the_disk_is_not(compiling, monkeypatch, capsys):
+    monkeypatch.setattr(compile_ahead, "_is_compiling", lambda: compiling)
+    monkeypatch.setattr(compile_ahead, "_compile", lambda names: compile_ahead._explain_wait())
     assert async_tnt.warmup() > 0
-    assert "compiling kernels, once on this machine" in capsys.readouterr().err
+    assert ("compiling kernels, once on this machine" in capsys.readouterr().err) is compiling
 
 
 @pytest.fixture
