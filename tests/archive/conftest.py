@@ -37,8 +37,9 @@ def dask_cluster(n_workers):
         return distributed.LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=":0")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def two_workers():
+    """For each module: on a busy machine Dask may not replace a worker that a test has ended for minutes."""
     with dask_cluster(2) as cluster:
         yield cluster
 
