@@ -165,7 +165,7 @@ class Processor:
 
         Columns that are already in the decoder's own form are not copied: do not change them until `push` returns.
 
-        Returns one decision for every window that the packet closed and every trigger that fired.
+        Returns one decision for each window that the packet closes and for each trigger that fires.
 
         Raises
         ------

@@ -6,8 +6,7 @@ import contextlib
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -24,11 +23,3 @@ def started(*words: object, **settings: object) -> Iterator[subprocess.Popen]:
             yield process
         finally:
             process.kill()
-
-
-def wait_until(holds: Callable[[], object], patience_s: float = 120.0) -> None:
-    """Wait until something holds."""
-    end = time.monotonic() + patience_s
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.005)

@@ -4,7 +4,7 @@ import threading
 import time
 from contextlib import contextmanager
 
-PATIENCE_S = 60
+PATIENCE_S = 120
 
 
 def until(condition):
@@ -12,7 +12,7 @@ def until(condition):
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < deadline, "nothing happened"
-        time.sleep(0.0005)
+        time.sleep(0.001)
 
 
 @contextmanager

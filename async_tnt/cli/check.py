@@ -15,7 +15,7 @@ from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.sensor import check_events, check_sensor
 
-DESCRIPTION = f"""Compare the stream with the batch reference (torch) on recordings, for every landmark:
+DESCRIPTION = f"""Compare streaming with the batch reference in torch on recordings. For every landmark:
 
   packets of {", ".join(str(size) for size in PACKET_SIZES[:-1])} and all events give the same volume, bit for bit
   the volume equals the reference's to 1e-6 of its largest cell, the landmark to 1e-9 pixels, at prefixes

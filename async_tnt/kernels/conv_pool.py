@@ -119,7 +119,7 @@ class _Tile:
         return [self._simd.load(self._weights, self._simd.add(at, f)) for f in self._lanes]
 
     def add_products(self, sums, at, pixels):
-        """One tap of one channel for every place: weights from `at` on, inputs by `pixels`, place -> pointer."""
+        """Add one tap of one channel at every place. Its weights start at `at`; `pixels` maps a place to its input."""
         weights, totals, new = self.load(at), iter(sums), []
         for place in self.places:
             value = self._simd.spread(pixels[place])

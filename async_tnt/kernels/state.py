@@ -1,8 +1,8 @@
 """Where a volume's numbers lie in its one flat buffer.
 
-A call from Python into compiled code costs about 45 ns for every array it passes, more than the
-arithmetic of one event. So everything an event reads or writes lives in one float64 buffer, which the kernels
-see twice: as `buffer`, and as `ints`, the same memory read as int64. Each slot below belongs to one of them.
+Each array argument adds about 45 ns to a call from Python into compiled code, more than the arithmetic of one
+event takes. So all numbers that an event reads or writes share one float64 buffer, which kernels access in two
+ways: as `buffer`, and as `ints`, a view of the same memory as int64. Each slot below belongs to one of them.
 
     buffer = [ parameters, sums, counts | scratch of a block | cells | log ]
 

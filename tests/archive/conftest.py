@@ -1,7 +1,7 @@
 """Recordings, executors, and a Dask cluster."""
 
 import pytest
-from processes import wait_until
+from waiting import until
 
 from async_tnt.archive.executor import executor_of
 from async_tnt.sources.files.recording import sample_recordings
@@ -50,7 +50,7 @@ def cluster(two_workers, monkeypatch):
     from async_tnt.archive import dask_executor
 
     monkeypatch.setattr(dask_executor, "CONNECT_S", 120.0)
-    wait_until(lambda: len(two_workers.scheduler.workers) == 2)
+    until(lambda: len(two_workers.scheduler.workers) == 2)
     return two_workers.scheduler_address
 
 

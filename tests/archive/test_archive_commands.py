@@ -9,7 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from processes import started, wait_until
+from processes import started
+from waiting import until
 
 from async_tnt.archive.records import decided_at
 from async_tnt.sources.files.recording import open_recording
@@ -32,7 +33,7 @@ def test_ended_in_the_middle_the_same_command_resumes(workers, number, samples, 
     )
     words = "evaluate", "digits", folder, "--json", "--out"
     with started("-c", code, *words, out, "--workers", workers) as process:
-        wait_until(lambda: process.poll() is not None or (out.exists() and out.read_bytes().count(b"\n") >= 20))
+        until(lambda: process.poll() is not None or (out.exists() and out.read_bytes().count(b"\n") >= 20))
         process.send_signal(number)
         printed, message = process.communicate()
     assert printed == "" and out.read_bytes().count(b"\n") == 20

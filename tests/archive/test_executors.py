@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from archive.made_work import broken, deadly, make_tasks, record_of
 from archive.simple_work import raise_odd, sleep_or_end, twice, unpicklable
-from processes import started, wait_until
+from processes import started
+from waiting import until
 
 from async_tnt.archive.executor import run_all
 from async_tnt.archive.records import lost
@@ -83,8 +84,8 @@ def test_closing_or_an_error_ends_workers_in_the_middle_of_their_tasks(end, tmp_
 @posix
 def test_killing_the_program_ends_its_workers_in_the_middle_of_their_tasks(tmp_path):
     with started("-c", f"from archive.simple_work import run_sleepers; run_sleepers({str(tmp_path)!r})") as process:
-        wait_until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+        until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
         pids = [int(path.stem) for path in tmp_path.glob("*.pid")]
         assert all(is_running(pid) for pid in pids)
         process.kill()
-        wait_until(lambda: not any(is_running(pid) for pid in pids))
+        until(lambda: not any(is_running(pid) for pid in pids))

@@ -6,7 +6,8 @@ import sys
 import numpy as np
 import pytest
 from dataset.gestures import bar, write, write_set
-from processes import started, wait_until
+from processes import started
+from waiting import until
 
 from async_tnt.networks.model import load_model
 
@@ -112,7 +113,7 @@ def test_a_killed_training_resumes_to_the_same_model(tmp_path, monkeypatch, prog
     for name in ("whole", "cut"):
         (tmp_path / name).mkdir()
     with started("-m", "async_tnt.cli", *words, cwd=tmp_path / "cut"):
-        wait_until(lambda: any((tmp_path / "cut").rglob("*.pt")))
+        until(lambda: any((tmp_path / "cut").rglob("*.pt")))
     for name in ("whole", "cut"):
         monkeypatch.chdir(tmp_path / name)
         assert program(*words)[0] == 0

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import started, wait_until
+from processes import started
+from waiting import until
 
 from async_tnt.cli import simulate as command
 from async_tnt.simulation.moving_mnist import build, open_set
@@ -93,7 +94,7 @@ def test_a_killed_simulation_resumes_to_the_same_files(mnist, tmp_path, program)
         folder = tmp_path / f"set {attempt}"
         words = ["simulate", "--mnist", mnist, "--out", folder, "--motions", "bell", "--digits", 8, "--workers"]
         with started("-m", "async_tnt.cli", *words, 2) as process:
-            wait_until(lambda folder=folder: any(folder.glob("*.safetensors")))
+            until(lambda folder=folder: any(folder.glob("*.safetensors")))
             process.kill()
             process.communicate(timeout=600)  # its workers have its output, too: all have ended
         n_made = len(list(folder.glob("*.safetensors")))

@@ -8,13 +8,13 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from listening import free_port, send_in_parts
 from made import random_events, random_model
+from waiting import until
 
 from async_tnt import Processor, TNTConfig, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -180,13 +180,6 @@ def rerun_program():
     return shutil.which("rerun", path=str(Path(sys.executable).parent))
 
 
-def wait_until(happened, patience_s=60):
-    deadline = time.monotonic() + patience_s
-    while not happened():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
 @contextlib.contextmanager
 def viewer_that_writes(out):
     """In place of a window it writes what it receives. Yields the process, which leads a group, and its URL."""
@@ -201,7 +194,7 @@ def viewer_that_writes(out):
         start_new_session=True,  # it is a script that starts the program: both are to be stopped
     )
     try:
-        wait_until(lambda: sinks._listens("127.0.0.1", port))
+        until(lambda: sinks._listens("127.0.0.1", port))
         yield serving, f"rerun+http://127.0.0.1:{port}/proxy"
     finally:
         with contextlib.suppress(ProcessLookupError):
@@ -220,7 +213,7 @@ def test_a_viewer_on_loopback_gets_it_all(tmp_path, program):
     expected = volumes(written)
     with viewer_that_writes(got) as (_, url):
         assert program("view", SAMPLE, "--connect", url, "--speed", "inf")[0] == 0
-        wait_until(lambda: volumes(got) == expected)
+        until(lambda: volumes(got) == expected)
     assert len(expected) > 15
 
 
@@ -236,7 +229,7 @@ def test_a_viewer_that_hangs_or_is_closed_ends_the_program(tmp_path, stop):
         words = [sys.executable, "-c", code, "view", *[str(SAMPLE)] * 60, "--connect", url]  # 18 s at their own pace
         showing = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
-            wait_until(lambda: (got.exists() and got.stat().st_size >= 50_000) or showing.poll() is not None)
+            until(lambda: (got.exists() and got.stat().st_size >= 50_000) or showing.poll() is not None)
             os.killpg(serving.pid, getattr(signal, stop))
             _, err = showing.communicate(timeout=60)
         finally:
