@@ -23,13 +23,17 @@ if TYPE_CHECKING:
 DESCRIPTION = """Train and test the networks of the thesis' results table, and print it beside the thesis' numbers.
 
 Rows: the plain event volume (Baseline), TNT about the image centre, TNT about a regressed landmark, and the
-streaming landmarks `running` and `line` (flow removed, unsigned). Columns, trained on / tested on:
+streaming landmarks `running` and `line` (flow removed, unsigned); then the plain volume and `running` with motion
+re-synthesis, an augmentation (see `async-tnt train --motions`). Columns, trained on / tested on:
 
   all/all   all three saccades of N-MNIST / all three, of other digits
   1/all     the first saccade only        / all three, of other digits
   1/train   the first saccade only        / all three, of the digits trained on
   all/sim   all three saccades            / 30 simulated motions of N-MOVING-MNIST
   1/sim     the first saccade only        / 30 simulated motions
+
+With --trained-on confounded, each digit is seen in one saccade only: 0-3 in the first, 4-6 in the second, 7-9 in the
+third.
 
 A network is validated on held-out digits of its training motion, and tested only at the end. Checkpoints and results
 of all networks are kept in --out: stop with Ctrl-C, give the same command again, and it resumes.
@@ -63,9 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave damaged recordings out, with a warning each, instead of stopping",
     )
     what = parser.add_argument_group("what to train")
-    what.add_argument("--rows", nargs="+", choices=list(ROWS), default=list(ROWS), help="default: all five")
+    what.add_argument("--rows", nargs="+", choices=list(ROWS), default=list(ROWS), help="default: all of them")
     what.add_argument(
-        "--trained-on", nargs="+", choices=TRAINED_ON, default=list(TRAINED_ON), help="saccades (default: all 1)"
+        "--trained-on", nargs="+", choices=TRAINED_ON, default=["all", "1"], help="saccades (default: all 1)"
     )
     what.add_argument(
         "--seeds",
@@ -139,7 +143,11 @@ def main(args: argparse.Namespace) -> int:
         ),
         "data": {**data.description, "simulated": simulated_description},
         "rows": {
-            name: {"config": ROWS[name].config.to_dict(), "augmentation": asdict(ROWS[name].augmentation)}
+            name: {
+                "config": ROWS[name].config.to_dict(),
+                "augmentation": asdict(ROWS[name].augmentation),
+                "motions": {r["trained_on"]: r["motions"] for r in results if r["row"] == name and r["motions"]},
+            }
             for name in args.rows
         },
         "settings": {"iterations": args.iterations, "batch": args.batch, "precision": args.precision},

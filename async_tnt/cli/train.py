@@ -21,18 +21,23 @@ from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_writable, write_text
 from async_tnt.networks.model import Model, load_model
+from async_tnt.process import available_cores
 from async_tnt.progress import progress
+from async_tnt.simulation.statistics import side_by_side
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
+from async_tnt.training.resynthesis import Motions, MotionSettings, resynthesize
 from async_tnt.training.run_folder import BEST, CURVES, LAST, RUN_FILES, check_run, plot_curves
 from async_tnt.training.settings import TrainSettings, settings_for
 
 __all__ = ["add_arguments", "main"]
 
+MOTIONS = "motions"
 NUMBERS, PICTURES = ".json", (".curves.png", ".confusion.png")
 TITLES = {
     "validation": "held out",
+    "validation_motions": "held out, in other motions",
     "test": "Test",
     "test_windows_from_first_event": "Test, windows from the first event",
 }
@@ -73,6 +78,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     config = data.config
     print(f"{len(data.training)} windows to train on, {len(data.validation)} held out", file=sys.stderr)
     n_epochs = settings.n_epochs(len(data.training))
+    motions = _motions(args, data, run_folder)
     result = train(
         config,
         data.training,
@@ -81,6 +87,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         run_folder,
         classes=data.classes,
         start=start,
+        motions=motions,
         sources=sources,
         progress=progress,
         report=_reporter(n_epochs),
@@ -103,6 +110,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         "versions": {"python": platform.python_version()}
         | {name: version(name) for name in ("numpy", "numba", "torch")},
     }
+    if motions is not None:
+        summary["motions"] = motions.record
     if start is not None:
         names = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
         summary["started_from"] = {name: start.record[name] for name in names if name in start.record}
@@ -116,6 +125,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         found = evaluate(pipeline, data.validation, times_ms=times_ms)
         summary["validation"] = found.to_dict()
         scores = Scores(data.classes, found.recording_confusion, found.confusion)
+    if motions is not None and len(motions.validation):
+        summary["validation_motions"] = evaluate(pipeline, motions.validation, times_ms=times_ms).to_dict()
     result.last.save(run_folder / LAST)
     result.best.save(run_folder / BEST)
     plot_curves(result.history, run_folder / CURVES)
@@ -142,6 +153,34 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         print(f"left out: {line}", file=sys.stderr)
     _print_summary(summary, args, written)
     return 0
+
+
+def _motions(args: argparse.Namespace, data: TrainingData, run_folder: Path) -> Motions | None:
+    """Other motions of the windows to train on, beside the run, with a picture; says what was found."""
+    if args.motions == "recorded":
+        return None
+    given = {name: getattr(args, name) for name in ("variations", "recorded") if getattr(args, name) is not None}
+    settings = MotionSettings(**given, shared_path=args.shared_path, seed=args.seed)
+    folder = run_folder / MOTIONS
+    workers = args.workers or available_cores()
+    motions = resynthesize(
+        data.training, data.validation, data.config, settings, folder, workers=workers, progress=progress
+    )
+    record = motions.record
+    print(
+        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only\n"
+        f"the recorded motion, as recorded and re-synthesized:\n{side_by_side(record['match'])}",
+        file=sys.stderr,
+    )
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return motions
+    from async_tnt.training.motion_examples import motion_examples
+    from async_tnt.views.figure_resynthesis import write_resynthesis
+
+    write_resynthesis(motion_examples(motions, data.config, data.classes), folder / "motions.png")
+    return motions
 
 
 def _config(args: argparse.Namespace) -> TNTConfig:
@@ -248,6 +287,8 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
         text = f"epoch {row['epoch']:.0f}/{n_epochs}  loss {row['loss']:.4f}"
         if "per_window" in row:
             text += f"  held out: {row['per_window']:.4f} by window, {row['per_recording']:.4f} by recording"
+        if "motions_per_window" in row:
+            text += f"; in other motions {row['motions_per_window']:.4f} by window"
         print(text, file=sys.stderr)
 
     return report
@@ -269,7 +310,7 @@ def _draw(out: Path, scores: Scores | None, history: list[dict[str, float]]) -> 
 
 def _command(args: argparse.Namespace) -> str:
     """The command as given, without paths; but --mask is kept, as it decides what is learned."""
-    words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged"))
+    words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged", "workers"))
     return words if args.mask is None else f"{words} --mask MASK"
 
 

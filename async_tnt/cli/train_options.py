@@ -11,6 +11,7 @@ from async_tnt.cli.options import positive_int, size_of, size_text
 from async_tnt.cli.pixel_options import add_selection, selection_of
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 from async_tnt.networks.model import Model
+from async_tnt.process import available_cores
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.pixel_selector import PixelSelector
 from async_tnt.sources.sensor import format_size
@@ -36,6 +37,7 @@ examples:
   async-tnt train gestures --out gestures.safetensors          gestures/wave/*.npz, gestures/clap/*.npz, ...
   async-tnt train gestures --sensor 346x260 --grid 44x33 --window-us 200000 --landmark center
   async-tnt train gestures --roi 100,80,64,64 --crop --mask hot.npy    a part of the camera, without hot pixels
+  async-tnt train gestures --motions resynthesized             also know them in motions that were not recorded
   async-tnt evaluate gestures.safetensors held_out             accuracy on other recordings
   async-tnt train --smoke                          does everything work? seconds, no data needed
   async-tnt train --nmnist N-MNIST --out mine.safetensors
@@ -97,6 +99,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument_group(
             "pixels of DATASET (other events are ignored; give the same options where the model is used)"
         )
+    )
+    motions = parser.add_argument_group(
+        "motions (re-synthesis: what was recorded in one motion, shown in others; for one object that moves as a whole)"
+    )
+    motions.add_argument(
+        "--motions",
+        choices=("recorded", "resynthesized"),
+        default="recorded",
+        help="recorded: as they are. resynthesized: also find each window's path and image, move the image otherwise "
+        "and simulate its events; what was found and made is drawn in RUN/motions.png (default: recorded)",
+    )
+    motions.add_argument(
+        "--shared-path",
+        action="store_true",
+        help="windows that start at the same time of their recordings moved alike: find one path for them",
+    )
+    motions.add_argument(
+        "--variations", type=positive_int, metavar="N", help="other motions of each window (default: 8)"
+    )
+    motions.add_argument(
+        "--recorded",
+        type=float,
+        metavar="SHARE",
+        help="of the windows that an epoch shows, those shown as they were recorded; 0 where classes moved differently "
+        "(default: 0.25)",
+    )
+    motions.add_argument(
+        "--workers",
+        type=positive_int,
+        metavar="N",
+        help=f"processes that re-synthesize (default: all cores, here {available_cores()})",
     )
     volume = parser.add_argument_group("volume (what the network sees)")
     volume.add_argument(
@@ -232,6 +265,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def check_options(args: argparse.Namespace) -> None:
     """Refuse options that do not go together, by a ValueError that names them."""
+    given = ["--shared-path"] if args.shared_path else []
+    given += [f"--{name}" for name in ("variations", "recorded", "workers") if getattr(args, name) is not None]
+    if given and args.motions == "recorded":
+        raise ValueError(f"{', '.join(given)} must come with --motions resynthesized")
     if args.dataset is None:
         names = ("sensor", "grid", "window_us", "roi", "crop", "mask")
         given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]

@@ -20,6 +20,7 @@ from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
 from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
+from async_tnt.training.resynthesis import Motions
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import CLASSES, Windows
@@ -44,6 +45,7 @@ def train(
     *,
     classes: tuple[str, ...] = CLASSES,
     start: Model | None = None,
+    motions: Motions | None = None,
     sources: Mapping[str, Any] | None = None,
     progress: Callable[..., Bar] = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
@@ -63,6 +65,8 @@ def train(
     run_folder : for checkpoint and history; made if missing.
     classes : names, one for each label from 0 on.
     start : a model to continue from; None starts with random weights.
+    motions : other motions of the training windows, shown among these; then held-out windows under other motions
+        choose the best epoch.
     sources : kept in the checkpoint, so that `check_run` can compare it before any data is read.
     progress : makes the progress bar, which counts optimizer steps.
     report : called with the history's new row after each epoch, when its checkpoint is written.
@@ -93,7 +97,7 @@ def train(
     placed: Any = pipeline  # the stubs of `to` know no memory_format
     placed.to(memory_format=torch.channels_last)  # a third faster
     optimizer = _optimizer(pipeline, settings)
-    identity = identity_of(config, settings, training, validation, start, classes)
+    identity = identity_of(config, settings, training, validation, start, classes, motions and motions.settings)
     state = load_checkpoint(run_folder, identity)
     history: list[dict[str, float]] = []
     best: dict[str, torch.Tensor] = {}
@@ -113,7 +117,8 @@ def train(
             pipeline.train()
             total_loss, n_right, n_seen = 0.0, 0, 0
             n_steps = min(steps, n_iterations - epoch * steps)
-            for step, (windows, draws) in enumerate(islice(batches_of(config, training, settings, epoch), n_steps)):
+            batches = batches_of(config, training, settings, epoch, motions)
+            for step, (windows, draws) in enumerate(islice(batches, n_steps)):
                 _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
                 target = torch.from_numpy(windows.labels).to(device)
                 with torch.autocast(device, torch.bfloat16, enabled=settings.precision == "bfloat16"):
@@ -135,6 +140,9 @@ def train(
                     **_validate(pipeline, validation, balance=settings.balance),
                 }
             )
+            if motions is not None:
+                moved = _validate(pipeline, motions.validation, balance=settings.balance)
+                history[-1] |= {f"motions_{name}": value for name, value in moved.items()}
             if _is_best(history, by_loss=settings.patience is not None):
                 best_epoch = epoch + 1
                 best = {name: w.detach().clone() for name, w in pipeline.state_dict().items()}
@@ -157,11 +165,13 @@ def train(
 
 
 def batches_of(
-    config: TNTConfig, windows: Windows, settings: TrainSettings, epoch: int
+    config: TNTConfig, windows: Windows, settings: TrainSettings, epoch: int, motions: Motions | None = None
 ) -> Iterator[tuple[Windows, Draws | None]]:
     """The batches of one epoch, and how each is augmented."""
     rng = np.random.default_rng((settings.seed, epoch))
     order = balanced_order(windows.labels, rng) if settings.balance else rng.permutation(len(windows))
+    if motions is not None:
+        windows, order = motions.show(epoch, order, rng)
     for first in range(0, len(order), settings.batch):
         some = windows[order[first : first + settings.batch]]
         augmentation = settings.augmentation
@@ -192,8 +202,9 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def epochs_since_best(history: list[dict[str, float]]) -> int:
-    """Epochs since the validation loss was lowest (the later of equals); 0 without validation."""
-    losses = [row["validation_loss"] for row in history if "validation_loss" in row]
+    """Epochs since the validation loss, under other motions if there are any, was lowest (the later of equals); 0
+    without validation."""
+    losses = [row.get("motions_validation_loss", row["validation_loss"]) for row in history if "validation_loss" in row]
     return losses[::-1].index(min(losses)) if losses else 0
 
 
@@ -201,7 +212,8 @@ def _is_best(history: list[dict[str, float]], *, by_loss: bool) -> bool:
     """Whether the newest epoch is the best."""
     if by_loss:
         return epochs_since_best(history) == 0
-    return history[-1].get("per_window", 0.0) >= max(row.get("per_window", 0.0) for row in history)
+    right = [row.get("motions_per_window", row.get("per_window", 0.0)) for row in history]
+    return right[-1] >= max(right)
 
 
 def _validate(pipeline: Pipeline, windows: Windows, *, balance: bool) -> dict[str, float]:

@@ -64,14 +64,9 @@ def identity_of(
     validation: Windows,
     start: Model | None,
     classes: tuple[str, ...],
+    motions: Any = None,
 ) -> str:
     """Everything that decides the weights, as JSON: training resumes from a checkpoint only if it is the same."""
-    data = zlib.crc32(training.recordings.offsets.tobytes())
-    for windows in (training, validation):
-        for column in (windows.recording, windows.start_us, windows.labels):
-            data = zlib.crc32(column.tobytes(), data)
-    for name in "txyp":
-        data = zlib.crc32(np.ascontiguousarray(getattr(training.recordings, name)[::997]).tobytes(), data)
     return json.dumps(
         {
             "format": FORMAT,
@@ -79,11 +74,23 @@ def identity_of(
             "settings": asdict(settings),
             "training_windows": len(training),
             "validation_windows": len(validation),
-            "data": data,
+            "data": windows_checksum(training, validation),
             "classes": classes,
+            **({} if motions is None else {"motions": asdict(motions)}),
             "start": 0 if start is None else zlib.crc32(b"".join(w.tobytes() for w in start.weights.values())),
         }
     )
+
+
+def windows_checksum(training: Windows, validation: Windows) -> int:
+    """A checksum of windows, and of some of their events."""
+    data = zlib.crc32(training.recordings.offsets.tobytes())
+    for windows in (training, validation):
+        for column in (windows.recording, windows.start_us, windows.labels):
+            data = zlib.crc32(column.tobytes(), data)
+    for name in "txyp":
+        data = zlib.crc32(np.ascontiguousarray(getattr(training.recordings, name)[::997]).tobytes(), data)
+    return data
 
 
 def check_run(

@@ -16,6 +16,8 @@ from async_tnt.training.windows import COLUMNS, Recordings, Windows, make_window
 
 WINDOW_US = 105_000
 OFFICIAL = (60_000, 10_000)
+CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
+"""The one saccade of each digit in `confounded`."""
 VALIDATION_SEED = 0  # the same digits are held out in every row and for every seed
 
 
@@ -103,6 +105,15 @@ def saccade(windows: Windows) -> np.ndarray:
 def on_first_saccade(windows: Windows) -> Windows:
     """Those of the first saccade."""
     return windows[saccade(windows) == 0]
+
+
+def trained_on(windows: Windows, name: str) -> Windows:
+    """The windows that a network trained on `all`, on `1`, the first saccade, or on `confounded` sees."""
+    if name == "1":
+        return on_first_saccade(windows)
+    if name == "confounded":
+        return windows[saccade(windows) == CONFOUNDED[windows.labels]]
+    return windows
 
 
 def simulated_windows(folder: Path, seen_images: np.ndarray) -> Iterator[tuple[str, Windows]]:

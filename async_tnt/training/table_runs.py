@@ -21,18 +21,20 @@ from async_tnt.simulation.moving_mnist import open_set
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.loop import train
 from async_tnt.training.pipeline import Pipeline, pipeline_of
+from async_tnt.training.resynthesis import Motions, resynthesize
 from async_tnt.training.run_folder import CURVES, plot_curves
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.table import ROWS, columns_of
-from async_tnt.training.table_data import RealData, RealFolder, on_first_saccade, saccade, simulated_windows
+from async_tnt.training.table_data import RealData, RealFolder, saccade, simulated_windows, trained_on
 from async_tnt.training.windows import Windows
 
 RESULT = "result.json"
+VALIDATION = ("per_window", "validation_loss", "motions_per_window", "motions_validation_loss")
 
 
 @dataclass(frozen=True)
 class Run:
-    """Which network: a row, what it is trained on ("all" or "1"), and a seed."""
+    """Which network: a row, what it is trained on (one of `TRAINED_ON`), and a seed."""
 
     row: str
     trained_on: str
@@ -53,6 +55,8 @@ def run_networks(
     ValueError, OSError : as `run_network`. ChildProcessError : a worker was killed.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    for row, on in dict.fromkeys((run.row, run.trained_on) for run in runs):  # by all workers together
+        motions_of(row, on, real.read(), folder, workers)
     task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
     done = []
     with progress(len(runs), "training networks") as bar, contextlib.closing(run_all(task, runs, workers)) as results:
@@ -83,12 +87,11 @@ def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettin
     """
     row = ROWS[run.row]
     settings = replace(settings, seed=run.seed, augmentation=row.augmentation)
+    training, held_out = (trained_on(windows, run.trained_on) for windows in (data.training, data.held_out))
+    motions = motions_of(run.row, run.trained_on, data, folder)
     folder = folder / run.name
-    training, held_out = data.training, data.held_out
-    if run.trained_on == "1":
-        training, held_out = on_first_saccade(training), on_first_saccade(held_out)
     # quick for a finished run: its checkpoint, if it has these settings, is at the end
-    trained = train(row.config, training, held_out, settings, folder)
+    trained = train(row.config, training, held_out, settings, folder, motions=motions)
     tested_on = {"nmnist": data.description, "simulated": open_set(simulated).parameters}
     finished = folder / RESULT
     if finished.exists():
@@ -114,12 +117,24 @@ def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettin
         "seed": run.seed,
         "columns": columns,
         "tested_on": tested_on,
-        "validation": {name: last_epoch[name] for name in ("per_window", "validation_loss") if name in last_epoch},
+        "validation": {name: last_epoch[name] for name in VALIDATION if name in last_epoch},
+        "motions": None if motions is None else motions.record,
     }
     plot_curves(trained.history, folder / CURVES)
     Model(row.config, trained.last.weights, trained.last.classes, result).save(folder / "model.safetensors")
     write_text(finished, json.dumps(result, indent=1))
     return result
+
+
+def motions_of(row: str, on: str, data: RealData, folder: Path, workers: int = 1) -> Motions | None:
+    """Other motions of a row's training windows; rows and seeds with the same settings share them."""
+    settings = ROWS[row].motions
+    if settings is None:
+        return None
+    name = f"motions-{on}-shared" if settings.shared_path else f"motions-{on}"
+    training, held_out = (trained_on(windows, on) for windows in (data.training, data.held_out))
+    config = ROWS[row].config
+    return resynthesize(training, held_out, config, settings, folder / name, workers=workers, progress=progress)
 
 
 def _tests(name: str, data: RealData, simulated: Path) -> Iterator[tuple[str, Windows]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -97,6 +98,39 @@ class Windows:
     def labels(self) -> np.ndarray:
         """int64, shape (N,)."""
         return self.recordings.labels[self.recording]
+
+    def events(self, i: int, window_us: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """t, x, y, p of window `i`; t int64, microseconds since the window's start."""
+        recordings, r = self.recordings, self.recording[i]
+        whole = slice(int(recordings.offsets[r]), int(recordings.offsets[r + 1]))
+        first, last = whole.start + np.searchsorted(recordings.t[whole], self.start_us[i] + np.array([0, window_us]))
+        t = recordings.t[first:last] - self.start_us[i]
+        return t, recordings.x[first:last], recordings.y[first:last], recordings.p[first:last]
+
+    def compact(self) -> Windows:
+        """The same windows, on a copy of their own recordings alone."""
+        used, place = np.unique(self.recording, return_inverse=True)
+        all_of, offsets = self.recordings, self.recordings.offsets
+        parts = [slice(int(offsets[r]), int(offsets[r + 1])) for r in used]
+        columns = {
+            name: np.concatenate([getattr(all_of, name)[:0], *(getattr(all_of, name)[part] for part in parts)])
+            for name in COLUMNS
+        }
+        sizes = offsets[used + 1] - offsets[used]
+        return Windows(
+            Recordings(
+                **columns,
+                offsets=np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)]),
+                labels=all_of.labels[used],
+                names=tuple(all_of.names[r] for r in used),
+            ),
+            place.astype(np.int64),
+            self.start_us,
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        compact = self.compact()  # another process needs the events of these windows only
+        return Windows, (compact.recordings, compact.recording, compact.start_us)
 
 
 def split_recordings(

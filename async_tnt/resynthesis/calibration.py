@@ -1,0 +1,130 @@
+"""What events cannot tell directly, found by simulating the recorded motion again: contrast and refractory time.
+
+Events tell contrast in units of the pixels' thresholds, and each image is smoother than what was seen. So the
+thresholds are scaled until the re-synthesised recorded motion has as many events as the recordings. Intervals between a
+pixel's events only bound its refractory time; of some times within the bound, each with its own scale, the one whose
+intervals are most like the recorded ones is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.resynthesis.events import MovedImage, SimulatedPixels
+from async_tnt.resynthesis.paths import MotionPath
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, measure_pixels
+from async_tnt.resynthesis.reconstruction import Reconstruction
+from async_tnt.simulation.statistics import describe
+
+REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
+"""Of the longest refractory time that the intervals allow."""
+QUANTILES = (0.05, 0.25, 0.5)
+"""Of the intervals that are compared."""
+MOST_STEPS, NEAR_ENOUGH = 8, 0.005
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How events are re-synthesised.
+
+    Parameters
+    ----------
+    pixels : of the simulated sensor.
+    length : median length of the recorded paths, in pixels.
+    match : "recorded" and "resynthesized": the same numbers of both, for the recorded motion; see
+        `simulation.statistics.describe`.
+    """
+
+    pixels: SimulatedPixels
+    length: float
+    match: dict[str, Any]
+
+
+def calibrate(
+    reconstruction: Reconstruction, windows: Sequence[Columns], seed: int, shared: Sequence[MotionPath] | None = None
+) -> Calibration:
+    """Calibrate on some windows.
+
+    Parameters
+    ----------
+    windows : of recordings; a hundred are enough.
+    seed : of the simulation.
+    shared : the path of each window, where paths are shared.
+
+    Raises
+    ------
+    ValueError : no window's path was found.
+    """
+    model = reconstruction.model
+    measured = measure_pixels(windows, model.sensor, model.window_us)
+    paths, images, recorded = _reconstruct(reconstruction, windows, measured, shared)
+    intervals = _intervals(recorded, model.sensor)
+    candidates = []
+    for share in REFRACTORY_SHARES:
+        pixels = SimulatedPixels(replace(measured, refractory_us=share * measured.refractory_us))
+        pixels, simulated = _scaled(pixels, images, sum(map(len, recorded)), seed)
+        unlike = np.abs(np.log(_intervals(simulated, model.sensor) / intervals)).sum()
+        candidates.append((float(unlike), pixels, simulated))
+    _, pixels, simulated = min(candidates, key=lambda candidate: candidate[0])
+    numbers = {
+        name: describe(events, sensor=model.sensor, cuts_us=(0, model.window_us))
+        for name, events in (("recorded", recorded), ("resynthesized", simulated))
+    }
+    return Calibration(pixels, float(np.median([path.length for path in paths])), numbers)
+
+
+def _scaled(
+    pixels: SimulatedPixels, images: Sequence[MovedImage], n_events: int, seed: int
+) -> tuple[SimulatedPixels, list[np.ndarray]]:
+    """The pixels whose scale gives as many events under the recorded motion as were recorded, and these events."""
+    for _ in range(MOST_STEPS):
+        simulated = [image.as_recorded(pixels, np.random.default_rng((seed, i))) for i, image in enumerate(images)]
+        ratio = max(1, sum(map(len, simulated))) / n_events
+        if abs(ratio - 1) < NEAR_ENOUGH:
+            break
+        pixels = replace(pixels, scale=pixels.scale * ratio)
+    return pixels, simulated
+
+
+def _reconstruct(
+    reconstruction: Reconstruction,
+    windows: Sequence[Columns],
+    pixels: MeasuredPixels,
+    shared: Sequence[MotionPath] | None,
+) -> tuple[list[MotionPath], list[MovedImage], list[np.ndarray]]:
+    """Path, image and recorded events of those windows whose path is found."""
+    if shared is None:
+        found = list(reconstruction(windows, pixels))
+    else:
+        found = [(path, reconstruction.image(one, pixels, path)) for one, path in zip(windows, shared, strict=True)]
+    moving = [(path, image, events_of(one)) for (path, image), one in zip(found, windows, strict=True) if image]
+    if not moving:
+        raise ValueError(
+            f"no motion was found in any of {len(windows)} windows: re-synthesis needs windows in which one image "
+            "moves as a whole, with some hundred events each"
+        )
+    paths, images, recorded = zip(*moving, strict=True)
+    return list(paths), list(images), list(recorded)
+
+
+def events_of(columns: Columns) -> np.ndarray:
+    """One window's events as a structured array of `EVENT_DTYPE`."""
+    events = np.empty(len(columns[0]), EVENT_DTYPE)
+    for name, column in zip("txyp", columns, strict=True):
+        events[name] = column
+    return events
+
+
+def _intervals(recordings: Sequence[np.ndarray], sensor: tuple[int, int]) -> np.ndarray:
+    """Quantiles of the intervals between a pixel's events, in microseconds."""
+    intervals = []
+    for events in recordings:
+        pixel = events["y"].astype(np.int64) * sensor[0] + events["x"]
+        order = np.argsort(pixel, kind="stable")
+        intervals.append(np.diff(events["t"][order])[np.diff(pixel[order]) == 0])
+    return np.asarray(np.quantile(np.concatenate([np.array([1.0]), *intervals]), QUANTILES))

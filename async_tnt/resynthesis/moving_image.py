@@ -1,0 +1,154 @@
+"""The events of a window as one image that moves over the sensor: the statistical model, and its closed form.
+
+With L the image of log luminance where it is at the window's start, in units of the pixels' threshold, and r_k its
+displacement at the end of the k-th of K equal parts of the window, the events up to then sum up to
+
+    c_k(x) = L(x - r_k) - L(x) + e_k(x)        cov(e_k, e_m) = V_km = 1/3 (delta_km + 1) + 0.01 min(k, m)
+
+A pixel's reference level is anywhere within a threshold of its light, at the start (+ 1) and at r_k (delta): a uniform
+distribution, of variance 1/3. The last term is what thresholds that differ from pixel to pixel add. On a torus a
+displacement only multiplies each spatial frequency q by a phase, so that the frequencies are independent:
+
+    c_k(q) = a_k(q) L(q) + e_k(q)              a_k = exp(-i q r_k) - 1
+    L(q) ~ N(0, 1 / Q(q))                      Q = 16 (|D(q)|^2 + 1/16),  D the differences of neighbours
+    h = a^* V^-1 a,  b = a^* V^-1 c            E(L | c, r) = b / (h + Q)
+    log p(c | r) - log p(c | no image) = 1/2 sum_q |b|^2 / (h + Q) - log(1 + h / Q)
+
+The last line is the *evidence* of a path: it rises with what the path explains, for every image at once, and falls with
+the freedom that the path leaves to the image. Frequencies above `BAND` tell little about the path and are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from async_tnt.kernels.moving_image import contrast_frames, evidence_terms
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels
+
+N_FRAMES = 16
+BAND = np.pi / 2  # of the frequencies that a path is found by, in radians per cell
+PHASE_VARIANCE, WALK_VARIANCE = 1 / 3, 0.01
+ROUGHNESS, LEVEL = 16.0, 1.0  # Q = ROUGHNESS |D|^2 + LEVEL
+MOST_CELLS = 40
+"""Cells along the sensor's longer side: larger sensors are averaged over squares of pixels."""
+MARGIN = 14
+"""Cells beyond the sensor, so that what leaves it on one side does not come in on the other."""
+
+
+class MovingImage:
+    """The model for windows of one sensor and length.
+
+    Parameters
+    ----------
+    sensor : (width, height), in pixels.
+    window_us : length of the windows.
+
+    Attributes
+    ----------
+    cell : sensor pixels along a side of a cell.
+    rows, columns : cells of the sensor.
+    shape : (rows, columns) of the torus; odd, so that no frequency is its own opposite.
+    whitening : float64, (K, K), W with W V W^T = 1, for the mean of a cell's pixels.
+    """
+
+    def __init__(self, sensor: tuple[int, int], window_us: int) -> None:
+        self.sensor, self.window_us = sensor, window_us
+        self.cell = -(-max(sensor) // MOST_CELLS)
+        self.columns, self.rows = (-(-side // self.cell) for side in sensor)
+        self.shape = fft_size(self.rows + MARGIN), fft_size(self.columns + MARGIN)
+        k = np.arange(1, N_FRAMES + 1)
+        covariance = PHASE_VARIANCE * (np.eye(N_FRAMES) + 1) + WALK_VARIANCE * np.minimum(k[:, None], k)
+        self.whitening = self.cell * np.linalg.inv(np.linalg.cholesky(covariance))
+
+    @cached_property
+    def frequencies(self) -> tuple[np.ndarray, np.ndarray]:
+        """(qx, qy) of all frequencies, in radians per cell; those of negative qx follow from them."""
+        return 2 * np.pi * np.fft.rfftfreq(self.shape[1]), 2 * np.pi * np.fft.fftfreq(self.shape[0])
+
+    @cached_property
+    def band(self) -> tuple[np.ndarray, np.ndarray]:
+        """(qx, qy) of the frequencies that a path is found by."""
+        qx, qy = self.frequencies
+        return qx[qx <= BAND], qy[np.abs(qy) <= BAND]
+
+    @cached_property
+    def band_weights(self) -> np.ndarray:
+        """How often each of the band's qx counts: 2 where its opposite is left out."""
+        return np.where(self.band[0] > 0, 2.0, 1.0)
+
+    @cached_property
+    def band_prior(self) -> np.ndarray:
+        """Q of the band's frequencies, (F,), x changes fastest."""
+        return (ROUGHNESS * squared_differences(*self.band) + LEVEL).ravel()
+
+    def frames(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> np.ndarray:
+        """c: the change of log luminance since the start, (N, K, rows, columns), from N windows' events."""
+        frames = np.empty((len(windows), N_FRAMES, self.rows, self.columns))
+        for (t, x, y, p), out in zip(windows, frames, strict=True):
+            contrast_frames(t, x, y, p, self.window_us, pixels.step_on, pixels.step_off, self.cell, out)
+        return frames
+
+    def spectra(self, frames: np.ndarray) -> np.ndarray:
+        """W c(q) of all frequencies, (N, ny, nx, K)."""
+        spectra = np.fft.rfft2(frames, self.shape, norm="ortho")
+        return np.ascontiguousarray(np.moveaxis(spectra, 1, -1) @ self.whitening.T)
+
+    def band_of(self, spectra: np.ndarray) -> np.ndarray:
+        """The band's part of `spectra`, (N, F, K)."""
+        qx, qy = self.frequencies
+        some = spectra[:, np.abs(qy) <= BAND][:, :, qx <= BAND]
+        return some.reshape(len(spectra), -1, N_FRAMES)
+
+    def white_motion(self, paths: np.ndarray, qx: np.ndarray, qy: np.ndarray) -> np.ndarray:
+        """W a of paths (..., K, 2) in cells: (..., ny, nx, K)."""
+        angle = qy[:, None, None] * paths[..., None, None, :, 1] + qx[:, None] * paths[..., None, None, :, 0]
+        return (np.exp(-1j * angle) - 1.0) @ self.whitening.T
+
+    def evidence(self, band: np.ndarray, path: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """E of one path for all windows together, dE/dr (K, 2), and its curvature (2K, 2K), images held fixed."""
+        (qx, qy), gradient = self.band, np.empty((N_FRAMES, 2))
+        moving = np.empty(band.shape[1:], np.complex128)
+        found = evidence_terms(band, path, qx, qy, self.band_weights, self.band_prior, self.whitening, gradient, moving)
+        inverse = self.whitening.T @ self.whitening
+        q = np.stack([np.tile(qx, len(qy)), np.repeat(qy, len(qx))])  # (2, F)
+        curvature = np.empty((N_FRAMES, 2, N_FRAMES, 2))
+        for i, j in ((0, 0), (0, 1), (1, 1)):
+            part = (moving.conj().T @ ((q[i] * q[j])[:, None] * moving)).real * inverse
+            curvature[:, i, :, j], curvature[:, j, :, i] = part, part.T
+        return found, gradient, curvature.reshape(2 * N_FRAMES, 2 * N_FRAMES)
+
+    def explained(self, band: np.ndarray, path: np.ndarray) -> float:
+        """Which share of one window's signal, (F, K), the path explains: from 0 to 1."""
+        white = self.white_motion(path, *self.band).reshape(band.shape)
+        weights = np.tile(self.band_weights, len(self.band[1]))
+        h, b = (np.abs(white) ** 2).sum(1), (white.conj() * band).sum(1)
+        mean = b / (h + self.band_prior)
+        power = float((weights * (np.abs(band) ** 2).sum(1)).sum())
+        return float((weights * (2 * (mean.conj() * b).real - h * np.abs(mean) ** 2)).sum()) / max(power, 1e-12)
+
+
+def squared_differences(qx: np.ndarray, qy: np.ndarray) -> np.ndarray:
+    """|D(q)|^2 = 4 - 2 cos qx - 2 cos qy, (ny, nx): the power of neighbours' differences."""
+    return 4.0 - 2.0 * np.cos(qx) - 2.0 * np.cos(qy)[:, None]
+
+
+def fft_size(least: int) -> int:
+    """The smallest odd number from `least` on without a prime factor above 7.
+
+    Examples
+    --------
+    >>> fft_size(48), fft_size(50), fft_size(53)
+    (49, 63, 63)
+    """
+    size = least + 1 - least % 2
+    while True:
+        rest = size
+        for prime in (3, 5, 7):
+            while rest % prime == 0:
+                rest //= prime
+        if rest == 1:
+            return size
+        size += 2

@@ -1,0 +1,164 @@
+"""The path of the image in a window, from its events alone: the one of the highest evidence.
+
+First a dictionary of straight paths, `DIRECTIONS` x `LENGTHS` x speed profiles: the evidence of all of them is one
+product with a table. From the best of them on, Levenberg-Marquardt steps over the K points of the path, which is kept
+smooth by a prior on its second differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from async_tnt.resynthesis.moving_image import N_FRAMES, MovingImage
+
+DIRECTIONS = 16
+LENGTHS = (1.0, 1.75, 3.0, 5.0, 8.0, 12.0)  # in cells
+PROFILES = ((0.0, 1.0), (0.0, 0.6), (0.2, 0.8), (0.4, 1.0))  # from when to when it moves, as shares of the window
+BEND = 0.2
+"""Standard deviation of a path's second differences, in cells."""
+MOST_STEPS, LONGEST_STEP, SMALLEST_GAIN = 20, 1.0, 0.05
+
+MIN_EVENTS = 50
+MIN_EXPLAINED = 0.7
+MIN_MARGIN = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPath:
+    """How the image of a window moves.
+
+    Parameters
+    ----------
+    positions : float64, (K, 2). Displacement (x, y) since the window's start, in sensor pixels, at the end of each of
+        K equal parts of the window.
+    evidence : logarithm of how much likelier the path makes the events.
+    margin : by how much evidence the best path of the dictionary exceeds all that lead the other way.
+    explained : share of the signal that the moving image explains.
+    n_events : in the window.
+    """
+
+    positions: np.ndarray
+    evidence: float
+    margin: float
+    explained: float
+    n_events: int
+
+    @property
+    def found(self) -> bool:
+        """Whether the path may be relied on; not with few events, several objects, or an ambiguous direction."""
+        return self.n_events >= MIN_EVENTS and self.explained >= MIN_EXPLAINED and self.margin >= MIN_MARGIN
+
+    @property
+    def length(self) -> float:
+        """Distance between the path's ends, in pixels."""
+        return float(np.hypot(*self.positions[-1]))
+
+    def at(self, shares: np.ndarray) -> np.ndarray:
+        """Displacement at shares of the window, (n, 2), in straight lines between the positions."""
+        places = np.arange(N_FRAMES + 1) / N_FRAMES
+        positions = np.concatenate([np.zeros((1, 2)), self.positions])
+        return np.stack([np.interp(shares, places, positions[:, axis]) for axis in (0, 1)], axis=1)
+
+
+class PathFinder:
+    """Finds the paths of windows of one sensor and length."""
+
+    def __init__(self, model: MovingImage) -> None:
+        self.model = model
+        bend = np.diff(np.eye(N_FRAMES + 1)[:, 1:], 2, axis=0) / BEND  # the start, which is 0, is one of the points
+        self._stiffness = bend.T @ bend
+
+    def find(self, band: np.ndarray, n_events: Sequence[int]) -> list[MotionPath]:
+        """A path for each of N windows, of `MovingImage.band_of` their spectra."""
+        paths = []
+        for one, scores, n in zip(band, self.scores(band), n_events, strict=True):
+            positions, evidence = self.refine(one[None], self.dictionary[int(scores.argmax())])
+            paths.append(self._path(one, positions, evidence, self._margin(scores), n))
+        return paths
+
+    def find_shared(self, band: np.ndarray) -> MotionPath:
+        """The one path of N windows that all move alike; `evidence` and `margin` are those of all together."""
+        scores = self.scores(band).sum(0)
+        positions, evidence = self.refine(band, self.dictionary[int(scores.argmax())])
+        explained = float(np.mean([self.model.explained(one, positions) for one in band]))
+        return MotionPath(positions * self.model.cell, evidence, self._margin(scores), explained, MIN_EVENTS)
+
+    def with_shared(self, path: MotionPath, band: np.ndarray, n_events: Sequence[int]) -> list[MotionPath]:
+        """`path` for each of N windows, with what it explains of each."""
+        positions = path.positions / self.model.cell
+        return [
+            self._path(one, positions, path.evidence, path.margin, n) for one, n in zip(band, n_events, strict=True)
+        ]
+
+    def scores(self, band: np.ndarray) -> np.ndarray:
+        """Evidence of each path of the dictionary for each of N windows, (N, D)."""
+        table, freedom = self._table
+        products = table @ np.ascontiguousarray(band.transpose(1, 2, 0), np.complex64)  # (F, D, N)
+        return (products.real**2 + products.imag**2).sum(0, np.float64).T - freedom
+
+    def refine(self, band: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, float]:
+        """The path of the highest evidence near `path`, (K, 2) in cells, for all windows together; and its evidence."""
+        stiffness = np.kron(self._stiffness, np.eye(2))
+        damping, path = 1e-2, path.copy()
+        evidence, gradient, curvature = self.model.evidence(band, path)
+        value = evidence - self._bending(path)
+        for _ in range(MOST_STEPS):
+            slope = (gradient - self._stiffness @ path).ravel()
+            matrix = curvature + stiffness
+            for _ in range(6):
+                step = np.linalg.solve(matrix + damping * np.diag(matrix.diagonal()), slope).reshape(-1, 2)
+                trial = path + step * min(1.0, LONGEST_STEP / max(np.abs(step).max(), 1e-12))
+                found = self.model.evidence(band, trial)
+                gain = found[0] - self._bending(trial) - value
+                if gain > 0:
+                    break
+                damping = max(8 * damping, 1e-3)
+            else:
+                break
+            path, (evidence, gradient, curvature) = trial, found
+            value, damping = value + gain, damping / 4
+            if gain < SMALLEST_GAIN:
+                break
+        return path, evidence
+
+    @cached_property
+    def dictionary(self) -> np.ndarray:
+        """Straight paths, (D, K, 2), in cells."""
+        angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        share = np.arange(1, N_FRAMES + 1) / N_FRAMES
+        profiles = [share] + [minimum_jerk((share - start) / (end - start)) for start, end in PROFILES]
+        paths = np.einsum("ad,l,pk->alpkd", direction, np.array(LENGTHS), np.array(profiles))
+        return paths.reshape(-1, N_FRAMES, 2)
+
+    @cached_property
+    def _table(self) -> tuple[np.ndarray, np.ndarray]:
+        """(F, D, K), whose squared product with a window's spectrum is what its paths explain; and their freedom."""
+        model = self.model
+        prior, weights = model.band_prior, np.tile(model.band_weights, len(model.band[1]))
+        white = model.white_motion(self.dictionary, *model.band).reshape(len(self.dictionary), len(prior), N_FRAMES)
+        h = (np.abs(white) ** 2).sum(-1)
+        table = white.conj() * np.sqrt(0.5 * weights / (h + prior))[..., None]
+        freedom = 0.5 * (weights * np.log1p(h / prior)).sum(-1)
+        return np.ascontiguousarray(table.transpose(1, 0, 2), np.complex64), freedom
+
+    def _path(self, band: np.ndarray, positions: np.ndarray, evidence: float, margin: float, n: int) -> MotionPath:
+        return MotionPath(positions * self.model.cell, evidence, margin, self.model.explained(band, positions), n)
+
+    def _margin(self, scores: np.ndarray) -> float:
+        ends = self.dictionary[:, -1]
+        backwards = ends @ ends[int(scores.argmax())] < 0
+        return float(scores.max() - scores[backwards].max())
+
+    def _bending(self, path: np.ndarray) -> float:
+        return 0.5 * float((path * (self._stiffness @ path)).sum())
+
+
+def minimum_jerk(share: np.ndarray) -> np.ndarray:
+    """10 u^3 - 15 u^4 + 6 u^5: from 0 to 1, at rest at both ends."""
+    u = np.clip(share, 0.0, 1.0)
+    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))

@@ -1,0 +1,78 @@
+"""What recordings tell about the pixels of their sensor: thresholds of ON against OFF, refractory time, noise.
+
+How large the thresholds are, the events do not tell: contrast is measured in thresholds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""t, x, y, p of one window's events, in order; t in microseconds since the window's start."""
+
+LARGEST_RATIO = 4.0
+REFRACTORY_SHARE = 0.01
+"""Share of the intervals between a pixel's events that may be shorter than the longest possible refractory time."""
+
+
+@dataclass(frozen=True)
+class MeasuredPixels:
+    """The pixels of a sensor, as far as its events tell.
+
+    Parameters
+    ----------
+    step_on, step_off : thresholds of ON and OFF events; their product is 1.
+    refractory_us : time that a pixel is held in reset after an event.
+    noise_hz : events per pixel and second where nothing moves.
+    noise_on_share : share of these that are ON.
+    """
+
+    step_on: float = 1.0
+    step_off: float = 1.0
+    refractory_us: float = 0.0
+    noise_hz: float = 0.0
+    noise_on_share: float = 0.5
+
+
+def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_us: int) -> MeasuredPixels:
+    """Measure the pixels on some windows; the refractory time is the longest that the intervals allow.
+
+    - Of an image that stays within the sensor, the light of all pixels together ends as it began. So ON and OFF
+      events, but for noise, are to each other as their thresholds are not: step_on n_on = step_off n_off.
+    - Noise are events at pixels none of whose eight neighbours has one.
+    """
+    width, height = sensor
+    n_on = n_off = n_lonely = n_lonely_on = n_quiet = 0
+    intervals = [np.empty(0, np.int64)]
+    for t, x, y, p in windows:
+        pixel = y.astype(np.int64) * width + x
+        counts = np.bincount(pixel, minlength=width * height).reshape(height, width)
+        quiet = (neighbours(counts) == 0).ravel()
+        lonely = quiet[pixel]
+        n_quiet += int(quiet.sum())
+        n_lonely += int(lonely.sum())
+        n_lonely_on += int(p[lonely].sum())
+        n_on += int(p.sum())
+        n_off += len(p) - int(p.sum())
+        order = np.argsort(pixel, kind="stable")
+        same = (np.diff(pixel[order]) == 0) & (np.diff(p[order].astype(np.int8)) == 0)
+        intervals.append(np.diff(t[order].astype(np.int64))[same])
+    noise = n_lonely / max(1, n_quiet)  # events of a pixel in a window
+    noise_on_share = n_lonely_on / n_lonely if n_lonely else 0.5
+    n_noise = noise * width * height * len(windows)
+    ratio = max(1.0, n_off - (1 - noise_on_share) * n_noise) / max(1.0, n_on - noise_on_share * n_noise)
+    step_on = float(np.sqrt(np.clip(ratio, 1 / LARGEST_RATIO, LARGEST_RATIO)))
+    all_intervals = np.concatenate(intervals)
+    shortest = float(np.quantile(all_intervals, REFRACTORY_SHARE)) if len(all_intervals) else 0.0
+    return MeasuredPixels(step_on, 1 / step_on, shortest, noise / (window_us * 1e-6), noise_on_share)
+
+
+def neighbours(counts: np.ndarray) -> np.ndarray:
+    """The sum of each pixel's eight neighbours, (H, W)."""
+    framed = np.pad(counts, 1)
+    height, width = counts.shape
+    total = sum(framed[i : i + height, j : j + width] for i in range(3) for j in range(3))
+    return np.asarray(total - counts)

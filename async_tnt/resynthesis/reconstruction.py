@@ -1,0 +1,68 @@
+"""From the events of windows to what they show and how it moved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from async_tnt.resynthesis.events import MovedImage
+from async_tnt.resynthesis.images import find_images
+from async_tnt.resynthesis.moving_image import N_FRAMES, MovingImage
+from async_tnt.resynthesis.paths import MotionPath, PathFinder
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels
+
+BATCH = 64
+"""Windows at a time: some 40 MB of spectra and images."""
+
+
+class Reconstruction:
+    """Paths and images of windows of one sensor and length.
+
+    Parameters
+    ----------
+    sensor : (width, height), in pixels. window_us : length of the windows.
+    """
+
+    def __init__(self, sensor: tuple[int, int], window_us: int) -> None:
+        self.model = MovingImage(sensor, window_us)
+        self._finder = PathFinder(self.model)
+
+    def shared_path(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> MotionPath:
+        """The path of windows that all move alike."""
+        return self._finder.find_shared(np.concatenate([band for _, _, band in self._batches(windows, pixels)]))
+
+    def __call__(
+        self, windows: Sequence[Columns], pixels: MeasuredPixels, shared: MotionPath | None = None
+    ) -> Iterator[tuple[MotionPath, MovedImage | None]]:
+        """Path of each window, and its image where the path may be relied on.
+
+        Parameters
+        ----------
+        shared : the path of all of them; by default each window's is found from its own events alone.
+        """
+        for some, spectra, band in self._batches(windows, pixels):
+            n_events = [len(t) for t, _, _, _ in some]
+            if shared is None:
+                paths = self._finder.find(band, n_events)
+            else:
+                paths = self._finder.with_shared(shared, band, n_events)
+            moving = np.flatnonzero([path.found for path in paths])
+            positions = np.array([paths[i].positions for i in moving]).reshape(-1, N_FRAMES, 2) / self.model.cell
+            images = dict(zip(moving, find_images(self.model, spectra[moving], positions), strict=True))
+            for i, path in enumerate(paths):
+                yield path, MovedImage(self.model, images[i], path) if i in images else None
+
+    def image(self, window: Columns, pixels: MeasuredPixels, path: MotionPath) -> MovedImage:
+        """The image of one window whose path is known."""
+        spectra = self.model.spectra(self.model.frames([window], pixels))
+        return MovedImage(self.model, find_images(self.model, spectra, path.positions[None] / self.model.cell)[0], path)
+
+    def _batches(
+        self, windows: Sequence[Columns], pixels: MeasuredPixels
+    ) -> Iterator[tuple[Sequence[Columns], np.ndarray, np.ndarray]]:
+        """Windows, their spectra, and the part of them that paths are found by."""
+        for first in range(0, len(windows), BATCH):
+            some = windows[first : first + BATCH]
+            spectra = self.model.spectra(self.model.frames(some, pixels))
+            yield some, spectra, self.model.band_of(spectra)

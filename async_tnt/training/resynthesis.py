@@ -1,0 +1,342 @@
+"""Other motions of the windows to train on: made once by several processes, kept in shards beside the run.
+
+    <folder>/motions.json                              how they were made, and how well they match the recordings
+    <folder>/training_000000_0.safetensors   windows 0 and up under one random motion each, a shard
+    <folder>/training_000000.json                      their own paths; written last: these windows are done
+
+The windows that are held out are moved once, for validation: accuracy under other motions is what choices are made by.
+A window whose path was not found is used as it was recorded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.archive.executor import run_all
+from async_tnt.config import TNTConfig
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.files import write_text
+from async_tnt.progress import Bar, no_progress
+from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
+from async_tnt.resynthesis.events import N_PICTURES
+from async_tnt.resynthesis.pixels import Columns, measure_pixels
+from async_tnt.simulation.shards import open_shard, write_shard
+from async_tnt.training.run_folder import other_run, windows_checksum
+from async_tnt.training.windows import COLUMNS, Recordings, Windows
+
+MANIFEST = "motions.json"
+FORMAT = 1
+N_CALIBRATION, N_SHARED = 128, 200
+"""Windows that pixels are calibrated on, and that a shared path is found from."""
+MOST_WINDOWS, MOST_EVENTS = 500, 1_000_000
+"""Of a shard, as recorded."""
+PARTS = ("training", "held-out")
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """How windows are re-synthesised, and how many of them are shown.
+
+    Parameters
+    ----------
+    variations : other motions of each window; epochs take turns.
+    shared_path : windows that start at the same time of their recordings moved alike, and share one path.
+    recorded : share of the windows that an epoch shows as they were recorded.
+    seed : of the motions and the simulation.
+    """
+
+    variations: int = 8
+    shared_path: bool = False
+    recorded: float = 0.25
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.variations < 1:
+            raise ValueError(f"`variations` must be at least 1, got {self.variations}")
+        if not 0 <= self.recorded <= 1:
+            raise ValueError(f"`recorded` must be in [0, 1], got {self.recorded}")
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Windows to train on, and the same under other motions. Made by `resynthesize`.
+
+    Parameters
+    ----------
+    shards : of each variation.
+    training : as recorded.
+    found : bool, (N,): which of them have other motions.
+    paths : float64, (N, K, 2): how they moved, see `MotionPath.positions`.
+    validation : the windows that are held out, under another motion each; those whose path was found.
+    settings : how they were made.
+    record : how many paths were found, what was measured, and how well it matches, for a model's record.
+    """
+
+    shards: list[list[Path]]
+    training: Windows
+    found: np.ndarray
+    paths: np.ndarray
+    validation: Windows
+    settings: MotionSettings
+    record: dict[str, Any]
+
+    def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> tuple[Windows, np.ndarray]:
+        """What an epoch shows: windows, and which of them, in the order of the windows `order` to train on."""
+        moved = self._variation(epoch % self.settings.variations)
+        recorded, n_recordings = self._recorded, len(self._recorded.recordings)
+        both = Windows(
+            recorded.recordings + moved,
+            np.concatenate([recorded.recording, n_recordings + np.arange(len(recorded))]),
+            np.concatenate([recorded.start_us, np.zeros(len(recorded), np.int64)]),
+        )
+        is_moved = self.found[order] & (rng.random(len(order)) >= self.settings.recorded)
+        return both, order + len(recorded) * is_moved
+
+    @cached_property
+    def _recorded(self) -> Windows:
+        return self.training.compact()
+
+    def _variation(self, variation: int) -> Recordings:
+        return _read_shards(self.shards[variation], self.training.labels)
+
+
+def resynthesize(
+    training: Windows,
+    held_out: Windows,
+    config: TNTConfig,
+    settings: MotionSettings,
+    folder: Path,
+    *,
+    workers: int = 1,
+    progress: Callable[..., Bar] = no_progress,
+) -> Motions:
+    """Make other motions of all windows, or what is missing of them in the folder.
+
+    The same windows and settings give the same files, for any number of workers.
+
+    Parameters
+    ----------
+    training, held_out : windows as recorded; the latter may be empty.
+    config : of which the sensor and the window's length are used.
+    folder : for the shards; made if missing. workers : processes.
+
+    Raises
+    ------
+    ValueError : the folder holds other motions, or a damaged shard; no window's motion was found.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    manifest = folder / MANIFEST
+    made_from = {
+        "format": FORMAT,
+        "sensor": list(config.sensor),
+        "window_us": config.window_us,
+        "windows": windows_checksum(training, held_out),
+        **{name: value for name, value in asdict(settings).items() if name != "recorded"},
+    }
+    if manifest.exists():
+        there = _read_json(manifest)
+        differ = [name for name, value in made_from.items() if there["made_from"].get(name) != value]
+        if differ:
+            raise other_run(folder, f"motions ({', '.join(differ)})")
+    chunks = _chunks("training", training, config, folder, settings.variations)
+    chunks += _chunks("held-out", held_out, config, folder, 1)
+    missing = [chunk for chunk in chunks if not chunk.is_done]
+    if missing or not manifest.exists():
+        reconstruction = Reconstruction(config.sensor, config.window_us)
+        shared = _shared_paths(training, reconstruction, settings)
+        calibration = _calibrate(training, reconstruction, settings, shared)
+        content = {
+            "made_from": made_from,
+            "measured": asdict(calibration.pixels),
+            "length_px": calibration.length,
+            "match": calibration.match,
+            "shared_paths": {str(start): path.positions.tolist() for start, path in shared.items()},
+        }
+        write_text(manifest, json.dumps(content, indent=1) + "\n")
+        job = partial(_move, config=config, calibration=calibration, shared=shared, seed=settings.seed)
+        n_all, n_missing = (sum(len(chunk.windows) for chunk in some) for some in (chunks, missing))
+        with (
+            progress(n_all, "re-synthesizing motions", done=n_all - n_missing) as bar,
+            contextlib.closing(run_all(job, missing, workers)) as done,
+        ):
+            for n in done:
+                bar.update(n)
+    return _open(folder, training, held_out, chunks, settings)
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """Windows that one task moves."""
+
+    part: str
+    first: int
+    windows: Windows
+    variations: int
+    folder: Path
+
+    @property
+    def paths(self) -> Path:
+        return self.folder / f"{self.part}_{self.first:06}.json"
+
+    @property
+    def shards(self) -> list[Path]:
+        return [self.paths.with_name(f"{self.paths.stem}_{v}.safetensors") for v in range(self.variations)]
+
+    @property
+    def is_done(self) -> bool:
+        return all(path.exists() for path in (*self.shards, self.paths))
+
+
+def _chunks(part: str, windows: Windows, config: TNTConfig, folder: Path, variations: int) -> list[_Chunk]:
+    """All windows of a part, those of one shard in each."""
+    offsets = windows.recordings.offsets
+    per_recording = max(1.0, len(windows) / max(1, len(np.unique(windows.recording))))
+    mean_events = float(np.diff(offsets)[windows.recording].mean()) / per_recording if len(windows) else 0.0
+    step = int(np.clip(MOST_EVENTS / max(1.0, mean_events), 1, MOST_WINDOWS))
+    return [
+        _Chunk(part, first, windows[first : first + step], variations, folder) for first in range(0, len(windows), step)
+    ]
+
+
+def _shared_paths(windows: Windows, reconstruction: Reconstruction, settings: MotionSettings) -> dict[int, MotionPath]:
+    """Start -> the path of the windows that start then; empty where each has its own."""
+    if not settings.shared_path:
+        return {}
+    rng = np.random.default_rng(settings.seed)
+    paths = {}
+    for start in np.unique(windows.start_us):
+        some = rng.permutation(np.flatnonzero(windows.start_us == start))[:N_SHARED]
+        columns = _columns(windows, some, reconstruction)
+        pixels = measure_pixels(columns, reconstruction.model.sensor, reconstruction.model.window_us)
+        paths[int(start)] = reconstruction.shared_path(columns, pixels)
+    return paths
+
+
+def _calibrate(
+    windows: Windows, reconstruction: Reconstruction, settings: MotionSettings, shared: dict[int, MotionPath]
+) -> Calibration:
+    some = np.sort(np.random.default_rng(settings.seed).permutation(len(windows))[:N_CALIBRATION])
+    paths = [shared[int(start)] for start in windows.start_us[some]] if shared else None
+    return calibrate(reconstruction, _columns(windows, some, reconstruction), settings.seed, paths)
+
+
+def _columns(windows: Windows, which: Iterable[int], reconstruction: Reconstruction) -> list[Columns]:
+    return [windows.events(int(i), reconstruction.model.window_us) for i in which]
+
+
+def _move(
+    chunk: _Chunk, *, config: TNTConfig, calibration: Calibration, shared: dict[int, MotionPath], seed: int
+) -> int:
+    """Find the paths and images of a chunk's windows, and write its shards. Returns how many windows it has."""
+    windows, measured = chunk.windows, calibration.pixels.measured
+    reconstruction = Reconstruction(config.sensor, config.window_us)
+    paths: dict[int, MotionPath] = {}
+    moved: list[list[np.ndarray]] = [[np.empty(0, EVENT_DTYPE)] * len(windows) for _ in range(chunk.variations)]
+    motions = np.zeros((chunk.variations, len(windows), N_PICTURES, 2))
+    shares = [shared.get(int(start)) for start in windows.start_us]
+    for own in dict.fromkeys(shares):
+        which = [i for i, path in enumerate(shares) if path is own]
+        found = reconstruction(_columns(windows, which, reconstruction), measured, own)
+        for i, (paths[i], image) in zip(which, found, strict=True):
+            if image is None:
+                continue
+            for v in range(chunk.variations):
+                rng = generator(seed, chunk.part, chunk.first + i, v)
+                moved[v][i], motions[v, i] = image.moved(calibration.length, calibration.pixels, rng)
+    picture_us = config.window_us / (N_PICTURES - 1)
+    for shard, events, displacement in zip(chunk.shards, moved, motions, strict=True):
+        write_shard(
+            shard,
+            events,
+            labels=windows.labels,
+            image=chunk.first + np.arange(len(windows)),
+            flow=np.diff(displacement, axis=1) / (picture_us * 1e-6),
+            flow_times_us=np.rint((np.arange(N_PICTURES - 1) + 0.5) * picture_us).astype(np.int64),
+            sensor=config.sensor,
+            duration_us=config.window_us,
+        )
+    rows = [
+        {
+            "found": path.found,
+            "events": path.n_events,
+            "explained": round(path.explained, 4),
+            "margin": round(path.margin, 2),
+            "evidence": round(path.evidence, 2),
+            "positions": path.positions.round(3).tolist(),
+        }
+        for _, path in sorted(paths.items())
+    ]
+    write_text(chunk.paths, json.dumps(rows))
+    return len(windows)
+
+
+def generator(seed: int, part: str, window: int, variation: int) -> np.random.Generator:
+    """The source of all randomness of one window's variation."""
+    return np.random.default_rng((seed, PARTS.index(part), variation, window))
+
+
+def _open(
+    folder: Path, training: Windows, held_out: Windows, chunks: list[_Chunk], settings: MotionSettings
+) -> Motions:
+    content = _read_json(folder / MANIFEST)
+    rows = {part: [row for chunk in chunks if chunk.part == part for row in _read_json(chunk.paths)] for part in PARTS}
+    found = np.array([row["found"] for row in rows["training"]], bool)
+    moving = np.flatnonzero([row["found"] for row in rows["held-out"]])
+    moved = _read_shards([chunk.shards[0] for chunk in chunks if chunk.part == "held-out"], held_out.labels)
+    record = {
+        **asdict(settings),
+        "windows": len(training),
+        "with_path": int(found.sum()),
+        "held_out_windows": len(held_out),
+        "held_out_with_path": len(moving),
+        **{name: content[name] for name in ("length_px", "measured", "match")},
+    }
+    shards = [chunk.shards for chunk in chunks if chunk.part == "training"]
+    return Motions(
+        [list(some) for some in zip(*shards, strict=True)],
+        training,
+        found,
+        np.array([row["positions"] for row in rows["training"]]),
+        Windows(moved, moving, np.zeros(len(moving), np.int64)),
+        settings,
+        record,
+    )
+
+
+def _read_shards(paths: list[Path], labels: np.ndarray) -> Recordings:
+    """The recordings of several shards, one after the other.
+
+    Raises
+    ------
+    ValueError : a damaged shard.
+    """
+    parts, offsets = [], [np.zeros(1, np.int64)]
+    for path in paths:
+        try:
+            shard = open_shard(path)
+        except ValueError as error:
+            raise ValueError(f"{error}. Remove it, and give the same command again to make it anew") from None
+        parts.append(shard)
+        offsets.append(offsets[-1][-1] + shard.offsets[1:])
+    columns = {
+        name: np.concatenate([np.empty(0, dtype), *(getattr(shard, name) for shard in parts)]).astype(dtype, copy=False)
+        for name, dtype in COLUMNS.items()
+    }
+    return Recordings(
+        **columns, offsets=np.concatenate(offsets), labels=labels, names=tuple(map(str, range(len(labels))))
+    )
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path}: damaged ({error}). Remove the folder {path.parent} to start again") from None

@@ -1,0 +1,116 @@
+"""What motion re-synthesis found in windows and made of them: a window a row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from async_tnt.views.figure_style import (
+    SMALL,
+    TEXT,
+    axes_at,
+    headline,
+    new_figure,
+    polarity_legend,
+    polarity_map,
+    save,
+    shortened,
+    styled,
+    write_at,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEFT, TOP, SIDE, GAP = 0.9, 1.05, 1.42, 0.12  # inches
+STRONGEST = 4.0  # events of a pixel that have the full colour
+
+
+@dataclass(frozen=True)
+class ResynthesizedWindow:
+    """One window, in sensor pixels.
+
+    Parameters
+    ----------
+    name : of its class.
+    recorded : its events, with fields x, y, p.
+    image : (H, W), log luminance halfway through the window.
+    same_motion : events of that image under the motion that was found.
+    motions : displacement since the window's start: the one that was found, and each new one, (n, 2).
+    others : events under each new one.
+    """
+
+    name: str
+    recorded: np.ndarray
+    image: np.ndarray
+    same_motion: np.ndarray
+    motions: Sequence[np.ndarray]
+    others: Sequence[np.ndarray]
+
+
+def draw_resynthesis(windows: Sequence[ResynthesizedWindow]) -> Figure:
+    """Events as recorded, the image and path found in them, and events of that image under this and other paths.
+
+    Raises
+    ------
+    ValueError : no windows.
+    """
+    if not windows:
+        raise ValueError("`windows` must hold at least one window, got none")
+    n_others = len(windows[0].others)
+    height, width = windows[0].image.shape
+    high = SIDE * height / width
+    figure = new_figure(TOP + len(windows) * (high + GAP) + 0.1, LEFT + (3 + n_others) * (SIDE + GAP) + 0.1)
+    headline(figure, "motion re-synthesis")
+    titles = ["as recorded", "image, path found", "the same path", *(f"other path {i + 1}" for i in range(n_others))]
+    for column, title in enumerate(titles):
+        left = LEFT + column * (SIDE + GAP) + SIDE / 2
+        write_at(figure, left, TOP - 0.35, title, ha="center")
+        if column != 1:
+            continue
+        write_at(figure, left, TOP - 0.14, "brighter, darker", ha="center", fontsize=SMALL, color=TEXT)
+    for row, window in enumerate(windows):
+        top = TOP + row * (high + GAP)
+        write_at(figure, LEFT - 0.1, top + high / 2, shortened(window.name, 14), ha="right")
+        pictures = [_counts(events, window.image.shape) for events in (window.same_motion, *window.others)]
+        paths = [None, window.motions[0], *window.motions]
+        everything = [_counts(window.recorded, window.image.shape), window.image, *pictures]
+        for column, (picture, path) in enumerate(zip(everything, paths, strict=True)):
+            axes = axes_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
+            most = max(float(np.abs(picture).max()), 1e-9) if column == 1 else STRONGEST
+            cmap = "gray" if column == 1 else polarity_map()
+            low = float(picture.min()) if column == 1 else -most
+            axes.imshow(picture, cmap=cmap, vmin=low, vmax=most if column != 1 else float(picture.max()))
+            axes.set(xticks=[], yticks=[])
+            if path is not None:
+                _draw_path(axes, path, (width, height))
+    polarity_legend(figure)
+    return figure
+
+
+def write_resynthesis(windows: Sequence[ResynthesizedWindow], path: Path, *, dpi: int = 150) -> Path:
+    """`draw_resynthesis` into a file, .png, .svg or .pdf; replaced atomically if it exists. Returns its path."""
+    with styled():
+        save(draw_resynthesis(windows), path, dpi)
+    return path
+
+
+def _counts(events: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """ON minus OFF events of each pixel."""
+    counts = np.zeros(shape)
+    np.add.at(counts, (events["y"], events["x"]), np.where(events["p"] == 1, 1.0, -1.0))
+    return counts
+
+
+def _draw_path(axes: Any, path: np.ndarray, sensor: tuple[int, int]) -> None:
+    """A path about the middle of the picture, with an arrow at its end."""
+    x, y = (path - (path.min(0) + path.max(0)) / 2 + (np.array(sensor) - 1) / 2).T
+    axes.plot(x, y, color="black", lw=1.4)
+    far = np.flatnonzero(np.hypot(x - x[-1], y - y[-1]) > 0.02 * max(sensor))
+    if len(far):
+        before = x[far[-1]], y[far[-1]]
+        axes.annotate("", (x[-1], y[-1]), before, arrowprops={"arrowstyle": "-|>", "color": "black", "lw": 1.4})

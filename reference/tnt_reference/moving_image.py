@@ -1,0 +1,123 @@
+"""One image that moves over a sensor: how likely a path makes a window's events, and its best image.
+
+With L the image of log luminance at the window's start, in units of the pixels' thresholds, and r_k its displacement at
+the end of the k-th of K equal parts of the window, the events up to then sum up to
+
+    c_k = (S(r_k) - 1) L + e_k        cov(e_k, e_m) = V_km 1,   V_km = 1/3 (delta_km + 1) + 0.01 min(k, m)
+
+S(r) moves an image on a torus of odd sides without blurring it. Everything here is dense linear algebra over pixels, for
+small tori; no Fourier transform.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+
+def contrast_frames(
+    t: torch.Tensor,
+    x: torch.Tensor,
+    y: torch.Tensor,
+    p: torch.Tensor,
+    *,
+    window_us: int,
+    n_frames: int,
+    shape: tuple[int, int],
+    step_on: float = 1.0,
+    step_off: float = 1.0,
+) -> torch.Tensor:
+    """c: what the events of each pixel up to the end of each part of the window sum up to, (K, rows, columns).
+
+    Parameters
+    ----------
+    t, x, y, p : (N,) columns of one window, 0 <= t < window_us.
+    step_on, step_off : what an ON and an OFF event are worth.
+    """
+    frames = torch.zeros(n_frames, *shape, dtype=torch.float64)
+    for k in range(n_frames):
+        for i in range(len(t)):
+            if int(t[i]) * n_frames < (k + 1) * window_us:
+                frames[k, int(y[i]), int(x[i])] += step_on if p[i] else -step_off
+    return frames
+
+
+def shift_matrix(n: int, displacement: torch.Tensor) -> torch.Tensor:
+    """S, (n, n): moves n samples of a periodic signal, n odd, by a real displacement.
+
+    S_ij = D(i - j - displacement), D(a) = 1/n sum_{|m| <= (n-1)/2} cos(2 pi m a / n), the periodic sinc.
+    """
+    if n % 2 == 0:
+        raise ValueError(f"`n` must be odd, got {n}")
+    place = torch.arange(n, dtype=torch.float64)
+    away = place[:, None] - place[None, :] - displacement
+    waves = torch.arange(-(n // 2), n // 2 + 1, dtype=torch.float64)
+    return torch.cos(2 * math.pi / n * waves * away[..., None]).sum(-1) / n
+
+
+def motion_matrix(path: torch.Tensor, shape: tuple[int, int]) -> torch.Tensor:
+    """A, (K R C, R C): from an image, row by row, to all c_k without noise. `path`: (K, 2), (x, y)."""
+    rows, columns = shape
+    one = torch.eye(rows * columns, dtype=torch.float64)
+    moved = [torch.kron(shift_matrix(rows, r[1]), shift_matrix(columns, r[0])) - one for r in path]
+    return torch.cat(moved)
+
+
+def noise_covariance(n_frames: int) -> torch.Tensor:
+    """V, (K, K)."""
+    k = torch.arange(1, n_frames + 1, dtype=torch.float64)
+    return (torch.eye(n_frames, dtype=torch.float64) + 1) / 3 + 0.01 * torch.minimum(k[:, None], k)
+
+
+def path_evidence(frames: torch.Tensor, path: torch.Tensor, *, roughness: float = 16.0, level: float = 1.0):
+    """log p(c | path) - log p(c | no image), for an image with Gaussian differences of neighbours.
+
+        L ~ N(0, Q^-1),  Q = roughness D^T D + level 1        c ~ N(0, V x 1 + A Q^-1 A^T)
+
+    Parameters
+    ----------
+    frames : (K, rows, columns), on the whole torus. path : (K, 2), in pixels.
+
+    Returns
+    -------
+    Scalar tensor, differentiable with respect to `path`.
+    """
+    n_frames, *shape = frames.shape
+    noise = torch.kron(noise_covariance(n_frames), torch.eye(shape[0] * shape[1], dtype=torch.float64))
+    differences = difference_matrix((shape[0], shape[1]))
+    precision = roughness * differences.T @ differences + level * torch.eye(shape[0] * shape[1], dtype=torch.float64)
+    moved = motion_matrix(path, (shape[0], shape[1]))
+    with_image = noise + moved @ torch.linalg.solve(precision, moved.T)
+    c = frames.reshape(-1)
+    return _log_density(c, with_image) - _log_density(c, noise)
+
+
+def image_cost(image: torch.Tensor, frames: torch.Tensor, path: torch.Tensor, *, sparseness: float, level: float):
+    """What the best image minimises: 1/2 |V^-1/2 (c - A L)|^2 + sparseness sum |D L| + level/2 |L|^2.
+
+    Parameters
+    ----------
+    image : (rows, columns). frames : (K, rows, columns). path : (K, 2).
+    """
+    n_frames, *shape = frames.shape
+    left = frames.reshape(n_frames, -1) - (motion_matrix(path, (shape[0], shape[1])) @ image.reshape(-1)).reshape(
+        n_frames, -1
+    )
+    misfit = 0.5 * (left * torch.linalg.solve(noise_covariance(n_frames), left)).sum()
+    across, down = (difference_matrix((shape[0], shape[1])) @ image.reshape(-1)).reshape(2, -1)
+    return misfit + sparseness * torch.hypot(across, down).sum() + 0.5 * level * (image**2).sum()
+
+
+def difference_matrix(shape: tuple[int, int]) -> torch.Tensor:
+    """D, (2 R C, R C): each pixel's right neighbour minus it, then its lower neighbour minus it, on a torus."""
+    steps = [torch.roll(torch.eye(n, dtype=torch.float64), 1, dims=1) - torch.eye(n, dtype=torch.float64) for n in shape]
+    rows, columns = (torch.eye(n, dtype=torch.float64) for n in shape)
+    return torch.cat([torch.kron(rows, steps[1]), torch.kron(steps[0], columns)])
+
+
+def _log_density(c: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
+    """Of a Gaussian with mean 0, up to the constant that all share."""
+    factor = torch.linalg.cholesky(covariance)
+    white = torch.linalg.solve_triangular(factor, c[:, None], upper=False)[:, 0]
+    return -0.5 * (white**2).sum() - torch.log(factor.diagonal()).sum()

@@ -1,0 +1,58 @@
+"""Windows in which a known picture moves on a known path, seen by the simulator's pixels."""
+
+import numpy as np
+
+from async_tnt.simulation.simulator import PixelModel, simulate
+
+WINDOW_US = 105_000
+SENSOR = (34, 34)
+
+
+def blobs(rng, sensor=SENSOR, n=6):
+    """A function of (x, y): log luminance of a few dark smooth bars and discs about the middle of the sensor."""
+    size = min(sensor) / 34
+    centres = (np.array(sensor) - 1) / 2 + rng.uniform(-7, 7, (n, 2)) * size
+    angles, lengths, depths = rng.uniform(0, np.pi, n), rng.uniform(0, 8, n) * size, rng.uniform(0.5, 1.6, n)
+
+    def at(x, y):
+        total = np.zeros(np.broadcast(x, y).shape)
+        for (cx, cy), angle, length, depth in zip(centres, angles, lengths, depths, strict=True):
+            along = np.cos(angle) * (x - cx) + np.sin(angle) * (y - cy)
+            across = np.cos(angle) * (y - cy) - np.sin(angle) * (x - cx)
+            beyond = np.maximum(np.abs(along) - length / 2, 0)
+            total = np.maximum(total, depth * np.exp(-(beyond**2 + across**2) / (2 * (1.2 * size) ** 2)))
+        return -total
+
+    return at
+
+
+def pictures(scene, displacement, sensor=SENSOR):
+    """Log luminance of each pixel at each displacement, (n, H, W)."""
+    y, x = np.mgrid[: sensor[1], : sensor[0]].astype(float)
+    return np.stack([scene(x - dx, y - dy) for dx, dy in displacement])
+
+
+def straight(net, n=53, profile=lambda u: u):
+    """A straight path of `n` displacements from 0 to `net`."""
+    return profile(np.linspace(0, 1, n))[:, None] * np.asarray(net, float)
+
+
+def recorded(scene, displacement, rng, sensor=SENSOR, pixels=None, window_us=WINDOW_US):
+    """Columns t, x, y, p of one window."""
+    times = np.linspace(0, window_us, len(displacement))
+    events = simulate(pictures(scene, displacement, sensor), times, rng, pixels or PixelModel())
+    events = events[events["t"] < window_us]
+    return tuple(events[name].copy() for name in "txyp")
+
+
+def noise(rng, n, sensor=SENSOR, window_us=WINDOW_US):
+    """Columns of `n` events anywhere, any time."""
+    t = np.sort(rng.integers(0, window_us, n))
+    return t, rng.integers(0, sensor[0], n), rng.integers(0, sensor[1], n), rng.integers(0, 2, n)
+
+
+def together(*parts):
+    """Events of several windows in one, in order of time."""
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(columns[0], kind="stable")
+    return tuple(column[order] for column in columns)

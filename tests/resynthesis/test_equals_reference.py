@@ -1,0 +1,128 @@
+"""Path evidence, its gradient and the images against dense linear algebra over pixels, by the reference."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+torch = pytest.importorskip("torch")
+
+from tnt_reference import moving_image as reference  # noqa: E402
+
+from async_tnt.kernels.moving_image import contrast_frames, move_periodic  # noqa: E402
+from async_tnt.resynthesis import images, moving_image  # noqa: E402
+from async_tnt.resynthesis.images import finer  # noqa: E402
+
+K = moving_image.N_FRAMES
+
+
+class SmallTorus(moving_image.MovingImage):
+    """The model on a torus of 7 x 5 places, all of whose frequencies tell about the path."""
+
+    def __init__(self):
+        super().__init__((34, 34), 1_000)
+        self.shape = (5, 7)
+        self.band = self.frequencies
+
+
+MODEL = SmallTorus()
+
+
+def made(seed, n=2):
+    rng = np.random.default_rng(seed)
+    path = np.cumsum(rng.normal(0, 0.4, (K, 2)), 0)
+    return np.cumsum(rng.normal(0, 0.7, (n, K, *MODEL.shape)), 1), path
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_evidence_and_its_gradient(seed):
+    frames, path = made(seed)
+    found, gradient, _ = MODEL.evidence(MODEL.spectra(frames).reshape(len(frames), -1, K), path)
+    position = torch.tensor(path, requires_grad=True)
+    expected = sum(reference.path_evidence(torch.tensor(c), position) for c in frames)
+    expected.backward()
+    assert found == pytest.approx(expected.item(), rel=1e-9)
+    np.testing.assert_allclose(gradient, position.grad.numpy(), rtol=1e-7, atol=1e-7)
+
+
+def test_no_motion_has_no_evidence():
+    frames, path = made(0)
+    found, gradient, curvature = MODEL.evidence(MODEL.spectra(frames).reshape(len(frames), -1, K), np.zeros_like(path))
+    assert found == 0 and np.isfinite(gradient).all() and np.isfinite(curvature).all()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_image_costs_least(seed):
+    """Its cost is within a thousandth of the least that another method finds, of a slightly rounded cost."""
+    frames, path = made(seed, n=1)
+    found = images.find_images(MODEL, MODEL.spectra(frames), path[None])[0]
+
+    def cost(image):
+        return reference.image_cost(
+            image, torch.tensor(frames[0]), torch.tensor(path), sparseness=images.SPARSENESS, level=images.LEVEL
+        )
+
+    best = torch.zeros(MODEL.shape, dtype=torch.float64, requires_grad=True)
+    steps = torch.optim.LBFGS([best], max_iter=300, line_search_fn="strong_wolfe", tolerance_change=1e-12)
+
+    def closure():
+        steps.zero_grad()
+        value = cost(best + 1e-9 * torch.arange(best.numel()).reshape(best.shape))  # off the kink at D L = 0
+        value.backward()
+        return value
+
+    steps.step(closure)
+    assert cost(torch.tensor(found)).item() <= 1.001 * cost(best.detach()).item()
+
+
+@given(st.lists(st.tuples(st.integers(0, 999), st.integers(0, 6), st.integers(0, 4), st.integers(0, 1)), max_size=40))
+@settings(max_examples=30, deadline=None)
+def test_contrast_frames(rows):
+    t, x, y, p = np.array(sorted(rows), np.int64).reshape(-1, 4).T
+    frames = np.empty((K, 5, 7))
+    contrast_frames(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8), 1_000, 1.25, 0.8, 1, frames)
+    columns = (torch.from_numpy(np.ascontiguousarray(column)) for column in (t, x, y, p))
+    expected = reference.contrast_frames(
+        *columns, window_us=1_000, n_frames=K, shape=(5, 7), step_on=1.25, step_off=0.8
+    )
+    np.testing.assert_allclose(frames, expected.numpy(), atol=1e-12)
+
+
+def test_cells_average_their_pixels():
+    frames = np.empty((K, 2, 3))
+    t, one = np.array([0, 500, 999]), np.ones(3, np.uint8)
+    contrast_frames(t, np.array([0, 1, 5]), np.array([0, 1, 3]), one, 1_000, 2.0, 1.0, 2, frames)
+    assert frames[0].tolist() == [[0.5, 0, 0], [0, 0, 0]]
+    assert frames[-1].tolist() == [[1.0, 0, 0], [0, 0, 0.5]]
+
+
+def test_finer_image_is_the_same_where_it_was_known():
+    image = np.random.default_rng(0).normal(size=(5, 7))
+    fine = finer(image, 3)
+    np.testing.assert_allclose(fine[::3, ::3], image, atol=1e-12)
+    right = reference.shift_matrix(
+        7, torch.tensor(1 / 3, dtype=torch.float64)
+    ).numpy()  # moved right, a place shows what was left of it
+    np.testing.assert_allclose(image @ right.T, np.roll(fine, 1, axis=1)[::3, ::3], atol=1e-12)
+
+
+def test_pictures_move_as_the_reference_moves_an_image():
+    """Between the places of the fine image the light is interpolated: the finer, the nearer."""
+    image = np.random.default_rng(1).normal(size=(5, 7))
+    moved = reference.motion_matrix(torch.tensor([[1.3, -0.6]], dtype=torch.float64), (5, 7)).numpy() @ image.ravel()
+    expected = image + moved.reshape(5, 7)
+    frames = np.empty((1, 5, 7))
+    errors = []
+    for factor in (3, 30):
+        move_periodic(frames, finer(image, factor), np.array([1.3]), np.array([-0.6]), 0, 0.0, factor)
+        errors.append(np.abs(frames[0] - expected).max())
+    assert errors[0] < 0.25 and errors[1] < 0.003
+    with_cells = np.empty((1, 4, 14))  # cells of two pixels, whose first has its middle at 0.5; rows from 2 on
+    move_periodic(with_cells, finer(image, 30), np.array([2.6]), np.array([-1.2]), 2, 0.5, 15.0)
+    np.testing.assert_allclose(with_cells[0, ::2, ::2][:, 1:], _halfway(expected)[1:3, 1:7], atol=0.05)
+
+
+def _halfway(image):
+    """A quarter of a place up and to the left: the upper left pixels of cells of two."""
+    quarter = [reference.shift_matrix(n, torch.tensor(0.25)).numpy() for n in image.shape]
+    return quarter[0] @ image @ quarter[1].T

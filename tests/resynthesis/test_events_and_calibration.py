@@ -1,0 +1,119 @@
+"""Pixels are measured, contrast is calibrated, and events of other motions are what the picture would have given."""
+
+import numpy as np
+import pytest
+from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight
+
+from async_tnt.resynthesis import Reconstruction, calibrate
+from async_tnt.resynthesis.motions import random_motion, random_place
+from async_tnt.resynthesis.pixels import measure_pixels
+from async_tnt.simulation.simulator import PixelModel
+
+SHARES = np.linspace(0, 1, 52)
+
+
+def windows_of(rng, pixels, n=24):
+    nets = rng.uniform(3, 9, n)[:, None] * np.stack([np.cos(a := rng.uniform(0, 6.3, n)), np.sin(a)], 1)
+    return [recorded(blobs(rng), straight(net), rng, pixels=pixels) for net in nets]
+
+
+@pytest.mark.parametrize("ratio", [0.7, 1.4])
+def test_pixels_are_measured(ratio):
+    """ON against OFF within 20 %, as refractory times hide more events of the lower threshold; noise within 30 %; the
+    refractory time is below the measured bound."""
+    pixels = PixelModel(0.2 * ratio**0.5, 0.2 / ratio**0.5, 0.1, 800.0, 0.5, 0.8)
+    measured = measure_pixels(windows_of(np.random.default_rng(0), pixels), SENSOR, WINDOW_US)
+    assert measured.step_on / measured.step_off == pytest.approx(ratio, rel=0.2)
+    assert measured.step_on * measured.step_off == pytest.approx(1)
+    assert measured.noise_hz == pytest.approx(0.5, rel=0.3) and measured.noise_on_share == pytest.approx(0.8, abs=0.1)
+    assert 800 <= measured.refractory_us < 4_000
+
+
+def test_pixels_without_events():
+    measured = measure_pixels([noise(np.random.default_rng(0), 0)], SENSOR, WINDOW_US)
+    assert (measured.step_on, measured.refractory_us, measured.noise_hz) == (1.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    windows = windows_of(np.random.default_rng(1), PixelModel(), 32)
+    reconstruction = Reconstruction(SENSOR, WINDOW_US)
+    return windows, reconstruction, calibrate(reconstruction, windows, seed=0)
+
+
+def test_the_recorded_motion_is_matched(calibrated):
+    """Events within 2 %, active pixels within 15 %, intervals within 20 %."""
+    recorded_, again = (calibrated[2].match[name] for name in ("recorded", "resynthesized"))
+    for name, within in {
+        "events per saccade": 0.02,
+        "active pixels": 0.15,
+        "same-pixel interval, 5 %": 0.2,
+        "same-pixel interval, median": 0.2,
+    }.items():
+        assert again[name] == pytest.approx(recorded_[name], rel=within), name
+    assert 3 < calibrated[2].length < 9
+
+
+def test_calibration_is_seeded(calibrated):
+    windows, reconstruction, calibration = calibrated
+    assert calibrate(reconstruction, windows, seed=0) == calibration
+    assert calibrate(reconstruction, windows, seed=1) != calibration
+
+
+def test_nothing_that_moves_is_an_error():
+    windows = [noise(np.random.default_rng(0), 500)] * 4
+    with pytest.raises(ValueError, match="no motion was found in any of 4 windows"):
+        calibrate(Reconstruction(SENSOR, WINDOW_US), windows, seed=0)
+
+
+def test_other_motions_have_their_polarity(calibrated):
+    """Dark objects: where they go, OFF events are first; so OFF minus ON centroids point along the new motion."""
+    windows, reconstruction, calibration = calibrated
+    agree = []
+    for i, (_, image) in enumerate(reconstruction(windows[:12], calibration.pixels.measured)):
+        if image is None:
+            continue
+        for seed in range(4):
+            events, motion = image.moved(calibration.length, calibration.pixels, np.random.default_rng((i, seed)))
+            assert (np.diff(events["t"]) >= 0).all() and events["t"].min() >= 0 and events["t"].max() < WINDOW_US
+            on, off = (np.array([events[a][events["p"] == p].mean() for a in "xy"]) for p in (1, 0))
+            agree.append((off - on) @ motion[-1] > 0)
+    assert np.mean(agree) > 0.9
+
+
+def test_the_same_seed_gives_the_same_events(calibrated):
+    windows, reconstruction, calibration = calibrated
+    ((_, image),) = reconstruction(windows[:1], calibration.pixels.measured)
+    first, again, other = (image.moved(5.0, calibration.pixels, np.random.default_rng(s))[0] for s in (0, 0, 1))
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+
+
+def test_a_large_sensor_is_simulated_in_bands_of_rows(calibrated, monkeypatch):
+    """The same picture, in several bands: as many events, everywhere, in order."""
+    windows, reconstruction, calibration = calibrated
+    ((_, image),) = reconstruction(windows[:1], calibration.pixels.measured)
+    whole = image.as_recorded(calibration.pixels, np.random.default_rng(0))
+    monkeypatch.setattr("async_tnt.resynthesis.events.MOST_VALUES", 52 * 34 * 5)
+    bands = image.as_recorded(calibration.pixels, np.random.default_rng(0))
+    assert (np.diff(bands["t"]) >= 0).all() and len(bands) == pytest.approx(len(whole), rel=0.1)
+    rows = [np.bincount(events["y"], minlength=34) for events in (whole, bands)]
+    assert np.corrcoef(*rows)[0, 1] > 0.97
+
+
+def test_random_motions_keep_to_their_ranges():
+    rng = np.random.default_rng(0)
+    motions = np.array([random_motion(6.0, SHARES, rng) for _ in range(2_000)])
+    net = motions[:, -1] - motions[:, 0]
+    lengths = np.hypot(*net.T)
+    assert 3 - 1e-9 <= lengths.min() < 3.2 and 12 < lengths.max() <= 12 * np.hypot(1, 0.4)
+    directions = np.histogram(np.arctan2(net[:, 1], net[:, 0]), 8, (-np.pi, np.pi))[0]
+    assert directions.min() > 190 and directions.max() < 310
+    still = np.mean(np.hypot(*(motions[:, 3] - motions[:, 0]).T) < 1e-9)  # those that start later
+    assert 0.2 < still < 0.5
+    np.testing.assert_allclose([np.interp(0.5, SHARES, motion[:, 0]) for motion in motions], 0, atol=0.05)
+
+
+def test_random_places_lie_between_where_it_was_and_the_centre():
+    rng = np.random.default_rng(0)
+    places = np.array([random_place(np.array([4.0, 16.5]), (34, 34), rng) for _ in range(1_000)])
+    assert places[:, 0].min() >= 1 and places[:, 0].max() <= 19.5 and np.abs(places[:, 1] - 16.5).max() <= 3

@@ -1,0 +1,152 @@
+"""Known pictures that move on known paths are found again, and what is no moving picture is not."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight, together
+
+from async_tnt.resynthesis import Reconstruction
+from async_tnt.resynthesis.paths import minimum_jerk
+from async_tnt.resynthesis.pixels import MeasuredPixels
+from async_tnt.simulation.simulator import PixelModel, simulate
+
+PIXELS = MeasuredPixels()
+
+
+@pytest.fixture(scope="module")
+def reconstruction():
+    return Reconstruction(SENSOR, WINDOW_US)
+
+
+def paths(rng, n, shortest, longest):
+    angle, length = rng.uniform(0, 2 * np.pi, n), rng.uniform(shortest, longest, n)
+    return np.stack([length * np.cos(angle), length * np.sin(angle)], 1)
+
+
+def halfway(path):
+    return path[len(path) // 2 : len(path) // 2 + 1]
+
+
+@pytest.mark.parametrize("profile", [lambda u: u, minimum_jerk, lambda u: np.clip(2 * u - 1, 0, 1)])
+def test_paths_and_images_are_found(reconstruction, profile):
+    """Net displacement within .8 pixels in the median; images correlate with what moved at .9 and more."""
+    rng = np.random.default_rng(3)
+    nets = paths(rng, 16, 4, 12)
+    scenes = [blobs(rng) for _ in nets]
+    windows = [recorded(scene, straight(net, profile=profile), rng) for scene, net in zip(scenes, nets, strict=True)]
+    errors, likeness = [], []
+    for scene, net, (path, image) in zip(scenes, nets, reconstruction(windows, PIXELS), strict=True):
+        assert path.found
+        errors.append(np.linalg.norm(path.positions[-1] - net))
+        moved = image.pictures(path.at(np.array([0.5])))[0]
+        seen = pictures(scene, halfway(straight(net, profile=profile)))[0]
+        likeness.append(np.corrcoef(moved.ravel(), seen.ravel())[0, 1])
+    assert np.median(errors) < 0.8 and np.max(errors) < 2.5
+    assert np.median(likeness) > 0.9 and np.min(likeness) > 0.7
+
+
+def test_a_curved_path_is_followed(reconstruction):
+    rng = np.random.default_rng(5)
+    u = np.linspace(0, 1, 53)
+    curve = np.stack([8 * u, 4 * np.sin(np.pi * u)], 1)
+    windows = [recorded(blobs(rng), curve, rng) for _ in range(8)]
+    off = [np.abs(path.at(u) - curve).max() for path, _ in reconstruction(windows, PIXELS)]
+    assert np.median(off) < 1.2
+
+
+def test_windows_that_share_a_path_find_it_together(reconstruction):
+    rng = np.random.default_rng(6)
+    windows = [recorded(blobs(rng), straight((5.0, -3.0)), rng) for _ in range(24)]
+    shared = reconstruction.shared_path(windows, PIXELS)
+    own = [np.linalg.norm(path.positions[-1] - (5, -3)) for path, _ in reconstruction(windows, PIXELS)]
+    error = np.linalg.norm(shared.positions[-1] - (5, -3))
+    assert error < 0.5 and error < np.median(own)
+    for path, image in reconstruction(windows, PIXELS, shared):
+        assert path.found and image is not None
+        np.testing.assert_array_equal(path.positions, shared.positions)
+
+
+def test_edges_along_the_motion_are_continued_and_the_rest_stays_flat(reconstruction):
+    """A long bar that moves along itself gives events at its ends only. Between them the image is as dark as there."""
+
+    def bar(x, y):
+        along, across = np.maximum(np.abs(x - 16.5) - 7, 0), y - 16.5
+        return -1.5 * np.exp(-(along**2 + across**2) / 3)
+
+    rng = np.random.default_rng(0)
+    path = straight((6.0, 0.0))
+    ((found, image),) = reconstruction([recorded(bar, path, rng)], PIXELS)
+    assert found.found and abs(found.positions[-1, 1]) < 1
+    seen = image.pictures(found.at(np.array([0.5])))[0]
+    middle, background = seen[16:18, 18:21].mean(), np.median(seen)
+    ends = seen[16:18, 10:27].min(axis=0)
+    assert middle < background - 0.4 * (background - ends.min())
+    assert np.abs(seen[:8] - background).max() < 0.25 * (background - ends.min())
+
+
+def flicker(rng):
+    """A picture that stands still and changes its brightness."""
+    strength = np.sin(np.linspace(0, 2 * np.pi * rng.uniform(0.5, 3), 53) + rng.uniform(0, 6))
+    frames = pictures(blobs(rng), np.zeros((53, 2))) * strength[:, None, None]
+    events = simulate(frames, np.linspace(0, WINDOW_US, 53), rng, PixelModel())
+    return tuple(events[events["t"] < WINDOW_US][name].copy() for name in "txyp")
+
+
+def opposite(rng):
+    """Two pictures that move against each other."""
+    (net,) = paths(rng, 1, 4, 8)
+    return together(*(recorded(blobs(rng), straight(way * net), rng) for way in (1, -1)))
+
+
+@pytest.mark.parametrize(
+    ("make", "most"),
+    [
+        (lambda rng: noise(rng, 0), 0),
+        (lambda rng: noise(rng, 1), 0),
+        (lambda rng: noise(rng, 100), 0),
+        (lambda rng: noise(rng, 3_000), 0),
+        (lambda rng: recorded(blobs(rng), straight((0.3, 0.0)), rng), 1),
+        (flicker, 3),
+        (opposite, 3),
+    ],
+)
+def test_what_is_no_moving_picture_has_no_path(reconstruction, make, most):
+    """Of twelve windows at most `most` are taken for one."""
+    rng = np.random.default_rng(1)
+    found = list(reconstruction([make(rng) for _ in range(12)], PIXELS))
+    assert sum(path.found for path, _ in found) <= most
+    assert all((image is not None) == path.found for path, image in found)
+    assert all(np.isfinite(path.positions).all() and 0 <= path.explained <= 1 for path, _ in found)
+
+
+def test_a_window_does_not_depend_on_the_others(reconstruction):
+    rng = np.random.default_rng(2)
+    windows = [recorded(blobs(rng), straight(net), rng) for net in paths(rng, 6, 4, 8)]
+    together_, alone = list(reconstruction(windows, PIXELS)), list(reconstruction(windows[3:4], PIXELS))
+    np.testing.assert_allclose(together_[3][0].positions, alone[0][0].positions, atol=1e-6)
+
+
+@pytest.mark.parametrize("sensor", [(128, 96), (41, 20), (5, 3), (1, 1)])
+def test_sensors_of_any_size(sensor):
+    """Larger ones are averaged over cells; paths stay in pixels."""
+    rng = np.random.default_rng(4)
+    scale = min(sensor) / 34
+    reconstruction = Reconstruction(sensor, 10_000)
+    window = recorded(blobs(rng, sensor), straight((9 * scale, -5 * scale)), rng, sensor, window_us=10_000)
+    ((path, image),) = reconstruction([window], PIXELS)
+    if min(sensor) >= 20:
+        assert path.found and np.linalg.norm(path.positions[-1] - (9 * scale, -5 * scale)) < 2 * scale
+        assert image.pictures(path.at(np.array([0.5]))).shape == (1, sensor[1], sensor[0])
+    assert np.isfinite(path.positions).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 400), st.sampled_from([1, 10, 1_000]))
+@settings(max_examples=25, deadline=None)
+def test_any_events_are_accepted(seed, n, window_us):
+    rng = np.random.default_rng(seed)
+    t, x, y, p = noise(rng, n, (7, 5), window_us)
+    if n and seed % 2:
+        x[:], y[:] = x[0], y[0]  # one pixel that fires all the time
+    ((path, _),) = Reconstruction((7, 5), window_us)([(t, x, y, p)], PIXELS)
+    assert path.n_events == n and np.isfinite(path.positions).all() and np.isfinite(path.evidence)

@@ -1,0 +1,239 @@
+"""Windows under other motions: made once, resumed, mixed with recorded ones, and trained on."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from moving_scenes import WINDOW_US, blobs, noise, recorded, straight
+
+pytest.importorskip("torch")
+
+from async_tnt import EVENT_DTYPE, TNTConfig, load_model
+from async_tnt.simulation.shards import open_shard
+from async_tnt.training.loop import batches_of, train
+from async_tnt.training.motion_examples import motion_examples
+from async_tnt.training.resynthesis import MotionSettings, resynthesize
+from async_tnt.training.settings import TrainSettings
+from async_tnt.training.windows import Recordings, Windows
+
+CONFIG = TNTConfig(transform="none", landmark="center")
+SETTINGS = MotionSettings(variations=2)
+BARS = {"across": (0.0, 4.0), "down": (np.pi / 2, 4.0)}
+
+
+def windows_of(seed, n=10):
+    """Two windows of each recording, moving right in the first and down in the second; the last holds noise only."""
+    rng = np.random.default_rng(seed)
+    recordings = []
+    for _ in range(n):
+        scene = blobs(rng)
+        first, second = (recorded(scene, straight(net), rng) for net in ((6.0, 0.0), (0.0, 6.0)))
+        recordings.append([*first, *second])
+    recordings.append([*noise(rng, 600), *noise(rng, 600)])
+    events = []
+    for t, x, y, p, t2, x2, y2, p2 in recordings:
+        one = np.empty(len(t) + len(t2), EVENT_DTYPE)
+        one["t"], one["x"] = np.concatenate([t, t2 + WINDOW_US]), np.concatenate([x, x2])
+        one["y"], one["p"] = np.concatenate([y, y2]), np.concatenate([p, p2])
+        events.append(one)
+    return Windows(
+        Recordings.from_events(events, np.arange(n + 1) % 2),
+        np.repeat(np.arange(n + 1), 2),
+        np.tile([0, WINDOW_US], n + 1),
+    )
+
+
+@pytest.fixture(scope="module")
+def windows():
+    return windows_of(0), windows_of(1, 4)
+
+
+@pytest.fixture(scope="module")
+def made(windows, tmp_path_factory):
+    """In shards of five windows."""
+    folder = tmp_path_factory.mktemp("motions")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("async_tnt.training.resynthesis.MOST_WINDOWS", 5)
+        yield resynthesize(*windows, CONFIG, SETTINGS, folder / "motions"), folder / "motions"
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def test_every_window_but_noise_has_other_motions(windows, made):
+    motions, folder = made
+    assert motions.found.tolist() == [True] * 20 + [False] * 2
+    assert len(motions.validation) == 8 and motions.validation.labels.tolist() == [0, 0, 1, 1, 0, 0, 1, 1]
+    assert (motions.record["windows"], motions.record["with_path"]) == (22, 20)
+    assert (motions.record["held_out_windows"], motions.record["held_out_with_path"]) == (10, 8)
+    np.testing.assert_allclose(motions.paths[:20:2, -1], np.tile([6, 0], (10, 1)), atol=1.6)
+    np.testing.assert_allclose(motions.paths[1:20:2, -1], np.tile([0, 6], (10, 1)), atol=1.6)
+    shard = open_shard(folder / "training_000005_1.safetensors")
+    assert len(shard) == 5 and shard.image.tolist() == [5, 6, 7, 8, 9] and shard.duration_us == WINDOW_US
+    assert shard.labels.tolist() == windows[0].labels[5:10].tolist() and shard.flow.shape == (5, 51, 2)
+    assert np.diff(shard.offsets).min() > 50
+
+
+def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(windows, made, tmp_path, monkeypatch):
+    _, folder = made
+    resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "two", workers=2)
+    assert contents(tmp_path / "two") == contents(folder)
+    shutil.copytree(folder, tmp_path / "cut")
+    for name in ("training_000010.json", "held-out_000005_0.safetensors"):
+        (tmp_path / "cut" / name).unlink()
+    resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "cut")
+    assert contents(tmp_path / "cut") == contents(folder)
+    monkeypatch.setattr("async_tnt.training.resynthesis.run_all", lambda job, missing, workers: iter(missing[:0]))
+    monkeypatch.setattr("async_tnt.training.resynthesis.calibrate", lambda *_: pytest.fail("made again"))
+    resynthesize(*windows, CONFIG, SETTINGS, folder)
+
+
+def test_a_recordings_path_and_motions_do_not_depend_on_those_after_it(windows, made, tmp_path, monkeypatch):
+    """All but the pixels, which are measured on all of them."""
+    motions, _ = made
+    fewer = resynthesize(windows[0][:12], windows[1][:0], CONFIG, SETTINGS, tmp_path / "fewer")
+    np.testing.assert_allclose(fewer.paths, motions.paths[:12], atol=0.6)
+    assert len(fewer.validation) == 0 and fewer.found.all()
+
+
+def test_another_seed_gives_other_events(windows, made, tmp_path):
+    _, folder = made
+    settings = MotionSettings(variations=2, seed=1)
+    resynthesize(*windows, CONFIG, settings, tmp_path / "other")
+    first, second = (open_shard(f / "training_000000_0.safetensors").t for f in (folder, tmp_path / "other"))
+    assert not np.array_equal(first, second)
+
+
+def test_a_shared_path_is_that_of_all_windows_with_the_same_start(windows, made, tmp_path):
+    motions = resynthesize(*windows, CONFIG, MotionSettings(1, shared_path=True), tmp_path / "shared")
+    assert (motions.paths[::2] == motions.paths[0]).all() and (motions.paths[1::2] == motions.paths[1]).all()
+    np.testing.assert_allclose(motions.paths[:2, -1], [(6, 0), (0, 6)], atol=0.8)
+
+
+def test_what_an_epoch_shows(windows, made):
+    """A window or its variation, a quarter as recorded; those without a path always as recorded; epochs take turns."""
+    motions, folder = made
+    order = np.random.default_rng(0).permutation(np.repeat(np.arange(22), 200))
+    for epoch, variation in ((0, 0), (1, 1), (2, 0)):
+        shown, which = motions.show(epoch, order, np.random.default_rng(epoch))
+        assert shown.labels[which].tolist() == windows[0].labels[order].tolist()
+        is_moved = which >= 22
+        assert not is_moved[order >= 20].any() and 0.72 < is_moved[order < 20].mean() < 0.78
+        shard = open_shard(folder / f"training_000005_{variation}.safetensors")
+        for got, expected in zip(shown.events(22 + 7, WINDOW_US), shard.columns(2), strict=True):
+            np.testing.assert_array_equal(got, expected)
+        for got, expected in zip(shown.events(7, WINDOW_US), windows[0].events(7, WINDOW_US), strict=True):
+            np.testing.assert_array_equal(got, expected)
+
+
+def test_training_mixes_them_and_is_validated_on_other_motions(windows, made, tmp_path):
+    motions, _ = made
+    settings = TrainSettings(epochs=3, batch=8, balance=True)
+    batches = [some for some, _ in batches_of(CONFIG, windows[0], settings, 0, motions)]
+    assert sum(map(len, batches)) == 22 and np.bincount(np.concatenate([b.labels for b in batches])).tolist() == [
+        11,
+        11,
+    ]
+    result = train(CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"), motions=motions)
+    row = result.history[-1]
+    assert {"per_window", "motions_per_window", "motions_validation_loss"} <= set(row)
+    best = max(range(3), key=lambda i: (result.history[i]["motions_per_window"], i))
+    assert result.best_epoch == best + 1
+    again = train(CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"), motions=motions)
+    assert again.history == result.history
+    with pytest.raises(ValueError, match="motions"):
+        train(CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"))
+
+
+def test_wrong_folders_and_settings_are_refused(windows, made, tmp_path):
+    _, folder = made
+    with pytest.raises(ValueError, match=r"run with other motions \(variations\)"):
+        resynthesize(*windows, CONFIG, MotionSettings(variations=3), folder)
+    with pytest.raises(ValueError, match=r"other motions \(windows\)"):
+        resynthesize(windows[1], windows[1], CONFIG, SETTINGS, folder)
+    shutil.copytree(folder, tmp_path / "torn")
+    shard = tmp_path / "torn" / "held-out_000000_0.safetensors"
+    shard.write_bytes(shard.read_bytes()[:-3])
+    with pytest.raises(ValueError, match=r"held-out_000000_0.*Remove it"):
+        resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
+    for name in ("motions.json", "training_000000.json"):
+        shutil.rmtree(tmp_path / "torn")
+        shutil.copytree(folder, tmp_path / "torn")
+        (tmp_path / "torn" / name).write_text("{")
+        with pytest.raises(ValueError, match=f"{name}: damaged"):
+            resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
+    for settings, message in (({"variations": 0}, "`variations` must be"), ({"recorded": 1.5}, "`recorded` must be")):
+        with pytest.raises(ValueError, match=message):
+            MotionSettings(**settings)
+
+
+def test_examples_are_those_that_were_made(windows, made):
+    motions, folder = made
+    examples = motion_examples(motions, CONFIG, ("a", "b"))
+    assert [example.name for example in examples] == ["a", "b"]
+    shard = open_shard(folder / "training_000000_0.safetensors")
+    np.testing.assert_allclose(len(examples[0].others[0]), np.diff(shard.offsets)[0], rtol=0.1)
+    assert len(examples[0].others) == 2 and len(examples[0].motions) == 3
+
+
+@pytest.fixture
+def classes(tmp_path):
+    """A folder of two classes that move to the right only."""
+    rng = np.random.default_rng(0)
+    for name, (angle, length) in BARS.items():
+        (tmp_path / "data" / name).mkdir(parents=True)
+        for i in range(12):
+            shift = rng.uniform(-3, 3, 2)
+
+            def scene(x, y, shift=shift, angle=angle, length=length):
+                x, y = x - 14 - shift[0], y - 16 - shift[1]
+                along, across = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+                return -1.5 * np.exp(-(np.maximum(np.abs(along) - length, 0) ** 2 + across**2) / 3)
+
+            t, x, y, p = recorded(scene, straight((6.0, 1.0)), rng)
+            np.savez(tmp_path / "data" / name / f"{i}.npz", t=t, x=x, y=y, p=p)
+    return tmp_path / "data"
+
+
+def test_the_command(classes, tmp_path, program):
+    words = ["train", classes, "--sensor", "34x34", "--motions", "resynthesized", "--variations", 2, "--epochs", 3]
+    words += ["--workers", 1, "--out", tmp_path / "m.safetensors", "--run", tmp_path / "run"]
+    code, printed, err = program(*words, "--json")
+    assert code == 0 and "motion found in 20 of 20 windows" in err and "in other motions" in err
+    assert "events per saccade" in err
+    summary = json.loads(printed)
+    assert summary["motions"]["with_path"] == 20 and summary["validation_motions"]["windows"] == 4
+    assert load_model(tmp_path / "m.safetensors").record["motions"]["recorded"] == 0.25
+    assert (tmp_path / "run" / "motions" / "motions.png").read_bytes().startswith(b"\x89PNG")
+    code, printed, _ = program(*words)
+    assert code == 0 and "held out, in other motions: " in printed
+    code, _, err = program(*words, "--shared-path")
+    assert code == 2 and "other motions (shared_path)" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--shared-path"], "--shared-path must come with --motions resynthesized"),
+        (["--workers", "2", "--recorded", "0"], "--recorded, --workers must come with --motions resynthesized"),
+        (["--motions", "resynthesized", "--recorded", "2"], "`recorded` must be in [0, 1], got 2.0"),
+    ],
+)
+def test_wrong_options(words, message, tmp_path, monkeypatch, program):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = program("train", "--smoke", *words)
+    assert code == 2 and message in err
+
+
+def test_recordings_without_motion_are_an_error(tmp_path, program):
+    rng = np.random.default_rng(0)
+    for name in "ab":
+        (tmp_path / "data" / name).mkdir(parents=True)
+        for i in range(5):
+            t, x, y, p = noise(rng, 500)
+            np.savez(tmp_path / "data" / name / f"{i}.npz", t=t, x=x, y=y, p=p)
+    words = ["--motions", "resynthesized", "--sensor", "34x34", "--run", tmp_path / "run", "--workers", 1]
+    code, _, err = program("train", tmp_path / "data", *words, "--out", tmp_path / "m.safetensors")
+    assert code == 2 and "no motion was found in any of 8 windows" in err
