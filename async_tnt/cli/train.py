@@ -78,7 +78,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     config = data.config
     print(f"{len(data.training)} windows to train on, {len(data.validation)} held out", file=sys.stderr)
     n_epochs = settings.n_epochs(len(data.training))
-    motions = _motions(args, data, run_folder)
+    motions = _motions(args, data, run_folder, n_epochs)
     result = train(
         config,
         data.training,
@@ -155,12 +155,12 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     return 0
 
 
-def _motions(args: argparse.Namespace, data: TrainingData, run_folder: Path) -> Motions | None:
+def _motions(args: argparse.Namespace, data: TrainingData, run_folder: Path, n_epochs: int) -> Motions | None:
     """Other motions of the windows to train on, beside the run, with a picture; says what was found."""
     if args.motions == "recorded":
         return None
     given = {name: getattr(args, name) for name in ("variations", "recorded") if getattr(args, name) is not None}
-    settings = MotionSettings(**given, shared_path=args.shared_path, seed=args.seed)
+    settings = MotionSettings(**given, shared_path=args.shared_path, seed=args.seed).for_epochs(n_epochs)
     folder = run_folder / MOTIONS
     workers = args.workers or available_cores()
     motions = resynthesize(

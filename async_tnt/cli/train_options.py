@@ -116,7 +116,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="windows that start at the same time of their recordings moved alike: find one path for them",
     )
     motions.add_argument(
-        "--variations", type=positive_int, metavar="N", help="other motions of each window (default: 8)"
+        "--variations",
+        type=positive_int,
+        metavar="N",
+        help="other motions of each window, at most one an epoch (default: 32)",
     )
     motions.add_argument(
         "--recorded",

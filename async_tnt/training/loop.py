@@ -170,10 +170,9 @@ def batches_of(
     """The batches of one epoch, and how each is augmented."""
     rng = np.random.default_rng((settings.seed, epoch))
     order = balanced_order(windows.labels, rng) if settings.balance else rng.permutation(len(windows))
-    if motions is not None:
-        windows, order = motions.show(epoch, order, rng)
-    for first in range(0, len(order), settings.batch):
-        some = windows[order[first : first + settings.batch]]
+    shown = windows[order] if motions is None else motions.show(epoch, order, rng)
+    for first in range(0, len(shown), settings.batch):
+        some = shown[first : first + settings.batch]
         augmentation = settings.augmentation
         yield some, None if augmentation is None else augmentation.draw(len(some), config, rng)
 

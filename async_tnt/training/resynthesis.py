@@ -13,8 +13,8 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
-from functools import cached_property, partial
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ class MotionSettings:
     seed : of the motions and the simulation.
     """
 
-    variations: int = 8
+    variations: int = 32
     shared_path: bool = False
     recorded: float = 0.25
     seed: int = 0
@@ -63,6 +63,10 @@ class MotionSettings:
             raise ValueError(f"`variations` must be at least 1, got {self.variations}")
         if not 0 <= self.recorded <= 1:
             raise ValueError(f"`recorded` must be in [0, 1], got {self.recorded}")
+
+    def for_epochs(self, n: int) -> MotionSettings:
+        """The same without variations that `n` epochs do not show."""
+        return replace(self, variations=min(self.variations, n))
 
 
 @dataclass(frozen=True)
@@ -88,21 +92,14 @@ class Motions:
     settings: MotionSettings
     record: dict[str, Any]
 
-    def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> tuple[Windows, np.ndarray]:
-        """What an epoch shows: windows, and which of them, in the order of the windows `order` to train on."""
-        moved = self._variation(epoch % self.settings.variations)
-        recorded, n_recordings = self._recorded, len(self._recorded.recordings)
-        both = Windows(
-            recorded.recordings + moved,
-            np.concatenate([recorded.recording, n_recordings + np.arange(len(recorded))]),
-            np.concatenate([recorded.start_us, np.zeros(len(recorded), np.int64)]),
-        )
+    def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
+        """The windows `order` as an epoch shows them: under another motion, or as they were recorded."""
         is_moved = self.found[order] & (rng.random(len(order)) >= self.settings.recorded)
-        return both, order + len(recorded) * is_moved
-
-    @cached_property
-    def _recorded(self) -> Windows:
-        return self.training.compact()
+        recorded, moved = self.training[order[~is_moved]].compact(), self._variation(epoch % self.settings.variations)
+        recording, start_us = np.zeros((2, len(order)), np.int64)
+        recording[~is_moved], start_us[~is_moved] = recorded.recording, recorded.start_us
+        recording[is_moved] = len(recorded.recordings) + order[is_moved]
+        return Windows(recorded.recordings + moved, recording, start_us)
 
     def _variation(self, variation: int) -> Recordings:
         return _read_shards(self.shards[variation], self.training.labels)

@@ -56,7 +56,7 @@ def run_networks(
     """
     folder.mkdir(parents=True, exist_ok=True)
     for row, on in dict.fromkeys((run.row, run.trained_on) for run in runs):  # by all workers together
-        motions_of(row, on, real.read(), folder, workers)
+        motions_of(row, on, real.read(), settings, folder, workers)
     task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
     done = []
     with progress(len(runs), "training networks") as bar, contextlib.closing(run_all(task, runs, workers)) as results:
@@ -88,7 +88,7 @@ def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettin
     row = ROWS[run.row]
     settings = replace(settings, seed=run.seed, augmentation=row.augmentation)
     training, held_out = (trained_on(windows, run.trained_on) for windows in (data.training, data.held_out))
-    motions = motions_of(run.row, run.trained_on, data, folder)
+    motions = motions_of(run.row, run.trained_on, data, settings, folder)
     folder = folder / run.name
     # quick for a finished run: its checkpoint, if it has these settings, is at the end
     trained = train(row.config, training, held_out, settings, folder, motions=motions)
@@ -126,15 +126,17 @@ def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettin
     return result
 
 
-def motions_of(row: str, on: str, data: RealData, folder: Path, workers: int = 1) -> Motions | None:
+def motions_of(
+    row: str, on: str, data: RealData, settings: TrainSettings, folder: Path, workers: int = 1
+) -> Motions | None:
     """Other motions of a row's training windows; rows and seeds with the same settings share them."""
-    settings = ROWS[row].motions
-    if settings is None:
+    config, motions = ROWS[row].config, ROWS[row].motions
+    if motions is None:
         return None
-    name = f"motions-{on}-shared" if settings.shared_path else f"motions-{on}"
     training, held_out = (trained_on(windows, on) for windows in (data.training, data.held_out))
-    config = ROWS[row].config
-    return resynthesize(training, held_out, config, settings, folder / name, workers=workers, progress=progress)
+    motions = motions.for_epochs(settings.n_epochs(len(training)))
+    folder = folder / (f"motions-{on}-shared" if motions.shared_path else f"motions-{on}")
+    return resynthesize(training, held_out, config, motions, folder, workers=workers, progress=progress)
 
 
 def _tests(name: str, data: RealData, simulated: Path) -> Iterator[tuple[str, Windows]]:

@@ -5,8 +5,8 @@ the end of the k-th of K equal parts of the window, the events up to then sum up
 
     c_k = (S(r_k) - 1) L + e_k        cov(e_k, e_m) = V_km 1,   V_km = 1/3 (delta_km + 1) + 0.01 min(k, m)
 
-S(r) moves an image on a torus of odd sides without blurring it. Everything here is dense linear algebra over pixels, for
-small tori; no Fourier transform.
+S(r) moves an image on a torus of odd sides without blurring it. Everything here is dense linear algebra over the pixels
+of small tori, without Fourier transforms.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ def noise_covariance(n_frames: int) -> torch.Tensor:
     return (torch.eye(n_frames, dtype=torch.float64) + 1) / 3 + 0.01 * torch.minimum(k[:, None], k)
 
 
-def path_evidence(frames: torch.Tensor, path: torch.Tensor, *, roughness: float = 16.0, level: float = 1.0):
+def path_evidence(
+    frames: torch.Tensor, path: torch.Tensor, *, roughness: float = 16.0, level: float = 1.0
+) -> torch.Tensor:
     """log p(c | path) - log p(c | no image), for an image with Gaussian differences of neighbours.
 
         L ~ N(0, Q^-1),  Q = roughness D^T D + level 1        c ~ N(0, V x 1 + A Q^-1 A^T)
@@ -93,7 +95,9 @@ def path_evidence(frames: torch.Tensor, path: torch.Tensor, *, roughness: float 
     return _log_density(c, with_image) - _log_density(c, noise)
 
 
-def image_cost(image: torch.Tensor, frames: torch.Tensor, path: torch.Tensor, *, sparseness: float, level: float):
+def image_cost(
+    image: torch.Tensor, frames: torch.Tensor, path: torch.Tensor, *, sparseness: float, level: float
+) -> torch.Tensor:
     """What the best image minimises: 1/2 |V^-1/2 (c - A L)|^2 + sparseness sum |D L| + level/2 |L|^2.
 
     Parameters
@@ -111,9 +115,9 @@ def image_cost(image: torch.Tensor, frames: torch.Tensor, path: torch.Tensor, *,
 
 def difference_matrix(shape: tuple[int, int]) -> torch.Tensor:
     """D, (2 R C, R C): each pixel's right neighbour minus it, then its lower neighbour minus it, on a torus."""
-    steps = [torch.roll(torch.eye(n, dtype=torch.float64), 1, dims=1) - torch.eye(n, dtype=torch.float64) for n in shape]
     rows, columns = (torch.eye(n, dtype=torch.float64) for n in shape)
-    return torch.cat([torch.kron(rows, steps[1]), torch.kron(steps[0], columns)])
+    across, down = (torch.roll(one, 1, dims=1) - one for one in (columns, rows))
+    return torch.cat([torch.kron(rows, across), torch.kron(down, columns)])
 
 
 def _log_density(c: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
