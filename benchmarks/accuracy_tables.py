@@ -7,7 +7,8 @@ from typing import Any
 from page_parts import percent, results, short, table
 
 from async_tnt import load_model
-from async_tnt.training.table import markdown_table, motions_table
+from async_tnt.simulation.statistics import UNITS
+from async_tnt.training.table import ROWS, markdown_table, motions_table
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
 
@@ -82,6 +83,53 @@ def unseen_motion() -> str:
         f"Trained on one saccade and tested on all three, the accuracy is {found['baseline']} untransformed, "
         f"{found['running']} with `running`, and {found['line']} with `line` and its flow removed."
     )
+
+
+def resynthesis() -> str:
+    return markdown_table(_resynthesis())
+
+
+def _resynthesis() -> dict[str, Any]:
+    """Row -> column -> accuracies, of three commands."""
+    merged: dict[str, Any] = {}
+    for name in ("resynthesis_confounded", "resynthesis", "resynthesis_shared"):
+        for row, columns in results(name)["table"].items():
+            merged[row] = {**merged.get(row, {}), **columns}
+    return {row: merged[row] for row in ROWS if row in merged}
+
+
+def resynthesis_worst() -> str:
+    """The motion of the simulated set that each network knows least, mean over seeds."""
+    rows = []
+    for name, columns in _resynthesis().items():
+        for column in columns:
+            if column.endswith("/sim"):
+                motions = {motion: part["mean"] for motion, part in columns[column]["per_motion"].items()}
+                worst = min(motions, key=lambda motion: motions[motion])
+                rows.append([ROWS[name].title, column, worst, f"{motions[worst]:.3f}".removeprefix("0")])
+    return table(["", "", "worst motion", "accuracy"], rows)
+
+
+def resynthesis_match() -> str:
+    """How well the recorded motion is matched, and how many paths were found."""
+    motions = results("resynthesis")["rows"]["baseline-motions"]["motions"]["1"]
+    names = [name for name in motions["match"]["recorded"] if not name.startswith("ON - OFF")]
+    units = {name: f", {UNITS[name.split(',')[0]]}" if name.split(",")[0] in UNITS else "" for name in names}
+    rows = [
+        [name + units[name], *(f"{motions['match'][part][name]:.2f}" for part in ("recorded", "resynthesized"))]
+        for name in names
+    ]
+    found = f"A path was found in {motions['with_path']:,} of {motions['windows']:,} windows.\n\n"
+    return found + table(["first saccade", "recorded", "simulated again"], rows)
+
+
+def unseen_objects() -> str:
+    accuracy = results("unseen_motions")["accuracy"]
+    tests = list(accuracy["recorded"])
+    rows = [
+        [mode, *(f"{found[test]['mean']:.3f}".removeprefix("0") for test in tests)] for mode, found in accuracy.items()
+    ]
+    return table(["trained on motions", *(f"tested in {test}" for test in tests)], rows)
 
 
 def motions_1_all() -> str:
@@ -196,4 +244,8 @@ TABLES = (
     motions_1_all,
     motions_all_sim,
     motions_1_sim,
+    resynthesis,
+    resynthesis_worst,
+    resynthesis_match,
+    unseen_objects,
 )

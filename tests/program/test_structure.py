@@ -19,6 +19,7 @@ FLOORS = [
     {"checking", "engines", "streams"},
     {"archive", "views"},
     {"simulation"},
+    {"resynthesis"},
     {"training"},
     {"cli"},
 ]

@@ -1,0 +1,83 @@
+"""Recordings of two objects in grey levels that move together over a small sensor, for `unseen_motions.py`.
+
+This renders and simulates on its own: nothing here is shared with the augmentation that is measured on it.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SENSOR = (64, 48)
+WINDOW_US = 50_000
+SHAPES = ("cross", "disc", "square", "triangle")
+CLASSES = tuple("-".join(pair) for pair in combinations(SHAPES, 2))
+STEPS, SUBPIXELS = 60, 2
+THRESHOLD, MISMATCH, NOISE_HZ = 0.2, 0.1, 0.5
+
+
+def inside(shape: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Whether points lie in a shape of radius 1 about 0."""
+    if shape == "disc":
+        return np.hypot(x, y) < 0.9
+    if shape == "square":
+        return np.maximum(abs(x), abs(y)) < 0.8
+    if shape == "cross":
+        return (np.minimum(abs(x), abs(y)) < 0.3) & (np.maximum(abs(x), abs(y)) < 1.0)
+    return (y > -0.6) & (np.sqrt(3) * abs(x) < 1.1 - y)
+
+
+def record(name: str, direction: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Columns t, x, y, p of one recording of a class that moves in `direction`, in radians."""
+    width, height = SENSOR
+    objects = []
+    for shape, side in zip(rng.permutation(name.split("-")), (-1, 1), strict=True):
+        place = np.array([side * rng.uniform(8.5, 10.5), rng.uniform(-5, 5)])
+        grey = -rng.uniform(0.4, 1.4)
+        objects.append((shape, place, rng.uniform(6, 8), rng.uniform(-0.4, 0.4), grey))
+    slope = rng.uniform(-0.004, 0.004, 2)
+    length, speed_up = rng.uniform(8, 14), rng.uniform(-0.5, 0.5)
+    fine_y, fine_x = np.mgrid[: height * SUBPIXELS, : width * SUBPIXELS] / SUBPIXELS
+    origin = np.array([width, height]) / 2 + rng.uniform(-2, 2, 2)
+    threshold = THRESHOLD * np.exp(MISMATCH * rng.standard_normal((height, width)))
+    level, parts = None, []
+    for step in range(STEPS + 1):
+        u = step / STEPS
+        gone = length * (u + speed_up * u * (1 - u) - 0.5)
+        x = fine_x - origin[0] - gone * np.cos(direction)
+        y = fine_y - origin[1] - gone * np.sin(direction)
+        light = np.exp(slope[0] * x + slope[1] * y)
+        for shape, place, size, turn, grey in objects:
+            a, b = (x - place[0]) / size, (y - place[1]) / size
+            hit = inside(shape, np.cos(turn) * a + np.sin(turn) * b, np.cos(turn) * b - np.sin(turn) * a)
+            light = np.where(hit, light * np.exp(grey), light)
+        seen = np.log(light.reshape(height, SUBPIXELS, width, SUBPIXELS).mean((1, 3)))
+        if level is None:
+            level = seen + threshold * rng.uniform(-1, 1, seen.shape)
+            continue
+        n = np.trunc((seen - level) / threshold).astype(int)
+        level = level + n * threshold
+        rows, columns = np.nonzero(n)
+        many = abs(n[rows, columns])
+        t = (step - 1 + rng.random(many.sum())) * WINDOW_US / STEPS
+        parts.append((t, columns.repeat(many), rows.repeat(many), (n[rows, columns] > 0).repeat(many)))
+    n_noise = rng.poisson(NOISE_HZ * width * height * WINDOW_US * 1e-6)
+    somewhere = rng.integers(0, width, n_noise), rng.integers(0, height, n_noise)
+    parts.append((WINDOW_US * rng.random(n_noise), *somewhere, rng.random(n_noise) < 0.5))
+    t, px, py, p = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(t)
+    return {"t": t[order].astype(np.int64), "x": px[order], "y": py[order], "p": p[order]}
+
+
+def write(folder: Path, n: int, directions: tuple[float, ...], seed: int) -> Path:
+    """`n` recordings of each class, whose directions take turns, as `folder/<class>/<number>.npz`."""
+    for label, name in enumerate(CLASSES):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        for i in range(n):
+            rng = np.random.default_rng((seed, label, i))
+            columns: dict[str, Any] = record(name, directions[i % len(directions)], rng)
+            np.savez(folder / name / f"{i:03}.npz", **columns)
+    return folder
