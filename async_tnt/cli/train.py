@@ -27,7 +27,8 @@ from async_tnt.simulation.statistics import side_by_side
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
-from async_tnt.training.resynthesis import Motions, MotionSettings, resynthesize
+from async_tnt.training.motions import Motions, MotionSettings
+from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.run_folder import BEST, CURVES, LAST, RUN_FILES, check_run, plot_curves
 from async_tnt.training.settings import TrainSettings, settings_for
 

@@ -19,8 +19,8 @@ from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
 from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
+from async_tnt.training.motions import Motions
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
-from async_tnt.training.resynthesis import Motions
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import CLASSES, Windows

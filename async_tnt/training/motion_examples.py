@@ -10,7 +10,8 @@ from async_tnt.resynthesis.events import SimulatedPixels, shares
 from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.pixels import MeasuredPixels
 from async_tnt.resynthesis.reconstruction import Reconstruction
-from async_tnt.training.resynthesis import Motions, generator
+from async_tnt.training.motions import Motions
+from async_tnt.training.resynthesis import generator
 from async_tnt.views.figure_resynthesis import ResynthesizedWindow
 
 N_WINDOWS, N_OTHERS = 5, 4

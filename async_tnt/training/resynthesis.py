@@ -1,8 +1,8 @@
 """Other motions of the windows to train on: made once by several processes, kept in shards beside the run.
 
-    <folder>/motions.json                              how they were made, and how well they match the recordings
-    <folder>/training_000000_0.safetensors   windows 0 and up under one random motion each, a shard
-    <folder>/training_000000.json                      their own paths; written last: these windows are done
+    <folder>/motions.json                    how they were made, and how well they match the recordings
+    <folder>/training_000000_0.safetensors   windows from 0 on under one random motion each, a shard
+    <folder>/training_000000.json            their own paths; written last: these windows are done
 
 The windows that are held out are moved once, for validation: accuracy under other motions is what choices are made by.
 A window whose path was not found is used as it was recorded.
@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,81 +28,18 @@ from async_tnt.progress import Bar, no_progress
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
 from async_tnt.resynthesis.events import N_PICTURES
 from async_tnt.resynthesis.pixels import Columns, measure_pixels
-from async_tnt.simulation.shards import open_shard, write_shard
+from async_tnt.simulation.shards import write_shard
+from async_tnt.training.motions import Motions, MotionSettings, read_shards
 from async_tnt.training.run_folder import other_run, windows_checksum
-from async_tnt.training.windows import COLUMNS, Recordings, Windows
+from async_tnt.training.windows import Windows
 
 MANIFEST = "motions.json"
 FORMAT = 1
 N_CALIBRATION, N_SHARED = 128, 200
 """Windows that pixels are calibrated on, and that a shared path is found from."""
-MOST_WINDOWS, MOST_EVENTS = 500, 1_000_000
-"""Of a shard, as recorded."""
+MOST_WINDOWS, MOST_EVENTS = 500, 300_000
+"""Of a shard, as recorded: their variations are in memory together."""
 PARTS = ("training", "held-out")
-
-
-@dataclass(frozen=True)
-class MotionSettings:
-    """How windows are re-synthesised, and how many of them are shown.
-
-    Parameters
-    ----------
-    variations : other motions of each window; epochs take turns.
-    shared_path : windows that start at the same time of their recordings moved alike, and share one path.
-    recorded : share of the windows that an epoch shows as they were recorded.
-    seed : of the motions and the simulation.
-    """
-
-    variations: int = 32
-    shared_path: bool = False
-    recorded: float = 0.25
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.variations < 1:
-            raise ValueError(f"`variations` must be at least 1, got {self.variations}")
-        if not 0 <= self.recorded <= 1:
-            raise ValueError(f"`recorded` must be in [0, 1], got {self.recorded}")
-
-    def for_epochs(self, n: int) -> MotionSettings:
-        """The same without variations that `n` epochs do not show."""
-        return replace(self, variations=min(self.variations, n))
-
-
-@dataclass(frozen=True)
-class Motions:
-    """Windows to train on, and the same under other motions. Made by `resynthesize`.
-
-    Parameters
-    ----------
-    shards : of each variation.
-    training : as recorded.
-    found : bool, (N,): which of them have other motions.
-    paths : float64, (N, K, 2): how they moved, see `MotionPath.positions`.
-    validation : the windows that are held out, under another motion each; those whose path was found.
-    settings : how they were made.
-    record : how many paths were found, what was measured, and how well it matches, for a model's record.
-    """
-
-    shards: list[list[Path]]
-    training: Windows
-    found: np.ndarray
-    paths: np.ndarray
-    validation: Windows
-    settings: MotionSettings
-    record: dict[str, Any]
-
-    def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
-        """The windows `order` as an epoch shows them: under another motion, or as they were recorded."""
-        is_moved = self.found[order] & (rng.random(len(order)) >= self.settings.recorded)
-        recorded, moved = self.training[order[~is_moved]].compact(), self._variation(epoch % self.settings.variations)
-        recording, start_us = np.zeros((2, len(order)), np.int64)
-        recording[~is_moved], start_us[~is_moved] = recorded.recording, recorded.start_us
-        recording[is_moved] = len(recorded.recordings) + order[is_moved]
-        return Windows(recorded.recordings + moved, recording, start_us)
-
-    def _variation(self, variation: int) -> Recordings:
-        return _read_shards(self.shards[variation], self.training.labels)
 
 
 def resynthesize(
@@ -139,8 +76,8 @@ def resynthesize(
         **{name: value for name, value in asdict(settings).items() if name != "recorded"},
     }
     if manifest.exists():
-        there = _read_json(manifest)
-        differ = [name for name, value in made_from.items() if there["made_from"].get(name) != value]
+        there = _read_json(manifest).get("made_from", {})
+        differ = [name for name, value in made_from.items() if there.get(name) != value]
         if differ:
             raise other_run(folder, f"motions ({', '.join(differ)})")
     chunks = _chunks("training", training, config, folder, settings.variations)
@@ -194,10 +131,8 @@ class _Chunk:
 
 def _chunks(part: str, windows: Windows, config: TNTConfig, folder: Path, variations: int) -> list[_Chunk]:
     """All windows of a part, those of one shard in each."""
-    offsets = windows.recordings.offsets
-    per_recording = max(1.0, len(windows) / max(1, len(np.unique(windows.recording))))
-    mean_events = float(np.diff(offsets)[windows.recording].mean()) / per_recording if len(windows) else 0.0
-    step = int(np.clip(MOST_EVENTS / max(1.0, mean_events), 1, MOST_WINDOWS))
+    n_events = sum(len(windows.events(i, config.window_us)[0]) for i in range(len(windows)))
+    step = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
     return [
         _Chunk(part, first, windows[first : first + step], variations, folder) for first in range(0, len(windows), step)
     ]
@@ -287,7 +222,7 @@ def _open(
     rows = {part: [row for chunk in chunks if chunk.part == part for row in _read_json(chunk.paths)] for part in PARTS}
     found = np.array([row["found"] for row in rows["training"]], bool)
     moving = np.flatnonzero([row["found"] for row in rows["held-out"]])
-    moved = _read_shards([chunk.shards[0] for chunk in chunks if chunk.part == "held-out"], held_out.labels)
+    moved = read_shards([chunk.shards[0] for chunk in chunks if chunk.part == "held-out"], held_out.labels)
     record = {
         **asdict(settings),
         "windows": len(training),
@@ -305,30 +240,6 @@ def _open(
         Windows(moved, moving, np.zeros(len(moving), np.int64)),
         settings,
         record,
-    )
-
-
-def _read_shards(paths: list[Path], labels: np.ndarray) -> Recordings:
-    """The recordings of several shards, one after the other.
-
-    Raises
-    ------
-    ValueError : a damaged shard.
-    """
-    parts, offsets = [], [np.zeros(1, np.int64)]
-    for path in paths:
-        try:
-            shard = open_shard(path)
-        except ValueError as error:
-            raise ValueError(f"{error}. Remove it, and give the same command again to make it anew") from None
-        parts.append(shard)
-        offsets.append(offsets[-1][-1] + shard.offsets[1:])
-    columns = {
-        name: np.concatenate([np.empty(0, dtype), *(getattr(shard, name) for shard in parts)]).astype(dtype, copy=False)
-        for name, dtype in COLUMNS.items()
-    }
-    return Recordings(
-        **columns, offsets=np.concatenate(offsets), labels=labels, names=tuple(map(str, range(len(labels))))
     )
 
 

@@ -26,7 +26,7 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.training.augment import Augmentation
-from async_tnt.training.resynthesis import MotionSettings
+from async_tnt.training.motions import MotionSettings
 
 T_MAX = 2.0
 AUGMENTATION = Augmentation(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0.3, partial=0)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.views.figure_style import (
-    SMALL,
-    TEXT,
+    PALE,
     axes_at,
     headline,
     new_figure,
@@ -26,7 +25,7 @@ from async_tnt.views.figure_style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LEFT, TOP, SIDE, GAP = 0.9, 1.05, 1.42, 0.12  # inches
+LEFT, TOP, SIDE, GAP = 0.9, 0.95, 1.42, 0.12  # inches
 STRONGEST = 4.0  # events of a pixel that have the full colour
 
 
@@ -69,10 +68,7 @@ def draw_resynthesis(windows: Sequence[ResynthesizedWindow]) -> Figure:
     titles = ["as recorded", "image, path found", "the same path", *(f"other path {i + 1}" for i in range(n_others))]
     for column, title in enumerate(titles):
         left = LEFT + column * (SIDE + GAP) + SIDE / 2
-        write_at(figure, left, TOP - 0.35, title, ha="center")
-        if column != 1:
-            continue
-        write_at(figure, left, TOP - 0.14, "brighter, darker", ha="center", fontsize=SMALL, color=TEXT)
+        write_at(figure, left, TOP - 0.2, title, ha="center")
     for row, window in enumerate(windows):
         top = TOP + row * (high + GAP)
         write_at(figure, LEFT - 0.1, top + high / 2, shortened(window.name, 14), ha="right")
@@ -81,11 +77,13 @@ def draw_resynthesis(windows: Sequence[ResynthesizedWindow]) -> Figure:
         everything = [_counts(window.recorded, window.image.shape), window.image, *pictures]
         for column, (picture, path) in enumerate(zip(everything, paths, strict=True)):
             axes = axes_at(figure, LEFT + column * (SIDE + GAP), top, SIDE, high)
-            most = max(float(np.abs(picture).max()), 1e-9) if column == 1 else STRONGEST
-            cmap = "gray" if column == 1 else polarity_map()
-            low = float(picture.min()) if column == 1 else -most
-            axes.imshow(picture, cmap=cmap, vmin=low, vmax=most if column != 1 else float(picture.max()))
+            if column == 1:
+                axes.imshow(picture, cmap="gray")
+            else:
+                axes.imshow(picture, cmap=polarity_map(), vmin=-STRONGEST, vmax=STRONGEST)
             axes.set(xticks=[], yticks=[])
+            axes.spines[:].set_visible(True)
+            axes.spines[:].set_color(PALE)
             if path is not None:
                 _draw_path(axes, path, (width, height))
     polarity_legend(figure)
