@@ -42,32 +42,34 @@ def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_u
 
     - Of an image that stays within the sensor, the light of all pixels together ends as it began. So ON and OFF
       events, but for noise, are to each other as their thresholds are not: step_on n_on = step_off n_off.
-    - Noise are events at pixels none of whose eight neighbours has one.
+    - Noise are events at pixels none of whose eight neighbours has one. Pixels with such are counted, not their
+      events: some pixels fire all the time.
     """
     width, height = sensor
-    n_on = n_off = n_lonely = n_lonely_on = n_quiet = 0
+    n_on = n_off = n_lonely = n_quiet = 0
+    n_lonely_on = 0.0
     intervals = [np.empty(0, np.int64)]
     for t, x, y, p in windows:
         pixel = y.astype(np.int64) * width + x
         counts = np.bincount(pixel, minlength=width * height).reshape(height, width)
-        quiet = (neighbours(counts) == 0).ravel()
-        lonely = quiet[pixel]
+        quiet = neighbours(counts).ravel() == 0
+        lonely = quiet & (counts.ravel() > 0)
         n_quiet += int(quiet.sum())
         n_lonely += int(lonely.sum())
-        n_lonely_on += int(p[lonely].sum())
+        n_lonely_on += float((np.bincount(pixel, p, width * height)[lonely] / counts.ravel()[lonely]).sum())
         n_on += int(p.sum())
         n_off += len(p) - int(p.sum())
         order = np.argsort(pixel, kind="stable")
         same = (np.diff(pixel[order]) == 0) & (np.diff(p[order].astype(np.int8)) == 0)
         intervals.append(np.diff(t[order].astype(np.int64))[same])
-    noise = n_lonely / max(1, n_quiet)  # events of a pixel in a window
+    noise = -np.log1p(-min(0.99, n_lonely / max(1, n_quiet)))  # events of a pixel in a window, of a Poisson process
     noise_on_share = n_lonely_on / n_lonely if n_lonely else 0.5
     n_noise = noise * width * height * len(windows)
     ratio = max(1.0, n_off - (1 - noise_on_share) * n_noise) / max(1.0, n_on - noise_on_share * n_noise)
     step_on = float(np.sqrt(np.clip(ratio, 1 / LARGEST_RATIO, LARGEST_RATIO)))
     all_intervals = np.concatenate(intervals)
     shortest = float(np.quantile(all_intervals, REFRACTORY_SHARE)) if len(all_intervals) else 0.0
-    return MeasuredPixels(step_on, 1 / step_on, shortest, noise / (window_us * 1e-6), noise_on_share)
+    return MeasuredPixels(step_on, 1 / step_on, shortest, float(noise / (window_us * 1e-6)), noise_on_share)
 
 
 def neighbours(counts: np.ndarray) -> np.ndarray:
