@@ -9,7 +9,7 @@ from made import events_of, random_model
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.views import figure_events, figure_motions, figure_probabilities, figure_slices
+from async_tnt.views import figure_events, figure_motions, figure_probabilities, figure_resynthesis, figure_slices
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_pipeline import draw_pipeline
 from async_tnt.views.figure_style import OFF, ON
@@ -51,6 +51,23 @@ def pictures(axes):
 def assert_equal(found, expected):
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other)
+
+
+def test_resynthesis_shows_counts_the_image_and_paths():
+    """ON minus OFF of each pixel, the image as it is, and each path with its own direction."""
+    one = events_of([0, 1, 2], [1, 1, 4], [2, 2, 0], [1, 1, 0])
+    image = np.arange(15.0).reshape(3, 5)
+    right, down = (np.linspace(0, 2, 5)[:, None] * np.array(way) for way in ((1, 0), (0, 1)))
+    window = figure_resynthesis.ResynthesizedWindow("cup", one, image, one[:1], [right, down], [one[2:]])
+    axes = figure_resynthesis.draw_resynthesis([window, window]).axes
+    found = pictures(axes[:4])
+    assert found[0][2, 1] == 2 and found[0][0, 4] == -1 and np.abs(found[0]).sum() == 3
+    np.testing.assert_array_equal(found[1], image)
+    assert found[2].sum() == 1 and found[3].sum() == -1 and len(axes) == 8
+    net = [np.subtract(*(each.lines[0].get_xydata()[k] for k in (-1, 0))) for each in axes[1:4]]
+    np.testing.assert_allclose(net, [(2, 0), (2, 0), (0, 2)])
+    with pytest.raises(ValueError, match="at least one window"):
+        figure_resynthesis.draw_resynthesis([])
 
 
 def test_events_are_drawn_where_they_are_and_where_the_transform_puts_them():
