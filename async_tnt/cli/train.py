@@ -234,8 +234,7 @@ def _read_dataset(
         epochs=args.epochs,
         batch=args.batch,
         patience=args.patience,
-        augment=not args.no_augmentation,
-        translate_px=args.translate,
+        augmentation=_augmentation(args),
         **given,
     )
     return data, settings, {**sources, "used": list(data.training.recordings.names)}
@@ -246,13 +245,14 @@ def _read_digits(
 ) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
     """N-MNIST or the bundled samples, in the same way."""
     epochs = 20 if args.epochs is None else args.epochs
+    changes = _augmentation(args)
     settings = TrainSettings(
         epochs=min(epochs, 2) if args.smoke else epochs,
         iterations=None if args.smoke else args.iterations,
         batch=64 if args.batch is None else args.batch,
         learning_rate=args.rate,
         seed=args.seed,
-        augmentation=None if args.no_augmentation else Augmentation(translate_px=args.translate),
+        augmentation=None if changes is None else Augmentation(**changes),
         precision=args.precision,
         patience=args.patience or None,
     )
@@ -274,6 +274,11 @@ def _read_digits(
         progress=progress,
     )
     return data, settings, {}
+
+
+def _augmentation(args: argparse.Namespace) -> dict[str, Any] | None:
+    """The options' fields of `Augmentation`."""
+    return None if args.no_augmentation else {"translate_px": args.translate, "partial": args.partial}
 
 
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:

@@ -15,6 +15,7 @@ from async_tnt.process import available_cores
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.pixel_selector import PixelSelector
 from async_tnt.sources.sensor import format_size
+from async_tnt.training.augment import Augmentation
 
 DESCRIPTION = """\
 Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
@@ -226,6 +227,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PX",
         help="also move each window by a whole number of pixels, up to PX (default: 0; the thesis: 4, with "
         "--landmark regressor)",
+    )
+    learning.add_argument(
+        "--partial",
+        type=float,
+        default=Augmentation.partial,
+        metavar="SHARE",
+        help="of the windows, those that end early, at a random moment: more of them make early decisions better "
+        "(default: %(default)s)",
     )
     learning.add_argument("--no-augmentation", action="store_true", help="train on the windows as they are")
     learning.add_argument(

@@ -15,7 +15,8 @@ it stays the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -105,16 +106,19 @@ class Augmentation:
                 raise ValueError(f"`{name}` must be in [0, {limit}], got {value}")
 
     @classmethod
-    def for_sensor(cls, config: TNTConfig, *, translate_px: int = 0) -> Augmentation:
-        """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, scaled to another sensor and window."""
+    def for_sensor(cls, config: TNTConfig, **changes: Any) -> Augmentation:
+        """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, scaled to another sensor and window.
+
+        changes : values of other fields.
+        """
         larger = (min(config.sensor) - 1) / 33
         longer = config.window_us / 105_000
-        return cls(
+        scaled = cls(
             start_ms=cls.start_ms * longer,
             shift_px=cls.shift_px * larger,
-            translate_px=translate_px,
             partial_from_ms=cls.partial_from_ms * longer,
         )
+        return replace(scaled, **changes)
 
     def draw(self, n: int, config: TNTConfig, rng: np.random.Generator) -> Draws:
         """Random changes for `n` windows."""

@@ -82,7 +82,7 @@ def read_shards(paths: Sequence[Path], labels: np.ndarray) -> Recordings:
 
     Raises
     ------
-    ValueError : a damaged shard.
+    ValueError : a damaged shard, or not one recording for each label.
     """
     parts, offsets = [], [np.zeros(1, np.int64)]
     for path in paths:
@@ -92,6 +92,8 @@ def read_shards(paths: Sequence[Path], labels: np.ndarray) -> Recordings:
             raise ValueError(f"{error}. Remove it, and give the same command again to make it anew") from None
         parts.append(shard)
         offsets.append(offsets[-1][-1] + shard.offsets[1:])
+    if sum(map(len, parts)) != len(labels):
+        raise ValueError(f"{paths[0].parent}: its shards hold {sum(map(len, parts))} windows, expected {len(labels)}")
     columns = {
         name: np.concatenate([np.empty(0, dtype), *(getattr(shard, name) for shard in parts)]).astype(dtype, copy=False)
         for name, dtype in COLUMNS.items()

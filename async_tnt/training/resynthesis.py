@@ -76,7 +76,7 @@ def resynthesize(
         **{name: value for name, value in asdict(settings).items() if name != "recorded"},
     }
     if manifest.exists():
-        there = _read_json(manifest).get("made_from", {})
+        there = _entry(_read_json(manifest), "made_from", manifest)
         differ = [name for name, value in made_from.items() if there.get(name) != value]
         if differ:
             raise other_run(folder, f"motions ({', '.join(differ)})")
@@ -218,33 +218,58 @@ def generator(seed: int, part: str, window: int, variation: int) -> np.random.Ge
 def _open(
     folder: Path, training: Windows, held_out: Windows, chunks: list[_Chunk], settings: MotionSettings
 ) -> Motions:
-    content = _read_json(folder / MANIFEST)
-    rows = {part: [row for chunk in chunks if chunk.part == part for row in _read_json(chunk.paths)] for part in PARTS}
-    found = np.array([row["found"] for row in rows["training"]], bool)
-    moving = np.flatnonzero([row["found"] for row in rows["held-out"]])
+    manifest = folder / MANIFEST
+    content = _read_json(manifest)
+    found = {part: _column(chunks, part, "found", bool) for part in PARTS}
+    moving = np.flatnonzero(found["held-out"])
     moved = read_shards([chunk.shards[0] for chunk in chunks if chunk.part == "held-out"], held_out.labels)
     record = {
         **asdict(settings),
         "windows": len(training),
-        "with_path": int(found.sum()),
+        "with_path": int(found["training"].sum()),
         "held_out_windows": len(held_out),
         "held_out_with_path": len(moving),
-        **{name: content[name] for name in ("length_px", "measured", "match")},
+        **{name: _entry(content, name, manifest) for name in ("length_px", "measured", "match")},
     }
     shards = [chunk.shards for chunk in chunks if chunk.part == "training"]
     return Motions(
         [list(some) for some in zip(*shards, strict=True)],
         training,
-        found,
-        np.array([row["positions"] for row in rows["training"]]),
+        found["training"],
+        _column(chunks, "training", "positions", np.float64),
         Windows(moved, moving, np.zeros(len(moving), np.int64)),
         settings,
         record,
     )
 
 
+def _column(chunks: list[_Chunk], part: str, name: str, dtype: Any) -> np.ndarray:
+    """One entry of all windows of a part."""
+    values = []
+    for chunk in chunks:
+        if chunk.part == part:
+            rows = _read_json(chunk.paths)
+            if not isinstance(rows, list) or len(rows) != len(chunk.windows):
+                raise _damaged(chunk.paths, f"expected {len(chunk.windows)} windows")
+            values += [_entry(row, name, chunk.paths) for row in rows]
+    try:
+        return np.array(values, dtype)
+    except (ValueError, TypeError) as error:
+        raise _damaged(chunks[0].folder / MANIFEST, f"{name}: {error}") from None
+
+
 def _read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path}: damaged ({error}). Remove the folder {path.parent} to start again") from None
+    except (ValueError, RecursionError) as error:
+        raise _damaged(path, error) from None
+
+
+def _entry(content: Any, name: str, path: Path) -> Any:
+    if not isinstance(content, dict) or name not in content:
+        raise _damaged(path, f"no {name}")
+    return content[name]
+
+
+def _damaged(path: Path, what: object) -> ValueError:
+    return ValueError(f"{path}: damaged ({what}). Remove the folder {path.parent} to start again")

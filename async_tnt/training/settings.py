@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from async_tnt.config import TNTConfig
@@ -80,8 +82,7 @@ def settings_for(
     epochs: int | None = None,
     batch: int | None = None,
     patience: int | None = None,
-    augment: bool = True,
-    translate_px: int = 0,
+    augmentation: Mapping[str, Any] | None = MappingProxyType({}),
     **settings: Any,
 ) -> TrainSettings:
     """Settings for a data set of any size: where nothing is given, enough small steps even for few windows.
@@ -90,7 +91,7 @@ def settings_for(
     ----------
     n_windows, n_held_out : windows to train on, and held out.
     patience : 0 trains to the end.
-    augment, translate_px : `Augmentation.for_sensor`, or none.
+    augmentation : fields of `Augmentation` whose values differ from `Augmentation.for_sensor`; None: as recorded.
     settings : others of `TrainSettings`.
     """
     batch = min(64, max(8, n_windows // 32)) if batch is None else batch
@@ -98,7 +99,11 @@ def settings_for(
         epochs = max(20, math.ceil(MIN_STEPS / max(1, math.ceil(n_windows / max(batch, 1)))))
     if patience is None:
         patience = max(5, epochs // 5) if n_held_out else 0
-    augmentation = Augmentation.for_sensor(config, translate_px=translate_px) if augment else None
     return TrainSettings(
-        epochs=epochs, batch=batch, patience=patience or None, augmentation=augmentation, balance=True, **settings
+        epochs=epochs,
+        batch=batch,
+        patience=patience or None,
+        augmentation=None if augmentation is None else Augmentation.for_sensor(config, **augmentation),
+        balance=True,
+        **settings,
     )

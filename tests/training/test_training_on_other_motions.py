@@ -162,11 +162,12 @@ def test_wrong_folders_and_settings_are_refused(windows, made, tmp_path):
     with pytest.raises(ValueError, match=r"held-out_000000_0.*Remove it"):
         resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
     for name in ("motions.json", "training_000000.json"):
-        shutil.rmtree(tmp_path / "torn")
-        shutil.copytree(folder, tmp_path / "torn")
-        (tmp_path / "torn" / name).write_text("{")
-        with pytest.raises(ValueError, match=f"{name}: damaged"):
-            resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
+        for text in ("{", "[]", "{}", "3", "[" * 10_000, json.dumps([{"found": True}] * 5)):
+            shutil.rmtree(tmp_path / "torn")
+            shutil.copytree(folder, tmp_path / "torn")
+            (tmp_path / "torn" / name).write_text(text)
+            with pytest.raises(ValueError, match=f"{name}: damaged"):
+                resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
     for settings, message in (({"variations": 0}, "`variations` must be"), ({"recorded": 1.5}, "`recorded` must be")):
         with pytest.raises(ValueError, match=message):
             MotionSettings(**settings)
