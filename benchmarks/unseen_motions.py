@@ -87,7 +87,7 @@ def _mean(rows: list[dict[str, float]], test: str) -> float:
 def main() -> None:
     """Measure, print and write."""
     parser = script_parser(__doc__, "one seed, few recordings and epochs")
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="data and networks (default: 5)")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="data and networks (default: 3)")
     args = parser.parse_args()
     report = measure(1, 10, 7, ("--epochs", "2")) if args.quick else measure(args.seeds, N_TRAIN, N_TEST)
     for mode, tests in report["accuracy"].items():

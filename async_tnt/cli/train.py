@@ -235,6 +235,7 @@ def _read_dataset(
         batch=args.batch,
         patience=args.patience,
         augmentation=_augmentation(args),
+        resynthesized=args.motions == "resynthesized",
         **given,
     )
     return data, settings, {**sources, "used": list(data.training.recordings.names)}

@@ -12,8 +12,9 @@ from async_tnt.config import TNTConfig
 from async_tnt.training.augment import Augmentation
 
 PRECISIONS = ("float32", "bfloat16")
-MIN_STEPS = 1_500
-"""Optimizer steps on a small data set by default, unless patience ends the training earlier."""
+MIN_STEPS, MIN_STEPS_MOVED = 1_500, 6_000
+"""Optimizer steps on a small data set by default, unless patience ends the training earlier; with other motions, of
+which there is more to learn."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ def settings_for(
     batch: int | None = None,
     patience: int | None = None,
     augmentation: Mapping[str, Any] | None = MappingProxyType({}),
+    resynthesized: bool = False,
     **settings: Any,
 ) -> TrainSettings:
     """Settings for a data set of any size: where nothing is given, enough small steps even for few windows.
@@ -92,11 +94,13 @@ def settings_for(
     n_windows, n_held_out : windows to train on, and held out.
     patience : 0 trains to the end.
     augmentation : fields of `Augmentation` whose values differ from `Augmentation.for_sensor`; None: as recorded.
+    resynthesized : whether the windows are also shown in other motions.
     settings : others of `TrainSettings`.
     """
     batch = min(64, max(8, n_windows // 32)) if batch is None else batch
     if epochs is None:
-        epochs = max(20, math.ceil(MIN_STEPS / max(1, math.ceil(n_windows / max(batch, 1)))))
+        steps = MIN_STEPS_MOVED if resynthesized else MIN_STEPS
+        epochs = max(20, math.ceil(steps / max(1, math.ceil(n_windows / max(batch, 1)))))
     if patience is None:
         patience = max(5, epochs // 5) if n_held_out else 0
     return TrainSettings(
