@@ -23,8 +23,8 @@ from async_tnt.simulation.statistics import describe
 
 REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
 """Of the longest refractory time that the intervals allow."""
-QUANTILES = (0.05, 0.25, 0.5)
-"""Of the intervals that are compared."""
+INTERVALS = ("same-pixel interval, 5 %", "same-pixel interval, median")
+"""The numbers of `describe` that are compared."""
 MOST_STEPS, NEAR_ENOUGH = 8, 0.005
 
 
@@ -63,18 +63,17 @@ def calibrate(
     model = reconstruction.model
     measured = measure_pixels(windows, model.sensor, model.window_us)
     paths, images, recorded = _reconstruct(reconstruction, windows, measured, shared)
-    intervals = _intervals(recorded, model.sensor)
+    cuts = {"sensor": model.sensor, "cuts_us": (0, model.window_us)}
+    target = describe(recorded, **cuts)
     candidates = []
     for share in REFRACTORY_SHARES:
         pixels = SimulatedPixels(replace(measured, refractory_us=share * measured.refractory_us))
         pixels, simulated = _scaled(pixels, images, sum(map(len, recorded)), seed)
-        unlike = np.abs(np.log(_intervals(simulated, model.sensor) / intervals)).sum()
-        candidates.append((float(unlike), pixels, simulated))
-    _, pixels, simulated = min(candidates, key=lambda candidate: candidate[0])
-    numbers = {
-        name: describe(events, sensor=model.sensor, cuts_us=(0, model.window_us))
-        for name, events in (("recorded", recorded), ("resynthesized", simulated))
-    }
+        found = describe(simulated, **cuts)
+        unlike = np.abs([np.log(found[name] / target[name]) for name in INTERVALS]).sum()
+        candidates.append((float(np.nan_to_num(unlike, nan=np.inf)), pixels, found))
+    _, pixels, found = min(candidates, key=lambda candidate: candidate[0])
+    numbers = {"recorded": target, "resynthesized": found}
     return Calibration(pixels, float(np.median([path.length for path in paths])), numbers)
 
 
@@ -118,13 +117,3 @@ def events_of(columns: Columns) -> np.ndarray:
     for name, column in zip("txyp", columns, strict=True):
         events[name] = column
     return events
-
-
-def _intervals(recordings: Sequence[np.ndarray], sensor: tuple[int, int]) -> np.ndarray:
-    """Quantiles of the intervals between a pixel's events, in microseconds."""
-    intervals = []
-    for events in recordings:
-        pixel = events["y"].astype(np.int64) * sensor[0] + events["x"]
-        order = np.argsort(pixel, kind="stable")
-        intervals.append(np.diff(events["t"][order])[np.diff(pixel[order]) == 0])
-    return np.asarray(np.quantile(np.concatenate([np.array([1.0]), *intervals]), QUANTILES))
