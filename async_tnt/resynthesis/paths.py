@@ -97,8 +97,11 @@ class PathFinder:
     def scores(self, band: np.ndarray) -> np.ndarray:
         """Evidence of each path of the dictionary for each of N windows, (N, D)."""
         table, freedom = self._table
-        products = table @ np.ascontiguousarray(band.transpose(1, 2, 0), np.complex64)  # (F, D, N)
-        return (products.real**2 + products.imag**2).sum(0, np.float64).T - freedom
+        explained = np.zeros((len(freedom), len(band)))
+        for one, spectra in zip(table, np.ascontiguousarray(band.transpose(1, 2, 0), np.complex64), strict=True):
+            product = one @ spectra  # of one frequency: (D, N), small enough for the cache
+            explained += product.real**2 + product.imag**2
+        return explained.T - freedom
 
     def refine(self, band: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, float]:
         """The path of the highest evidence near `path`, (K, 2) in cells, for all windows together; and its evidence."""
