@@ -1,7 +1,7 @@
 """What events cannot tell directly, found by simulating the recorded motion again: contrast and refractory time.
 
 Events tell contrast in units of the pixels' thresholds, and each image is smoother than what was seen. So the
-thresholds are scaled until the re-synthesised recorded motion has as many events as the recordings. Intervals between a
+thresholds are scaled until the re-synthesized recorded motion has as many events as the recordings. Intervals between a
 pixel's events only bound its refractory time; of some times within the bound, each with its own scale, the one whose
 intervals are most like the recorded ones is taken.
 """
@@ -30,7 +30,7 @@ MOST_STEPS, NEAR_ENOUGH = 8, 0.005
 
 @dataclass(frozen=True)
 class Calibration:
-    """How events are re-synthesised.
+    """How events are re-synthesized.
 
     Parameters
     ----------

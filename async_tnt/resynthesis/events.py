@@ -28,7 +28,7 @@ MOST_VALUES = 1 << 22
 
 @dataclass(frozen=True)
 class SimulatedPixels:
-    """The sensor that re-synthesised events come from.
+    """The sensor that re-synthesized events come from.
 
     Parameters
     ----------

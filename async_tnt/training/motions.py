@@ -15,7 +15,7 @@ from async_tnt.training.windows import COLUMNS, Recordings, Windows
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """How windows are re-synthesised, and how many of them are shown.
+    """How windows are re-synthesized, and how many of them are shown.
 
     Parameters
     ----------

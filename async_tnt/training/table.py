@@ -55,7 +55,7 @@ class Row:
     config : how events become volumes.
     thesis : the thesis' accuracies in the order of `COLUMNS`; empty for our own rows.
     augmentation : of the training windows.
-    motions : how they are re-synthesised; None: they are not.
+    motions : how they are re-synthesized; None: they are not.
     """
 
     name: str

@@ -2,7 +2,8 @@
 
 Nothing here imports anything of `async_tnt`, or shares code with it: the two are compared with each other.
 Start with `volume.py` (the event volume), then `transform.py` and `landmarks.py` (the Temporal
-Normalization Transform), then `networks.py`. Independent of these: `images.py`, `motion.py`, `saccades.py`.
+Normalization Transform), then `networks.py`. Independent of these: `images.py`, `motion.py`, `saccades.py`,
+`moving_image.py`.
 """
 
 from .images import count_image, count_timestamp_image
