@@ -1,4 +1,4 @@
-"""Objects known in motions that were not recorded: training with and without motion re-synthesis, on made data.
+"""Recognizing objects in motions that were not recorded: with and without motion re-synthesis, on made data.
 
     python benchmarks/unseen_motions.py [--seeds N] [--json FILE]
 

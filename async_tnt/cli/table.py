@@ -20,6 +20,7 @@ from async_tnt.training.table import ROWS, TRAINED_ON
 if TYPE_CHECKING:
     from async_tnt.training.table_data import RealData
 
+PLAIN = [name for name, row in ROWS.items() if row.motions is None]
 DESCRIPTION = """Train and test the networks of the thesis' results table, and print it beside the thesis' numbers.
 
 Rows: the plain event volume (Baseline), TNT about the image centre, TNT about a regressed landmark, and the
@@ -67,7 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave damaged recordings out, with a warning each, instead of stopping",
     )
     what = parser.add_argument_group("what to train")
-    what.add_argument("--rows", nargs="+", choices=list(ROWS), default=list(ROWS), help="default: all of them")
+    what.add_argument(
+        "--rows", nargs="+", choices=list(ROWS), default=PLAIN, help="default: those without re-synthesis"
+    )
     what.add_argument(
         "--trained-on", nargs="+", choices=TRAINED_ON, default=["all", "1"], help="saccades (default: all 1)"
     )

@@ -27,14 +27,23 @@ from async_tnt.simulation.statistics import side_by_side
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
-from async_tnt.training.motions import Motions, MotionSettings
+from async_tnt.training.moved_windows import Motions, MotionSettings
 from async_tnt.training.resynthesis import resynthesize
-from async_tnt.training.run_folder import BEST, CURVES, LAST, RUN_FILES, check_run, plot_curves
+from async_tnt.training.run_folder import (
+    BEST,
+    CURVES,
+    LAST,
+    RUN_FILES,
+    check_run,
+    identity_of,
+    load_checkpoint,
+    plot_curves,
+)
 from async_tnt.training.settings import TrainSettings, settings_for
 
 __all__ = ["add_arguments", "main"]
 
-MOTIONS = "motions"
+MOTIONS, MOTIONS_PICTURE = "motions", "motions.png"
 NUMBERS, PICTURES = ".json", (".curves.png", ".confusion.png")
 TITLES = {
     "validation": "held out",
@@ -79,7 +88,14 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     config = data.config
     print(f"{len(data.training)} windows to train on, {len(data.validation)} held out", file=sys.stderr)
     n_epochs = settings.n_epochs(len(data.training))
-    motions = _motions(args, data, run_folder, n_epochs)
+    motions = None
+    if args.motions == "resynthesized":
+        moving = _motion_settings(args).for_epochs(n_epochs)
+        # refuses another run before the work
+        load_checkpoint(
+            run_folder, identity_of(config, settings, data.training, data.validation, start, data.classes, moving)
+        )
+        motions = _other_motions(args, data, moving, run_folder / MOTIONS)
     result = train(
         config,
         data.training,
@@ -127,7 +143,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         summary["validation"] = found.to_dict()
         scores = Scores(data.classes, found.recording_confusion, found.confusion)
     if motions is not None and len(motions.validation):
-        summary["validation_motions"] = evaluate(pipeline, motions.validation, times_ms=times_ms).to_dict()
+        moved = evaluate(pipeline, motions.validation, times_ms=times_ms).to_dict()
+        summary["validation_motions"] = {name: moved[name] for name in moved if "recording" not in name}
     result.last.save(run_folder / LAST)
     result.best.save(run_folder / BEST)
     plot_curves(result.history, run_folder / CURVES)
@@ -156,32 +173,45 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     return 0
 
 
-def _motions(args: argparse.Namespace, data: TrainingData, run_folder: Path, n_epochs: int) -> Motions | None:
-    """Other motions of the windows to train on, beside the run, with a picture; says what was found."""
-    if args.motions == "recorded":
-        return None
+def _motion_settings(args: argparse.Namespace) -> MotionSettings:
     given = {name: getattr(args, name) for name in ("variations", "recorded") if getattr(args, name) is not None}
-    settings = MotionSettings(**given, shared_path=args.shared_path, seed=args.seed).for_epochs(n_epochs)
-    folder = run_folder / MOTIONS
+    return MotionSettings(**given, shared_path=args.shared_path, seed=args.seed)
+
+
+def _other_motions(args: argparse.Namespace, data: TrainingData, settings: MotionSettings, folder: Path) -> Motions:
+    """Other motions of the windows to train on, with a picture; says what was found."""
     workers = args.workers or available_cores()
     motions = resynthesize(
-        data.training, data.validation, data.config, settings, folder, workers=workers, progress=progress
+        data.training,
+        data.validation,
+        data.config,
+        settings,
+        folder,
+        masked=data.masked,
+        workers=workers,
+        progress=progress,
     )
     record = motions.record
     print(
         f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only\n"
-        f"the recorded motion, as recorded and re-synthesized:\n{side_by_side(record['match'])}",
+        f"recorded windows, and the same motion simulated again:\n{side_by_side(record['match'])}",
         file=sys.stderr,
     )
+    if motions.found.any():
+        _draw_motions(motions, data, folder / MOTIONS_PICTURE)
+    return motions
+
+
+def _draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
+    """Draw some windows where matplotlib is installed."""
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        return motions
+        return
     from async_tnt.training.motion_examples import motion_examples
     from async_tnt.views.figure_resynthesis import write_resynthesis
 
-    write_resynthesis(motion_examples(motions, data.config, data.classes), folder / "motions.png")
-    return motions
+    write_resynthesis(motion_examples(motions, data.config, data.classes), path)
 
 
 def _config(args: argparse.Namespace) -> TNTConfig:
@@ -328,8 +358,8 @@ def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: l
     for name, title in TITLES.items():
         if name in summary:
             found = summary[name]
-            print(
-                f"{title}: {found['per_window']:.4f} of {found['windows']} windows, "
-                f"{found['per_recording']:.4f} of {found['recordings']} recordings right"
-            )
+            by_recording = ""
+            if "recordings" in found:
+                by_recording = f", {found['per_recording']:.4f} of {found['recordings']} recordings"
+            print(f"{title}: {found['per_window']:.4f} of {found['windows']} windows{by_recording} right")
     print(one_line(f"wrote {', '.join(map(str, written))}"))

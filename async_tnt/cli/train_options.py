@@ -38,7 +38,7 @@ examples:
   async-tnt train gestures --out gestures.safetensors          gestures/wave/*.npz, gestures/clap/*.npz, ...
   async-tnt train gestures --sensor 346x260 --grid 44x33 --window-us 200000 --landmark center
   async-tnt train gestures --roi 100,80,64,64 --crop --mask hot.npy    a part of the camera, without hot pixels
-  async-tnt train gestures --motions resynthesized             also know them in motions that were not recorded
+  async-tnt train gestures --motions resynthesized             recognize them in other motions as well
   async-tnt evaluate gestures.safetensors held_out             accuracy on other recordings
   async-tnt train --smoke                          does everything work? seconds, no data needed
   async-tnt train --nmnist N-MNIST --out mine.safetensors
@@ -109,7 +109,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("recorded", "resynthesized"),
         default="recorded",
         help="recorded: as they are. resynthesized: also find each window's path and image, move the image otherwise "
-        "and simulate its events; what was found and made is drawn in RUN/motions.png (default: recorded)",
+        "and simulate its events; what was found and made is drawn in RUN/motions/motions.png (default: recorded)",
     )
     motions.add_argument(
         "--shared-path",
@@ -126,7 +126,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recorded",
         type=float,
         metavar="SHARE",
-        help="of the windows that an epoch shows, those shown as they were recorded; 0 where classes moved differently "
+        help="share of an epoch's windows that are shown as recorded; 0 where each class moved in its own way "
         "(default: 0.25)",
     )
     motions.add_argument(
@@ -282,6 +282,8 @@ def check_options(args: argparse.Namespace) -> None:
     given += [f"--{name}" for name in ("variations", "recorded", "workers") if getattr(args, name) is not None]
     if given and args.motions == "recorded":
         raise ValueError(f"{', '.join(given)} must come with --motions resynthesized")
+    if args.motions == "resynthesized" and args.roi and not args.crop:
+        raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
     if args.dataset is None:
         names = ("sensor", "grid", "window_us", "roi", "crop", "mask")
         given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]

@@ -1,7 +1,7 @@
 """Motion re-synthesis: the events that a recorded object would have given under another motion.
 
 events of a window -> path and image -> another path -> simulated events
-pixels, moving_image   paths, images    motions         events, calibration
+pixels, moving_image   paths, images    random_motions  events, calibration
 """
 
 from async_tnt.resynthesis.calibration import Calibration, calibrate

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.resynthesis.events import MovedImage, SimulatedPixels
 from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, measure_pixels
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, events_of, measure_pixels
 from async_tnt.resynthesis.reconstruction import Reconstruction
 from async_tnt.simulation.statistics import describe
 
@@ -25,6 +24,7 @@ REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
 """Of the longest refractory time that the intervals allow."""
 INTERVALS = ("same-pixel interval, 5 %", "same-pixel interval, median")
 """The numbers of `describe` that are compared."""
+CLOCK_MS = 1e-3  # shorter intervals are 0 in whole microseconds
 MOST_STEPS, NEAR_ENOUGH = 8, 0.005
 
 
@@ -46,7 +46,10 @@ class Calibration:
 
 
 def calibrate(
-    reconstruction: Reconstruction, windows: Sequence[Columns], seed: int, shared: Sequence[MotionPath] | None = None
+    reconstruction: Reconstruction,
+    windows: Sequence[Columns],
+    seed: int,
+    known: Sequence[MotionPath | None] | None = None,
 ) -> Calibration:
     """Calibrate on some windows.
 
@@ -54,7 +57,7 @@ def calibrate(
     ----------
     windows : of recordings; a hundred are enough.
     seed : of the simulation.
-    shared : the path of each window, where paths are shared.
+    known : the path of each window, where paths are shared.
 
     Raises
     ------
@@ -62,16 +65,15 @@ def calibrate(
     """
     model = reconstruction.model
     measured = measure_pixels(windows, model.sensor, model.window_us)
-    paths, images, recorded = _reconstruct(reconstruction, windows, measured, shared)
-    cuts = {"sensor": model.sensor, "cuts_us": (0, model.window_us)}
-    target = describe(recorded, **cuts)
+    paths, images, recorded = _reconstruct(reconstruction, windows, measured, known)
+    target = _numbers(recorded, reconstruction)
     candidates = []
-    for share in REFRACTORY_SHARES:
+    for share in REFRACTORY_SHARES if measured.refractory_us else (0.0,):
         pixels = SimulatedPixels(replace(measured, refractory_us=share * measured.refractory_us))
         pixels, simulated = _scaled(pixels, images, sum(map(len, recorded)), seed)
-        found = describe(simulated, **cuts)
-        unlike = np.abs([np.log(found[name] / target[name]) for name in INTERVALS]).sum()
-        candidates.append((float(np.nan_to_num(unlike, nan=np.inf)), pixels, found))
+        found = _numbers(simulated, reconstruction)
+        unlike = sum(abs(np.log(max(found[name], CLOCK_MS) / max(target[name], CLOCK_MS))) for name in INTERVALS)
+        candidates.append((float(unlike), pixels, found))
     _, pixels, found = min(candidates, key=lambda candidate: candidate[0])
     numbers = {"recorded": target, "resynthesized": found}
     return Calibration(pixels, float(np.median([path.length for path in paths])), numbers)
@@ -81,26 +83,35 @@ def _scaled(
     pixels: SimulatedPixels, images: Sequence[MovedImage], n_events: int, seed: int
 ) -> tuple[SimulatedPixels, list[np.ndarray]]:
     """The pixels whose scale gives as many events under the recorded motion as were recorded, and these events."""
+    ratio = 1.0
     for _ in range(MOST_STEPS):
+        pixels = replace(pixels, scale=pixels.scale * ratio)
         simulated = [image.as_recorded(pixels, np.random.default_rng((seed, i))) for i, image in enumerate(images)]
         ratio = max(1, sum(map(len, simulated))) / n_events
         if abs(ratio - 1) < NEAR_ENOUGH:
             break
-        pixels = replace(pixels, scale=pixels.scale * ratio)
     return pixels, simulated
+
+
+def _numbers(windows: Sequence[np.ndarray], reconstruction: Reconstruction) -> dict[str, float]:
+    """`describe`, without what means nothing of windows that move in different directions."""
+    model = reconstruction.model
+    numbers = describe(windows, sensor=model.sensor, cuts_us=(0, model.window_us))
+    return {
+        name.replace("saccade", "window"): value
+        for name, value in numbers.items()
+        if not name.startswith("ON - OFF centroid")
+    }
 
 
 def _reconstruct(
     reconstruction: Reconstruction,
     windows: Sequence[Columns],
     pixels: MeasuredPixels,
-    shared: Sequence[MotionPath] | None,
+    known: Sequence[MotionPath | None] | None,
 ) -> tuple[list[MotionPath], list[MovedImage], list[np.ndarray]]:
     """Path, image and recorded events of those windows whose path is found."""
-    if shared is None:
-        found = list(reconstruction(windows, pixels))
-    else:
-        found = [(path, reconstruction.image(one, pixels, path)) for one, path in zip(windows, shared, strict=True)]
+    found = reconstruction(windows, pixels, known)
     moving = [(path, image, events_of(one)) for (path, image), one in zip(found, windows, strict=True) if image]
     if not moving:
         raise ValueError(
@@ -109,11 +120,3 @@ def _reconstruct(
         )
     paths, images, recorded = zip(*moving, strict=True)
     return list(paths), list(images), list(recorded)
-
-
-def events_of(columns: Columns) -> np.ndarray:
-    """One window's events as a structured array of `EVENT_DTYPE`."""
-    events = np.empty(len(columns[0]), EVENT_DTYPE)
-    for name, column in zip("txyp", columns, strict=True):
-        events[name] = column
-    return events

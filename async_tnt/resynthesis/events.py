@@ -9,10 +9,10 @@ import numpy as np
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.kernels.moving_image import move_periodic
 from async_tnt.resynthesis.images import centre_of, finer
-from async_tnt.resynthesis.motions import random_motion, random_place
 from async_tnt.resynthesis.moving_image import MovingImage
 from async_tnt.resynthesis.paths import MotionPath
 from async_tnt.resynthesis.pixels import MeasuredPixels
+from async_tnt.resynthesis.random_motions import random_motion, random_place
 from async_tnt.simulation.simulator import PixelModel, simulate
 
 N_PICTURES = 52
@@ -67,13 +67,11 @@ class MovedImage:
         self.model, self.path = model, path
         self._fine = finer(image, FINENESS)
         self._origin = (model.cell - 1) / 2  # the middle of the first cell, in sensor pixels
-        halfway = path.at(np.array([0.5]))[0]
-        self._centre = self._origin + model.cell * centre_of(image)
-        self._halfway = halfway
-        torus = model.cell * np.array(model.shape[::-1])
-        middle = (np.array(model.sensor) - 1) / 2
-        # the torus has no first cell: of the places that are the same there, the one nearest to the sensor
-        self._centre = middle + (self._centre + halfway - middle + torus / 2) % torus - torus / 2
+        self._halfway = path.at(np.array([0.5]))[0]
+        centre = self._origin + model.cell * centre_of(image) + self._halfway
+        torus, middle = model.cell * np.array(model.shape[::-1]), (np.array(model.sensor) - 1) / 2
+        # the torus has no first cell: of the equivalent places, the one nearest to the sensor's centre
+        self._centre = middle + (centre - middle + torus / 2) % torus - torus / 2
 
     def as_recorded(self, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
         """Events under the motion that was recorded."""

@@ -1,6 +1,6 @@
 """The image of a window whose path is known: as sharp as its events tell, and flat where they tell nothing.
 
-    L = argmin  1/2 sum_q h |L - b / h|^2  +  SPARSENESS sum_x |D L|
+    L = argmin  1/2 sum_q h |L - b / h|^2  +  SPARSENESS sum_x |D L|  +  1/2 MEAN_PRECISION |L|^2
 
 with h and b as in `moving_image`. The first term is the likelihood; the second, total variation, prefers few edges to
 many small ones: it removes what noise would otherwise leave everywhere, each bit of which would give events under
@@ -19,7 +19,7 @@ from async_tnt.resynthesis.moving_image import MovingImage
 SPARSENESS = 3.0
 COUPLING = 3.0
 STEPS = 40
-LEVEL = 1e-2
+MEAN_PRECISION = 1e-2
 """Keeps frequencies that nothing is known of, such as the mean, at 0."""
 
 
@@ -39,18 +39,20 @@ def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray, *, s
     forward_x, forward_y = np.exp(1j * qx) - 1.0, (np.exp(1j * qy) - 1.0)[:, None]
     white = model.white_motion(paths, qx, qy)
     b = (white.conj() * spectra).sum(-1)
-    precision = (np.abs(white) ** 2).sum(-1) + LEVEL + COUPLING * (np.abs(forward_x) ** 2 + np.abs(forward_y) ** 2)
-    edges, unpaid = np.zeros((2, 2, len(spectra), *model.shape))  # z, and the multiplier of z = D L
+    precision = (
+        (np.abs(white) ** 2).sum(-1) + MEAN_PRECISION + COUPLING * (np.abs(forward_x) ** 2 + np.abs(forward_y) ** 2)
+    )
+    edges, dual = np.zeros((2, 2, len(spectra), *model.shape))  # z, and the dual variable of z = D L
     for _ in range(steps):
-        along_x, along_y = np.fft.rfft2(edges - unpaid, norm="ortho")
+        along_x, along_y = np.fft.rfft2(edges - dual, norm="ortho")
         spectrum = (b + COUPLING * (forward_x.conj() * along_x + forward_y.conj() * along_y)) / precision
         images = np.fft.irfft2(spectrum, model.shape, norm="ortho")
-        slopes = unpaid
+        slopes = dual
         slopes[0] += np.roll(images, -1, axis=-1) - images
         slopes[1] += np.roll(images, -1, axis=-2) - images
         size = np.sqrt(slopes[0] ** 2 + slopes[1] ** 2)
         edges = slopes * np.maximum(0.0, 1.0 - SPARSENESS / COUPLING / np.maximum(size, 1e-12))
-        unpaid = slopes - edges
+        dual = slopes - edges
     return images
 
 

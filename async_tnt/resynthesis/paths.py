@@ -54,8 +54,9 @@ class MotionPath:
 
     @property
     def length(self) -> float:
-        """Distance between the path's ends, in pixels."""
-        return float(np.hypot(*self.positions[-1]))
+        """Distance between the two places of the path that are the furthest apart, in pixels."""
+        places = np.concatenate([np.zeros((1, 2)), self.positions])
+        return float(np.linalg.norm(places[:, None] - places, axis=2).max())
 
     def at(self, shares: np.ndarray) -> np.ndarray:
         """Displacement at shares of the window, (n, 2), in straight lines between the positions."""
@@ -80,19 +81,16 @@ class PathFinder:
             paths.append(self._path(one, positions, evidence, self._margin(scores), n))
         return paths
 
-    def find_shared(self, band: np.ndarray) -> MotionPath:
-        """The one path of N windows that all move alike; `evidence` and `margin` are those of all together."""
+    def find_shared(self, band: np.ndarray, n_events: Sequence[int]) -> MotionPath:
+        """The one path of N windows that all move alike; events, evidence and margin are those of all together."""
         scores = self.scores(band).sum(0)
         positions, evidence = self.refine(band, self.dictionary[int(scores.argmax())])
         explained = float(np.mean([self.model.explained(one, positions) for one in band]))
-        return MotionPath(positions * self.model.cell, evidence, self._margin(scores), explained, MIN_EVENTS)
+        return MotionPath(positions * self.model.cell, evidence, self._margin(scores), explained, sum(n_events))
 
-    def with_shared(self, path: MotionPath, band: np.ndarray, n_events: Sequence[int]) -> list[MotionPath]:
-        """`path` for each of N windows, with what it explains of each."""
-        positions = path.positions / self.model.cell
-        return [
-            self._path(one, positions, path.evidence, path.margin, n) for one, n in zip(band, n_events, strict=True)
-        ]
+    def of_window(self, path: MotionPath, band: np.ndarray, n_events: int) -> MotionPath:
+        """A path that is known, with what it explains of one window, (F, K)."""
+        return self._path(band, path.positions / self.model.cell, path.evidence, path.margin, n_events)
 
     def scores(self, band: np.ndarray) -> np.ndarray:
         """Evidence of each path of the dictionary for each of N windows, (N, D)."""
@@ -154,7 +152,7 @@ class PathFinder:
 
     def _margin(self, scores: np.ndarray) -> float:
         ends = self.dictionary[:, -1]
-        backwards = ends @ ends[int(scores.argmax())] < 0
+        backwards = ends @ ends[int(scores.argmax())] < -1e-9  # perpendicular ones are not, whatever is rounded
         return float(scores.max() - scores[backwards].max())
 
     def _bending(self, path: np.ndarray) -> float:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from async_tnt.events import EVENT_DTYPE
+
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """t, x, y, p of one window's events, in order; t in microseconds since the window's start."""
 
@@ -42,8 +44,8 @@ def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_u
 
     - Of an image that stays within the sensor, the light of all pixels together ends as it began. So ON and OFF
       events, but for noise, are to each other as their thresholds are not: step_on n_on = step_off n_off.
-    - Noise are events at pixels none of whose eight neighbours has one. Pixels with such are counted, not their
-      events: some pixels fire all the time.
+    - Noise is measured at pixels whose eight neighbours are all silent. Active pixels are counted, not their events,
+      because some pixels fire all the time.
     """
     width, height = sensor
     n_on = n_off = n_lonely = n_quiet = 0
@@ -78,3 +80,11 @@ def neighbours(counts: np.ndarray) -> np.ndarray:
     height, width = counts.shape
     total = sum(framed[i : i + height, j : j + width] for i in range(3) for j in range(3))
     return np.asarray(total - counts)
+
+
+def events_of(columns: Columns) -> np.ndarray:
+    """One window's events as a structured array of `EVENT_DTYPE`."""
+    events = np.empty(len(columns[0]), EVENT_DTYPE)
+    for name, column in zip("txyp", columns, strict=True):
+        events[name] = column
+    return events

@@ -30,23 +30,28 @@ class Reconstruction:
 
     def shared_path(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> MotionPath:
         """The path of windows that all move alike."""
-        return self._finder.find_shared(np.concatenate([band for _, _, band in self._batches(windows, pixels)]))
+        band = np.concatenate([self.model.band_of(spectra) for _, spectra in self._batches(windows, pixels)])
+        return self._finder.find_shared(band, [len(t) for t, _, _, _ in windows])
 
     def __call__(
-        self, windows: Sequence[Columns], pixels: MeasuredPixels, shared: MotionPath | None = None
+        self, windows: Sequence[Columns], pixels: MeasuredPixels, known: Sequence[MotionPath | None] | None = None
     ) -> Iterator[tuple[MotionPath, MovedImage | None]]:
         """Path of each window, and its image where the path may be relied on.
 
         Parameters
         ----------
-        shared : the path of all of them; by default each window's is found from its own events alone.
+        known : the path of each window, where it is known; the others are found from the window's own events alone.
         """
-        for some, spectra, band in self._batches(windows, pixels):
-            n_events = [len(t) for t, _, _, _ in some]
-            if shared is None:
-                paths = self._finder.find(band, n_events)
-            else:
-                paths = self._finder.with_shared(shared, band, n_events)
+        for first, spectra in self._batches(windows, pixels):
+            band = self.model.band_of(spectra)
+            n_events = [len(t) for t, _, _, _ in windows[first : first + BATCH]]
+            given = [None] * len(band) if known is None else known[first : first + BATCH]
+            unknown = [i for i, path in enumerate(given) if path is None]
+            found = iter(self._finder.find(band[unknown], [n_events[i] for i in unknown]))
+            paths = [
+                next(found) if path is None else self._finder.of_window(path, one, n)
+                for path, one, n in zip(given, band, n_events, strict=True)
+            ]
             moving = np.flatnonzero([path.found for path in paths])
             positions = np.array([paths[i].positions for i in moving]).reshape(-1, N_FRAMES, 2) / self.model.cell
             images = dict(zip(moving, find_images(self.model, spectra[moving], positions), strict=True))
@@ -58,11 +63,7 @@ class Reconstruction:
         spectra = self.model.spectra(self.model.frames([window], pixels))
         return MovedImage(self.model, find_images(self.model, spectra, path.positions[None] / self.model.cell)[0], path)
 
-    def _batches(
-        self, windows: Sequence[Columns], pixels: MeasuredPixels
-    ) -> Iterator[tuple[Sequence[Columns], np.ndarray, np.ndarray]]:
-        """Windows, their spectra, and the part of them that paths are found by."""
+    def _batches(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> Iterator[tuple[int, np.ndarray]]:
+        """The number of a batch's first window, and the spectra of its windows."""
         for first in range(0, len(windows), BATCH):
-            some = windows[first : first + BATCH]
-            spectra = self.model.spectra(self.model.frames(some, pixels))
-            yield some, spectra, self.model.band_of(spectra)
+            yield first, self.model.spectra(self.model.frames(windows[first : first + BATCH], pixels))

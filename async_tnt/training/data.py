@@ -29,6 +29,7 @@ class TrainingData:
     record : the recordings, for the model's record.
     tests : name in the model's record -> windows, and more for that entry of the record.
     held_out : names of the recordings to validate on.
+    masked : bool, (H, W): pixels of the sensor whose events were left out; None: no pixel.
     left_out : which recordings were left out and why, one line each.
     notes : what else a user should know, one line each.
     """
@@ -40,6 +41,7 @@ class TrainingData:
     record: dict[str, Any]
     tests: Mapping[str, tuple[Windows, dict[str, Any]]] = field(default_factory=dict)
     held_out: tuple[str, ...] = ()
+    masked: np.ndarray | None = None
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -111,6 +113,7 @@ def dataset_data(
         record,
         tests,
         tuple(recordings.names[r] for r in held_out),
+        _masked(pixels, dataset),
         tuple(left_out),
         tuple(notes),
     )
@@ -177,6 +180,16 @@ def sample_data(config: TNTConfig) -> TrainingData:
     windows = make_windows(read_samples(), config.window_us)
     record = {"source": "the ten bundled samples, for training and validation (smoke)"}
     return TrainingData(config, CLASSES, windows, windows, record)
+
+
+def _masked(pixels: PixelSelection, dataset: Dataset) -> np.ndarray | None:
+    if pixels.mask is None:
+        return None
+    mask = pixels.mask.pixels(dataset.camera)
+    if pixels.crop and pixels.roi is not None:
+        x, y, width, height = pixels.roi
+        mask = mask[y : y + height, x : x + width]
+    return np.asarray(mask, bool)
 
 
 def _notes(dataset: Dataset, where: str) -> list[str]:

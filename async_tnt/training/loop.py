@@ -19,7 +19,7 @@ from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
 from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
-from async_tnt.training.motions import Motions
+from async_tnt.training.moved_windows import Motions
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
@@ -131,6 +131,7 @@ def train(
                 n_right += int((logits.argmax(1) == target).sum())
                 n_seen += len(windows)
                 bar.update(title=f"epoch {epoch + 1}/{n_epochs}")
+            del windows, draws, batches  # the events of an epoch, before those of the next are read
             history.append(
                 {
                     "epoch": epoch + 1,
@@ -142,7 +143,8 @@ def train(
             )
             if motions is not None:
                 moved = _validate(pipeline, motions.validation, balance=settings.balance)
-                history[-1] |= {f"motions_{name}": value for name, value in moved.items()}
+                of_windows = {name: value for name, value in moved.items() if name != "per_recording"}
+                history[-1] |= {f"motions_{name}": value for name, value in of_windows.items()}
             if _is_best(history, by_loss=settings.patience is not None):
                 best_epoch = epoch + 1
                 best = {name: w.detach().clone() for name, w in pipeline.state_dict().items()}

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.resynthesis.calibration import events_of
 from async_tnt.resynthesis.events import SimulatedPixels, shares
 from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.pixels import MeasuredPixels
+from async_tnt.resynthesis.pixels import MeasuredPixels, events_of
 from async_tnt.resynthesis.reconstruction import Reconstruction
-from async_tnt.training.motions import Motions
+from async_tnt.training.moved_windows import Motions
 from async_tnt.training.resynthesis import generator
 from async_tnt.views.figure_resynthesis import ResynthesizedWindow
 
@@ -27,8 +26,8 @@ def motion_examples(motions: Motions, config: TNTConfig, classes: tuple[str, ...
 
 
 def _example(motions: Motions, reconstruction: Reconstruction, i: int, classes: tuple[str, ...]) -> ResynthesizedWindow:
-    measured = MeasuredPixels(**motions.record["measured"]["measured"])
-    pixels = SimulatedPixels(measured, motions.record["measured"]["scale"])
+    measured = MeasuredPixels(**motions.record["pixels"]["measured"])
+    pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
     columns = motions.training.events(i, reconstruction.model.window_us)
     found = MotionPath(motions.paths[i], evidence=0.0, margin=np.inf, explained=1.0, n_events=len(columns[0]))
     image = reconstruction.image(columns, measured, found)

@@ -83,7 +83,7 @@ def identity_of(
 
 
 def windows_checksum(training: Windows, validation: Windows) -> int:
-    """A checksum of windows, and of some of their events."""
+    """A checksum of windows, and of some of the training recordings' events."""
     data = zlib.crc32(training.recordings.offsets.tobytes())
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):

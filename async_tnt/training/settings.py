@@ -13,8 +13,8 @@ from async_tnt.training.augment import Augmentation
 
 PRECISIONS = ("float32", "bfloat16")
 MIN_STEPS, MIN_STEPS_MOVED = 1_500, 6_000
-"""Optimizer steps on a small data set by default, unless patience ends the training earlier; with other motions, of
-which there is more to learn."""
+"""Optimizer steps on a small data set by default, unless patience ends the training earlier; more with other motions,
+which take longer to learn."""
 
 
 @dataclass(frozen=True)

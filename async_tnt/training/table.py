@@ -5,7 +5,7 @@ network, the optimizer and the augmentation, which thins events at random and mo
 trained on one motion must see no other. Only TNT+regress gets random translations, as in the thesis.
 
 Rows with re-synthesis also see their training windows under other motions (`resynthesis`). That is augmentation, which
-the thesis does not have: they answer what recordings of one motion can teach, not what a network infers from it.
+the thesis does not have: they show what recordings of one motion can teach, not what a network infers by itself.
 
 `t_max` is the same in all rows: of 2, 3, 4 and 8 the one with the lowest loss on held-out digits of the training motion
 (docs/results.md has the numbers); the thesis has B - 1 = 8.
@@ -26,7 +26,7 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.training.augment import Augmentation
-from async_tnt.training.motions import MotionSettings
+from async_tnt.training.moved_windows import MotionSettings
 
 T_MAX = 2.0
 AUGMENTATION = Augmentation(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0.3, partial=0)
@@ -87,8 +87,8 @@ ROWS = {
             TNTConfig(landmark="line", remove_flow=True, polarity="unsigned", t_max=T_MAX),
         ),
         Row("baseline-motions", "Baseline + re-synthesis", RAW, motions=MotionSettings()),
-        Row("baseline-shared", "the same, shared path", RAW, motions=MotionSettings(shared_path=True)),
-        Row("baseline-moved", "the same, no window as recorded", RAW, motions=MotionSettings(recorded=0.0)),
+        Row("baseline-shared", "Re-synthesis, shared path", RAW, motions=MotionSettings(shared_path=True)),
+        Row("baseline-moved", "Re-synthesis only", RAW, motions=MotionSettings(recorded=0.0)),
         Row(
             "running-motions",
             "`running` + re-synthesis",

@@ -20,7 +20,7 @@ from async_tnt.progress import progress
 from async_tnt.simulation.moving_mnist import open_set
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.loop import train
-from async_tnt.training.motions import Motions
+from async_tnt.training.moved_windows import Motions
 from async_tnt.training.pipeline import Pipeline, pipeline_of
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.run_folder import CURVES, plot_curves

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -101,36 +100,31 @@ class Windows:
 
     def events(self, i: int, window_us: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """t, x, y, p of window `i`; t int64, microseconds since the window's start."""
-        recordings, r = self.recordings, self.recording[i]
-        whole = slice(int(recordings.offsets[r]), int(recordings.offsets[r + 1]))
-        first, last = whole.start + np.searchsorted(recordings.t[whole], self.start_us[i] + np.array([0, window_us]))
-        t = recordings.t[first:last] - self.start_us[i]
-        return t, recordings.x[first:last], recordings.y[first:last], recordings.p[first:last]
+        some, recordings = self._slice(i, 0, window_us), self.recordings
+        t = recordings.t[some].astype(np.int64) - self.start_us[i]
+        return t, recordings.x[some], recordings.y[some], recordings.p[some]
 
-    def compact(self) -> Windows:
-        """The same windows, on a copy of their own recordings alone."""
-        used, place = np.unique(self.recording, return_inverse=True)
-        all_of, offsets = self.recordings, self.recordings.offsets
-        parts = [slice(int(offsets[r]), int(offsets[r + 1])) for r in used]
-        columns = {
-            name: np.concatenate([getattr(all_of, name)[:0], *(getattr(all_of, name)[part] for part in parts)])
-            for name in COLUMNS
-        }
-        sizes = offsets[used + 1] - offsets[used]
-        return Windows(
-            Recordings(
-                **columns,
-                offsets=np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)]),
-                labels=all_of.labels[used],
-                names=tuple(all_of.names[r] for r in used),
-            ),
-            place.astype(np.int64),
-            self.start_us,
-        )
+    def cut(self, window_us: int, margin_us: int = 0) -> Windows:
+        """The same windows, each on a recording of its own: a copy of its events and those in a margin around it."""
+        parts = [self._slice(i, -margin_us, window_us + margin_us) for i in range(len(self))]
+        columns = {}
+        for name in COLUMNS:
+            column = getattr(self.recordings, name)
+            columns[name] = np.concatenate([column[:0], *(column[part] for part in parts)])
+        sizes = np.array([part.stop - part.start for part in parts], np.int64)
+        columns["t"] = (columns["t"] - np.repeat(self.start_us - margin_us, sizes)).astype(COLUMNS["t"])
+        offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes)])
+        names = tuple(self.recordings.names[r] for r in self.recording)
+        one_each = Recordings(**columns, offsets=offsets, labels=self.labels, names=names)
+        return Windows(one_each, np.arange(len(self)), np.full(len(self), margin_us, np.int64))
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        compact = self.compact()  # another process needs the events of these windows only
-        return Windows, (compact.recordings, compact.recording, compact.start_us)
+    def _slice(self, i: int, from_us: int, until_us: int) -> slice:
+        """Events of window `i`'s recording between two times since the window's start."""
+        r, t = self.recording[i], self.recordings.t
+        first, last = int(self.recordings.offsets[r]), int(self.recordings.offsets[r + 1])
+        bounds = np.clip(self.start_us[i] + np.array([from_us, until_us]), 0, np.iinfo(t.dtype).max)
+        start, stop = first + np.searchsorted(t[first:last], bounds.astype(t.dtype))  # of its type: else t is copied
+        return slice(int(start), int(stop))
 
 
 def split_recordings(

@@ -59,7 +59,11 @@ def test_image_costs_least(seed):
 
     def cost(image):
         return reference.image_cost(
-            image, torch.tensor(frames[0]), torch.tensor(path), sparseness=images.SPARSENESS, level=images.LEVEL
+            image,
+            torch.tensor(frames[0]),
+            torch.tensor(path),
+            sparseness=images.SPARSENESS,
+            level=images.MEAN_PRECISION,
         )
 
     best = torch.zeros(MODEL.shape, dtype=torch.float64, requires_grad=True)

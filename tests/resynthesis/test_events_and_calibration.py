@@ -5,8 +5,8 @@ import pytest
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
 
 from async_tnt.resynthesis import Reconstruction, calibrate
-from async_tnt.resynthesis.motions import random_motion, random_place
 from async_tnt.resynthesis.pixels import measure_pixels
+from async_tnt.resynthesis.random_motions import random_motion, random_place
 from async_tnt.simulation.simulator import PixelModel
 
 SHARES = np.linspace(0, 1, 52)
@@ -54,7 +54,7 @@ def test_the_recorded_motion_is_matched(calibrated):
     """Events within 2 %, active pixels within 15 %, intervals within 20 %."""
     recorded_, again = (calibrated[2].match[name] for name in ("recorded", "resynthesized"))
     for name, within in {
-        "events per saccade": 0.02,
+        "events per window": 0.02,
         "active pixels": 0.15,
         "same-pixel interval, 5 %": 0.2,
         "same-pixel interval, median": 0.2,

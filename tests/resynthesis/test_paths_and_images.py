@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight, together
 
-from async_tnt.resynthesis import Reconstruction
+from async_tnt.resynthesis import MotionPath, Reconstruction
 from async_tnt.resynthesis.paths import minimum_jerk
 from async_tnt.resynthesis.pixels import MeasuredPixels
 from async_tnt.simulation.simulator import PixelModel, simulate
@@ -55,6 +55,13 @@ def test_a_curved_path_is_followed(reconstruction):
     assert np.median(off) < 1.2
 
 
+def test_the_length_of_a_path_that_returns_is_how_far_it_went():
+    u = np.linspace(0, 1, 17)[1:]
+    there_and_back = MotionPath(np.stack([6 * np.sin(np.pi * u), 0 * u], 1), 0.0, 0.0, 0.0, 0)
+    assert there_and_back.length == pytest.approx(6)
+    assert MotionPath(np.outer(u, (3, -4)), 0.0, 0.0, 0.0, 0).length == pytest.approx(5)
+
+
 def test_windows_that_share_a_path_find_it_together(reconstruction):
     rng = np.random.default_rng(6)
     windows = [recorded(blobs(rng), straight((5.0, -3.0)), rng) for _ in range(24)]
@@ -62,7 +69,7 @@ def test_windows_that_share_a_path_find_it_together(reconstruction):
     own = [np.linalg.norm(path.positions[-1] - (5, -3)) for path, _ in reconstruction(windows, PIXELS)]
     error = np.linalg.norm(shared.positions[-1] - (5, -3))
     assert error < 0.5 and error < np.median(own)
-    for path, image in reconstruction(windows, PIXELS, shared):
+    for path, image in reconstruction(windows, PIXELS, [shared] * 24):
         assert path.found and image is not None
         np.testing.assert_array_equal(path.positions, shared.positions)
 

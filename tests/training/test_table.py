@@ -144,7 +144,7 @@ def test_rows_with_resynthesis(nmnist, moving, tmp_path, program):
     words += ["--nmnist", nmnist, "--simulated", moving, "--iterations", 4, "--batch", 16, "--workers", 1]
     code, printed, _ = program("table", *words)
     record = json.loads((tmp_path / "results.json").read_text())
-    assert code == 0 and "the same, no window as recorded" in printed and "confounded/all" in printed
+    assert code == 0 and "Re-synthesis only" in printed and "confounded/all" in printed
     motions = record["rows"]["baseline-moved"]["motions"]["confounded"]
     assert motions["windows"] == 40 == motions["with_path"] and motions["variations"] == 2  # no more than epochs
     assert record["rows"]["baseline"]["motions"] == {}
@@ -170,6 +170,7 @@ def test_smoke_makes_its_own_motions(nmnist, mnist, tmp_path, program, monkeypat
 
 def test_errors_are_one_line(nmnist, mnist, tmp_path, monkeypatch, program):
     monkeypatch.delenv("TNT_DATA", raising=False)
+    monkeypatch.chdir(tmp_path)
     seen = shutil.copytree(nmnist, tmp_path / "seen")
     for k, path in enumerate(sorted(seen.glob("Train/*/*.bin"))):  # of test images from the first on
         path.rename(path.with_name(f"{60_001 + k}-{path.name}"))

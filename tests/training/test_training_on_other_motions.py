@@ -11,7 +11,7 @@ pytest.importorskip("torch")
 
 from async_tnt import EVENT_DTYPE, TNTConfig, load_model
 from async_tnt.simulation.shards import open_shard
-from async_tnt.training.loop import batches_of, train
+from async_tnt.training.loop import batches_of, epochs_since_best, train
 from async_tnt.training.motion_examples import motion_examples
 from async_tnt.training.resynthesis import MotionSettings, resynthesize
 from async_tnt.training.settings import TrainSettings
@@ -72,7 +72,7 @@ def test_every_window_but_noise_has_other_motions(windows, made):
     np.testing.assert_allclose(motions.paths[1:20:2, -1], np.tile([0, 6], (10, 1)), atol=1.6)
     shard = open_shard(folder / "training_000005_1.safetensors")
     assert len(shard) == 5 and shard.image.tolist() == [5, 6, 7, 8, 9] and shard.duration_us == WINDOW_US
-    assert shard.labels.tolist() == windows[0].labels[5:10].tolist() and shard.flow.shape == (5, 51, 2)
+    assert shard.flow.shape == (5, 51, 2)
     assert np.diff(shard.offsets).min() > 50
 
 
@@ -90,8 +90,8 @@ def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(wind
     resynthesize(*windows, CONFIG, SETTINGS, folder)
 
 
-def test_a_recordings_path_and_motions_do_not_depend_on_those_after_it(windows, made, tmp_path, monkeypatch):
-    """All but the pixels, which are measured on all of them."""
+def test_paths_hardly_depend_on_the_other_windows(windows, made, tmp_path):
+    """By the pixels alone, which are measured on all of them."""
     motions, _ = made
     fewer = resynthesize(windows[0][:12], windows[1][:0], CONFIG, SETTINGS, tmp_path / "fewer")
     np.testing.assert_allclose(fewer.paths, motions.paths[:12], atol=0.6)
@@ -150,6 +150,45 @@ def test_training_mixes_them_and_is_validated_on_other_motions(windows, made, tm
         train(CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"))
 
 
+def test_the_best_epoch_has_the_lowest_loss_in_other_motions():
+    first = [{"validation_loss": 1.0, "motions_validation_loss": 2.0}]
+    second = [{"validation_loss": 2.0, "motions_validation_loss": 1.0}]
+    assert epochs_since_best(first + second) == 0 and epochs_since_best(second + first) == 1
+
+
+def test_masked_pixels_stay_silent(windows, tmp_path):
+    masked = np.zeros((34, 34), bool)
+    masked[10:20, 12] = True
+    motions = resynthesize(windows[0][:6], windows[1][:0], CONFIG, MotionSettings(2), tmp_path / "m", masked=masked)
+    recordings = motions.show(0, np.arange(6), np.random.default_rng(0)).recordings
+    moved = slice(int(recordings.offsets[-7]), None)
+    assert not masked[recordings.y[moved], recordings.x[moved]].any() and len(recordings.t[moved]) > 1_000
+    with pytest.raises(ValueError, match=r"other motions \(mask\)"):
+        resynthesize(windows[0][:6], windows[1][:0], CONFIG, MotionSettings(2), tmp_path / "m")
+
+
+def test_nothing_that_moves_alike_is_an_error(tmp_path):
+    rng = np.random.default_rng(0)
+    events = [np.rec.fromarrays(noise(rng, 500), EVENT_DTYPE) for _ in range(5)]
+    still = Windows(Recordings.from_events(events, np.zeros(5)), np.arange(5), np.zeros(5, np.int64))
+    for shared in (False, True):
+        with pytest.raises(ValueError, match="no motion was found in any of 5 windows"):
+            resynthesize(still, still[:0], CONFIG, MotionSettings(2, shared_path=shared), tmp_path / "still")
+
+
+def test_windows_are_cut_out_of_their_recordings():
+    events = np.rec.fromarrays([np.arange(0, 1_000, 10), *np.ones((3, 100), int)], EVENT_DTYPE)
+    windows = Windows(Recordings.from_events([events], [3]), np.zeros(3, np.int64), np.array([0, 300, 900]))
+    cut = windows.cut(200, 50)
+    assert cut.start_us.tolist() == [50, 50, 50] and cut.labels.tolist() == [3, 3, 3]
+    assert np.diff(cut.recordings.offsets).tolist() == [25, 30, 15]
+    for i in range(3):
+        for got, expected in zip(cut.events(i, 200), windows.events(i, 200), strict=True):
+            np.testing.assert_array_equal(got, expected)
+            assert got.dtype == expected.dtype
+    assert cut.events(1, 200)[0].tolist() == list(range(0, 200, 10))
+
+
 def test_wrong_folders_and_settings_are_refused(windows, made, tmp_path):
     _, folder = made
     with pytest.raises(ValueError, match=r"run with other motions \(variations\)"):
@@ -168,6 +207,8 @@ def test_wrong_folders_and_settings_are_refused(windows, made, tmp_path):
             (tmp_path / "torn" / name).write_text(text)
             with pytest.raises(ValueError, match=f"{name}: damaged"):
                 resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
+    with pytest.raises(ValueError, match="`window_us` must be at least 104"):
+        resynthesize(*windows, CONFIG.replace(window_us=100), SETTINGS, tmp_path / "short")
     for settings, message in (({"variations": 0}, "`variations` must be"), ({"recorded": 1.5}, "`recorded` must be")):
         with pytest.raises(ValueError, match=message):
             MotionSettings(**settings)
@@ -178,7 +219,8 @@ def test_examples_are_those_that_were_made(windows, made):
     examples = motion_examples(motions, CONFIG, ("a", "b"))
     assert [example.name for example in examples] == ["a", "b"]
     shard = open_shard(folder / "training_000000_0.safetensors")
-    np.testing.assert_allclose(len(examples[0].others[0]), np.diff(shard.offsets)[0], rtol=0.1)
+    flow = np.diff(examples[0].motions[1], axis=0) / (WINDOW_US / 51 * 1e-6)
+    np.testing.assert_allclose(flow, shard.flow[0], rtol=1e-3, atol=1e-3)
     assert len(examples[0].others) == 2 and len(examples[0].motions) == 3
 
 
@@ -206,7 +248,7 @@ def test_the_command(classes, tmp_path, program):
     words += ["--workers", 1, "--out", tmp_path / "m.safetensors", "--run", tmp_path / "run"]
     code, printed, err = program(*words, "--json")
     assert code == 0 and "motion found in 20 of 20 windows" in err and "in other motions" in err
-    assert "events per saccade" in err
+    assert "events per window" in err
     summary = json.loads(printed)
     assert summary["motions"]["with_path"] == 20 and summary["validation_motions"]["windows"] == 4
     assert load_model(tmp_path / "m.safetensors").record["motions"]["recorded"] == 0.25
@@ -214,7 +256,13 @@ def test_the_command(classes, tmp_path, program):
     code, printed, _ = program(*words)
     assert code == 0 and "held out, in other motions: " in printed
     code, _, err = program(*words, "--shared-path")
-    assert code == 2 and "other motions (shared_path)" in err
+    assert code == 2 and "holds a run with other motions" in err
+    words[words.index("--run") + 1] = tmp_path / "recorded"
+    plain = [word for word in words if word not in ("--motions", "resynthesized", "--variations", 2, "--workers", 1)]
+    assert program(*plain)[0] == 0
+    code, _, err = program(*words)
+    assert code == 2 and "holds a run with other motions" in err
+    assert not (tmp_path / "recorded" / "motions").exists()
 
 
 @pytest.mark.parametrize(
@@ -222,6 +270,7 @@ def test_the_command(classes, tmp_path, program):
     [
         (["--shared-path"], "--shared-path must come with --motions resynthesized"),
         (["--workers", "2", "--recorded", "0"], "--recorded, --workers must come with --motions resynthesized"),
+        (["--motions", "resynthesized", "--roi", "0,0,9,9"], "--roi must come with --crop"),
         (["--motions", "resynthesized", "--recorded", "2"], "`recorded` must be in [0, 1], got 2.0"),
     ],
 )

@@ -52,6 +52,7 @@ class Motions:
     found : bool, (N,): which of them have other motions.
     paths : float64, (N, K, 2): how they moved, see `MotionPath.positions`.
     validation : the windows that are held out, under another motion each; those whose path was found.
+    window_us : length of the windows.
     settings : how they were made.
     record : how many paths were found, what was measured, and how well it matches, for a model's record.
     """
@@ -61,20 +62,21 @@ class Motions:
     found: np.ndarray
     paths: np.ndarray
     validation: Windows
+    window_us: int
     settings: MotionSettings
     record: dict[str, Any]
 
     def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
         """The windows `order` as an epoch shows them: under another motion, or as they were recorded."""
         is_moved = self.found[order] & (rng.random(len(order)) >= self.settings.recorded)
-        recorded, moved = self.training[order[~is_moved]].compact(), self._variation(epoch % self.settings.variations)
+        recorded = self.training[order[~is_moved]].cut(
+            self.window_us, self.window_us // 10
+        )  # augmentation moves its start
+        moved = read_shards(self.shards[epoch % self.settings.variations], self.training.labels)
         recording, start_us = np.zeros((2, len(order)), np.int64)
         recording[~is_moved], start_us[~is_moved] = recorded.recording, recorded.start_us
         recording[is_moved] = len(recorded.recordings) + order[is_moved]
         return Windows(recorded.recordings + moved, recording, start_us)
-
-    def _variation(self, variation: int) -> Recordings:
-        return read_shards(self.shards[variation], self.training.labels)
 
 
 def read_shards(paths: Sequence[Path], labels: np.ndarray) -> Recordings:
@@ -89,7 +91,7 @@ def read_shards(paths: Sequence[Path], labels: np.ndarray) -> Recordings:
         try:
             shard = open_shard(path)
         except ValueError as error:
-            raise ValueError(f"{error}. Remove it, and give the same command again to make it anew") from None
+            raise ValueError(f"{error}. Remove it and give the same command again") from None
         parts.append(shard)
         offsets.append(offsets[-1][-1] + shard.offsets[1:])
     if sum(map(len, parts)) != len(labels):
