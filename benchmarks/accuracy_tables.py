@@ -82,8 +82,8 @@ def unseen_motion() -> str:
     moved = results("resynthesis_first")["table"]["baseline-motions"]["1/all"]["mean"]
     return (
         f"Trained on one saccade and tested on all three, the accuracy is {found['baseline']} untransformed, "
-        f"{found['running']} with `running`, and {found['line']} with `line` and its flow removed. With an "
-        f"augmentation, [motion re-synthesis](docs/guide.md#motions-that-were-not-recorded), it is {moved:.2f} untransformed."
+        f"{found['running']} with `running`, and {found['line']} with `line` and its flow removed. With "
+        f"[re-synthesis](docs/guide.md#motions-that-were-not-recorded), an augmentation, it is {moved:.2f} untransformed."
     ).replace(" 0.", " .")
 
 
