@@ -83,7 +83,7 @@ def unseen_motion() -> str:
     return (
         f"Trained on one saccade and tested on all three, the accuracy is {found['baseline']} untransformed, "
         f"{found['running']} with `running`, and {found['line']} with `line` and its flow removed. With "
-        f"[re-synthesis](docs/guide.md#motions-that-were-not-recorded), an augmentation, it is {moved:.2f} untransformed."
+        f"[re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions it is {moved:.2f} untransformed."
     ).replace(" 0.", " .")
 
 

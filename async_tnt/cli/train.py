@@ -17,33 +17,27 @@ from async_tnt.archive.scores import Scores
 from async_tnt.cli.data_options import command_words, data_folder
 from async_tnt.cli.options import size_of
 from async_tnt.cli.output import complain, one_line
+from async_tnt.cli.train_motions import other_motions
 from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_writable, write_text
 from async_tnt.networks.model import Model, load_model
-from async_tnt.process import available_cores
 from async_tnt.progress import progress
-from async_tnt.simulation.statistics import side_by_side
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
-from async_tnt.training.moved_windows import Motions, MotionSettings
-from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.run_folder import (
     BEST,
     CURVES,
     LAST,
     RUN_FILES,
     check_run,
-    identity_of,
-    load_checkpoint,
     plot_curves,
 )
 from async_tnt.training.settings import TrainSettings, settings_for
 
 __all__ = ["add_arguments", "main"]
 
-MOTIONS, MOTIONS_PICTURE = "motions", "motions.png"
 NUMBERS, PICTURES = ".json", (".curves.png", ".confusion.png")
 TITLES = {
     "validation": "held out",
@@ -88,14 +82,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     config = data.config
     print(f"{len(data.training)} windows to train on, {len(data.validation)} held out", file=sys.stderr)
     n_epochs = settings.n_epochs(len(data.training))
-    motions = None
-    if args.motions == "resynthesized":
-        moving = _motion_settings(args).for_epochs(n_epochs)
-        # refuses another run before the work
-        load_checkpoint(
-            run_folder, identity_of(config, settings, data.training, data.validation, start, data.classes, moving)
-        )
-        motions = _other_motions(args, data, moving, run_folder / MOTIONS)
+    motions = other_motions(args, data, settings, start, run_folder)
     result = train(
         config,
         data.training,
@@ -171,47 +158,6 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         print(f"left out: {line}", file=sys.stderr)
     _print_summary(summary, args, written)
     return 0
-
-
-def _motion_settings(args: argparse.Namespace) -> MotionSettings:
-    given = {name: getattr(args, name) for name in ("variations", "recorded") if getattr(args, name) is not None}
-    return MotionSettings(**given, shared_path=args.shared_path, seed=args.seed)
-
-
-def _other_motions(args: argparse.Namespace, data: TrainingData, settings: MotionSettings, folder: Path) -> Motions:
-    """Other motions of the windows to train on, with a picture; says what was found."""
-    workers = args.workers or available_cores()
-    motions = resynthesize(
-        data.training,
-        data.validation,
-        data.config,
-        settings,
-        folder,
-        masked=data.masked,
-        workers=workers,
-        progress=progress,
-    )
-    record = motions.record
-    print(
-        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only\n"
-        f"recorded windows, and the same motion simulated again:\n{side_by_side(record['match'])}",
-        file=sys.stderr,
-    )
-    if motions.found.any():
-        _draw_motions(motions, data, folder / MOTIONS_PICTURE)
-    return motions
-
-
-def _draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
-    """Draw some windows where matplotlib is installed."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        return
-    from async_tnt.training.motion_examples import motion_examples
-    from async_tnt.views.figure_resynthesis import write_resynthesis
-
-    write_resynthesis(motion_examples(motions, data.config, data.classes), path)
 
 
 def _config(args: argparse.Namespace) -> TNTConfig:
