@@ -66,7 +66,7 @@ def main(args: argparse.Namespace) -> int:
     try:
         return _train(args, run_folder)
     except KeyboardInterrupt:
-        complain(f"interrupted; the finished epochs are kept in {run_folder}. Give the same command again to resume.")
+        complain(f"interrupted; what is finished is kept in {run_folder}. Give the same command again to resume.")
         return 130
 
 
