@@ -8,7 +8,7 @@ from page_parts import percent, results, short, table
 
 from async_tnt import load_model
 from async_tnt.simulation.statistics import UNITS
-from async_tnt.training.table import ROWS, markdown_table, motions_table
+from async_tnt.training.table import COLUMNS, ROWS, markdown_table, motions_table
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
 
@@ -88,7 +88,15 @@ def unseen_motion() -> str:
 
 
 def resynthesis() -> str:
-    return markdown_table(_resynthesis())
+    merged = _resynthesis()
+    columns = [column for column in COLUMNS if any(column in found for found in merged.values())]
+    rows = [[ROWS[name].title, *(_accuracy(found.get(column)) for column in columns)] for name, found in merged.items()]
+    return table(["", *columns], rows)
+
+
+def _accuracy(found: dict[str, Any] | None) -> str:
+    """.982 ± .001"""
+    return "" if found is None else f"{found['mean']:.3f} ± {found['deviation']:.3f}".replace("0.", ".")
 
 
 def _resynthesis() -> dict[str, Any]:
