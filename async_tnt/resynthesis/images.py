@@ -23,7 +23,7 @@ MEAN_PRECISION = 1e-2
 """Keeps frequencies that nothing is known of, such as the mean, at 0."""
 
 
-def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray, *, steps: int = STEPS) -> np.ndarray:
+def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray) -> np.ndarray:
     """The images of N windows where they are at their window's start.
 
     Parameters
@@ -43,7 +43,7 @@ def find_images(model: MovingImage, spectra: np.ndarray, paths: np.ndarray, *, s
         (np.abs(white) ** 2).sum(-1) + MEAN_PRECISION + COUPLING * (np.abs(forward_x) ** 2 + np.abs(forward_y) ** 2)
     )
     edges, dual = np.zeros((2, 2, len(spectra), *model.shape))  # z, and the dual variable of z = D L
-    for _ in range(steps):
+    for _ in range(STEPS):
         along_x, along_y = np.fft.rfft2(edges - dual, norm="ortho")
         spectrum = (b + COUPLING * (forward_x.conj() * along_x + forward_y.conj() * along_y)) / precision
         images = np.fft.irfft2(spectrum, model.shape, norm="ortho")

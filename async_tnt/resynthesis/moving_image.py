@@ -14,8 +14,9 @@ displacement only multiplies each spatial frequency q by a phase, so that the fr
     h = a^* V^-1 a,  b = a^* V^-1 c            E(L | c, r) = b / (h + Q)
     log p(c | r) - log p(c | no image) = 1/2 sum_q |b|^2 / (h + Q) - log(1 + h / Q)
 
-The last line is the *evidence* of a path: it rises with what the path explains, for every image at once, and falls with
-the freedom that the path leaves to the image. Frequencies above `BAND` tell little about the path and are left out.
+The last line is the *evidence* of a path. It grows with the signal that the path explains, averaged over all images,
+and shrinks with the freedom that the path leaves to the image. Frequencies above `BAND` tell little about the path and
+are left out.
 """
 
 from __future__ import annotations

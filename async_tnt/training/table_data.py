@@ -102,15 +102,10 @@ def saccade(windows: Windows) -> np.ndarray:
     return windows.start_us // WINDOW_US
 
 
-def on_first_saccade(windows: Windows) -> Windows:
-    """Those of the first saccade."""
-    return windows[saccade(windows) == 0]
-
-
 def trained_on(windows: Windows, name: str) -> Windows:
     """The windows that a network trained on `all`, on `1`, the first saccade, or on `confounded` sees."""
     if name == "1":
-        return on_first_saccade(windows)
+        return windows[saccade(windows) == 0]
     if name == "confounded":
         return windows[saccade(windows) == CONFOUNDED[windows.labels]]
     return windows

@@ -13,7 +13,6 @@ from async_tnt.simulation.moving_mnist import build, open_set  # noqa: E402
 from async_tnt.training.table import COLUMNS, ROWS, aggregate, markdown_table, motions_table, text_table  # noqa: E402
 from async_tnt.training.table_data import (  # noqa: E402
     RealFolder,
-    on_first_saccade,
     saccade,
     shown_test_images,
     trained_on,
@@ -52,7 +51,7 @@ def test_real_windows_by_saccade(nmnist):
     assert data.description["split"].startswith("not the official one")
     counts = [data.description[f"{part}_recordings"] for part in ("training", "held_out", "test")]
     assert counts == [30, 10, 10] and np.bincount(saccade(data.test)).tolist() == [10, 10, 10]
-    assert len(on_first_saccade(data.training)) == 30
+    assert len(trained_on(data.training, "1")) == 30
     assert not set(data.training.recording) & set(data.held_out.recording)
     assert data.seen_images.tolist() == list(range(5, 45))
 
