@@ -72,6 +72,29 @@ def digits_tried() -> str:
     return table([*head, "20 ms", "30 ms", "50 ms"], rows)
 
 
+def digits_tried_motions() -> str:
+    """The trainings with motion re-synthesis, beside the model of before."""
+    rows = []
+    for number, run in enumerate(_record()["tried_with_motions"]):
+        found, start = run["validation"], run["started_from"]
+        rows.append(
+            [
+                str(number),
+                "" if start is None else str(start),
+                f"{run['t_max']:g}",
+                f"{run['simulated_recordings']:,}",
+                f"{100 * (1 - run['recorded']):g} %",
+                f"{100 * run['partial']:g} %",
+                str(run["epochs"]),
+                *(f"{100 * found[name]:.1f}" for name in ("per_window", "per_recording")),
+                *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "40")),
+                f"{100 * run['validation_motions']:.1f}",
+            ]
+        )
+    head = ["", "continues", "t_max", "simulated", "other motions", "cut early", "epochs", "window", "recording"]
+    return table([*head, "20 ms", "30 ms", "40 ms", "in other motions"], rows)
+
+
 def thesis() -> str:
     return markdown_table(results("table")["table"])
 
@@ -79,7 +102,7 @@ def thesis() -> str:
 def unseen_motion() -> str:
     """A sentence."""
     found = {name: f"{columns['1/all']['mean']:.2f}" for name, columns in results("table")["table"].items()}
-    moved = results("resynthesis_first")["table"]["baseline-motions"]["1/all"]["mean"]
+    moved = results("resynthesis_own")["table"]["baseline-motions"]["1/all"]["mean"]
     return (
         f"Trained on one saccade and tested on all three, the accuracy is {found['baseline']} untransformed, "
         f"{found['running']} with `running`, and {found['line']} with `line` and its flow removed. With "
@@ -102,7 +125,7 @@ def _accuracy(found: dict[str, Any] | None) -> str:
 def _resynthesis() -> dict[str, Any]:
     """Row -> column -> accuracies, of several commands."""
     merged: dict[str, Any] = {}
-    for name in ("first", "shared", "all", "confounded"):
+    for name in ("own", "shared", "confounded"):
         for row, columns in results(f"resynthesis_{name}")["table"].items():
             merged[row] = {**merged.get(row, {}), **columns}
     return {row: merged[row] for row in ROWS if row in merged}
@@ -122,7 +145,7 @@ def resynthesis_worst() -> str:
 
 def resynthesis_match() -> str:
     """How well the recorded motion is matched, and how many paths were found."""
-    motions = results("resynthesis_first")["rows"]["baseline-motions"]["motions"]["1"]
+    motions = results("resynthesis_own")["rows"]["baseline-motions"]["motions"]["1"]
     names = [name for name in motions["match"]["recorded"] if not name.startswith("ON - OFF")]
     units = {name: f", {UNITS[name.split(',')[0]]}" if name.split(",")[0] in UNITS else "" for name in names}
     rows = [
@@ -249,6 +272,7 @@ TABLES = (
     digits_against_time,
     digits_confusion,
     digits_tried,
+    digits_tried_motions,
     thesis,
     unseen_motion,
     motions_1_all,

@@ -36,7 +36,7 @@ def text_of(svg):
 @pytest.mark.parametrize(
     "figure, labels",
     {
-        "overview": ["3.bin: “3”, mean", "after TNT (running, t_max 3)", "event volume of window 1", "every 2.5 ms"],
+        "overview": ["3.bin: “3”, mean", "after TNT (running, t_max 4)", "event volume of window 1", "every 2.5 ms"],
         "probabilities": ["“3”", "window 3", "class probability", "time in the recording (ms)"],
         "motions": ["window 1: moving down", "window 2: moving up", "y, after TNT v (px)", "52 ms"],
         "pipeline": ["landmark: running", "class probabilities", "64 to 10 fully connected"],
