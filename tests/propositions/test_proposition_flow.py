@@ -46,6 +46,31 @@ def test_proposition_1_in_x_y_and_t():
     assert min(difference(moving, still.roll(by, (1, 2))) for by in shifts) >= 2
 
 
+def sheared(volume, flow):
+    """L_v of a volume (..., B, H, W): bin k moved by k times `flow`, (x, y) in whole pixels per bin."""
+    return torch.stack([v.roll((k * flow[1], k * flow[0]), (-2, -1)) for k, v in enumerate(volume.unbind(-3))], -3)
+
+
+def test_a_convolution_with_sheared_filters_is_equivariant_to_flow():
+    """V(L_v e) * L_v phi = L_v (V(e) * phi): Proposition 1 is about filters that stay as they are.
+
+    With (V * phi)[b, y, x] = sum phi[d, i, j] V[b + d, y + i, x + j], shearing both moves the sum's terms only.
+    """
+    per_bin = (2, -1)  # FLOW, in pixels per bin
+    volumes = [event_volume(**square(v), **AT, dtype=torch.float64)[None, None] for v in ((0, 0), FLOW)]
+    assert difference(volumes[1], sheared(volumes[0], per_bin)) < 1e-12
+    phi = torch.zeros(1, 1, 3, 13, 13, dtype=torch.float64)  # 3 x 3 x 3 inside, so that sheared it stays inside
+    phi[..., 5:8, 5:8] = torch.randn(3, 3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    still, moving, same_filter = (
+        F.conv3d(volume, filters, padding=(0, 6, 6))
+        for volume, filters in zip((volumes[0], volumes[1], volumes[1]), (phi, sheared(phi, per_bin), phi), strict=True)
+    )
+    inner = (..., slice(12, -12), slice(4, -20))  # what rolling round the border does not reach
+    assert still[inner].abs().max() > 1
+    assert difference(moving[inner], sheared(still, per_bin)[inner]) < 1e-12
+    assert difference(same_filter[inner], sheared(still, per_bin)[inner]) > 1
+
+
 @pytest.mark.parametrize("fixed", ["center", (30.5, 25.25)], ids=str)
 def test_proposition_2_event_by_event(fixed):
     """TNT(L_v e) = TNT(e) + v / t_max, for each event, at any place, time and fixed landmark; to 1e-12 px.
@@ -94,6 +119,42 @@ def test_proposition_2_for_the_volume(polarity):
     assert moving.abs().sum().item() == pytest.approx(still.abs().sum().item())  # nothing fell off
     assert difference(moving, translated(still)) < 1e-12
     assert difference(moving, still) >= 1
+
+
+def test_a_3d_convolution_of_the_transform_is_equivariant_to_flow():
+    """V(TNT(L_v e)) * phi = L_{v / t_max} (V(TNT(e)) * phi), for filters over x, y and t; without TNT it is not."""
+    phi = torch.randn(4, 1, 3, 3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    options = dict(AT, dtype=torch.float64)
+    still, moving = (
+        F.conv3d(tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX)[None, None], phi)
+        for v in ((0, 0), FLOW)
+    )
+    assert still.abs().max() > 1 and difference(moving, translated(still)) < 1e-12
+    still, moving = (F.conv3d(event_volume(**square(v), **options)[None, None], phi) for v in ((0, 0), FLOW))
+    assert difference(moving, translated(still)) > 1
+
+
+def test_proposition_2_asks_for_a_motion_that_starts_at_the_landmark():
+    """An object that passes the centre at half time is translated as one that started elsewhere: not as itself.
+
+    With d(f) = v (f - 1/2) about a fixed landmark, u = [the object at rest] + v / t_max - v / (2 t_max f). The last
+    term depends on time. About the centroid it vanishes, as all translations do.
+    """
+    g = torch.Generator().manual_seed(3)
+    t = torch.randint(WINDOW_US // 8, WINDOW_US + 1, (500,), generator=g).sort().values
+    x, y = torch.rand(2, 500, generator=g, dtype=torch.float64) * 10 + 23
+    f, v = t.double() / WINDOW_US, 6.0
+    settings = dict(start_us=0, window_us=WINDOW_US, sensor=SENSOR, grid=SENSOR, t_max=T_MAX)
+    still, from_centre, through_centre = (
+        tnt_coordinates(t, x + d, y, **settings, landmark="center").u for d in (0.0, v * f, v * (f - 0.5))
+    )
+    assert (from_centre - still - v / T_MAX).abs().max() < 1e-12
+    assert (through_centre - still - v / T_MAX + v / (2 * T_MAX * f)).abs().max() < 1e-12
+    assert (through_centre - still).max() - (through_centre - still).min() > v / T_MAX
+    from_centre, through_centre = (
+        tnt_coordinates(t, x + d, y, **settings, landmark="running").u for d in (v * f, v * (f - 0.5))
+    )
+    assert (from_centre - through_centre).abs().max() < 1e-9
 
 
 def test_proposition_2_in_the_stream():
