@@ -19,6 +19,7 @@ from async_tnt.progress import progress
 from async_tnt.simulation.comparison import compare, recordings_by_image
 from async_tnt.simulation.motions import KINDS
 from async_tnt.simulation.moving_mnist import build
+from async_tnt.simulation.scene import Scene
 from async_tnt.simulation.set_manifest import MANIFEST, MovingMnist
 from async_tnt.simulation.statistics import side_by_side
 from async_tnt.sources.files.nmnist import write_nmnist
@@ -39,6 +40,8 @@ examples:
   async-tnt simulate --mnist MNIST --out moving --digits 20        a first look: seconds
   async-tnt simulate --mnist MNIST --out moving-test               the whole test set
   async-tnt simulate --mnist MNIST --out bells --motions bell      the same paths, with a saccade's speed
+  async-tnt simulate --mnist MNIST --out thesis --motions constant-from-centre --bright-on-dark
+                                                                   as the thesis seems to have moved its digits
   async-tnt simulate --mnist MNIST --out moving --digits 20 --bin as-nmnist
   async-tnt run as-nmnist/000deg-5px/7/00001.bin
 MNIST is the folder with train-images-idx3-ubyte.gz, t10k-images-idx3-ubyte.gz and their labels.
@@ -55,8 +58,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--motions",
         choices=KINDS,
         default="constant",
-        help="constant: 30 constant velocities; bell: the same 30 paths with the speed of a saccade; nmnist: "
-        "N-MNIST's three saccades, 308 ms (default: %(default)s)",
+        help="constant: 30 constant velocities; bell: the same 30 paths with the speed of a saccade; both pass the "
+        "sensor's centre at half time, or start there (-from-centre); nmnist: N-MNIST's three saccades, 308 ms "
+        "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--bright-on-dark",
+        action="store_true",
+        help="bright strokes on a dark background; without it dark on bright, as N-MNIST",
     )
     parser.add_argument("--digits", type=positive_int, metavar="N", help="the first N images (default: all)")
     parser.add_argument("--seed", type=seed_number, default=0, help="of all randomness (default: 0)")
@@ -99,6 +108,7 @@ def main(args: argparse.Namespace) -> int:
             digits=args.digits,
             seed=args.seed,
             workers=args.workers,
+            scene=Scene(dark_on_bright=not args.bright_on_dark),
         )
         seconds = time.monotonic() - started
         if args.bin is not None:

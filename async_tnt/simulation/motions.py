@@ -4,7 +4,9 @@ The thesis moves each digit of MNIST in 30 ways, but gives neither directions no
 directions of 0, 36, ... 324 degrees (0 to the right, 90 downwards: y grows downwards) and distances of 3, 5
 and 8 pixels in one window of 105 ms, 29 to 76 px/s. N-MNIST's own saccades cover about 5 px in such a window.
 Each motion is a straight line through the centre at half time, so the mean position of a digit is the same for all
-motions, and a network cannot tell them apart by it.
+motions, and a network cannot tell them apart by it. As these pass the landmark at half time, TNT about the image centre
+does not turn them into translations (Proposition 2 asks for a motion that starts at the landmark). Motions from the
+centre do start there; the thesis seems to have used such motions, of constant velocity.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ import numpy as np
 
 from async_tnt.simulation.trajectories import ConstantVelocity, Saccade, Saccades, Trajectory, nmnist_saccades
 
-KINDS = ("constant", "bell", "nmnist")
+FROM_CENTRE = "-from-centre"
+KINDS = ("constant", "bell", "constant" + FROM_CENTRE, "bell" + FROM_CENTRE, "nmnist")
 DIRECTIONS_DEG = tuple(range(0, 360, 36))
 DISTANCES_PX = (3, 5, 8)
 WINDOW_US = 105_000
@@ -35,7 +38,8 @@ class Motion:
     Attributes
     ----------
     kind : "constant" velocity; "bell", the same displacement with the bell-shaped speed of a saccade (minimum
-        jerk: at rest at both ends, 15/8 of its mean speed halfway); or "nmnist", N-MNIST's three saccades.
+        jerk: at rest at both ends, 15/8 of its mean speed halfway); "constant-from-centre" and "bell-from-centre",
+        the same from the sensor's centre on; or "nmnist", N-MNIST's three saccades.
     index : place in `motions_of(kind)`; part of every recording's seed.
     name : such as "036deg-5px"; names sort like indices.
     direction_deg, distance_px : direction and length of the displacement; None for "nmnist".
@@ -55,7 +59,7 @@ class Motion:
     @property
     def flow_times_us(self) -> np.ndarray:
         """Times to sample the optical flow at, int64, shape (K,): half time alone where the flow is constant."""
-        if self.kind == "constant":
+        if self.kind.removesuffix(FROM_CENTRE) == "constant":
             return np.array([self.duration_us // 2], np.int64)
         return np.arange(0, self.duration_us + 1, FLOW_STEP_US, dtype=np.int64)
 
@@ -67,7 +71,7 @@ class Motion:
         Parameters
         ----------
         rng : draws the delays of N-MNIST's saccades; the other kinds do not use it.
-        image, sensor : sizes (width, height) in pixels. At half time the image is in the sensor's centre.
+        image, sensor : sizes (width, height) in pixels. The image is in the sensor's centre at half time, or at first.
             N-MNIST's path, which was measured on its 34 x 34 pixels, is moved with the centre.
         """
         centre = ((sensor[0] - image[0]) / 2, (sensor[1] - image[1]) / 2)
@@ -76,17 +80,19 @@ class Motion:
             start = (saccades.start[0] + (centre[0] - 3.0), saccades.start[1] + (centre[1] - 3.0))
             return dataclasses.replace(saccades, start=start)
         assert self.direction_deg is not None and self.distance_px is not None  # for mypy: only "nmnist" has none
-        if self.kind == "constant":
+        from_centre = self.kind.endswith(FROM_CENTRE)
+        if self.kind.startswith("constant"):
             speed = self.distance_px / (self.duration_us * 1e-6)
-            return ConstantVelocity.towards(self.direction_deg, speed, centre=centre, duration_us=self.duration_us)
+            motion = ConstantVelocity.towards(self.direction_deg, speed, centre=centre, duration_us=self.duration_us)
+            return dataclasses.replace(motion, start=centre) if from_centre else motion
         angle = math.radians(self.direction_deg)
         dx, dy = self.distance_px * math.cos(angle), self.distance_px * math.sin(angle)
-        start = (centre[0] - dx / 2, centre[1] - dy / 2)
+        start = centre if from_centre else (centre[0] - dx / 2, centre[1] - dy / 2)
         return Saccades(start, (Saccade(0, self.duration_us, dx, dy),), self.duration_us)
 
 
 def motions_of(kind: str = "constant") -> tuple[Motion, ...]:
-    """All motions of a kind, by index: 30 of "constant" and of "bell", direction by direction, one of "nmnist".
+    """All motions of a kind, by index: one of "nmnist", 30 of the others, direction by direction.
 
     Raises
     ------
