@@ -180,6 +180,25 @@ def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, mo
     assert f"> {border}\n" in THEORY
 
 
+def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path, monkeypatch, capsys):
+    """The figure of the theory: no error about the centre in any layer, and large ones without the transform."""
+    pytest.importorskip("matplotlib")
+    script = ROOT / "docs" / "figures" / "equivariance.py"
+    monkeypatch.setattr(sys, "argv", ["equivariance.py", "--picture", str(tmp_path / "equivariance.png")])
+    runpy.run_path(str(script), run_name="__main__")
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()[2:]]
+    found = {(name, layer): [float(error) for error in errors] for name, layer, *errors in rows}
+    assert len(found) == 25 and all(errors[0] == 0 for errors in found.values())
+    for (name, layer), errors in found.items():
+        if name == "TNT, center":
+            assert max(errors) == 0
+        elif name == "raw":
+            assert errors[-1] > 0.5
+        else:
+            assert 0 < errors[-1] < found["raw", layer][-1]
+    assert (tmp_path / "equivariance.png").stat().st_size > 10_000
+
+
 def test_the_committed_table_is_that_of_the_code():
     pytest.importorskip("torch")
     from async_tnt.training.table import COLUMNS, ROWS
