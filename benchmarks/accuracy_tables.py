@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 from page_parts import percent, results, short, table
@@ -156,6 +157,32 @@ def resynthesis_match() -> str:
     return found + table(["first saccade", "recorded", "simulated again"], rows)
 
 
+def edges() -> str:
+    """Events by the angle between edge and motion."""
+    found = results("edges")
+    angles = found["angles_deg"]
+    rows = [
+        [
+            f"{low}-{high}°",
+            f"{found['events_per_gradient'][k] / found['events_per_gradient'][0]:.2f}",
+            f"{found['cosine'][k] / found['cosine'][0]:.2f}",
+            f"{100 * found['polarity_as_expected'][k]:.0f} %",
+        ]
+        for k, (low, high) in enumerate(pairwise(angles))
+    ]
+    return table(["between gradient and motion", "events", "cosine", "of the expected polarity"], rows)
+
+
+def polarity() -> str:
+    """How signed and unsigned images of two saccades correlate."""
+    rows = [
+        [pair.replace("-", " and "), f"{of['angle_deg']:.0f}°"]
+        + [f"{of[name]:+.2f}".replace("0.", ".", 1) for name in ("signed", "expected", "unsigned")]
+        for pair, of in results("edges")["between_saccades"].items()
+    ]
+    return table(["saccades", "angle", "signed", "of -v · grad L", "unsigned"], rows)
+
+
 def unseen_objects() -> str:
     accuracy = results("unseen_motions")["accuracy"]
     tests = list(accuracy["recorded"])
@@ -282,4 +309,6 @@ TABLES = (
     resynthesis_worst,
     resynthesis_match,
     unseen_objects,
+    edges,
+    polarity,
 )

@@ -156,10 +156,11 @@ def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) 
     missing = sum(not path.is_file() for path in made.shards)
     if missing and not allow_incomplete:
         p = made.parameters
+        bright = "" if p["simulator"]["scene"]["dark_on_bright"] else " --bright-on-dark"
         raise ValueError(
             f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: async-tnt simulate "
             f"--mnist MNIST --out {folder} --split {p['split']} --motions {p['kind']} --digits {p['digits']} "
-            f"--seed {p['seed']}"
+            f"--seed {p['seed']}{bright}"
         )
     return dataclasses.replace(made, missing=missing)
 

@@ -10,9 +10,13 @@ import json
 import numpy as np
 import pytest
 from bench.scripts import FOLDER, load_benchmark
+from small_sets import write_small_mnist
 
 from async_tnt import load_model
 from async_tnt.checking.moments import bench_recordings, windows_of
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.sources.files.nmnist import write_nmnist
 
 DIGITS = load_model("digits")
 decisions, touched = map(load_benchmark, ("decisions", "measure_touched"))
@@ -110,3 +114,25 @@ def test_more_new_events_touch_more_and_the_whole_network_by_hand():
         assert 0 < found[n]["changed"]["pooled_1"] <= found[n]["reached"]["pooled_1"]
     assert multiplications[-1] == 4 * 289 * 9 * 9 * 16 + 4 * 64 * 9 * 16 * 32 + 64 * 32 * 64 + 64 * 10
     assert found["whole"]["weight_bytes"] == 4 * (9 * 9 * 16 + 9 * 16 * 32 + 64 * 32 * 64 + 64 * 10)
+
+
+# -- edges.py --------------------------------------------------------------------------------------------
+
+
+def test_events_fall_with_the_angle_between_edge_and_motion(tmp_path):
+    """On simulated recordings in N-MNIST's layout: numbered from 1, as the images that they show."""
+    edges = load_benchmark("edges")
+    mnist = write_small_mnist(tmp_path, 20)
+    images, labels = load_mnist(mnist, "train")
+    for i, (image, label) in enumerate(zip(images, labels, strict=True)):
+        path = tmp_path / "nmnist" / "Train" / str(label) / f"{i + 1:05}.bin"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_nmnist(path, simulate_digit(image, np.random.default_rng(i)))
+    report = edges.measure(tmp_path / "nmnist", mnist, 20)
+    events, right = report["events_per_gradient"], report["polarity_as_expected"]
+    assert report["recordings"] == 20 and min(right[:4]) > 0.9 > right[-1]
+    assert events[0] > events[3] > 2 * events[5]
+    assert events[3] / events[0] == pytest.approx(report["cosine"][3] / report["cosine"][0], abs=0.15)
+    for found in report["between_saccades"].values():
+        assert 100 < found["angle_deg"] < 130
+        assert found["signed"] == pytest.approx(found["expected"], abs=0.2) and found["unsigned"] > 0.3

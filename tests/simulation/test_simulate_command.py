@@ -10,6 +10,7 @@ from waiting import until
 
 from async_tnt.cli import simulate as command
 from async_tnt.simulation.moving_mnist import build, open_set
+from async_tnt.simulation.shards import open_shard
 from async_tnt.sources.files.nmnist import read_nmnist
 
 ALONG = "ON - OFF centroid, along the motion"
@@ -43,6 +44,19 @@ def test_a_small_set_with_everything(simulate, tmp_path):
             path = binary / shard.metadata["motion"]["name"] / str(digit) / f"{number:05}.bin"
             np.testing.assert_array_equal(read_nmnist(path), shard.recording(i))
     assert len(list(binary.rglob("*.*"))) == 90
+
+
+def test_bright_digits_that_start_at_the_centre(simulate, tmp_path):
+    assert simulate("--digits", 2, "--motions", "constant-from-centre", "--bright-on-dark")[0] == 0
+    made = open_set(tmp_path / "set")
+    assert made.parameters["kind"] == "constant-from-centre"
+    assert made.parameters["simulator"]["scene"]["dark_on_bright"] is False
+    path, place = made.locate(0, 0)  # to the right: ON events lead
+    events = open_shard(path).recording(place)
+    assert events["x"][events["p"] == 1].mean() > events["x"][events["p"] == 0].mean()
+    path.unlink()
+    with pytest.raises(ValueError, match=r"--motions constant-from-centre --digits 2 --seed 0 --bright-on-dark$"):
+        open_set(tmp_path / "set")
 
 
 def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(simulate, tmp_path):
