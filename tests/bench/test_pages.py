@@ -60,7 +60,7 @@ def test_statements_of_the_results_page_hold():
     assert 9 < alone[0.95]["evaluations_until"] / every_ms[0.95]["evaluations_until"] < 12
     assert 0.9 < every_ms[0.95]["mean_ms"] - alone[0.95]["mean_ms"] < 2.1
     assert alone[0.99]["at_end"] > 0.5
-    assert all(alone[level]["soon"] < 0.03 and alone[level]["soon_accuracy"] == 1 for level in (0.8, 0.9, 0.95))
+    assert all(alone[level]["soon"] < 0.04 and alone[level]["soon_accuracy"] >= 0.99 for level in (0.8, 0.9, 0.95))
     noise = {row["settings"]["confidence"]: row["closed_early"] for row in early["noise"]}
     assert noise[0.5] > 0.9 and noise[0.95] < 0.05
     assert early["recordings"] == 1000 and early["windows_a_recording"] == 3
