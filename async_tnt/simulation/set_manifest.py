@@ -76,6 +76,9 @@ class MovingMnist:
 
 
 def other_parameters(path: Path, name: str, there: object, asked: object) -> ValueError:
+    while isinstance(there, dict) and isinstance(asked, dict):  # down to what differs
+        name = next(key for key in {**there, **asked} if there.get(key) != asked.get(key))
+        there, asked = there.get(name), asked.get(name)
     return ValueError(
         f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give the same, or another "
         "folder"

@@ -54,6 +54,8 @@ def test_bright_digits_that_start_at_the_centre(simulate, tmp_path):
     path, place = made.locate(0, 0)  # to the right: ON events lead
     events = open_shard(path).recording(place)
     assert events["x"][events["p"] == 1].mean() > events["x"][events["p"] == 0].mean()
+    code, _, err = simulate("--digits", 2, "--motions", "constant-from-centre")
+    assert code == 2 and "made with other parameters: dark_on_bright is False, requested True. Give the same" in err
     path.unlink()
     with pytest.raises(ValueError, match=r"--motions constant-from-centre --digits 2 --seed 0 --bright-on-dark$"):
         open_set(tmp_path / "set")
