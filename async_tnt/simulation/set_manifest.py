@@ -115,6 +115,8 @@ def read_manifest(folder: Path) -> MovingMnist:
         width, height = parameters["sensor"]
         if type(width) is not int or type(height) is not int:
             raise ValueError(f"`sensor` must be two whole numbers, got {parameters['sensor']}")
+        if type(parameters["simulator"]["scene"]["dark_on_bright"]) is not bool:
+            raise ValueError("`dark_on_bright` must be true or false")
         moving = motions_of(parameters["kind"])
         names = shard_names(moving, parameters["digits"], parameters["recordings_per_shard"])
         if content["motions"] != [dataclasses.asdict(motion) for motion in moving] or content["shards"] != names:

@@ -14,6 +14,7 @@ translated by single pixels.
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -85,8 +86,6 @@ def _error(moved: torch.Tensor, still: torch.Tensor, flow: int) -> float:
 
 
 def draw(found: dict[str, np.ndarray], path: str) -> None:
-    from pathlib import Path
-
     from async_tnt.views.figure_style import TEXT, axes_at, headline, new_figure, save, styled
 
     with styled():
