@@ -15,7 +15,6 @@ if TYPE_CHECKING:  # for type checkers and editors; `X as X` re-exports
     from async_tnt.config import TNTConfig as TNTConfig
     from async_tnt.decision import Counts as Counts
     from async_tnt.decision import Decision as Decision
-    from async_tnt.deferred_landmark import ReplayBufferFull as ReplayBufferFull
     from async_tnt.events import EVENT_DTYPE as EVENT_DTYPE
     from async_tnt.networks.compiled import CompiledClassifier as CompiledClassifier
     from async_tnt.networks.compiled import CompiledRegressor as CompiledRegressor
@@ -23,6 +22,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `X as X` re-exports
     from async_tnt.networks.model import bundled_models as bundled_models
     from async_tnt.networks.model import load_model as load_model
     from async_tnt.processor import Processor as Processor
+    from async_tnt.replay_buffer import ReplayBufferFull as ReplayBufferFull
     from async_tnt.sources.background_reader import BackgroundReader as BackgroundReader
     from async_tnt.sources.files.recording import open_recording as open_recording
     from async_tnt.sources.pixel_filter import PixelFilter as PixelFilter
@@ -44,7 +44,7 @@ if not TYPE_CHECKING:  # type checkers use the imports above; __getattr__ would 
             "compile_ahead": "warmup",
             "config": "TNTConfig",
             "decision": "Counts Decision",
-            "deferred_landmark": "ReplayBufferFull",
+            "replay_buffer": "ReplayBufferFull",
             "events": "EVENT_DTYPE",
             "networks.compiled": "CompiledClassifier CompiledRegressor",
             "networks.model": "Model bundled_models load_model",

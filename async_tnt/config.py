@@ -13,7 +13,9 @@ LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
 TRANSFORMS = ("tnt", "none")
 MAX_SIDE = 1 << 15
+WINDOW_US = 105_000
 MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
+MAX_WINDOW_EVENTS = 1 << 30
 MAX_CELLS = 1 << 31
 
 
@@ -26,7 +28,10 @@ class TNTConfig:
     sensor : the camera's pixels.
     grid : the volume's pixels; a sensor of another size is mapped onto it corner to corner.
     bins : B, time bins of the volume.
-    window_us : length of a window in microseconds.
+    window_us : length of a window in microseconds; by default 105,000, one saccade of N-MNIST.
+    window_events : windows of so many events instead, as in the thesis' second way of slicing. Such a window begins
+        with an event, and times are scaled by its newest one, which is known only when the volume is read: the events
+        are stored, and replayed then. `window_us` is the longest that it may last, by default an hour.
     t_max : TNT time at the end of a window. An object shrinks by this factor until then; a smaller value loses
         fewer events over the border early in the window.
     landmark : the point that events are normalized about: `center` of the grid, `running` centroid of the window's
@@ -54,12 +59,13 @@ class TNTConfig:
     sensor: tuple[int, int] = (34, 34)
     grid: tuple[int, int] = (34, 34)
     bins: int = 9
-    window_us: int = 105_000
+    window_us: int = None  # type: ignore[assignment]  # set below; a whole number from then on
     t_max: float = 8.0
     landmark: str = "running"
     polarity: str = "signed"
     transform: str = "tnt"
     remove_flow: bool = False
+    window_events: int | None = None
 
     def __post_init__(self) -> None:
         for name in ("sensor", "grid"):
@@ -70,7 +76,12 @@ class TNTConfig:
             object.__setattr__(self, name, side)
             if not all(2 <= s <= MAX_SIDE for s in side):
                 raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {side}")
-        for name, low, high in (("bins", 1, 1024), ("window_us", 1, MAX_WINDOW_US)):
+        if self.window_us is None:
+            object.__setattr__(self, "window_us", WINDOW_US if self.window_events is None else MAX_WINDOW_US)
+        ranges = {"bins": (1, 1024), "window_us": (1, MAX_WINDOW_US)}
+        if self.window_events is not None:
+            ranges["window_events"] = (1, MAX_WINDOW_EVENTS)
+        for name, (low, high) in ranges.items():
             value = getattr(self, name)
             if not is_whole(value):
                 raise TypeError(f"`{name}` must be a whole number, got {value!r}")
@@ -116,9 +127,15 @@ class TNTConfig:
         return self.landmark == "regressor" and self.transform == "tnt"
 
     @property
-    def needs_replay(self) -> bool:
-        """Whether the landmark is known only when the volume is read, so that events are stored until then."""
+    def defers_landmark(self) -> bool:
+        """Whether the landmark is known only when the volume is read."""
         return self.landmark in ("window", "regressor") and self.transform == "tnt"
+
+    @property
+    def needs_replay(self) -> bool:
+        """Whether the landmark or the window's duration is known only when the volume is read, so that events are
+        stored until then."""
+        return self.defers_landmark or self.window_events is not None
 
     def to_grid(self, x: float, y: float) -> tuple[float, float]:
         """Sensor pixels to grid pixels, corner to corner; also displacements and flows."""
@@ -137,8 +154,9 @@ class TNTConfig:
         return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+        """Plain values, for JSON; without those that are None."""
+        values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+        return {name: value for name, value in values.items() if value is not None}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:

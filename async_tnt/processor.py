@@ -18,12 +18,12 @@ from async_tnt.checked_tensors import checked_array, read_state, state_bytes, wi
 from async_tnt.checks import checked_time
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
-from async_tnt.deferred_landmark import Regressor
 from async_tnt.events import Columns, EventDecoder
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
+from async_tnt.replay_buffer import Regressor
 from async_tnt.triggers import LeakyIntegrator, Triggers
 from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
@@ -38,7 +38,9 @@ class Processor:
     """Classifies windows of an event stream while the events arrive.
 
     Windows lie end to end, from `start_us` or else from the first event. A window is classified when it closes, and
-    skipped if it holds no events. The decisions do not depend on how the stream is cut into packets.
+    skipped if it holds no events. The decisions do not depend on how the stream is cut into packets. Where the
+    configuration has `window_events`, a window begins with the first event after the one before it, and is classified
+    when its last event arrives.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ class Processor:
     regressor : for landmark `regressor`, see `TNTVolume`; by default the model's own network, compiled. Its errors
         are treated like those of the classifier, see `push`.
     classes : class names; by default the model's, or "0", "1", ...
-    start_us : start of the first window, in microseconds.
+    start_us : start of the first window, in microseconds. It and `hop_us` cannot be given with `window_events`.
     hop_us : distance between the starts of windows, by default `window_us`. With a smaller one windows overlap;
         triggers and `fire` then concern the oldest open window, the most complete one.
     every_us : decide also whenever this much time has passed since the window's start, if new events have arrived.
@@ -207,7 +209,9 @@ class Processor:
                 first = self._absorb_until_decision(columns, first, decisions)
             else:
                 first = windows.absorb(columns, first, n)
-            if first < n and len(windows):
+            if windows.is_full:
+                self._close_oldest(windows.oldest.newest_us, decisions)
+            elif first < n and len(windows):
                 self._advance(int(columns.t[first]), decisions)
         if self.config.needs_replay:
             windows.warn()
@@ -224,8 +228,11 @@ class Processor:
                 raise error
         else:
             n_before = oldest.n_events
-            stop, fires = advance_triggers(state, oldest.buffer, columns.t, first, columns.n)
+            last = min(columns.n, first + windows.room)
+            stop, fires = advance_triggers(state, oldest.buffer, columns.t, first, last)
             absorbed = windows.absorb(columns, first, stop)
+            if windows.is_full:  # decided as a whole
+                return absorbed
             new = self._decide_if_due(n_before, fires)
         self._accept(new, oldest.newest_us, decisions)
         return absorbed
@@ -251,13 +258,17 @@ class Processor:
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
                 self._accept(new, t_us, decisions)
             elif end_us <= t_us:
-                if oldest.n_events:  # first: should the classifier raise, the window stays open
-                    decisions.append(self._classifier.decide(oldest, "window", complete=True))
-                windows.close_oldest()
-                self._begin_oldest(end_us)
+                self._close_oldest(end_us, decisions)
             else:
                 break
         self._open_windows(t_us)
+
+    def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
+        """The oldest window is complete: decide, unless it is empty, and close it."""
+        if self._windows.oldest.n_events:  # first: should the classifier raise, the window stays open
+            decisions.append(self._classifier.decide(self._windows.oldest, "window", complete=True))
+        self._windows.close_oldest()
+        self._begin_oldest(now_us)
 
     def _open_windows(self, t_us: int) -> None:
         """Open the windows that are due at `t_us`."""

@@ -11,11 +11,11 @@ from async_tnt.checked_tensors import Arrays, with_prefix, without_prefix
 from async_tnt.checks import checked_time
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts
-from async_tnt.deferred_landmark import Regressor, ReplayBuffer, check_regressor
 from async_tnt.events import Columns, EventDecoder
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
+from async_tnt.replay_buffer import Regressor, ReplayBuffer, check_regressor
 from async_tnt.volume_state import new_state, next_epoch, restore_counts, restore_window, save_window
 
 UNOPENED = -1  # LIMIT_US before the first window, so that every time is at or after it
@@ -26,14 +26,15 @@ class TNTVolume:
 
     Windows lie end to end, from the start given to `open` or else from the first event. An event at or after the
     window's end closes it; the volume then holds the window of that event. (To see every closed window, use
-    `Processor`.)
+    `Processor`.) A window of `window_events` is closed by the event after its last, with which the next one begins.
 
     Parameters
     ----------
     config : TNTConfig.
     late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen. Events before the
         open window are always dropped and counted.
-    replay_events : for landmarks `window` and `regressor`: how many events of a window are stored for the replay.
+    replay_events : for landmarks `window` and `regressor`: how many events of a window are stored for the replay
+        (one of `window_events` is always stored whole).
         The rest are counted as `dropped_unstored`, with one warning; a regressor does not see them either.
     regressor : for landmark `regressor` only: any callable from the window's raw volume (without the transform:
         float32, shape (C, H, W), read-only, valid during the call) to a finite landmark (x, y) in grid pixels. A
@@ -72,8 +73,9 @@ class TNTVolume:
         self._view = _read_only(self._array)
         self._replay = None
         if config.needs_replay:
-            raw = config.replace(transform="none", landmark="center")
-            regressor_and_raw = None if regressor is None else (regressor, TNTVolume(raw))
+            regressor_and_raw = None
+            if regressor is not None:
+                regressor_and_raw = regressor, TNTVolume(config.replace(transform="none", landmark="center"))
             self._replay = ReplayBuffer(config, replay_events, regressor_and_raw)
         self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
         self.reset()
@@ -183,11 +185,11 @@ class TNTVolume:
 
     def _open_next(self, t_us: int) -> int:
         """Open the window that holds `t_us`, at or after the open window's end; returns how many that closes."""
-        if self._ints[S.LIMIT_US] == UNOPENED:
-            self.open(t_us)
-            return 0
         closed = int(self.n_events > 0)
-        self.open(t_us - (t_us - self.start_us) % self.config.window_us)
+        if self._ints[S.LIMIT_US] == UNOPENED or self.config.window_events is not None:
+            self.open(t_us)
+        else:
+            self.open(t_us - (t_us - self.start_us) % self.config.window_us)
         return closed
 
     def reset(self) -> None:
@@ -251,28 +253,29 @@ class TNTVolume:
         center = (self.config.grid[0] - 1) / 2, (self.config.grid[1] - 1) / 2
         if n == 0 or self.config.landmark == "center" or self.config.transform == "none":
             return center
-        if self._replay is not None:
+        if self._replay is not None and self.config.defers_landmark:
             return self._replay.landmark(self._buffer)
         x = int(self._ints[S.SUM_X]) / n
         y = int(self._ints[S.SUM_Y]) / n
         if self.config.landmark == "line":
-            mean_f = int(self._ints[S.SUM_T]) / n / self.config.window_us
-            slope_x, slope_y = self._slopes()
+            slope_x, slope_y = self._slopes()  # first: a replay may set the sums
+            mean_f = int(self._ints[S.SUM_T]) / n / float(self._buffer[S.WINDOW_US])
             x -= slope_x * mean_f
             y -= slope_y * mean_f
         return self.config.to_grid(x, y)
 
     @property
     def flow(self) -> tuple[float, float]:
-        """Landmark `line` only: the fitted flow (x, y) in grid pixels per window."""
+        """Landmark `line` only: the fitted flow (x, y) in grid pixels per window (of `window_events`: so far)."""
         if self.config.landmark != "line" or self.config.transform != "tnt":
             got = f"landmark={self.config.landmark!r}, transform={self.config.transform!r}"
             raise ValueError(f'`flow` needs landmark="line" and transform="tnt", got {got}')
         return self.config.to_grid(*self._slopes())
 
     def _slopes(self) -> tuple[float, float]:
-        c_ff = float(self._buffer[S.C_FF]) + 1.0
-        return float(self._buffer[S.C_XF]) / c_ff, float(self._buffer[S.C_YF]) / c_ff
+        buffer = self.state()
+        c_ff = float(buffer[S.C_FF]) + 1.0
+        return float(buffer[S.C_XF]) / c_ff, float(buffer[S.C_YF]) / c_ff
 
     @property
     def counts(self) -> Counts:

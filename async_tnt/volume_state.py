@@ -53,12 +53,8 @@ def new_state(config: TNTConfig) -> np.ndarray:
     log_size = 1 << (max(S.BLOCK, n_cells // S.NUMBERS_PER_LOGGED) - 1).bit_length()
     buffer = np.zeros(S.CELLS + n_cells + log_size)
     ints = buffer.view(np.int64)
-    gain_x, gain_y = config.to_grid(1.0, 1.0)
     raw = config.transform == "none"
-    buffer[S.WINDOW_US] = config.window_us
-    buffer[S.BIN_SCALE] = (config.bins - 1) / config.window_us
-    buffer[S.SCALE_X] = gain_x * (1.0 if raw else config.window_us / config.t_max)
-    buffer[S.SCALE_Y] = gain_y * (1.0 if raw else config.window_us / config.t_max)
+    set_duration(buffer, config, config.window_us)
     buffer[S.CENTER_X] = 0.0 if raw else (width - 1) / 2
     buffer[S.CENTER_Y] = 0.0 if raw else (height - 1) / 2
     buffer[S.MAX_U] = width - 1
@@ -79,6 +75,16 @@ def new_state(config: TNTConfig) -> np.ndarray:
     ints[S.BIN_LO], ints[S.BIN_HI] = S.NO_BIN, -1
     ints[S.LOG_SIZE] = log_size
     return buffer
+
+
+def set_duration(buffer: np.ndarray, config: TNTConfig, window_us: int) -> None:
+    """Set what the window's duration determines: the scales of time."""
+    gain_x, gain_y = config.to_grid(1.0, 1.0)
+    per_tau_us = 1.0 if config.transform == "none" else window_us / config.t_max
+    buffer[S.WINDOW_US] = window_us
+    buffer[S.BIN_SCALE] = (config.bins - 1) / window_us
+    buffer[S.SCALE_X] = gain_x * per_tau_us
+    buffer[S.SCALE_Y] = gain_y * per_tau_us
 
 
 def save_window(buffer: np.ndarray, with_cells: bool) -> Arrays:

@@ -1,4 +1,7 @@
-"""Which windows of a stream are open: one after the other, or overlapping, each with its own volume."""
+"""Which windows of a stream are open: one after the other, or overlapping, each with its own volume.
+
+Windows of a duration lie end to end. One of `window_events` begins with the first event after the window before it.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,10 @@ from async_tnt.checked_tensors import Arrays, checked_array, with_prefix, withou
 from async_tnt.checks import positive_int
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts
-from async_tnt.deferred_landmark import Regressor
 from async_tnt.events import Columns
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.kernels.state import REMEMBERED
+from async_tnt.replay_buffer import Regressor
 from async_tnt.volume import TNTVolume
 from async_tnt.volume_state import MAX_EVENTS
 
@@ -29,8 +32,8 @@ class WindowScheduler:
     Parameters
     ----------
     config, replay_events, regressor : see `TNTVolume`.
-    hop_us : distance between the starts of windows; at most window_us, its default.
-    start_us : start of the first window; None: at the first event.
+    hop_us : distance between the starts of windows; at most window_us, its default. Not with `window_events`.
+    start_us : start of the first window; None: at the first event. Not with `window_events`.
     """
 
     def __init__(
@@ -42,6 +45,13 @@ class WindowScheduler:
         regressor: Regressor | None,
     ) -> None:
         self._window_us = window_us = config.window_us
+        self._window_events = config.window_events
+        if config.window_events is not None:
+            for name, value in (("hop_us", hop_us), ("start_us", start_us)):
+                if value is not None:
+                    raise ValueError(
+                        f"`{name}` must not be given with window_events={config.window_events}, got {value}"
+                    )
         self.hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
         if self.hop_us > window_us:
             raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {hop_us}")
@@ -83,6 +93,16 @@ class WindowScheduler:
     def oldest_end_us(self) -> int:
         return self.oldest.start_us + self._window_us
 
+    @property
+    def room(self) -> int:
+        """How many more events the oldest window takes."""
+        return MAX_EVENTS if self._window_events is None else self._window_events - self.oldest.n_events
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the oldest window holds as many events as a window may."""
+        return self._window_events is not None and self.oldest.n_events >= self._window_events
+
     def absorb(self, columns: Columns, first: int, last: int) -> int:
         """Add events to all open windows, up to the limit; returns the first one not added."""
         oldest = self._open[0]
@@ -116,9 +136,12 @@ class WindowScheduler:
             self._next_start_us = t_us
         start_us = self._next_start_us
         if start_us + self._window_us <= t_us:  # then none is open
-            hops = (t_us - self._window_us - start_us) // self.hop_us + 1
-            start_us += hops * self.hop_us
-            self._remember(hops, early=False)
+            if self._window_events is None:
+                hops = (t_us - self._window_us - start_us) // self.hop_us + 1
+                start_us += hops * self.hop_us
+                self._remember(hops, early=False)
+            else:
+                start_us = t_us
         while start_us <= t_us or not self._open:
             volume = self._free.pop()
             volume.open(start_us)
@@ -139,12 +162,16 @@ class WindowScheduler:
     def close_oldest(self, early: bool = False) -> None:
         """Close the oldest window; its volume is empty and free for the next one to be opened.
 
-        early : before its end. Events that still arrive for it are counted as `dropped_decided`.
+        early : before its end. Events that still arrive for it are counted as `dropped_decided`; where windows have a
+            number of events, none do: the next window begins with the next event.
         """
         volume = self._open.popleft()
         volume.close()
         self._free.append(volume)
-        self._remember(1, early)
+        if self._window_events is None:
+            self._remember(1, early)
+        else:
+            self._next_start_us = None
         if self._open:
             self._inform_oldest()
 

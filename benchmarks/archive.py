@@ -55,7 +55,7 @@ def make_archive(folder: Path, n: int, length: int) -> None:
 def tasks_of(folder: Path, n: int | None) -> list[Task]:
     """Tasks of the folder's recordings, or of the first `n` of them, the classes in turn."""
     engine = choose_engine("digits")
-    job = job_of("evaluate", "digits", engine, every_us=moments(engine.config.window_us)[0])
+    job = job_of("evaluate", "digits", engine, every_us=moments(engine.config)[0])
     found = find_recordings(folder, "Test").values()
     paths = sorted((path for paths in found for path in paths), key=lambda path: (path.name, path.parent.name))
     return [task_of(path.relative_to(folder).as_posix(), path, job) for path in paths[:n]]

@@ -165,7 +165,10 @@ class Oracle:
         if self.every_events is not None and len(oldest.times) % self.every_events == 0:
             trigger = "every_events"
         only_confidence = self.confidence is not None and not (self.every_us or self.every_events or self.activity)
-        if trigger or only_confidence:
+        if len(oldest.times) == self.config.window_events:
+            decisions.append(self._decision(oldest, "window", complete=True)[0])
+            self._close(decided=False, now_us=max(oldest.times))
+        elif trigger or only_confidence:
             decisions += self._decide(oldest, trigger, now_us=max(oldest.times))
         return decisions
 
@@ -206,6 +209,8 @@ class Oracle:
         """Those on the grid that hold `t_us`; where none is open, the next one, though it may begin later."""
         if self.next_start_us is None:
             self.next_start_us = t_us
+        if self.config.window_events and not self.windows and self.next_start_us + self.config.window_us <= t_us:
+            self.next_start_us = t_us
         while self.next_start_us + self.config.window_us <= t_us:
             gap = (t_us - self.config.window_us - self.next_start_us) // self.hop_us
             self.next_start_us += max(gap, 1) * self.hop_us
@@ -218,7 +223,9 @@ class Oracle:
     def _close(self, decided: bool, now_us: int) -> None:
         """Close the oldest window; the next one decides from now on."""
         oldest = self.windows.pop(0)
-        if decided:
+        if self.config.window_events:
+            self.next_start_us = None  # at the next event
+        elif decided:
             self.decided.add(oldest.start_us)
         self.n_decided, self.passed_us = 0, now_us
 

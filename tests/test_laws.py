@@ -27,6 +27,9 @@ KINDS = {
     "line, flow removed": CONFIG.replace(landmark="line", remove_flow=True, polarity="split"),
     "window": CONFIG.replace(landmark="window", polarity="split"),
     "regressor": CONFIG.replace(landmark="regressor"),
+    "of 60 events": CONFIG.replace(window_events=60, window_us=None),
+    "of 50 events, flow removed": CONFIG.replace(window_events=50, landmark="line", remove_flow=True),
+    "of 70 events, regressor": CONFIG.replace(window_events=70, landmark="regressor"),
     "no transform": CONFIG.replace(transform="none", polarity="split"),
     "one bin, large": CONFIG.replace(sensor=(300, 200), grid=(300, 200), bins=1),
 }
@@ -92,6 +95,7 @@ class Stream:
 
 
 VOLUMES = {f"volume: {kind}": partial(Volume, config) for kind, config in KINDS.items()}
+OF_A_DURATION = {"hop_us", "start_us"}
 # Each setting with both ways of deciding, and with one of the other landmarks.
 OTHERS = zip(itertools.cycle(["line", "window", "regressor"]), SETTINGS)
 PROCESSORS = {
@@ -99,6 +103,11 @@ PROCESSORS = {
     for kind, name, compiled in (
         *itertools.product(["running"], SETTINGS, (True, False)),
         *((kind, name, True) for kind, name in OTHERS),
+        *(
+            ("of 60 events", name, name != "every_events")
+            for name, of in SETTINGS.items()
+            if not {"hop_us", "start_us"} & {*of}
+        ),
     )
 }
 ALL = VOLUMES | PROCESSORS

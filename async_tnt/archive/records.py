@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.archive.job import Job, Task, sha256_of
+from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine, choose_engine
 from async_tnt.networks.model import UncheckedModelWarning
@@ -94,7 +95,7 @@ def run_recording(task: Task) -> Record:
 def evaluate_recording(task: Task) -> Record:
     """What is decided in each window of one labelled recording, at each of `moments`; its folder is its class.
 
-    The job's Processor must decide `every_us=moments(window_us)[0]`. Errors are those of `run_recording`.
+    The job's Processor must decide at the first of `moments` and its multiples. Errors are those of `run_recording`.
     """
 
     def fields_of(decisions: list[Decision], engine: Engine) -> Record:
@@ -103,7 +104,7 @@ def evaluate_recording(task: Task) -> Record:
             windows.setdefault(decision.window_start_us, []).append(decision)
         probabilities = np.array([window[-1].probabilities for window in windows.values()])  # (W, K), of whole windows
         mean = probabilities.mean(axis=0)
-        after_us = moments(engine.config.window_us)
+        after_us = moments(engine.config)
         return {
             "label": engine.classes[int(mean.argmax())],
             "probabilities": mean.tolist(),
@@ -146,14 +147,18 @@ def _record(task: Task, fields: Record, error: str | None, seconds: float | None
     return {**record, **about_file, TIMED: seconds}
 
 
-def moments(window_us: int) -> list[int]:
-    """The tenths of a window, in microseconds since its start; at the last one it ends.
+def moments(config: TNTConfig) -> list[int]:
+    """The tenths of a window, in microseconds since its start; at the last one it ends. None where windows have a
+    number of events, and no duration of their own.
 
     Examples
     --------
-    >>> moments(105_000)[:3], moments(105_000)[-1]
+    >>> moments(TNTConfig())[:3], moments(TNTConfig())[-1]
     ([10500, 21000, 31500], 105000)
     """
+    if config.window_events is not None:
+        return []
+    window_us = config.window_us
     every_us = max(1, window_us // N_MOMENTS)
     return [*(every_us * k for k in range(1, N_MOMENTS)), window_us]
 

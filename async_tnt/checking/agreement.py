@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from async_tnt.checking.equality import LOGIT_BOUND, REGRESSED_LANDMARK_BOUND, Comparison, closed_volumes
-from async_tnt.deferred_landmark import Regressor
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.processor import Classifier
 from async_tnt.progress import progress
+from async_tnt.replay_buffer import Regressor
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 N_WINDOWS = 3  # of a recording

@@ -22,13 +22,14 @@ from async_tnt.checking.reference import (
     reference_landmark,
     reference_pipeline,
     reference_volume,
+    reference_windows,
 )
 from async_tnt.config import LANDMARKS, TNTConfig
-from async_tnt.deferred_landmark import Regressor
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.networks.torch_modules import landmark_function
 from async_tnt.processor import Processor
+from async_tnt.replay_buffer import Regressor
 from async_tnt.volume import TNTVolume
 
 PACKET_SIZES = (1, 2, 7, 100, 0)  # 0: everything at once
@@ -132,7 +133,10 @@ def _check_config(
             packets.add(float(np.count_nonzero(a.view(np.uint32) != b.view(np.uint32)) + (start_a != start_b)))
 
     volume = TNTVolume(config, regressor=regressor)
-    for start, inside, ends in _windows(events, expected, config.window_us, prefixes):
+    windows = Comparison("windows against reference", name, 0.0)
+    in_reference = reference_windows(events, config, start_us)
+    windows.add(float([start for start, _ in expected] != [start for start, _ in in_reference]))
+    for start, inside, ends in _prefixes(in_reference, prefixes):
         volume.open(start)
         for before, n in pairwise([0, *ends]):
             volume.update(inside[before:n])
@@ -150,7 +154,7 @@ def _check_config(
             kept, kept_by_theirs = (reference_kept(seen, config, start, landmark) for landmark in (ours, theirs))
             rim = 0 if np.array_equal(kept, kept_by_theirs) else 1
             about_theirs.add(_difference(volume.array, reference_volume(seen, config, start, theirs), rim))
-    return [packets, volumes, *[landmarks] * transformed, *[about_theirs] * regressed]
+    return [packets, windows, volumes, *[landmarks] * transformed, *[about_theirs] * regressed]
 
 
 def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start_us: int | None) -> list[Comparison]:
@@ -163,9 +167,14 @@ def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start
     incremental = CompiledClassifier(model)  # through all windows
     # with a landmark that is found at each read, a decision after each event is as slow as the window is long
     every = None if config.needs_replay else 1
-    closed = closed_volumes(events, config, 0, start_us, regressor)
-    for start, inside, ends in _windows(events, closed, config.window_us, prefixes):
-        processor = Processor(model, classifier=incremental, start_us=start, every_events=every)
+    for start, inside, ends in _prefixes(reference_windows(events, config, start_us), prefixes):
+        if config.window_events is None:
+            first_us, still_open = start, config
+        else:  # a full window would be closed, and could not be read
+            first_us, still_open = None, config.replace(window_events=inside.size + 1)
+        processor = Processor(
+            still_open, classifier=incremental, regressor=regressor, start_us=first_us, every_events=every
+        )
         for before, n in pairwise([0, *ends]):
             decisions = processor.push(inside[before:n])
             ours = decisions[-1].logits if every else processor.fire().logits
@@ -215,14 +224,11 @@ def closed_volumes(
     return [(decision.window_start_us, volume) for decision, volume in zip(decisions, volumes, strict=True)]
 
 
-def _windows(
-    events: np.ndarray, closed: list[tuple[int, np.ndarray]], window_us: int, prefixes: int | None
+def _prefixes(
+    windows: list[tuple[int, np.ndarray]], prefixes: int | None
 ) -> Iterator[tuple[int, np.ndarray, list[int]]]:
-    """The start of each window of `closed_volumes`, its events, and the lengths of the prefixes to compare."""
-    newest = np.maximum.accumulate(events["t"])
-    for start_us, _ in closed:
-        # an event that comes after its window closed is late
-        inside = events[(newest < start_us + window_us) & (events["t"] >= start_us)]
+    """The start of each window, its events, and the lengths of the prefixes to compare."""
+    for start_us, inside in windows:
         n = inside.size
         count = n if prefixes is None else min(prefixes, n)
         yield start_us, inside, [round(k * n / count) for k in range(1, count + 1)]

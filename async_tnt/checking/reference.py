@@ -13,7 +13,7 @@ from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
 
 Landmark = tuple[float, float]
 
-PIPELINE_SETTINGS = ("sensor", "window_us", "grid", "bins", "t_max", "polarity", "transform", "remove_flow")
+PIPELINE_SETTINGS = ("sensor", "grid", "bins", "t_max", "polarity", "transform", "remove_flow")
 
 
 def reference_volume(
@@ -28,7 +28,7 @@ def reference_volume(
     import tnt_reference
 
     columns = [events[field] for field in "txyp"]
-    settings: dict[str, Any] = {**_window(config, start_us), "bins": config.bins, "polarity": config.polarity}
+    settings: dict[str, Any] = {**_window(events, config, start_us), "bins": config.bins, "polarity": config.polarity}
     if config.transform == "none":
         return tnt_reference.event_volume(*columns, **settings).numpy()
     return tnt_reference.tnt_volume(*columns, **(settings | _transform(config, landmark))).numpy()
@@ -40,7 +40,7 @@ def reference_kept(
     """Which events the transform keeps: bool, shape (N,). `landmark` as for `reference_volume`."""
     import tnt_reference
 
-    settings = _window(config, start_us) | _transform(config, landmark)
+    settings = _window(events, config, start_us) | _transform(config, landmark)
     return tnt_reference.tnt_coordinates(*(events[field] for field in "txy"), **settings).kept.numpy()
 
 
@@ -49,7 +49,7 @@ def reference_landmark(events: np.ndarray, config: TNTConfig, start_us: int) -> 
     import tnt_reference
 
     columns = (events[field] for field in "txy")
-    x, y = tnt_reference.landmark(config.landmark, *columns, **_window(config, start_us))[-1].tolist()
+    x, y = tnt_reference.landmark(config.landmark, *columns, **_window(events, config, start_us))[-1].tolist()
     return x, y
 
 
@@ -61,6 +61,7 @@ def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
     config = model.config
     pipeline = tnt_reference.Pipeline(
         torch_classifier(model),
+        window_us=config.window_us if config.window_events is None else None,
         **{name: getattr(config, name) for name in PIPELINE_SETTINGS},
         landmark=config.landmark if config.transform == "tnt" else "center",
         regressor=torch_regressor(model),
@@ -73,8 +74,31 @@ def reference_pipeline(model: Model) -> Callable[[np.ndarray, int], np.ndarray]:
     return forward
 
 
-def _window(config: TNTConfig, start_us: int) -> dict[str, Any]:
-    return {"start_us": start_us, "window_us": config.window_us, "sensor": config.sensor, "grid": config.grid}
+def reference_windows(events: np.ndarray, config: TNTConfig, start_us: int | None) -> list[tuple[int, np.ndarray]]:
+    """The start and the events of each window that holds events, for a stream from `start_us`, or the first event, on.
+
+    An event that comes after its window has closed is late, and belongs to none.
+    """
+    import tnt_reference
+
+    if not events.size:
+        return []
+    if config.window_events is not None:
+        lots = tnt_reference.windows_of_events(events["t"], config.window_events, config.window_us)
+        return [(int(events["t"][lot[0]]), events[lot.numpy()]) for lot in lots]
+    first_us = int(events["t"][0]) if start_us is None else start_us
+    number = (events["t"] - first_us) // config.window_us
+    in_time = (number >= 0) & (number == np.maximum.accumulate(number))
+    starts = [(int(k), first_us + int(k) * config.window_us) for k in np.unique(number[in_time])]
+    return [(start, events[in_time & (number == k)]) for k, start in starts]
+
+
+def _window(events: np.ndarray, config: TNTConfig, start_us: int) -> dict[str, Any]:
+    import tnt_reference
+
+    by_time = config.window_events is None
+    window_us = config.window_us if by_time else tnt_reference.until_newest(events["t"], start_us)
+    return {"start_us": start_us, "window_us": window_us, "sensor": config.sensor, "grid": config.grid}
 
 
 def _transform(config: TNTConfig, landmark: Landmark | None) -> dict[str, Any]:

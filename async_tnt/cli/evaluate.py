@@ -72,7 +72,7 @@ def main(args: argparse.Namespace) -> int:
     pixels = selector_of(args, model)
     paths, labels = labelled_recordings(args.dataset, model)
     engine = Engine("compiled", model, model.classes)
-    every_us = moments(model.config.window_us)[0]
+    every_us = next(iter(moments(model.config)), None)
     job = job_of("evaluate", args.model, engine, pixels.selection, every_us=every_us)
     tasks = [task_of(path.relative_to(args.dataset).as_posix(), path, job) for path in paths]
     label_of = {task.recording: label for task, label in zip(tasks, labels, strict=True)}
@@ -95,7 +95,7 @@ def main(args: argparse.Namespace) -> int:
         from async_tnt.views.figure_confusion import write_confusion
 
         title = f"{args.dataset.name}: {report['accuracy']:.1%} of {len(good)} recordings right"
-        course = [(m["time_us"], m["accuracy"], m["decided"]) for m in report["accuracy_against_time"]]
+        course = [(m["time_us"], m["accuracy"], m["decided"]) for m in report["accuracy_against_time"]] or None
         write_confusion(np.array(report["confusion"]), model.classes, args.picture, title, course)
     if args.json:
         print(json.dumps(report))
@@ -152,7 +152,7 @@ def report_of(model: Model, records: list[Record], labels: list[int], skipped: l
                 "accuracy": float((decided[:, k] == truth).mean()),
                 "decided": float((decided[:, k] >= 0).mean()),
             }
-            for k, moment in enumerate(moments(model.config.window_us))
+            for k, moment in enumerate(moments(model.config))
         ],
         "decisions": sum(record["decisions"] for record in records),
         "events": sum(record["events"] for record in records),
@@ -178,7 +178,8 @@ def text_of(report: dict[str, Any]) -> str:
         others = sorted(((n, j) for j, n in enumerate(row) if n and j != k), reverse=True)[:3]
         taken = ", ".join(f"{report['classes'][j]} ({n})" for n, j in others)
         lines.append(f"{name:<24} {share:>6} {sum(row):>11}  {taken}".rstrip())
-    lines += ["", f"{'ms into the window':<24} {'right':>6} {'decided':>11}"]
+    if report["accuracy_against_time"]:
+        lines += ["", f"{'ms into the window':<24} {'right':>6} {'decided':>11}"]
     for moment in report["accuracy_against_time"]:
         lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>6.3f} {moment['decided']:>11.3f}")
     if report["seconds"] is None:

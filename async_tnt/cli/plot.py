@@ -219,6 +219,8 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
         changes.setdefault("remove_flow", False)
     if args.figure in DRAWN_FREELY and config.transform == "none":
         changes["transform"] = "tnt"
+    if config.window_events is not None:
+        raise ValueError(f"{args.model}: windows of a duration can be drawn, but not of {config.window_events} events")
     return config.replace(**changes)
 
 

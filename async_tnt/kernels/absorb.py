@@ -71,8 +71,8 @@ def absorb_one(buffer, t, x, y, p):
 
 
 @compiled
-def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_stored):
-    """`absorb` for a landmark known only at the moment of reading: count, sum, and store the events.
+def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, stored_p, n_stored, n_most):
+    """`absorb` for a volume that can be made only when it is read: count, sum, and store the events.
 
     Parameters
     ----------
@@ -80,14 +80,15 @@ def store_events(buffer, t, x, y, p, first, last, stored_t, stored_x, stored_y, 
     t, x, y, p, first, last : as for `absorb`.
     stored_t, stored_x, stored_y, stored_p : columns. Updated in place from `n_stored` on; events that do not fit
         are summed and not stored.
+    n_most : int. Events that the window holds at most.
 
     Returns
     -------
-    first : int. The first event not absorbed (at or after LIMIT_US).
+    first : int. The first event not absorbed (at or after LIMIT_US, or the window is full).
     n_stored : int. Events stored now.
     """
     ints = buffer.view(np.int64)
-    while first < last and t[first] < ints[S.LIMIT_US]:
+    while first < last and t[first] < ints[S.LIMIT_US] and ints[S.N] < n_most:
         ints[S.RECEIVED] += 1
         if t[first] < ints[S.START_US]:
             _count_late(ints, t[first])

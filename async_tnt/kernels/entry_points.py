@@ -27,7 +27,7 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (empty_volume, (_STATE, _ARRAY, int64, int64, int64)),
         (absorb, (_STATE, *COLUMN_TYPES, int64, int64)),
         (absorb_one, (_STATE, int64, int64, int64, int64)),
-        (store_events, (_STATE, *COLUMN_TYPES, int64, int64, *COLUMN_TYPES, int64)),
+        (store_events, (_STATE, *COLUMN_TYPES, int64, int64, *COLUMN_TYPES, int64, int64)),
         (cells_to_float32, (_STATE, _ARRAY, int64)),
         (advance_triggers, (_TRIGGER, _STATE, int64[::1], int64, int64)),
         (why_due, (_TRIGGER, int64, int64, boolean)),

@@ -127,7 +127,9 @@ class Window:
     def coordinates(self) -> Coordinates:
         """Where the transform puts each event."""
         config = self.subject.config
-        return transformed(self.events, config, self.start_us, self._read(config)[1] if config.needs_replay else None)
+        return transformed(
+            self.events, config, self.start_us, self._read(config)[1] if config.defers_landmark else None
+        )
 
     def flow(self) -> tuple[float, float]:
         """The ridge line's slope (x, y), in grid pixels per window: the direction in which the events move."""

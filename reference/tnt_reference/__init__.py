@@ -13,6 +13,7 @@ from .networks import Classifier, LandmarkRegressor, Pipeline
 from .saccades import find_pauses, segment_index
 from .transform import TNTCoordinates, tnt_coordinates
 from .volume import event_volume, tnt_volume
+from .window import until_newest, windows_of_events
 
 __all__ = [
     "Classifier",
@@ -29,4 +30,6 @@ __all__ = [
     "segment_index",
     "tnt_coordinates",
     "tnt_volume",
+    "until_newest",
+    "windows_of_events",
 ]

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from .landmarks import LANDMARKS
 from .transform import tnt_coordinates
 from .volume import check_bins, event_volume, tnt_volume
-from .window import Column, check_polarity, check_size, whole_number
+from .window import Column, check_polarity, check_size, until_newest
 
 
 class Classifier(nn.Module):
@@ -113,7 +113,8 @@ class Pipeline(nn.Module):
     ----------
     classifier : a module from (N, C, H, W) to (N, n_classes); `Classifier` or your own.
     sensor, grid : (width, height); the grid is the sensor's where it is not given.
-    window_us, bins, t_max, polarity, remove_flow : as in `tnt_volume`.
+    window_us : the window's length; None: each window ends with its newest event, as in the thesis.
+    bins, t_max, polarity, remove_flow : as in `tnt_volume`.
     landmark : "center", "running", "line", "window"; or "regressor".
     transform : "tnt", or "none" for the raw event volume (the baseline; the landmark then has no effect).
     regressor : the network behind landmark "regressor" (`LandmarkRegressor` or a module from (C, H, W) to
@@ -129,7 +130,7 @@ class Pipeline(nn.Module):
         classifier: nn.Module,
         *,
         sensor: tuple[int, int],
-        window_us: int,
+        window_us: int | None,
         grid: tuple[int, int] | None = None,
         bins: int = 9,
         t_max: float = 8.0,
@@ -152,7 +153,7 @@ class Pipeline(nn.Module):
         self.classifier, self.regressor = classifier, regressor
         self.sensor = check_size("sensor", sensor)
         self.grid = check_size("grid", grid if grid is not None else sensor)
-        self.window_us, self.bins, self.t_max = whole_number("window_us", window_us), check_bins(bins), t_max
+        self.window_us, self.bins, self.t_max = window_us, check_bins(bins), t_max
         self.polarity, self.landmark = polarity, landmark
         self.transform, self.remove_flow = transform, remove_flow
         check_polarity(polarity)
@@ -162,7 +163,7 @@ class Pipeline(nn.Module):
             [],
             [],
             start_us=0,
-            window_us=window_us,
+            window_us=self.duration_us([], 0),
             sensor=self.sensor,
             grid=self.grid,
             t_max=t_max,
@@ -177,6 +178,12 @@ class Pipeline(nn.Module):
                     f"the {name} is built for (channels, grid) {expected}, these settings give {(channels, self.grid)}"
                 )
 
+    def duration_us(self, t: Column, start_us: int) -> int:
+        """The length of the window that starts at `start_us`."""
+        if self.window_us is None:
+            return until_newest(t, start_us)
+        return self.window_us
+
     def volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
         """(C, H, W): what the classifier sees of one window, in the type of the networks' weights."""
         if self.transform == "none":
@@ -190,7 +197,7 @@ class Pipeline(nn.Module):
             y,
             p,
             start_us=start_us,
-            window_us=self.window_us,
+            window_us=self.duration_us(t, start_us),
             sensor=self.sensor,
             grid=self.grid,
             bins=self.bins,
@@ -209,7 +216,7 @@ class Pipeline(nn.Module):
             y,
             p,
             start_us=start_us,
-            window_us=self.window_us,
+            window_us=self.duration_us(t, start_us),
             sensor=self.sensor,
             grid=self.grid,
             bins=self.bins,

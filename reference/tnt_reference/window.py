@@ -54,6 +54,54 @@ def window_events(
     return WindowEvents(dt.double(), pixels, inside)
 
 
+def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[torch.Tensor]:
+    """A stream in windows of n events, one of the thesis' two ways of slicing.
+
+    In order of arrival: a window begins with an event, and ends with its n-th, or before an event `window_us` or more
+    after its first. An event older than the first one of its window belongs to no window.
+
+    Parameters
+    ----------
+    t : (N,) integer microseconds. window_us : the longest that a window may last; None: any time.
+
+    Returns
+    -------
+    list of int64 tensors: the indices of each window's events. Only the last window may be unfinished.
+
+    References
+    ----------
+    Wang 2019, arXiv:1911.12801.
+
+    Example
+    -------
+    >>> [events.tolist() for events in windows_of_events([5, 6, 4, 7, 30, 31], n=3, window_us=20)]
+    [[0, 1, 3], [4, 5]]
+    """
+    if whole_number("n", n) < 1:
+        raise ValueError(f"`n` must be at least 1, got {n}")
+    times = as_column("t", t).tolist()
+    windows: list[list[int]] = []
+    for i, time in enumerate(times):
+        past = windows and window_us is not None and time >= times[windows[-1][0]] + window_us
+        if not windows or len(windows[-1]) == n or past:
+            windows.append([i])
+        elif time >= times[windows[-1][0]]:
+            windows[-1].append(i)
+    return [torch.as_tensor(events) for events in windows]
+
+
+def until_newest(t: Column, start_us: int) -> int:
+    """The length of a window from `start_us` to its newest event: t_N - start_us, and at least 1.
+
+    Example
+    -------
+    >>> until_newest([5, 9, 7], start_us=5), until_newest([5], start_us=5)
+    (4, 1)
+    """
+    times = as_column("t", t)
+    return max(1, int(times.max()) - start_us) if len(times) else 1
+
+
 def signs(p: Column, n_events: int) -> torch.Tensor:
     """Polarity as float64 -1 or +1, shape (N,), from bool, 0/1 or -1/+1 of any type."""
     polarity = as_column("p", p)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from async_tnt import TNTConfig
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 
-NAMES = "bins, grid, landmark, polarity, remove_flow, sensor, t_max, transform, window_us"
+NAMES = "bins, grid, landmark, polarity, remove_flow, sensor, t_max, transform, window_events, window_us"
 OTHER = {
     "sensor": (346, 260),
     "grid": (64, 48),
@@ -25,6 +25,7 @@ OTHER = {
     "polarity": "split",
     "transform": "tnt",
     "remove_flow": True,
+    "window_events": 500,
 }
 
 SIZE = "`{}` must be two whole numbers (width, height), got {!r}"
@@ -49,6 +50,11 @@ WRONG = [
     *[({"bins": value}, TypeError, WHOLE.format("bins", value)) for value in (9.0, "9", True, np.array([9, 9]))],
     ({"window_us": 1e5}, TypeError, WHOLE.format("window_us", 1e5)),
     *[({"bins": value}, ValueError, f"`bins` must be in [1, 1024], got {value}") for value in (0, 1025, 10**30)],
+    *[
+        ({"window_events": v}, ValueError, f"`window_events` must be in [1, 1073741824], got {v}")
+        for v in (0, (1 << 30) + 1)
+    ],
+    ({"window_events": 9.0}, TypeError, WHOLE.format("window_events", 9.0)),
     *[({"window_us": v}, ValueError, f"`window_us` must be in [1, 3600000000], got {v}") for v in (0, 3_600_000_001)],
     *[({"t_max": v}, TypeError, f"`t_max` must be a number, got {v!r}") for v in ("8", True, (8.0,), 8j)],
     *[
@@ -87,6 +93,8 @@ def test_defaults_are_the_thesis():
     config = TNTConfig()
     assert (config.sensor, config.grid, config.bins, config.t_max) == ((34, 34), (34, 34), 9, 8.0)
     assert (config.window_us, config.landmark, config.polarity) == (105_000, "running", "signed")
+    by_events = TNTConfig(window_events=9)
+    assert (config.window_events, by_events.window_events, by_events.window_us) == (None, 9, 3_600_000_000)
     assert (config.transform, config.remove_flow) == ("tnt", False)
 
 
@@ -124,7 +132,8 @@ def configs(draw):
         sensor=(draw(side), draw(side)),
         grid=(draw(side), draw(side)),
         bins=draw(st.integers(1, 1024)),
-        window_us=draw(st.integers(1, 3_600_000_000)),
+        window_us=draw(st.none() | st.integers(1, 3_600_000_000)),
+        window_events=draw(st.none() | st.integers(1, 1 << 30)),
         t_max=draw(st.floats(1e-6, 1e6)),
         landmark=landmark,
         polarity=draw(st.sampled_from(POLARITIES)),
@@ -136,7 +145,7 @@ def configs(draw):
 @given(configs())
 def test_any_configuration_survives_json(config):
     values = config.to_dict()
-    assert list(values) == [field.name for field in fields(TNTConfig)]
+    assert list(values) == [field.name for field in fields(TNTConfig) if getattr(config, field.name) is not None]
     restored = TNTConfig.from_dict(json.loads(json.dumps(values)))
     assert restored == config and restored.to_dict() == values
     assert config.shape == (config.bins * (1 + (config.polarity == "split")), *config.grid[::-1])

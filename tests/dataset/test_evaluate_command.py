@@ -84,6 +84,15 @@ def test_the_numbers_are_those_of_an_independent_count(model, saved, dataset, pr
     assert report["decisions_per_second"] == pytest.approx(report["decisions"] / report["seconds"])
 
 
+def test_windows_of_events_have_no_accuracy_against_time(model, dataset, program, tmp_path):
+    of_events = Model(model.config.replace(window_events=700, window_us=None), model.weights, CLASSES)
+    words = "evaluate", of_events.save(tmp_path / "m.safetensors"), dataset
+    report = json.loads(program(*words, "--json")[1])
+    assert (report["windows"], report["decisions"], report["accuracy_against_time"]) == (33, 33, [])  # of 1,500 events
+    code, printed, err = program(*words, "--picture", tmp_path / "c.png")
+    assert (code, err) == (0, "") and "33 windows" in printed and "ms into the window" not in printed
+
+
 def test_the_text_names_classes_and_times_and_the_picture_is_drawn(saved, dataset, program, tmp_path):
     pytest.importorskip("matplotlib", reason="--picture needs matplotlib (extra `plot`)")
     from async_tnt.views.figure_confusion import draw_confusion

@@ -11,8 +11,9 @@ import pytest
 
 image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib (extra: plot)")
 
-from made import random_events  # noqa: E402
+from made import random_events, random_model  # noqa: E402
 
+from async_tnt import TNTConfig  # noqa: E402
 from async_tnt.cli.plot import FIGURES  # noqa: E402
 from async_tnt.sources.files.nmnist import write_nmnist  # noqa: E402
 
@@ -128,10 +129,12 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
         ("--slices 9", "--slices must be in [0, 9), the volume's bins, got 9"),
         ("--figure pipeline --t-max 2", "--t-max has no effect on --figure pipeline, only on overview, events"),
         ("3 4", "--figure overview draws 1 recording, got 2"),
+        ("3 --model of_events.safetensors", "windows of a duration can be drawn, but not of 500 events"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(words, message, plot):
     Path("empty.bin").touch()
+    random_model(TNTConfig(window_events=500)).save("of_events.safetensors")
     np.savez("h.npz", events=random_events(9), sensor=np.array([40, 40]))
     before = sorted(os.listdir())
     code, printed, err = plot(*words.split())

@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from made import random_events
+import tnt_reference
+from made import random_events, random_model
 
-from async_tnt import TNTVolume, load_model
+from async_tnt import TNTConfig, TNTVolume, load_model
 from async_tnt.checking.equality import Comparison, check_recording
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.sources.files.recording import sample_recordings
@@ -32,6 +33,24 @@ def test_it_says_no_when_a_landmark_is_wrong_by_a_millionth_of_a_pixel(monkeypat
     monkeypatch.setattr(TNTVolume, "landmark", property(lambda self: tuple(np.add(landmark(self), 1e-6))))
     code, printed, message = program("check", sample_recordings()[1], "--prefixes", "1")
     assert code == 1 and "FAILS" in printed and "NOT equal" in printed and "landmark" in message
+
+
+@pytest.mark.parametrize("window_us", [None, 20_000])
+def test_windows_of_events_hold_too(window_us):
+    config = TNTConfig(sensor=(20, 16), grid=(12, 8), bins=3, t_max=2.0, window_events=40, window_us=window_us)
+    events = random_events(150, duration_us=100_000, sensor=(20, 16))
+    events["t"][30:140:7] = events["t"][29:139:7] - 5_000
+    for landmark in ("running", "regressor"):
+        comparisons = check_recording(events, random_model(config.replace(landmark=landmark)), prefixes=5)
+        assert [c for c in comparisons if not c.holds] == []
+
+
+def test_it_notices_windows_that_are_not_the_references(monkeypatch):
+    right = tnt_reference.windows_of_events
+    monkeypatch.setattr(tnt_reference, "windows_of_events", lambda t, n, window_us: right(t, n - 1, window_us))
+    model = random_model(TNTConfig(window_events=30))
+    wrong = [c.what for c in check_recording(random_events(90), model, prefixes=2) if not c.holds]
+    assert "windows against reference" in wrong
 
 
 @pytest.mark.parametrize("differences", [[float("nan"), 0.0], [0.0, float("nan"), 0.5], [2.0], []])

@@ -106,7 +106,7 @@ def test_an_edited_constant_reaches_kernels_that_were_cached_before(tmp_path):
     code = (
         "import numpy as np; from async_tnt.kernels.absorb import store_events; "
         "t = np.ones(1, np.int64); x = np.ones(1, np.uint16); p = np.ones(1, np.uint8); b = np.zeros(60); "
-        "b.view(np.int64)[25] = 5; store_events(b, t, x, x, p, 0, 1, t, x, x, p, 0); print(b.view(np.int64)[31])"
+        "b.view(np.int64)[25] = 5; store_events(b, t, x, x, p, 0, 1, t, x, x, p, 0, 9); print(b.view(np.int64)[31])"
     )
     env = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 

@@ -12,7 +12,7 @@ FLOORS = [
     {"kernels", "checks", "decision", "files", "lazy_names", "process", "progress", "version"},
     {"checked_tensors", "config", "event_forms"},
     {"events", "networks", "triggers", "volume_state"},
-    {"compile_ahead", "deferred_landmark", "representations", "sources"},
+    {"compile_ahead", "replay_buffer", "representations", "sources"},
     {"volume"},
     {"window_classifier", "windows"},
     {"processor"},

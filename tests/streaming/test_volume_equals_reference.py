@@ -53,6 +53,7 @@ def test_update_equals_batch_at_every_prefix(data):
     config = data.draw(st.sampled_from(CONFIGS)).replace(
         sensor=sensor, grid=grid, bins=bins, window_us=window_us, t_max=t_max
     )
+    config = config.replace(window_events=data.draw(st.sampled_from([None, 25])))
     start_us = data.draw(st.sampled_from(STARTS))
     events = data.draw(nasty_streams(sensor, window_us, start_us, max_events=25))
     volume = opened(config, start_us)

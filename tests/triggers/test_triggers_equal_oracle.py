@@ -17,6 +17,11 @@ from async_tnt import CompiledClassifier, LeakyIntegrator, Processor, TNTConfig
 CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=2, window_us=1000, t_max=2.0, transform="none")
 TNT = CONFIG.replace(transform="tnt")
 REPLAYED = CONFIG.replace(transform="tnt", landmark="window")
+BY_EVENTS = [
+    TNT.replace(window_events=4),
+    TNT.replace(window_events=30, landmark="line", window_us=3_600_000_000),
+    CONFIG.replace(window_events=1, window_us=300),
+]
 
 
 @cache
@@ -54,10 +59,15 @@ change = st.one_of(
     st.tuples(st.just("confidence"), st.sampled_from([None, 0.4, 0.7, 0.95])),
     st.tuples(st.just("activity"), st.one_of(st.none(), integrators)),
 )
-ways = st.sampled_from([(CONFIG, "callable"), (CONFIG, "compiled"), (TNT, "compiled"), (REPLAYED, "compiled")])
+ways = st.sampled_from(
+    [(CONFIG, "callable"), *((config, "compiled") for config in (CONFIG, TNT, REPLAYED)), (BY_EVENTS[0], "callable")]
+    + [(config, "compiled") for config in BY_EVENTS]
+)
 
 
 def pair(config: TNTConfig, way: str, **settings) -> tuple[Oracle, Processor]:
+    if config.window_events:
+        settings |= {"hop_us": None, "start_us": None}
     if way == "callable":
         return Oracle(config, uneven, **settings), Processor(config, classifier=uneven, **settings)
     dense = compiled(config)  # called with arrays only: the whole network each time

@@ -1,7 +1,8 @@
-"""Landmarks that are known only when the volume is read: events are stored, and then replayed about the landmark.
+"""Volumes that can be made only when they are read: events are stored until then, and replayed.
 
-window      the centroid of all the window's events so far, including those that could not be stored
-regressor   a network's estimate from the raw volume, which is kept up to date in O(1) per event
+landmark `window`      is the centroid of all the window's events so far, including those that could not be stored
+landmark `regressor`   is a network's estimate from the raw volume, which is kept up to date in O(1) per event
+`window_events`        times are scaled by the window's newest event
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from async_tnt.events import Columns, checked_columns, empty_columns
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import absorb, store_events
 from async_tnt.kernels.readout import empty_volume
-from async_tnt.volume_state import next_epoch
+from async_tnt.volume_state import MAX_EVENTS, next_epoch, set_duration
 
 Regressor = Callable[[np.ndarray], Any]
 FIRST_CAPACITY = 4096
 UNCHANGED_BY_REPLAY = (
-    *(S.N, S.SUM_X, S.SUM_Y, S.SUM_T, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE, S.DECIDED),
+    *(S.N, S.SUM_X, S.SUM_Y, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE, S.DECIDED),
     *range(S.CLOSED_EARLY, S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS),
 )
 
@@ -46,13 +47,14 @@ class RawVolume(Protocol):
 
 
 class ReplayBuffer:
-    """The events of one window, and their replay about the landmark.
+    """The events of one window, and their replay, about the landmark and with the duration that are known by then.
 
     Parameters
     ----------
     config : of the volume that they are replayed into.
-    capacity : how many events are stored at most; memory grows up to that as needed.
-    regressor : the callable of landmark `regressor` and the raw volume that it sees; None: landmark `window`. The raw
+    capacity : how many events are stored at most; memory grows up to that as needed. A window of a given number of
+        events is always stored whole.
+    regressor : the callable of landmark `regressor` and the raw volume that it sees; None: another landmark. The raw
         volume holds the stored events only, as the replay does, so that both see the same events, as in the batch
         reference.
     """
@@ -60,7 +62,8 @@ class ReplayBuffer:
     def __init__(self, config: TNTConfig, capacity: int, regressor: tuple[Regressor, RawVolume] | None) -> None:
         if capacity < 1:
             raise ValueError(f"`replay_events` must be at least 1, got {capacity}")
-        self.capacity = capacity
+        self.capacity = config.window_events or capacity
+        self._n_most = config.window_events or MAX_EVENTS
         self._config = config
         self._regressor: Regressor | None
         self._raw: RawVolume | None
@@ -90,7 +93,7 @@ class ReplayBuffer:
             before_limit = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
             self._grow(self.n + int(np.count_nonzero(before_limit)))
         n_in_window, n_before = _n_events(buffer), self.n
-        first, self.n = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self.n)
+        first, self.n = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self.n, self._n_most)
         n_new = _n_events(buffer) - n_in_window
         if n_new:
             self._show_raw(n_before)
@@ -115,7 +118,8 @@ class ReplayBuffer:
             )
 
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
-        """The landmark (x, y) in grid pixels of a window with events; computed once, until new events arrive."""
+        """The landmark (x, y) in grid pixels of a window with events, where it is deferred; computed once, until new
+        events arrive."""
         if self._landmark is None:
             if self._regressor is not None and self._raw is not None:
                 self._landmark = checked_landmark(self._regressor(self._raw.array))
@@ -125,18 +129,20 @@ class ReplayBuffer:
         return self._landmark
 
     def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
-        """Replay the stored events about the landmark, if needed: the volume's cells and counts are then up to date.
+        """Replay the stored events, if needed: the volume's cells and counts are then up to date.
 
         buffer, array : the volume's, see `kernels.readout.empty_volume`.
         """
         if self._is_replayed:
             return
-        landmark = self.landmark(buffer)  # first: if the regressor raises, nothing has changed
-        ints = buffer.view(np.int64)
+        config, ints = self._config, buffer.view(np.int64)
+        if config.defers_landmark:
+            buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*self.landmark(buffer))
+        if config.window_events is not None:
+            set_duration(buffer, config, max(1, int(ints[S.NEWEST_US] - ints[S.START_US])))
         saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
         empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US], next_epoch())
         ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
-        buffer[S.FIXED_X], buffer[S.FIXED_Y] = self._config.to_sensor(*landmark)
         absorb(buffer, *self._columns[:4], 0, self.n)
         for slot, value in saved.items():
             ints[slot] = value
