@@ -12,6 +12,10 @@ from async_tnt.checks import check_number, is_whole
 LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
 TRANSFORMS = ("tnt", "none")
+IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1}  # channels of one polarity
+REPRESENTATIONS = ("volume", *IMAGE_BINS)
+TIME_IMAGES = ("count_time", "mean_time")
+BINS = 9
 MAX_SIDE = 1 << 15
 WINDOW_US = 105_000
 MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
@@ -27,7 +31,7 @@ class TNTConfig:
     ----------
     sensor : the camera's pixels.
     grid : the volume's pixels; a sensor of another size is mapped onto it corner to corner.
-    bins : B, time bins of the volume.
+    bins : B, time bins of the volume, by default 9; of an image, its channels of one polarity.
     window_us : length of a window in microseconds; by default 105,000, one saccade of N-MNIST.
     window_events : windows of so many events instead, as in the thesis' second way of slicing. Such a window begins
         with an event, and times are scaled by its newest one, which is known only when the volume is read: the events
@@ -41,6 +45,9 @@ class TNTConfig:
     polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add), `split` (ON bins, then OFF bins).
     transform : `tnt`, or `none` for the plain event volume.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
+    representation : `volume`, the event volume; or an image: `count` (events per pixel), `count_time` (the same, and
+        the time of the newest, as a fraction of the window), `mean_time` (the mean time). An image has these channels
+        once, or with `split` polarity for ON and then for OFF. Images of times take no transform, and no `signed`.
 
     Raises
     ------
@@ -58,16 +65,22 @@ class TNTConfig:
 
     sensor: tuple[int, int] = (34, 34)
     grid: tuple[int, int] = (34, 34)
-    bins: int = 9
-    window_us: int = None  # type: ignore[assignment]  # set below; a whole number from then on
+    bins: int = None  # type: ignore[assignment]  # set below, like `window_us`; whole numbers from then on
+    window_us: int = None  # type: ignore[assignment]
     t_max: float = 8.0
     landmark: str = "running"
     polarity: str = "signed"
     transform: str = "tnt"
     remove_flow: bool = False
     window_events: int | None = None
+    representation: str = "volume"
 
     def __post_init__(self) -> None:
+        choices = {"landmark": LANDMARKS, "polarity": POLARITIES, "transform": TRANSFORMS}
+        for name, allowed in {**choices, "representation": REPRESENTATIONS}.items():
+            value = getattr(self, name)
+            if not isinstance(value, str) or value not in allowed:
+                raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {value!r}")
         for name in ("sensor", "grid"):
             side = getattr(self, name)
             if not (isinstance(side, (tuple, list)) and len(side) == 2 and all(is_whole(s) for s in side)):
@@ -76,6 +89,8 @@ class TNTConfig:
             object.__setattr__(self, name, side)
             if not all(2 <= s <= MAX_SIDE for s in side):
                 raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {side}")
+        if self.bins is None:
+            object.__setattr__(self, "bins", IMAGE_BINS.get(self.representation, BINS))
         if self.window_us is None:
             object.__setattr__(self, "window_us", WINDOW_US if self.window_events is None else MAX_WINDOW_US)
         ranges = {"bins": (1, 1024), "window_us": (1, MAX_WINDOW_US)}
@@ -96,16 +111,20 @@ class TNTConfig:
         if not 1e-6 <= t_max <= 1e6:
             raise ValueError(f"`t_max` must be in [1e-6, 1e6], got {t_max}")
         object.__setattr__(self, "t_max", t_max)
-        for name, allowed in (("landmark", LANDMARKS), ("polarity", POLARITIES), ("transform", TRANSFORMS)):
-            value = getattr(self, name)
-            if not isinstance(value, str) or value not in allowed:
-                raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {value!r}")
         if not isinstance(self.remove_flow, bool):
             raise TypeError(f"`remove_flow` must be True or False, got {self.remove_flow!r}")
         if self.remove_flow and (self.landmark != "line" or self.transform != "tnt"):
             raise ValueError(
                 '`remove_flow` needs landmark="line" and transform="tnt", '
                 f"got landmark={self.landmark!r}, transform={self.transform!r}"
+            )
+        if self.bins != IMAGE_BINS.get(self.representation, self.bins):
+            needed = IMAGE_BINS[self.representation]
+            raise ValueError(f"`bins` must be {needed} with representation={self.representation!r}, got {self.bins}")
+        if self.representation in TIME_IMAGES and (self.transform != "none" or self.polarity == "signed"):
+            raise ValueError(
+                f'representation={self.representation!r} needs transform="none" and polarity "split" or "unsigned", '
+                f"got transform={self.transform!r}, polarity={self.polarity!r}"
             )
         cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1)
         if cells >= MAX_CELLS:
@@ -154,9 +173,10 @@ class TNTConfig:
         return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; without those that are None."""
+        """Plain values, for JSON; without the names that version 0.1.0 does not know, where they have no effect."""
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
-        return {name: value for name, value in values.items() if value is not None}
+        without_effect = {"window_events": None, "representation": "volume"}
+        return {name: value for name, value in values.items() if value != without_effect.get(name, ())}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:

@@ -66,6 +66,9 @@ def new_state(config: TNTConfig) -> np.ndarray:
     modes = {"running": S.MODE_RUNNING, "line": S.MODE_LINE}
     mode = S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes.get(config.landmark, S.MODE_FIXED)
     ints[S.MODE] = S.MODE_RAW if raw else mode
+    ints[S.COMBINE] = {"count_time": S.COMBINE_NEWEST, "mean_time": S.COMBINE_MEAN}.get(
+        config.representation, S.COMBINE_SUM
+    )
     ints[S.HOP_US] = config.window_us
     ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
     ints[S.ROW] = 2 * (width + 1)
@@ -82,7 +85,7 @@ def set_duration(buffer: np.ndarray, config: TNTConfig, window_us: int) -> None:
     gain_x, gain_y = config.to_grid(1.0, 1.0)
     per_tau_us = 1.0 if config.transform == "none" else window_us / config.t_max
     buffer[S.WINDOW_US] = window_us
-    buffer[S.BIN_SCALE] = (config.bins - 1) / window_us
+    buffer[S.BIN_SCALE] = (config.bins - 1) / window_us if config.representation == "volume" else 0.0
     buffer[S.SCALE_X] = gain_x * per_tau_us
     buffer[S.SCALE_Y] = gain_y * per_tau_us
 

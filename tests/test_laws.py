@@ -30,6 +30,13 @@ KINDS = {
     "of 60 events": CONFIG.replace(window_events=60, window_us=None),
     "of 50 events, flow removed": CONFIG.replace(window_events=50, landmark="line", remove_flow=True),
     "of 70 events, regressor": CONFIG.replace(window_events=70, landmark="regressor"),
+    "image of counts": CONFIG.replace(representation="count", bins=None, landmark="line", polarity="split"),
+    "image of counts and times": CONFIG.replace(
+        representation="count_time", bins=None, transform="none", polarity="split"
+    ),
+    "image of mean times": CONFIG.replace(
+        representation="mean_time", bins=None, transform="none", polarity="unsigned", grid=(30, 24)
+    ),
     "no transform": CONFIG.replace(transform="none", polarity="split"),
     "one bin, large": CONFIG.replace(sensor=(300, 200), grid=(300, 200), bins=1),
 }
@@ -97,7 +104,7 @@ class Stream:
 VOLUMES = {f"volume: {kind}": partial(Volume, config) for kind, config in KINDS.items()}
 OF_A_DURATION = {"hop_us", "start_us"}
 # Each setting with both ways of deciding, and with one of the other landmarks.
-OTHERS = zip(itertools.cycle(["line", "window", "regressor"]), SETTINGS)
+OTHERS = zip(itertools.cycle(["line", "window", "regressor", "image of mean times"]), SETTINGS)
 PROCESSORS = {
     f"{kind}, {name}, {'network' if compiled else 'callable'}": partial(Stream, KINDS[kind], compiled, SETTINGS[name])
     for kind, name, compiled in (

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import TNTConfig
+from async_tnt.config import TIME_IMAGES, TNTConfig
 from async_tnt.networks.model import Model
 from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
 
 Landmark = tuple[float, float]
 
-PIPELINE_SETTINGS = ("sensor", "grid", "bins", "t_max", "polarity", "transform", "remove_flow")
+PIPELINE_SETTINGS = ("sensor", "grid", "bins", "t_max", "polarity", "transform", "remove_flow", "representation")
 
 
 def reference_volume(
@@ -28,7 +28,10 @@ def reference_volume(
     import tnt_reference
 
     columns = [events[field] for field in "txyp"]
-    settings: dict[str, Any] = {**_window(events, config, start_us), "bins": config.bins, "polarity": config.polarity}
+    settings: dict[str, Any] = {**_window(events, config, start_us), "polarity": config.polarity}
+    if config.representation in TIME_IMAGES:
+        return tnt_reference.time_image(*columns, **settings, representation=config.representation).numpy()
+    settings["bins"] = config.bins
     if config.transform == "none":
         return tnt_reference.event_volume(*columns, **settings).numpy()
     return tnt_reference.tnt_volume(*columns, **(settings | _transform(config, landmark))).numpy()

@@ -162,8 +162,12 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
 def _config(args: argparse.Namespace) -> TNTConfig:
     """The volume that the options describe; its sensor is replaced by that of the recordings."""
-    names = ("bins", "t_max", "landmark", "polarity", "transform", "remove_flow")
-    config = TNTConfig(**{name: getattr(args, name) for name in names})
+    is_volume = args.representation == "volume"
+    config = TNTConfig(
+        **{name: getattr(args, name) for name in ("representation", "bins", "t_max", "landmark", "remove_flow")},
+        polarity=args.polarity or ("signed" if is_volume else "split"),
+        transform=args.transform or ("tnt" if is_volume else "none"),
+    )
     grid = size_of(args.grid) if args.grid else config.grid
     return config.replace(grid=grid, window_us=args.window_us or config.window_us)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from async_tnt.cli.data_options import add_folder, add_precision
 from async_tnt.cli.options import positive_int, size_of, size_text
 from async_tnt.cli.pixel_options import add_selection, selection_of
-from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
+from async_tnt.config import LANDMARKS, POLARITIES, REPRESENTATIONS, TRANSFORMS
 from async_tnt.networks.model import Model
 from async_tnt.process import available_cores
 from async_tnt.sources.pixel_selection import PixelSelection
@@ -137,7 +137,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     volume = parser.add_argument_group("volume (what the network sees)")
     volume.add_argument(
-        "--transform", choices=TRANSFORMS, default="tnt", help="tnt, or none: the plain event volume (default: tnt)"
+        "--representation",
+        choices=REPRESENTATIONS,
+        default="volume",
+        help="the event volume, or an image: events per pixel, with the time of the newest, the mean time (default: "
+        "volume)",
+    )
+    volume.add_argument(
+        "--transform", choices=TRANSFORMS, help="tnt, or none: the plain event volume (default: tnt; none for an image)"
     )
     volume.add_argument(
         "--landmark",
@@ -157,11 +164,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     volume.add_argument(
         "--polarity",
         choices=POLARITIES,
-        default="signed",
-        help="ON minus OFF events, both counted alike, or in separate bins (default: signed)",
+        help="ON minus OFF events, both counted alike, or in separate bins (default: signed; split for an image)",
     )
     volume.add_argument("--remove-flow", action="store_true", help="subtract the fitted flow (with --landmark line)")
-    volume.add_argument("--bins", type=int, default=9, metavar="B", help="time bins (default: 9)")
+    volume.add_argument("--bins", type=int, metavar="B", help="time bins of the event volume (default: 9)")
     volume.add_argument(
         "--sensor",
         type=size_text,

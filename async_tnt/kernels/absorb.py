@@ -17,7 +17,7 @@ from . import state as S
 from .jit import compiled, inlined
 from .landmark import block_of, displace, displace_fixed, displace_line, displace_raw, displace_running
 from .records import MAX_TIME_US
-from .splat import add_event, grid_of, place_event
+from .splat import add_event, combine_time, grid_of, place_event
 
 ABSORBED, AT_LIMIT, REFUSED = range(3)  # what absorb_one returns
 
@@ -44,7 +44,10 @@ def absorb(buffer, t, x, y, p, first, last):
             _count_block(buffer, ints, block_t, m, oldest_us, newest_us)
             displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
             _place(buffer, ints, block_t, p[first : first + m], m)
-            _splat(buffer, ints, m)
+            if ints[S.COMBINE] == S.COMBINE_SUM:
+                _splat(buffer, ints, m)
+            else:
+                _combine_times(buffer, ints, block_t, m)
             first += m
         else:  # late events, or the limit: one by one
             end = first + m
@@ -133,7 +136,11 @@ def _absorb_event(buffer, ints, t, x, y, p):
     _note_changed_bins(ints, grid, dt, dt)
     ints[ints[S.LOG] + (ints[S.N_LOG] & (ints[S.LOG_SIZE] - 1))] = corner
     ints[S.N_LOG] += 1
-    add_event(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, lower, upper)
+    if ints[S.COMBINE] == S.COMBINE_SUM:
+        add_event(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, lower, upper)
+    else:
+        f = np.float64(dt) / buffer[S.WINDOW_US]
+        combine_time(buffer, np.uint64(corner), np.uint64(ints[S.ROW]), y_frac, x_frac, f, ints[S.COMBINE])
 
 
 @inlined
@@ -212,6 +219,18 @@ def _splat(buffer, ints, m):
     row = np.uint64(ints[S.ROW])
     for i in range(m):
         add_event(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], lowers[i], uppers[i])
+
+
+@compiled
+def _combine_times(buffer, ints, t, m):
+    """`_splat` for images of times."""
+    corners = block_of(ints, S.CORNER)
+    y_fracs, x_fracs = block_of(buffer, S.Y_FRAC), block_of(buffer, S.X_FRAC)
+    row, combine = np.uint64(ints[S.ROW]), ints[S.COMBINE]
+    start_us, window_us = ints[S.START_US], buffer[S.WINDOW_US]
+    for i in range(m):
+        f = np.float64(t[i] - start_us) / window_us
+        combine_time(buffer, np.uint64(corners[i]), row, y_fracs[i], x_fracs[i], f, combine)
 
 
 @inlined

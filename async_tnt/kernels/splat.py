@@ -2,6 +2,8 @@
 
     V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i)        k(a) = max(0, 1 - |a|)
 
+Images of times have the same cells and another rule for them, `combine_time`.
+
 Zhu, Yuan, Chaney, Daniilidis 2019 (arXiv 1812.08156): the discretized event volume, or voxel grid.
 """
 
@@ -20,6 +22,7 @@ Grid.__doc__ = (
     """A volume's parameters as values, read once a block: the compiler then knows that no store changes them."""
 )
 
+WEIGHT_TOLERANCE = 1e-9
 BORDER_TOLERANCE = 1e-9  # pixels; rounding must not drop an event that lies exactly on the border
 
 
@@ -108,3 +111,28 @@ def add_event(buffer, corner, row, y_frac, x_frac, lower, upper):
     corner += row
     add_f64x2(buffer, corner, lower, upper, w10)
     add_f64x2(buffer, corner + two, lower, upper, w11)
+
+
+@inlined
+def combine_time(buffer, corner, row, y_frac, x_frac, f, combine):
+    """`add_event` for images of times, f in [0, 1] of the window. With the weight w of each of the four cells:
+
+        newest   count += w,  time = max(time, f)
+        mean     count += w,  mean += (f - mean) w / count
+
+    A weight below WEIGHT_TOLERANCE is the rounding of a place on the next cell, and is none.
+    """
+    w11 = y_frac * x_frac
+    w10 = y_frac - w11
+    w01 = x_frac - w11
+    w00 = 1.0 - x_frac - w10
+    two = np.uint64(2)
+    for cell, w in ((corner, w00), (corner + two, w01), (corner + row, w10), (corner + row + two, w11)):
+        if w < WEIGHT_TOLERANCE:
+            continue
+        if combine == S.COMBINE_NEWEST:
+            buffer[cell] += w
+            buffer[cell + np.uint64(1)] = max(buffer[cell + np.uint64(1)], f)
+        else:
+            buffer[cell + np.uint64(1)] += w
+            buffer[cell] += (f - buffer[cell]) * w / buffer[cell + np.uint64(1)]

@@ -45,6 +45,7 @@ PLANE = 20  # numbers in an interval: 2 (H + 1) (W + 1)
 OFF_SHIFT = 21  # numbers between an ON cell and its OFF cell ("split"), else 0
 LOG = 22  # where the log begins
 LOG_SIZE = 23  # a power of two, at least BLOCK
+COMBINE = 42  # one of the COMBINE_ numbers
 # ints: the open window
 START_US = 24
 LIMIT_US = 25  # absorb no event at or after this time
@@ -90,6 +91,11 @@ MODE_FIXED = 1  # a given landmark: the centre, the window's mean
 MODE_RUNNING = 2
 MODE_LINE = 3
 MODE_LINE_FLOW_REMOVED = 4
+
+# what an event does to a cell, a pair of numbers (COMBINE)
+COMBINE_SUM = 0  # the volume, or an image of counts: add its weights to (lower, upper)
+COMBINE_NEWEST = 1  # (count, time of the newest event)
+COMBINE_MEAN = 2  # (mean time, count)
 
 NO_BIN = 1 << 30
 NEVER_US = 1 << 62

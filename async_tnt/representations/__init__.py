@@ -5,7 +5,8 @@
     move_by_flow            the motion model: events moved by constant optical flow; `undo_flow` moves them back
     segment                 a recording cut at given times; `split_saccades` cuts N-MNIST's, `find_pauses` finds times
 
-The event volume and the Temporal Normalization Transform are `async_tnt.TNTVolume`.
+The event volume, the Temporal Normalization Transform, and images that a stream keeps up to date are
+`async_tnt.TNTVolume`.
 """
 
 from async_tnt.representations.images import count_image, count_timestamp_image

@@ -6,7 +6,7 @@ Normalization Transform), then `networks.py`. Independent of these: `images.py`,
 `moving_image.py`.
 """
 
-from .images import count_image, count_timestamp_image
+from .images import count_image, count_timestamp_image, time_image
 from .landmarks import fitted_flow, landmark
 from .motion import move_by_flow
 from .networks import Classifier, LandmarkRegressor, Pipeline
@@ -28,6 +28,7 @@ __all__ = [
     "landmark",
     "move_by_flow",
     "segment_index",
+    "time_image",
     "tnt_coordinates",
     "tnt_volume",
     "until_newest",

@@ -1,11 +1,13 @@
-"""Event images: counts of events per pixel and polarity, and the time of the newest."""
+"""Event images: counts of events per pixel and polarity, the time of the newest, the mean time."""
 
 from __future__ import annotations
 
 import torch
 
-from .coordinates import window_fraction
-from .window import Column, check_size, signs, window_events
+from .coordinates import to_grid, window_fraction
+from .window import Column, check_polarity, check_size, signs, window_events
+
+WEIGHT_TOLERANCE = 1e-9
 
 
 def count_image(t: Column, x: Column, y: Column, p: Column, *, sensor: tuple[int, int]) -> torch.Tensor:
@@ -81,6 +83,74 @@ def count_timestamp_image(
     pixel = ((2 + channel) * sensor[1] + row) * sensor[0] + column  # (M,)
     image.view(-1).scatter_reduce_(0, pixel, f, "amax")
     return image.to(dtype)
+
+
+def time_image(
+    t: Column,
+    x: Column,
+    y: Column,
+    p: Column,
+    *,
+    start_us: int,
+    window_us: int,
+    sensor: tuple[int, int],
+    grid: tuple[int, int],
+    representation: str,
+    polarity: str = "split",
+    dtype: torch.dtype = torch.float32,
+) -> torch.Tensor:
+    """When events came, on a grid of any size: each is shared by the cells around it, as in the event volume.
+
+        w_i = k(y - y_i) k(x - x_i)         k(a) = max(0, 1 - |a|), places in grid pixels
+        N[y, x] = sum_i w_i                 T[y, x] = max {f_i : w_i > 0}          M[y, x] = sum_i w_i f_i / N[y, x]
+
+    Where there are no events, all are 0. A weight below WEIGHT_TOLERANCE counts as 0: it is the rounding of a place.
+
+    Parameters
+    ----------
+    t, x, y, p, start_us, window_us, sensor, grid, dtype : as for `event_volume`.
+    representation : "count_time": the channels N and T; "mean_time": the channel M.
+    polarity : "unsigned", or "split": the channels of the ON events, then those of the OFF events.
+
+    Returns
+    -------
+    Tensor (C, H, W) of `dtype`. All arithmetic is float64; the cast is the last step.
+
+    References
+    ----------
+    Zhu et al. 2018, arXiv:1802.06898, for N and T; Mitrokhin et al. 2018, arXiv:1803.04523, for M.
+
+    Example
+    -------
+    >>> at = dict(start_us=0, window_us=8, sensor=(2, 2), grid=(2, 2), polarity="unsigned")
+    >>> time_image([0, 2, 4], [1, 1, 0], [0, 0, 1], [1, 0, 1], representation="mean_time", **at).tolist()
+    [[[0.0, 0.125], [0.5, 0.0]]]
+    """
+    if representation not in ("count_time", "mean_time"):
+        raise ValueError(f"`representation` must be 'count_time' or 'mean_time', got {representation!r}")
+    check_polarity(polarity)
+    if polarity == "signed":
+        raise ValueError("`polarity` must be 'split' or 'unsigned': times have no sign, got 'signed'")
+    grid = check_size("grid", grid)
+    events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
+    sign = signs(p, len(events.dt))
+    place = to_grid(events.pixels, sensor, grid).double()  # (N, 2)
+    f = window_fraction(events.dt, window_us)  # (N,)
+    polarities = [events.inside] if polarity == "unsigned" else [events.inside & (sign > 0), events.inside & (sign < 0)]
+    channels = []
+    for which in polarities:
+        count, newest, total = (torch.zeros(grid[1], grid[0], dtype=torch.float64) for _ in range(3))
+        for (u, v), time in zip(place[which].tolist(), f[which].tolist(), strict=True):
+            for column in range(int(u), min(int(u) + 2, grid[0])):
+                for row in range(int(v), min(int(v) + 2, grid[1])):
+                    w = (1 - abs(u - column)) * (1 - abs(v - row))
+                    if w >= WEIGHT_TOLERANCE:
+                        count[row, column] += w
+                        newest[row, column] = max(newest[row, column], time)
+                        total[row, column] += w * time
+        mean = torch.where(count > 0, total / torch.where(count > 0, count, 1.0), 0.0)
+        channels += [count, newest] if representation == "count_time" else [mean]
+    return torch.stack(channels).to(dtype)
 
 
 def events_at(

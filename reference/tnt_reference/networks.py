@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import torch
 from torch import nn
 from torch.nn import functional as F
 
+from .images import time_image
 from .landmarks import LANDMARKS
 from .transform import tnt_coordinates
 from .volume import check_bins, event_volume, tnt_volume
 from .window import Column, check_polarity, check_size, until_newest
+
+REPRESENTATIONS = ("volume", "count", "count_time", "mean_time")
 
 
 class Classifier(nn.Module):
@@ -117,6 +121,8 @@ class Pipeline(nn.Module):
     bins, t_max, polarity, remove_flow : as in `tnt_volume`.
     landmark : "center", "running", "line", "window"; or "regressor".
     transform : "tnt", or "none" for the raw event volume (the baseline; the landmark then has no effect).
+    representation : "volume"; "count", an event volume of one bin; or an image of times, see `time_image`, without
+        the transform.
     regressor : the network behind landmark "regressor" (`LandmarkRegressor` or a module from (C, H, W) to
         (2,)): it sees the raw event volume of the same window, and learns through the transform.
 
@@ -138,9 +144,16 @@ class Pipeline(nn.Module):
         landmark: str = "running",
         transform: str = "tnt",
         remove_flow: bool = False,
+        representation: str = "volume",
         regressor: nn.Module | None = None,
     ) -> None:
         super().__init__()
+        if representation not in REPRESENTATIONS:
+            raise ValueError(f"`representation` must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}")
+        if representation == "count" and bins != 1:
+            raise ValueError(f"`bins` must be 1 with representation 'count', got {bins}")
+        if representation not in ("volume", "count") and transform != "none":
+            raise ValueError(f"`transform` must be 'none' with representation {representation!r}, got {transform!r}")
         if transform not in ("tnt", "none"):
             raise ValueError(f"`transform` must be 'tnt' or 'none', got {transform!r}")
         if landmark not in (*LANDMARKS, "regressor"):
@@ -155,7 +168,7 @@ class Pipeline(nn.Module):
         self.grid = check_size("grid", grid if grid is not None else sensor)
         self.window_us, self.bins, self.t_max = window_us, check_bins(bins), t_max
         self.polarity, self.landmark = polarity, landmark
-        self.transform, self.remove_flow = transform, remove_flow
+        self.transform, self.remove_flow, self.representation = transform, remove_flow, representation
         check_polarity(polarity)
         # No events: every remaining setting is checked where it is used.
         tnt_coordinates(
@@ -209,20 +222,18 @@ class Pipeline(nn.Module):
         )
 
     def raw_volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """(C, H, W): the untransformed event volume of one window."""
-        return event_volume(
-            t,
-            x,
-            y,
-            p,
-            start_us=start_us,
-            window_us=self.duration_us(t, start_us),
-            sensor=self.sensor,
-            grid=self.grid,
-            bins=self.bins,
-            polarity=self.polarity,
-            dtype=self.dtype,
-        )
+        """(C, H, W): the untransformed event volume of one window, or its image of times."""
+        settings: dict[str, Any] = {
+            "start_us": start_us,
+            "window_us": self.duration_us(t, start_us),
+            "sensor": self.sensor,
+            "grid": self.grid,
+            "polarity": self.polarity,
+            "dtype": self.dtype,
+        }
+        if self.representation in ("volume", "count"):
+            return event_volume(t, x, y, p, bins=self.bins, **settings)
+        return time_image(t, x, y, p, representation=self.representation, **settings)
 
     @property
     def dtype(self) -> torch.dtype:

@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from async_tnt import TNTConfig
 from async_tnt.config import LANDMARKS, POLARITIES, TRANSFORMS
 
-NAMES = "bins, grid, landmark, polarity, remove_flow, sensor, t_max, transform, window_events, window_us"
+NAMES = (
+    "bins, grid, landmark, polarity, remove_flow, representation, sensor, t_max, transform, window_events, window_us"
+)
 OTHER = {
     "sensor": (346, 260),
     "grid": (64, 48),
@@ -26,6 +28,7 @@ OTHER = {
     "transform": "tnt",
     "remove_flow": True,
     "window_events": 500,
+    "representation": "volume",
 }
 
 SIZE = "`{}` must be two whole numbers (width, height), got {!r}"
@@ -53,6 +56,27 @@ WRONG = [
     *[
         ({"window_events": v}, ValueError, f"`window_events` must be in [1, 1073741824], got {v}")
         for v in (0, (1 << 30) + 1)
+    ],
+    (
+        {"representation": "image"},
+        ValueError,
+        "`representation` must be one of volume, count, count_time, mean_time, got 'image'",
+    ),
+    (
+        {"representation": "count_time", "bins": 9},
+        ValueError,
+        "`bins` must be 2 with representation='count_time', got 9",
+    ),
+    *[
+        (
+            {"representation": "mean_time", "bins": 1} | other,
+            ValueError,
+            'representation=\'mean_time\' needs transform="none" and polarity "split" or "unsigned", got ' + got,
+        )
+        for other, got in (
+            ({"polarity": "split"}, "transform='tnt', polarity='split'"),
+            ({"transform": "none"}, "transform='none', polarity='signed'"),
+        )
     ],
     ({"window_events": 9.0}, TypeError, WHOLE.format("window_events", 9.0)),
     *[({"window_us": v}, ValueError, f"`window_us` must be in [1, 3600000000], got {v}") for v in (0, 3_600_000_001)],
@@ -145,7 +169,11 @@ def configs(draw):
 @given(configs())
 def test_any_configuration_survives_json(config):
     values = config.to_dict()
-    assert list(values) == [field.name for field in fields(TNTConfig) if getattr(config, field.name) is not None]
+    unknown_to_0_1_0 = {
+        "window_events": config.window_events is None,
+        "representation": config.representation == "volume",
+    }
+    assert list(values) == [field.name for field in fields(TNTConfig) if not unknown_to_0_1_0.get(field.name)]
     restored = TNTConfig.from_dict(json.loads(json.dumps(values)))
     assert restored == config and restored.to_dict() == values
     assert config.shape == (config.bins * (1 + (config.polarity == "split")), *config.grid[::-1])

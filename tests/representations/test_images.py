@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of, nasty_streams
 
+from async_tnt import TNTConfig, TNTVolume
 from async_tnt.representations import count_image, count_timestamp_image
 
 SHAPES = [((34, 34), 105_000), ((5, 3), 7), ((2, 2), 1), ((64, 48), 1_000)]  # sensor, window_us
@@ -101,3 +102,41 @@ def test_invalid_events_change_nothing():
 def test_bad_settings(bad, error, message):
     with pytest.raises(error, match=message):
         count_timestamp_image(GOOD, **AT | bad)
+
+
+def image_of(events, **settings):
+    volume = TNTVolume(TNTConfig(sensor=(3, 2), window_us=40, transform="none", polarity="split", **settings))
+    volume.open(10)
+    volume.update(events)
+    return volume.array
+
+
+def test_the_images_of_a_configuration_by_hand():
+    events = ([10, 20, 40, 30], [0, 2, 2, 2], [1, 0, 0, 1], [1, 0, 0, 1])  # t, x, y, p; one comes late
+    settings = {"grid": (3, 2)}
+    on, off = image_of(events, representation="count", **settings)
+    assert on.tolist() == [[0, 0, 0], [1, 0, 1]] and off.tolist() == [[0, 0, 2], [0, 0, 0]]
+    n_on, t_on, n_off, t_off = image_of(events, representation="count_time", **settings)
+    assert np.array_equal(n_on, on) and np.array_equal(n_off, off)
+    assert t_on.tolist() == [[0, 0, 0], [0, 0, 0.5]] and t_off.tolist() == [[0, 0, 0.75], [0, 0, 0]]
+    assert image_of(events, representation="mean_time", **settings)[1].tolist() == [[0, 0, 0.5], [0, 0, 0]]
+
+
+def test_on_a_larger_grid_an_event_is_shared_by_the_cells_around_it():
+    """A sensor of 3 pixels on a grid of 4: pixel 1 lies half way between columns 1 and 2."""
+    events = ([20, 30], [1, 0], [0, 0], [1, 1])
+    settings = {"grid": (4, 2)}
+    n_on, t_on, *_ = image_of(events, representation="count_time", **settings)
+    assert n_on[0].tolist() == [1, 0.5, 0.5, 0] and t_on[0].tolist() == [0.5, 0.25, 0.25, 0]
+    assert image_of(events, representation="mean_time", **settings)[0, 0].tolist() == [0.5, 0.25, 0.25, 0]
+
+
+@given(nasty_streams((12, 9), 1000, 50))
+def test_a_volume_holds_what_the_functions_count(events):
+    config = TNTConfig(sensor=(12, 9), grid=(12, 9), window_us=1000, transform="none", polarity="split")
+    counted, timed = (TNTVolume(config.replace(representation=of, bins=None)) for of in ("count", "count_time"))
+    counted.open(50), timed.open(50)
+    counted.update(events), timed.update(events)
+    assert np.array_equal(counted.array, count_image(events, sensor=(12, 9)))
+    expected = count_timestamp_image(events, start_us=50, window_us=1000, sensor=(12, 9))
+    assert np.array_equal(timed.array, expected[[0, 2, 1, 3]])

@@ -53,6 +53,22 @@ def test_smoke_needs_no_data(tmp_path, monkeypatch, program):
     assert model.record["epochs"] == 2 and model.config.landmark == "running"
 
 
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], ("volume", 9, "tnt", "signed")),
+        (["--representation", "count"], ("count", 1, "none", "split")),
+        (["--representation", "count", "--transform", "tnt", "--polarity", "signed"], ("count", 1, "tnt", "signed")),
+        (["--representation", "mean_time"], ("mean_time", 1, "none", "split")),
+    ],
+)
+def test_an_image_has_its_own_defaults(words, expected, tmp_path, program):
+    out = tmp_path / "tiny.safetensors"
+    code, _, _ = program("train", "--smoke", "--out", out, "--run", tmp_path / "run", *words)
+    config = load_model(out).config
+    assert (code, (config.representation, config.bins, config.transform, config.polarity)) == (0, expected)
+
+
 @pytest.mark.filterwarnings("default:left out:UserWarning")
 def test_damaged_recordings_of_the_default_folder_are_refused_or_left_out(nmnist, tmp_path, program, monkeypatch):
     shutil.copytree(nmnist, tmp_path / "nmnist")

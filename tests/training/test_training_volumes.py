@@ -39,6 +39,9 @@ def streamed(config, windows, k, until_us):
         {"landmark": "line", "remove_flow": True, "polarity": "unsigned"},
         {"landmark": "window"},
         {"transform": "none", "sensor": (64, 40)},
+        {"representation": "count", "landmark": "line"},
+        {"representation": "count_time", "transform": "none", "polarity": "split", "sensor": (64, 40)},
+        {"representation": "mean_time", "transform": "none", "polarity": "unsigned"},
     ],
     ids=lambda changes: "-".join(map(str, changes.values())),
 )
