@@ -16,6 +16,7 @@ from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
 from async_tnt.views.figure_events import draw_events
+from async_tnt.views.figure_heatmap import draw_heatmap
 from async_tnt.views.figure_motions import draw_motions
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_pipeline import draw_pipeline
@@ -33,12 +34,13 @@ FIGURES = {
     "slices": "the bins of a window's raw and transformed volume as pictures",
     "probabilities": "the probability of each class during the recording",
     "motions": "one digit under two motions, two windows or two files: raw against transformed",
+    "heatmap": "what a landmark network looks at while a window's events arrive (a model with landmark regressor)",
     "pipeline": "recording, raw events, landmark, transformed events, volume, network, probabilities",
 }
 VOLUME_OPTIONS = ("landmark", "t_max", "polarity", "remove_flow", "bins", "window_us", "grid")
 DRAWN_FREELY = ("overview", "events", "slices", "motions")  # the other figures draw what the model's network sees
 USED_BY = {option: DRAWN_FREELY for option in VOLUME_OPTIONS} | {
-    "window": ("overview", "events", "slices", "pipeline"),
+    "window": ("overview", "events", "slices", "heatmap", "pipeline"),
     "windows": ("motions",),
     "slices": ("overview", "slices", "motions"),
     "every_us": ("overview", "probabilities"),
@@ -161,7 +163,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     sensor = _sensor(recording, args, trained)
     config = trained.config
     if sensor != config.sensor:
-        if args.model is not None or args.figure in ("probabilities", "pipeline"):
+        if args.model is not None or args.figure not in DRAWN_FREELY:
             advice = "" if args.model else f"; give another --model than {DEFAULT_MODEL}"
             check_sensor(path, sensor, config.sensor, advice=advice)
         model, config = None, config.replace(sensor=sensor, grid=sensor)
@@ -237,6 +239,8 @@ def _draw(subjects: list[Subject], args: argparse.Namespace) -> Figure:
             return draw_slices(first, number, args.slices)
         case "probabilities":
             return draw_probabilities(first, args.every_us)
+        case "heatmap":
+            return draw_heatmap(first, number)
         case "pipeline":
             return draw_pipeline(first, number)
         case _:

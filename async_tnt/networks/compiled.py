@@ -104,3 +104,12 @@ class CompiledRegressor:
         """The landmark of one raw volume, float64; nan where the network's float32 numbers overflow."""
         x, y = find_landmark(self._input(volume), self._layers, self._maps)
         return x, y
+
+    def heatmap(self, volume: np.ndarray) -> np.ndarray:
+        """How much each pixel counts in the landmark of one raw volume, which is their centroid: float64, shape (H, W),
+        sum 1."""
+        self(volume)
+        _, height, width = self.shape
+        exponent = self._maps[-1][: height * (width + 2)].reshape(height, width + 2)[:, :width].astype(np.float64)
+        heat: np.ndarray = np.exp(exponent - exponent.max())
+        return heat / heat.sum()

@@ -11,7 +11,7 @@ import pytest
 
 image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib (extra: plot)")
 
-from made import random_events, random_model  # noqa: E402
+from made import random_events, random_model, random_regressor_model  # noqa: E402
 
 from async_tnt import TNTConfig  # noqa: E402
 from async_tnt.cli.plot import FIGURES  # noqa: E402
@@ -52,6 +52,22 @@ def test_every_figure_as_png_and_svg(figure, labels, plot):
     assert plot("--figure", figure, "--out", "a.svg")[0] == 0
     assert not [label for label in labels if label not in text_of("a.svg")]
     assert Path("a.svg").stat().st_size < 1_000_000 and sorted(os.listdir()) == [png.name, "a.svg"]
+
+
+@pytest.mark.parametrize(
+    "figure, labels",
+    {
+        "heatmap": ["3.bin, window 2: the landmark network's heatmap", "21 ms", "running centroid", "image centre"],
+        "pipeline": ["landmark: regressor"],
+        "motions": ["window 1: moving down", "y, after TNT v (px)"],
+        "slices": ["after TNT (regressor, t_max 8)"],
+    }.items(),
+)
+def test_figures_of_a_model_with_a_landmark_network(figure, labels, plot):
+    random_regressor_model().save("r.safetensors")
+    window = ["--window", "2"] if figure == "heatmap" else []
+    assert plot("--figure", figure, "--model", "r.safetensors", "--out", "a.svg", *window)[0] == 0
+    assert not [label for label in labels if label not in text_of("a.svg")]
 
 
 @pytest.mark.parametrize("name, begin", [("a.pdf", b"%PDF"), ("a.svg", b"<?xml"), ("a.png", b"\x89PNG")])
@@ -129,6 +145,7 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
         ("--slices 9", "--slices must be in [0, 9), the volume's bins, got 9"),
         ("--figure pipeline --t-max 2", "--t-max has no effect on --figure pipeline, only on overview, events"),
         ("3 4", "--figure overview draws 1 recording, got 2"),
+        ("--figure heatmap", '--figure heatmap needs a model with landmark="regressor", but model digits has'),
         ("3 --model of_events.safetensors", "windows of a duration can be drawn, but not of 500 events"),
     ],
 )

@@ -1,0 +1,103 @@
+"""What a landmark network looks at: its heatmap over a window's events so far, at moments of the window."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from async_tnt.config import TNTConfig
+from async_tnt.views.figure_slices import colour_limit, draw_slice
+from async_tnt.views.figure_style import (
+    GREY,
+    LARGE,
+    OFF,
+    ON,
+    PALE,
+    SMALL,
+    TEXT,
+    WIDTH,
+    axes_at,
+    headline,
+    new_figure,
+    one_colour_map,
+    write_at,
+)
+from async_tnt.views.figure_subject import Subject, Window
+from async_tnt.volume import TNTVolume
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+N_MOMENTS = 5
+LEFT, GAP, HEAD, TALLEST = 0.75, 0.12, 0.85, 3.0  # inches
+
+
+def draw_heatmap(subject: Subject, number: int = 1) -> Figure:
+    """One window's raw events, and below them the heatmap of the model's landmark network, at fifths of the window.
+
+    Raises
+    ------
+    ValueError : the model has no landmark network.
+    """
+    regressor = subject.regressor()
+    if regressor is None:
+        raise ValueError(
+            f'--figure heatmap needs a model with landmark="regressor", but model {subject.model_name} has '
+            f"landmark={subject.config.landmark!r} (async-tnt train --landmark regressor makes one)"
+        )
+    window, config = subject.window(number), subject.config
+    width = (WIDTH - LEFT - 0.2 - GAP * (N_MOMENTS - 1)) / N_MOMENTS
+    height = min(TALLEST, width * config.grid[1] / config.grid[0])
+    figure = new_figure(HEAD + 2 * height + GAP + 0.6)
+    headline(figure, f"{subject.name}, window {number}: the landmark network's heatmap")
+    for k in range(1, N_MOMENTS + 1):
+        until_us = window.start_us + config.window_us * k // N_MOMENTS
+        raw = _volume_of(window, subject.raw_config, until_us)
+        mean = _volume_of(window, config.replace(landmark="running"), until_us).landmark
+        seen, heat = raw.array.sum(0), regressor.heatmap(raw.array)
+        left = LEFT + (k - 1) * (width + GAP)
+        above = axes_at(figure, left, HEAD, width, height)
+        colours = "signed" if config.polarity == "signed" else "unsigned"
+        draw_slice(above, seen, colours, colour_limit(seen))
+        above.set_title(f"{(until_us - window.start_us) / 1e3:.3g} ms", fontsize=LARGE)
+        below = axes_at(figure, left, HEAD + height + GAP, width, height)
+        _draw_heat(below, heat, mean)
+        if k == 1:
+            above.set_ylabel("events so far", fontsize=LARGE)
+            below.set_ylabel("heatmap", fontsize=LARGE)
+    marks = [
+        _mark(below, [], [], "x", ON, "landmark, the heatmap's centroid"),
+        _mark(below, [], [], "o", OFF, "running centroid of the events"),
+        _mark(below, [], [], "+", GREY, "image centre"),
+    ]
+    figure.legend(handles=marks, loc="lower center", ncols=3, labelcolor=TEXT)
+    words = "ink: the share of a cell in the landmark, full where it is largest"
+    write_at(figure, LEFT, 0.52, words, fontsize=SMALL, color=TEXT)
+    return figure
+
+
+def _volume_of(window: Window, config: TNTConfig, until_us: int) -> TNTVolume:
+    """The window's events before a time, in a volume of this configuration."""
+    volume = TNTVolume(config)
+    volume.open(window.start_us)
+    volume.update(window.events[window.events["t"] < until_us])
+    return volume
+
+
+def _draw_heat(axes: Any, heat: np.ndarray, mean: tuple[float, float]) -> None:
+    """A heatmap, with its centroid, the events' and the centre."""
+    rows, columns = np.indices(heat.shape)
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set(visible=True, color=PALE)
+    axes.imshow(heat, cmap=one_colour_map("#222222"), vmin=0.0, aspect="auto", interpolation="nearest")
+    _mark(axes, [columns.max() / 2], [rows.max() / 2], "+", GREY)
+    _mark(axes, [mean[0]], [mean[1]], "o", OFF)
+    _mark(axes, [(heat * columns).sum()], [(heat * rows).sum()], "x", ON)
+
+
+def _mark(axes: Any, x: list[float], y: list[float], marker: str, colour: str, label: str | None = None) -> Any:
+    look: dict[str, Any] = {"color": colour, "ls": "", "ms": 8, "mew": 2}
+    if marker == "o":
+        look["mfc"] = "none"
+    return axes.plot(x, y, marker=marker, label=label, **look)[0]
