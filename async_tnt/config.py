@@ -21,6 +21,8 @@ WINDOW_US = 105_000
 MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
 MAX_WINDOW_EVENTS = 1 << 30
 MAX_CELLS = 1 << 31
+LEFT_OUT = {"window_events": None, "representation": "volume"}
+"""What `to_dict` leaves out, because version 0.1.0 does not know it."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,9 @@ class TNTConfig:
         events so far, `line`: the intercept of their running regression line, `window`: the centroid of all the
         window's events when it is read (they are stored, and replayed then), `regressor`: a network's estimate from
         the raw event volume when it is read (replayed, too).
-    polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add), `split` (ON bins, then OFF bins).
-    transform : `tnt`, or `none` for the plain event volume.
+    polarity : `signed` (ON adds, OFF subtracts), `unsigned` (both add), `split` (ON bins, then OFF bins); by default
+        `signed` for a volume and `split` for an image.
+    transform : `tnt`, or `none` for the plain event volume; by default `tnt` for a volume and `none` for an image.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
     representation : `volume`, the event volume; or an image: `count` (events per pixel), `count_time` (the same, and
         the time of the newest, as a fraction of the window), `mean_time` (the mean time). An image has these channels
@@ -65,22 +68,32 @@ class TNTConfig:
 
     sensor: tuple[int, int] = (34, 34)
     grid: tuple[int, int] = (34, 34)
-    bins: int = None  # type: ignore[assignment]  # set below, like `window_us`; whole numbers from then on
+    bins: int = None  # type: ignore[assignment]  # set below, as are the other three: never None from then on
     window_us: int = None  # type: ignore[assignment]
     t_max: float = 8.0
     landmark: str = "running"
-    polarity: str = "signed"
-    transform: str = "tnt"
+    polarity: str = None  # type: ignore[assignment]
+    transform: str = None  # type: ignore[assignment]
     remove_flow: bool = False
     window_events: int | None = None
     representation: str = "volume"
 
     def __post_init__(self) -> None:
+        is_image = self.representation != "volume"
+        for name, default in (
+            ("polarity", "split" if is_image else "signed"),
+            ("transform", "none" if is_image else "tnt"),
+            ("window_us", WINDOW_US if self.window_events is None else MAX_WINDOW_US),
+        ):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, default)
         choices = {"landmark": LANDMARKS, "polarity": POLARITIES, "transform": TRANSFORMS}
         for name, allowed in {**choices, "representation": REPRESENTATIONS}.items():
             value = getattr(self, name)
             if not isinstance(value, str) or value not in allowed:
                 raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {value!r}")
+        if self.bins is None:
+            object.__setattr__(self, "bins", IMAGE_BINS.get(self.representation, BINS))
         for name in ("sensor", "grid"):
             side = getattr(self, name)
             if not (isinstance(side, (tuple, list)) and len(side) == 2 and all(is_whole(s) for s in side)):
@@ -89,10 +102,6 @@ class TNTConfig:
             object.__setattr__(self, name, side)
             if not all(2 <= s <= MAX_SIDE for s in side):
                 raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {side}")
-        if self.bins is None:
-            object.__setattr__(self, "bins", IMAGE_BINS.get(self.representation, BINS))
-        if self.window_us is None:
-            object.__setattr__(self, "window_us", WINDOW_US if self.window_events is None else MAX_WINDOW_US)
         ranges = {"bins": (1, 1024), "window_us": (1, MAX_WINDOW_US)}
         if self.window_events is not None:
             ranges["window_events"] = (1, MAX_WINDOW_EVENTS)
@@ -173,10 +182,9 @@ class TNTConfig:
         return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; without the names that version 0.1.0 does not know, where they have no effect."""
+        """Plain values, for JSON; without those of `LEFT_OUT`."""
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
-        without_effect = {"window_events": None, "representation": "volume"}
-        return {name: value for name, value in values.items() if value != without_effect.get(name, ())}
+        return {name: value for name, value in values.items() if name not in LEFT_OUT or value != LEFT_OUT[name]}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:
@@ -191,5 +199,10 @@ class TNTConfig:
         return cls(**arguments)
 
     def replace(self, **changes: Any) -> TNTConfig:
-        """A copy with some values changed."""
+        """A copy with some values changed. With another representation, or with windows of another kind, the values
+        whose defaults depend on that are its defaults."""
+        if changes.get("representation", self.representation) != self.representation:
+            changes = dict.fromkeys(("bins", "polarity", "transform")) | changes
+        if (changes.get("window_events", self.window_events) is None) != (self.window_events is None):
+            changes = {"window_us": None} | changes
         return replace(self, **changes)

@@ -202,6 +202,8 @@ class Processor:
         windows = self._windows
         decisions: list[Decision] = []
         first, n = 0, columns.n
+        if windows.is_full:  # its decision failed
+            self._close_oldest(windows.oldest.newest_us, decisions)
         while first < n:
             if not len(windows):
                 self._open_windows(int(columns.t[first]))
@@ -305,7 +307,9 @@ class Processor:
 
         Their `complete` is False and their trigger `end`. Events that follow nevertheless belong to later windows.
         """
-        decisions = []
+        decisions: list[Decision] = []
+        if self._windows.is_full:  # its decision failed
+            self._close_oldest(self._windows.oldest.newest_us, decisions)
         while len(self._windows):
             if (oldest := self._windows.oldest).n_events:
                 decisions.append(self._classifier.decide(oldest, "end"))

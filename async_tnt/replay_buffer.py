@@ -68,7 +68,7 @@ class ReplayBuffer:
         self._regressor: Regressor | None
         self._raw: RawVolume | None
         self._regressor, self._raw = regressor or (None, None)
-        self._columns = empty_columns(min(FIRST_CAPACITY, capacity))
+        self._columns = empty_columns(min(FIRST_CAPACITY, self.capacity))
         self.reset()
 
     def reset(self) -> None:
@@ -89,7 +89,7 @@ class ReplayBuffer:
 
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
         """Absorb events up to the volume's limit; returns the first one not absorbed."""
-        if self.n + last - first > self._columns.t.size:
+        if min(self.n + last - first, self.capacity) > self._columns.t.size:
             before_limit = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
             self._grow(self.n + int(np.count_nonzero(before_limit)))
         n_in_window, n_before = _n_events(buffer), self.n
@@ -185,9 +185,11 @@ class ReplayBuffer:
         )
         stored = checked_columns(t, x, y, p, self._config.sensor)
         if stored.n > self.capacity:
-            raise ValueError(f"it stores {stored.n} events, but `replay_events` is {self.capacity}")
-        t_us, end_us = stored.t[: stored.n], start_us + self._config.window_us
-        if stored.n > _n_events(buffer) or np.any((t_us < start_us) | (t_us >= end_us)):
+            most = "replay_events" if self._config.window_events is None else "window_events"
+            raise ValueError(f"it stores {stored.n} events, but `{most}` is {self.capacity}")
+        t_us, end_us, n = stored.t[: stored.n], start_us + self._config.window_us, _n_events(buffer)
+        whole = self._config.window_events is None or (n == stored.n and t_us.max(initial=-1) == ints[S.NEWEST_US])
+        if not whole or stored.n > n or np.any((t_us < start_us) | (t_us >= end_us)):
             raise ValueError(f"its stored events do not belong to the window from {start_us} us on")
         self._grow(stored.n)
         for column, values in zip(self._columns[:4], stored[:4], strict=True):

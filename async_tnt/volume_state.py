@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 
 from async_tnt.checked_tensors import Arrays, checked_array
-from async_tnt.config import TNTConfig
+from async_tnt.config import TIME_IMAGES, TNTConfig
 from async_tnt.kernels import state as S
 from async_tnt.kernels.records import MAX_TIME_US
 
@@ -135,6 +135,13 @@ def restore_window(buffer: np.ndarray, arrays: Arrays, config: TNTConfig) -> Non
     n_cells = 0 if config.needs_replay else int(ints[S.LOG]) - S.CELLS
     if np.any((places < 0) | (places >= n_cells)) or not np.all(np.abs(cells) <= 1.001 * n):
         raise ValueError("its cells are not those of such a window")
+    if config.representation in TIME_IMAGES:
+        pairs = np.zeros(n_cells)
+        pairs[places] = cells
+        of_time = 1 if config.representation == "count_time" else 0
+        times, counts = pairs[of_time::2], pairs[1 - of_time :: 2]
+        if np.any((counts < 0) | (times < 0) | (times > 1) | ((counts == 0) & (times != 0))):
+            raise ValueError("its cells are not counts and times of such a window")
     _set(buffer, slots, "start_us", "n", "sum_x", "sum_y", "sum_t", "newest_us", "c_xf", "c_yf", "c_ff")
     ints[S.LIMIT_US] = start_us + window_us
     buffer[S.CELLS + places] = cells

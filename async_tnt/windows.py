@@ -136,12 +136,9 @@ class WindowScheduler:
             self._next_start_us = t_us
         start_us = self._next_start_us
         if start_us + self._window_us <= t_us:  # then none is open
-            if self._window_events is None:
-                hops = (t_us - self._window_us - start_us) // self.hop_us + 1
-                start_us += hops * self.hop_us
-                self._remember(hops, early=False)
-            else:
-                start_us = t_us
+            hops = (t_us - self._window_us - start_us) // self.hop_us + 1
+            start_us += hops * self.hop_us
+            self._remember(hops, early=False)
         while start_us <= t_us or not self._open:
             volume = self._free.pop()
             volume.open(start_us)
@@ -222,7 +219,7 @@ class WindowScheduler:
         on_grid = self._start_us is None or (first_us - self._start_us) % self.hop_us == 0
         if next_start_us == -1 and n_open == 0 and self._start_us is None:
             self._next_start_us = None
-        elif 0 <= first_us < MAX_TIME_US + self._window_us and on_grid:
+        elif 0 <= first_us < MAX_TIME_US + self._window_us and on_grid and (n_open or self._window_events is None):
             self._next_start_us = next_start_us
         else:
             raise ValueError(f"its next window cannot start at {next_start_us} us")
@@ -236,6 +233,8 @@ class WindowScheduler:
         elif 0 <= decided_us < first_us:  # states of version 0.1 know only the newest such window
             self._closed_early = 1
             self._remember((first_us - decided_us) // self.hop_us - 1, early=False)
+        if self._closed_early and self._window_events is not None:
+            raise ValueError("its windows of events cannot have been closed before their end")
         self._inform_oldest()
 
     def counts(self, n_dropped: int) -> Counts:

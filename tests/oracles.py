@@ -209,8 +209,6 @@ class Oracle:
         """Those on the grid that hold `t_us`; where none is open, the next one, though it may begin later."""
         if self.next_start_us is None:
             self.next_start_us = t_us
-        if self.config.window_events and not self.windows and self.next_start_us + self.config.window_us <= t_us:
-            self.next_start_us = t_us
         while self.next_start_us + self.config.window_us <= t_us:
             gap = (t_us - self.config.window_us - self.next_start_us) // self.hop_us
             self.next_start_us += max(gap, 1) * self.hop_us

@@ -99,18 +99,21 @@ def evaluate_recording(task: Task) -> Record:
     """
 
     def fields_of(decisions: list[Decision], engine: Engine) -> Record:
-        windows: dict[int, list[Decision]] = {}
+        windows: list[list[Decision]] = [[]]
         for decision in decisions:
-            windows.setdefault(decision.window_start_us, []).append(decision)
-        probabilities = np.array([window[-1].probabilities for window in windows.values()])  # (W, K), of whole windows
+            windows[-1].append(decision)
+            if decision.trigger in ("window", "end"):
+                windows.append([])
+        del windows[-1]  # after the last window
+        probabilities = np.array([window[-1].probabilities for window in windows])  # (W, K), of whole windows
         mean = probabilities.mean(axis=0)
         after_us = moments(engine.config)
         return {
             "label": engine.classes[int(mean.argmax())],
             "probabilities": mean.tolist(),
-            "window_start_us": list(windows),
+            "window_start_us": [window[0].window_start_us for window in windows],
             "window_probabilities": probabilities.tolist(),
-            "decided_at": [decided_at(window, after_us) for window in windows.values()],
+            "decided_at": [decided_at(window, after_us) for window in windows],
             "decisions": len(decisions),
         }
 
@@ -148,8 +151,8 @@ def _record(task: Task, fields: Record, error: str | None, seconds: float | None
 
 
 def moments(config: TNTConfig) -> list[int]:
-    """The tenths of a window, in microseconds since its start; at the last one it ends. None where windows have a
-    number of events, and no duration of their own.
+    """The tenths of a window, in microseconds since its start; at the last one it ends. There are none where windows
+    have a number of events, and no duration of their own.
 
     Examples
     --------

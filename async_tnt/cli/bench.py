@@ -19,7 +19,7 @@ from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
 from async_tnt.compile_ahead import warmup
-from async_tnt.config import LANDMARKS
+from async_tnt.config import LANDMARKS, TIME_IMAGES
 from async_tnt.networks.model import Model, load_model
 from async_tnt.progress import Bar, progress
 
@@ -77,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt bench`. Returns 0; 1 if stream and batch do not agree."""
     model = load_model(args.model)
+    _check_model(model)
     with_torch = is_installed("torch", "tnt_reference")
     try:
         with progress(len(GRIDS) + len(NEW_EVENTS) + 4, "compiling") as bar, one_thread(with_torch):
@@ -87,6 +88,14 @@ def main(args: argparse.Namespace) -> int:
         return 1
     print(json.dumps(report) if args.json else "\n".join(table(report)))
     return 0
+
+
+def _check_model(model: Model) -> None:
+    """Refuse what the batch computations beside the stream do not make."""
+    config = model.config
+    if config.representation in TIME_IMAGES or config.window_events is not None:
+        got = f"representation={config.representation!r}, window_events={config.window_events}"
+        raise ValueError(f"bench compares event volumes of windows of a duration; the model has {got}")
 
 
 def _measure(args: argparse.Namespace, model: Model, with_torch: bool, bar: Bar) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from async_tnt.cli.options import positive_int, size_of
 from async_tnt.cli.output import complain, one_line
-from async_tnt.config import LANDMARKS, POLARITIES, TNTConfig
+from async_tnt.config import LANDMARKS, POLARITIES, TIME_IMAGES, TNTConfig
 from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import check_writable
 from async_tnt.networks.model import Model, bundled_models, load_model
@@ -219,10 +219,12 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     changes = {name: getattr(args, name) for name in VOLUME_OPTIONS if getattr(args, name) is not None}
     if changes.get("landmark", "line") != "line":  # a model's own flow removal goes with its line
         changes.setdefault("remove_flow", False)
-    if args.figure in DRAWN_FREELY and config.transform == "none":
-        changes["transform"] = "tnt"
     if config.window_events is not None:
         raise ValueError(f"{args.model}: windows of a duration can be drawn, but not of {config.window_events} events")
+    if config.representation in TIME_IMAGES:
+        raise ValueError(f"{args.model}: event volumes and counts can be drawn, but not {config.representation}")
+    if args.figure in DRAWN_FREELY and config.transform == "none":
+        changes["transform"] = "tnt"
     return config.replace(**changes)
 
 

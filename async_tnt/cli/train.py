@@ -71,12 +71,14 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
+    from async_tnt.training.batches import BatchVolumes
     from async_tnt.training.evaluation import evaluate
     from async_tnt.training.loop import train
     from async_tnt.training.pipeline import pipeline_of
 
     start = load_model(args.start_from) if args.start_from else None
     config = _config(args) if start is None else start.config
+    BatchVolumes(config)  # refuses windows that cannot be trained on, before any data is read
     read = _read_dataset if args.dataset is not None else _read_digits
     data, settings, sources = read(args, config, start, run_folder)
     config = data.config
@@ -162,12 +164,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
 def _config(args: argparse.Namespace) -> TNTConfig:
     """The volume that the options describe; its sensor is replaced by that of the recordings."""
-    is_volume = args.representation == "volume"
-    config = TNTConfig(
-        **{name: getattr(args, name) for name in ("representation", "bins", "t_max", "landmark", "remove_flow")},
-        polarity=args.polarity or ("signed" if is_volume else "split"),
-        transform=args.transform or ("tnt" if is_volume else "none"),
-    )
+    names = ("bins", "t_max", "landmark", "polarity", "transform", "remove_flow")
+    config = TNTConfig(**{name: getattr(args, name) for name in names}, representation=args.representation or "volume")
     grid = size_of(args.grid) if args.grid else config.grid
     return config.replace(grid=grid, window_us=args.window_us or config.window_us)
 

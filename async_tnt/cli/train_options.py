@@ -139,7 +139,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     volume.add_argument(
         "--representation",
         choices=REPRESENTATIONS,
-        default="volume",
         help="the event volume, or an image: events per pixel, with the time of the newest, the mean time (default: "
         "volume)",
     )
@@ -290,6 +289,10 @@ def check_options(args: argparse.Namespace) -> None:
         raise ValueError(f"{', '.join(given)} must come with --motions resynthesized")
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
+    names = ("grid", "window_us", "representation", "transform", "polarity", "bins")
+    given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name) is not None]
+    if args.start_from and given:
+        raise ValueError(f"{', '.join(given)} must come without --start-from: the volume is that model's")
     if args.dataset is None:
         names = ("sensor", "grid", "window_us", "roi", "crop", "mask")
         given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]
@@ -302,8 +305,6 @@ def check_options(args: argparse.Namespace) -> None:
     given += ["--saccades"] if args.saccades != [1, 2, 3] else []
     if given:
         raise ValueError(f"{', '.join(given)} must come without DATASET: train on one or the other")
-    if args.start_from and (args.grid or args.window_us):
-        raise ValueError("--grid and --window-us must come without --start-from: the volume is that model's")
     if args.grid and min(size_of(args.grid)) < 4:
         raise ValueError(f"--grid must be at least 4x4 for the network's two poolings, got {args.grid}")
 

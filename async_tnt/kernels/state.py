@@ -7,10 +7,10 @@ ways: as `buffer`, and as `ints`, a view of the same memory as int64. Each slot 
     buffer = [ parameters, sums, counts | scratch of a block | cells | log ]
 
 Cells, shape (intervals, H + 1, W + 1, 2): between bins b and b + 1 an event adds to both, and the two sums
-lie side by side, cells[b, y, x] = (lower: to bin b, upper: to bin b + 1). Time passes one interval after the
-other, so an interval's cells stay in the first-level cache while its events arrive. One row and one column
-more than the grid spare every event a test at the border: its weight there is zero. They are float64,
-because a volume is promised to 1e-6 of its largest cell even after thousands of opposite events cancelled in
+lie side by side, cells[b, y, x] = (lower: to bin b, upper: to bin b + 1); of an image of times, see COMBINE. Time
+passes one interval after the other, so an interval's cells stay in the first-level cache while its events arrive. One
+row and one column more than the grid spare every event a test at the border: its weight there is zero. They are
+float64, because a volume is promised to 1e-6 of its largest cell even after thousands of opposite events cancelled in
 it, which float32 sums would lose; `readout.cells_to_float32` rounds to float32 once, when the volume is read.
 
 The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and
@@ -20,8 +20,8 @@ seen, and the EPOCH of the window it counted in: a number that is unique within 
 """
 
 # buffer: parameters of the volume
-WINDOW_US = 0  # length of the window
-BIN_SCALE = 1  # (B - 1) / window_us
+WINDOW_US = 0  # length of the window; of a number of events: until its newest one
+BIN_SCALE = 1  # (B - 1) / window_us; of an image: 0
 SCALE_X = 2  # sensor pixels * microseconds -> grid pixels of the transform, see `landmark`
 SCALE_Y = 3
 CENTER_X = 4  # added by the transform: the grid's centre (0 without the transform)
@@ -45,7 +45,6 @@ PLANE = 20  # numbers in an interval: 2 (H + 1) (W + 1)
 OFF_SHIFT = 21  # numbers between an ON cell and its OFF cell ("split"), else 0
 LOG = 22  # where the log begins
 LOG_SIZE = 23  # a power of two, at least BLOCK
-COMBINE = 42  # one of the COMBINE_ numbers
 # ints: the open window
 START_US = 24
 LIMIT_US = 25  # absorb no event at or after this time
@@ -65,6 +64,8 @@ N_LOG = 36  # corners logged since the window opened
 N_READ = 37  # of them already in the array that users see
 BIN_LO = 38  # intervals that changed since the array was read; BIN_HI < BIN_LO: none
 BIN_HI = 39
+# ints: parameters, too
+COMBINE = 42  # one of the COMBINE_ numbers
 # ints: of windows that were closed before their end
 HOP_US = 40  # from one window's start to the next one's
 DECIDED = 41  # late events whose newest window was one of these, since the volume was made

@@ -22,9 +22,15 @@ class BatchVolumes:
     Parameters
     ----------
     config : TNTConfig.
+
+    Raises
+    ------
+    ValueError : it has `window_events`.
     """
 
     def __init__(self, config: TNTConfig) -> None:
+        if config.window_events is not None:
+            raise ValueError(f"windows of a duration can be trained on, but not of {config.window_events} events")
         self.config = config
         self._about = {"window": MEAN, "regressor": GIVEN}.get(config.landmark, OWN)
         if config.transform == "none":

@@ -18,7 +18,7 @@ from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import absorb
 from async_tnt.kernels.readout import empty_volume
 from async_tnt.kernels.splat import BORDER_TOLERANCE
-from async_tnt.volume_state import new_state, next_epoch, set_duration
+from async_tnt.volume_state import new_state, next_epoch
 
 
 class Coordinates(NamedTuple):
@@ -59,7 +59,8 @@ def transformed(
     >>> u, v, kept, landmark  # TNT time 1/2: distances from the centre are doubled
     (array([19.5]), array([17.5]), array([ True]), array([[16.5, 16.5]]))
     """
-    config = config.replace(bins=1)  # the fewest cells: the events' places do not depend on them
+    # the fewest cells: the events' places do not depend on them
+    config = config.replace(representation="volume", bins=1, transform=config.transform, polarity=config.polarity)
     if landmark is None and config.defers_landmark:
         raise ValueError(f"`landmark` must be given for {config.landmark!r}: it is known when the volume is read")
     if landmark is not None:
@@ -72,8 +73,6 @@ def transformed(
         )
     columns = EventDecoder(config.sensor).decode(events)
     buffer = new_state(config)
-    if config.window_events is not None and columns.n:
-        set_duration(buffer, config, max(1, int(t.max()) - start_us))
     empty_volume(buffer, np.zeros(config.shape, np.float32), start_us, start_us + config.window_us, next_epoch())
     if landmark is not None:
         buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*landmark)

@@ -69,6 +69,8 @@ class RerunView:
             raise ValueError(f"`most_pictures_per_s` must be above 0, got {most_pictures_per_s}")
         self.processor = as_processor(model, **settings)
         config = self.processor.config
+        if config.window_events is not None:
+            raise ValueError(f"windows of a duration can be viewed, but not of {config.window_events} events")
         self._picture_us = int(picture_us)
         self._pause_s = 0.0 if most_pictures_per_s is None else 1 / most_pictures_per_s
         self._untransformed = UntransformedVolume(config, self.processor.late)

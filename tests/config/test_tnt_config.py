@@ -74,8 +74,8 @@ WRONG = [
             'representation=\'mean_time\' needs transform="none" and polarity "split" or "unsigned", got ' + got,
         )
         for other, got in (
-            ({"polarity": "split"}, "transform='tnt', polarity='split'"),
-            ({"transform": "none"}, "transform='none', polarity='signed'"),
+            ({"transform": "tnt"}, "transform='tnt', polarity='split'"),
+            ({"polarity": "signed"}, "transform='none', polarity='signed'"),
         )
     ],
     ({"window_events": 9.0}, TypeError, WHOLE.format("window_events", 9.0)),
@@ -88,7 +88,7 @@ WRONG = [
     *[
         ({name: value}, ValueError, ONE_OF.format(name, ", ".join(allowed), value))
         for name, allowed in (("landmark", LANDMARKS), ("polarity", POLARITIES), ("transform", TRANSFORMS))
-        for value in (allowed[0].upper(), None, [])
+        for value in (allowed[0].upper(), 0, [])
     ],
     ({"remove_flow": 1}, TypeError, "`remove_flow` must be True or False, got 1"),
     flow("center", "tnt"),
@@ -120,6 +120,20 @@ def test_defaults_are_the_thesis():
     by_events = TNTConfig(window_events=9)
     assert (config.window_events, by_events.window_events, by_events.window_us) == (None, 9, 3_600_000_000)
     assert (config.transform, config.remove_flow) == ("tnt", False)
+
+
+def test_defaults_that_depend_on_the_representation_and_the_windows():
+    image = TNTConfig(representation="count_time")
+    assert (image.bins, image.polarity, image.transform, image.shape) == (2, "split", "none", (4, 34, 34))
+    volume = TNTConfig(bins=5, polarity="unsigned")
+    assert volume.replace(representation="mean_time", grid=(20, 20)).shape == (2, 20, 20)
+    assert volume.replace(representation="count", polarity="signed").shape == (1, 34, 34)
+    assert image.replace(representation="volume") == TNTConfig()
+    assert image.replace(grid=(20, 20), representation="count_time").polarity == "split"
+    by_events = TNTConfig(window_us=20_000).replace(window_events=9)
+    assert by_events == TNTConfig(window_events=9) and by_events.replace(window_events=None) == TNTConfig()
+    assert by_events.replace(window_events=8, window_us=50).window_us == 50
+    assert by_events.replace(window_us=50).replace(window_events=7).window_us == 50
 
 
 @pytest.mark.parametrize("number", [np.int8, np.uint64, np.array])

@@ -84,8 +84,18 @@ def test_the_numbers_are_those_of_an_independent_count(model, saved, dataset, pr
     assert report["decisions_per_second"] == pytest.approx(report["decisions"] / report["seconds"])
 
 
+def test_windows_that_begin_at_the_same_moment_are_counted_apart(model, program, tmp_path):
+    of_events = Model(model.config.replace(window_events=10), model.weights, CLASSES)
+    events = bar("flat", 0)[:200]
+    events["t"][80:120] = events["t"][80]
+    write(tmp_path / "set" / "Test" / "flat" / "a.npy", events)
+    printed = program("evaluate", of_events.save(tmp_path / "m.safetensors"), tmp_path / "set", "--json")[1]
+    report = json.loads(printed)
+    assert report["windows"] == report["decisions"] == 20
+
+
 def test_windows_of_events_have_no_accuracy_against_time(model, dataset, program, tmp_path):
-    of_events = Model(model.config.replace(window_events=700, window_us=None), model.weights, CLASSES)
+    of_events = Model(model.config.replace(window_events=700), model.weights, CLASSES)
     words = "evaluate", of_events.save(tmp_path / "m.safetensors"), dataset
     report = json.loads(program(*words, "--json")[1])
     assert (report["windows"], report["decisions"], report["accuracy_against_time"]) == (33, 33, [])  # of 1,500 events

@@ -146,12 +146,14 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
         ("--figure pipeline --t-max 2", "--t-max has no effect on --figure pipeline, only on overview, events"),
         ("3 4", "--figure overview draws 1 recording, got 2"),
         ("--figure heatmap", '--figure heatmap needs a model with landmark="regressor", but model digits has'),
+        ("3 --model times.safetensors", "event volumes and counts can be drawn, but not mean_time"),
         ("3 --model of_events.safetensors", "windows of a duration can be drawn, but not of 500 events"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(words, message, plot):
     Path("empty.bin").touch()
     random_model(TNTConfig(window_events=500)).save("of_events.safetensors")
+    random_model(TNTConfig(representation="mean_time")).save("times.safetensors")
     np.savez("h.npz", events=random_events(9), sensor=np.array([40, 40]))
     before = sorted(os.listdir())
     code, printed, err = plot(*words.split())

@@ -19,6 +19,9 @@ CASES = [
     (SMALL.replace(landmark="window"), {"every_events": 7, "hop_us": 450}),
     (SMALL.replace(landmark="regressor"), {"start_us": 40, "late": "drop"}),
     (SMALL.replace(transform="none", polarity="split"), {"every_us": 90}),
+    (SMALL.replace(window_events=40), {"every_events": 7}),
+    (SMALL.replace(representation="mean_time"), {"every_us": 90}),
+    (SMALL.replace(representation="count_time", polarity="unsigned", window_events=60), {}),
 ]
 of_all_cases = pytest.mark.parametrize("case", range(len(CASES)))
 WHOLE = [sign * (1 << power) + off for power in (0, 8, 31, 40, 53, 62) for sign in (-1, 1) for off in (-1, 0, 1)]

@@ -87,6 +87,37 @@ def test_they_are_stored_whole_whatever_the_replay_buffer_holds():
     assert small.counts == large.counts and small.counts.dropped_unstored == 0
 
 
+def test_equal_times_make_windows_that_begin_at_the_same_moment():
+    processor = process()
+    assert of(processor.push(at_once(7, 7, 7, 7, 7, 7, 8))) == [("window", 7, 7, 3, True)] * 2
+    assert of(processor.finish()) == [("end", 8, 8, 1, False)]
+
+
+@pytest.mark.parametrize("retry", [lambda p: p.push([]), lambda p: p.finish(), lambda p: p.push(at_once(9))])
+def test_a_decision_that_failed_is_made_up_for(retry):
+    answers = iter([ValueError("not now"), [1.0, 0.0], [1.0, 0.0]])
+
+    def classify(volume):
+        answer = next(answers)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    processor = Processor(CONFIG, classifier=classify)
+    with pytest.raises(ValueError, match="not now"):
+        processor.push(at_once(1, 2, 3))
+    assert of(retry(processor)) == [("window", 1, 3, 3, True)]
+
+
+def test_a_packet_of_many_windows_is_looked_at_once(monkeypatch):
+    """Growing the replay buffer must not count the rest of the packet for every window."""
+    counted = []
+    monkeypatch.setattr(np, "count_nonzero", lambda values: counted.append(len(values)) or int(values.sum()))
+    volume = TNTVolume(CONFIG)
+    volume.update(random_events(6_000, sensor=(5, 3)))
+    assert counted == []
+
+
 @pytest.mark.parametrize("name", ["hop_us", "start_us"])
 def test_what_needs_windows_of_a_duration_is_refused(name):
     with pytest.raises(ValueError, match=f"`{name}` must not be given with window_events=3, got 50"):

@@ -93,6 +93,7 @@ def test_damaged_recordings_of_the_default_folder_are_refused_or_left_out(nmnist
         (["--nmnist", "nowhere"], "no folder nowhere; give --nmnist FOLDER"),
         (["--smoke", "--remove-flow"], '`remove_flow` needs landmark="line"'),
         (["--smoke", "--epochs", "0"], "`epochs` must be at least 1, got 0"),
+        (["--smoke", "--start-from", "digits", "--representation", "count"], "--representation must come without"),
         (["--smoke", "--test"], "--test must come without --smoke"),
         (["--smoke", "--partial", "2"], "`partial` must be in [0, 1.0], got 2.0"),
         (["--smoke", "--grid", "20x20"], "--grid must come with DATASET"),

@@ -1,5 +1,7 @@
 """Volumes of a batch of windows are those of `TNTVolume`, and augmentation changes them as stated."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from made import events_of, random_events
@@ -53,6 +55,21 @@ def test_a_batch_equals_the_streamed_volumes(changes):
         expected = [streamed(config, windows, k, until_us) for k in range(9)]
         assert np.abs(expected).max((1, 2, 3)).min() > 0
         np.testing.assert_array_equal(batch, expected)
+
+
+def test_windows_of_events_are_refused():
+    with pytest.raises(ValueError, match="windows of a duration can be trained on, but not of 50 events"):
+        BatchVolumes(TNTConfig(window_events=50))
+
+
+@pytest.mark.parametrize("representation", ["count_time", "mean_time"])
+def test_augmented_images_of_times_take_as_many_cells_as_the_streams(representation):
+    """Between pixels, an event would give its time to four cells instead of one."""
+    config = TNTConfig(representation=representation)
+    windows = random_windows(config)
+    draws = replace(NOTHING, shift_px=1.5).draw(len(windows), config, RNG(0))
+    moved, still = BatchVolumes(config)(windows, draws).copy(), BatchVolumes(config)(windows)
+    assert np.count_nonzero(moved) <= np.count_nonzero(still) and (moved != still).any()
 
 
 def test_an_event_at_a_windows_end_belongs_to_the_next():
