@@ -1,4 +1,4 @@
-"""The tables of accuracy: of the bundled model, of its early decisions, and of the thesis' experiment."""
+"""The tables of accuracy: of the bundled model, of its early decisions, and of what makes motions hard to know."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from typing import Any
 from page_parts import percent, results, short, table
 
 from async_tnt import load_model
-from async_tnt.simulation.statistics import UNITS
-from async_tnt.training.table import COLUMNS, ROWS, markdown_table, motions_table
 
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
 
@@ -96,67 +94,6 @@ def digits_tried_motions() -> str:
     return table([*head, "20 ms", "30 ms", "40 ms", "in other motions"], rows)
 
 
-def thesis() -> str:
-    return markdown_table(results("table")["table"])
-
-
-def unseen_motion() -> str:
-    """A sentence."""
-    found = {name: f"{columns['1/all']['mean']:.2f}" for name, columns in results("table")["table"].items()}
-    moved = results("resynthesis_own")["table"]["baseline-motions"]["1/all"]["mean"]
-    return (
-        f"Trained on one saccade and tested on all three, the accuracy is {found['baseline']} untransformed, "
-        f"{found['running']} with `running`, and {found['line']} with `line` and its flow removed. With "
-        f"[re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions it is {moved:.2f} untransformed."
-    ).replace(" 0.", " .")
-
-
-def resynthesis() -> str:
-    merged = _resynthesis()
-    columns = [column for column in COLUMNS if any(column in found for found in merged.values())]
-    rows = [[ROWS[name].title, *(_accuracy(found.get(column)) for column in columns)] for name, found in merged.items()]
-    return table(["", *columns], rows)
-
-
-def _accuracy(found: dict[str, Any] | None) -> str:
-    """.982 ± .001"""
-    return "" if found is None else f"{found['mean']:.3f} ± {found['deviation']:.3f}".replace("0.", ".")
-
-
-def _resynthesis() -> dict[str, Any]:
-    """Row -> column -> accuracies, of several commands."""
-    merged: dict[str, Any] = {}
-    for name in ("own", "shared", "confounded"):
-        for row, columns in results(f"resynthesis_{name}")["table"].items():
-            merged[row] = {**merged.get(row, {}), **columns}
-    return {row: merged[row] for row in ROWS if row in merged}
-
-
-def resynthesis_worst() -> str:
-    """The motion of the simulated set that each network knows least, mean over seeds."""
-    rows = []
-    for name, columns in _resynthesis().items():
-        for column in columns:
-            if column.endswith("/sim"):
-                motions = {motion: part["mean"] for motion, part in columns[column]["per_motion"].items()}
-                worst = min(motions, key=lambda motion: motions[motion])
-                rows.append([ROWS[name].title, column, worst, f"{motions[worst]:.3f}".removeprefix("0")])
-    return table(["", "", "worst motion", "accuracy"], rows)
-
-
-def resynthesis_match() -> str:
-    """How well the recorded motion is matched, and how many paths were found."""
-    motions = results("resynthesis_own")["rows"]["baseline-motions"]["motions"]["1"]
-    names = [name for name in motions["match"]["recorded"] if not name.startswith("ON - OFF")]
-    units = {name: f", {UNITS[name.split(',')[0]]}" if name.split(",")[0] in UNITS else "" for name in names}
-    rows = [
-        [name + units[name], *(f"{motions['match'][part][name]:.2f}" for part in ("recorded", "resynthesized"))]
-        for name in names
-    ]
-    found = f"A path was found in {motions['with_path']:,} of {motions['windows']:,} windows.\n\n"
-    return found + table(["first saccade", "recorded", "simulated again"], rows)
-
-
 def edges() -> str:
     """Events by the angle between edge and motion."""
     found = results("edges")
@@ -190,18 +127,6 @@ def unseen_objects() -> str:
         [mode, *(f"{found[test]['mean']:.3f}".removeprefix("0") for test in tests)] for mode, found in accuracy.items()
     ]
     return table(["trained on motions", *(f"tested in {test}" for test in tests)], rows)
-
-
-def motions_1_all() -> str:
-    return motions_table(results("table")["table"], "1/all")
-
-
-def motions_all_sim() -> str:
-    return motions_table(results("table")["table"], "all/sim")
-
-
-def motions_1_sim() -> str:
-    return motions_table(results("table")["table"], "1/sim")
 
 
 def _record() -> dict[str, Any]:
@@ -300,14 +225,6 @@ TABLES = (
     digits_confusion,
     digits_tried,
     digits_tried_motions,
-    thesis,
-    unseen_motion,
-    motions_1_all,
-    motions_all_sim,
-    motions_1_sim,
-    resynthesis,
-    resynthesis_worst,
-    resynthesis_match,
     unseen_objects,
     edges,
     polarity,

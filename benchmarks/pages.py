@@ -15,6 +15,7 @@ import sys
 import accuracy_tables
 import decision_tables
 import stream_tables
+import thesis_tables
 import volume_tables
 from page_parts import ROOT
 
@@ -24,7 +25,7 @@ PAGES = ("README.md", "docs/results.md")
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 TABLES = {
     make.__name__: make
-    for module in (accuracy_tables, decision_tables, volume_tables, stream_tables)
+    for module in (accuracy_tables, thesis_tables, decision_tables, volume_tables, stream_tables)
     for make in module.TABLES
 }
 

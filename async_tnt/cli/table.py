@@ -1,9 +1,10 @@
-"""`async-tnt table`: train and test all networks of the thesis' results table, and print it beside the thesis'."""
+"""`async-tnt table`: the thesis' experiment. Train and test its networks, and compare them."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -15,26 +16,28 @@ from async_tnt.cli.options import positive_int
 from async_tnt.files import check_folder, write_text
 from async_tnt.process import available_cores
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.table import ROWS, TRAINED_ON
+from async_tnt.training.table_rows import GROUPS, INPUTS, ROWS, TRAINED_ON, Run, runs_of
 
 if TYPE_CHECKING:
     from async_tnt.training.table_data import RealData
 
-PLAIN = [name for name, row in ROWS.items() if row.motions is None]
-DESCRIPTION = """Train and test the networks of the thesis' results table, and print it beside the thesis' numbers.
+DESCRIPTION = f"""The thesis' experiment: networks that saw digits move in one way, tested in other motions.
 
-Rows: the plain event volume (Baseline), TNT about the image centre, TNT about a regressed landmark, and the
-streaming landmarks `running` and `line` (flow removed, unsigned); then the plain volume and `running` with motion
-re-synthesis, an augmentation (see `async-tnt train --motions`). Columns, trained on / tested on:
+Rows, in groups (--list names them all, and trains nothing):
+
+{chr(10).join(f"  {name:<11} {text}" for name, text in GROUPS.items())}
+
+Columns, trained on / tested on:
 
   all/all   all three saccades of N-MNIST / all three, of other digits
   1/all     the first saccade only        / all three, of other digits
+  1/others  the first saccade only        / the second and third, of other digits
   1/train   the first saccade only        / all three, of the digits trained on
   all/sim   all three saccades            / 30 simulated motions of N-MOVING-MNIST
   1/sim     the first saccade only        / 30 simulated motions
+  confounded: each digit in one saccade only, 0-3 in the first, 4-6 in the second, 7-9 in the third
 
-With --trained-on confounded, each digit is seen in one saccade only: 0-3 in the first, 4-6 in the second, 7-9 in the
-third.
+Rows are compared seed by seed; the results hold each difference with its 95 % interval.
 
 A network is validated on held-out digits of its training motion, and tested only at the end. Checkpoints and results
 of all networks are kept in --out: stop with Ctrl-C, give the same command again, and it resumes.
@@ -43,8 +46,10 @@ EPILOG = """\
 examples:
   async-tnt table --smoke --nmnist N-MNIST --mnist MNIST     everything in a minute or two, few digits
   async-tnt simulate --mnist MNIST --out moving-mnist        10,000 digits, 30 motions
-  async-tnt table --nmnist N-MNIST --simulated moving-mnist --iterations 10000 --out table
-  async-tnt table --nmnist N-MNIST --simulated moving-mnist --rows baseline line --seeds 0 --out table
+  async-tnt table --list                                     which networks, how long each is trained
+  async-tnt table --nmnist N-MNIST --simulated moving-mnist --out table
+  async-tnt table --nmnist N-MNIST --simulated moving-mnist --out table --finished     the table so far
+  async-tnt table --nmnist N-MNIST --simulated moving-mnist bells --rows raw line --seeds 0 1
 """
 
 
@@ -56,10 +61,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--nmnist",
         "N-MNIST: the folder with Train/<digit>/*.bin and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)",
     )
-    add_folder(
-        data,
+    data.add_argument(
         "--simulated",
-        "a set made by `async-tnt simulate`; by default the test set of 30 motions is first made in --out",
+        type=Path,
+        nargs="+",
+        metavar="FOLDER",
+        help="a set made by `async-tnt simulate`, the columns .../sim, and any others; by default the test set of 30 "
+        "motions is first made in --out",
     )
     add_folder(data, "--mnist", "MNIST's IDX files, to make that set from (default: $TNT_DATA/mnist)")
     data.add_argument(
@@ -69,26 +77,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what = parser.add_argument_group("what to train")
     what.add_argument(
-        "--rows", nargs="+", choices=list(ROWS), default=PLAIN, help="default: those without re-synthesis"
+        "--rows",
+        nargs="+",
+        choices=[*GROUPS, *ROWS],
+        metavar="ROW",
+        help="rows, or groups of them: " + ", ".join(GROUPS) + " (default: all groups)",
     )
     what.add_argument(
-        "--trained-on", nargs="+", choices=TRAINED_ON, default=["all", "1"], help="saccades (default: all 1)"
+        "--trained-on",
+        nargs="+",
+        choices=TRAINED_ON,
+        default=list(TRAINED_ON),
+        help=f"only networks trained on these (default: {' '.join(TRAINED_ON)})",
     )
     what.add_argument(
         "--seeds",
         nargs="+",
         type=seed_number,
-        default=[0, 1, 2],
+        default=[0, 1, 2, 3, 4],
         metavar="N",
-        help="of weights, order and augmentation (default: 0 1 2)",
+        help="of weights, order and augmentation (default: 0 1 2 3 4)",
+    )
+    what.add_argument("--list", action="store_true", help="print the networks, and stop")
+    what.add_argument(
+        "--finished",
+        action="store_true",
+        help="bring together the networks of --out that are finished, and train no others: how far a long run is",
     )
     how = parser.add_argument_group("training")
     how.add_argument(
         "--iterations",
         type=positive_int,
-        default=60_000,
         metavar="N",
-        help="steps of the optimizer for each network (default: 60000, the thesis' number)",
+        help="steps of the optimizer for each network (default: each row's, see --list)",
     )
     how.add_argument("--batch", type=positive_int, default=64, metavar="N", help="windows per step (default: 64)")
     add_precision(how)
@@ -101,7 +122,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument(
         "--smoke",
         action="store_true",
-        help="try everything in a minute or two: 8 recordings a digit, 30 iterations, seed 0, 20 simulated digits",
+        help="try everything in a minute or two: five rows, 8 recordings a digit, 30 steps, seed 0, 20 simulated "
+        "digits",
     )
     out = parser.add_argument_group("results")
     add_folder(out, "--out", "networks, results.json, table.md (default: table; with --smoke: table-smoke)")
@@ -110,28 +132,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt table`. Returns the exit code 0."""
+    if args.smoke:
+        args.rows, args.seeds, args.iterations = (
+            args.rows or list(INPUTS),
+            args.seeds[:1],
+            min(args.iterations or 30, 30),
+        )
+    runs = runs_of(args.rows or GROUPS, args.trained_on, args.seeds)
+    if not runs:
+        raise ValueError(f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}")
+    if args.list:
+        print(_listed(runs, args.iterations))
+        return 0
     try:
         import torch
         from tnt_reference import Classifier  # noqa: F401
     except ImportError as error:
         raise ImportError(f"the table needs torch ({error}); install it with: pip install '.[train]'") from None
-    from async_tnt.training.table import aggregate, markdown_table, motions_table, text_table
+    from async_tnt.training.table import aggregate, differences, markdown_table, text_table
     from async_tnt.training.table_data import RealFolder
-    from async_tnt.training.table_runs import Run, run_networks
+    from async_tnt.training.table_runs import is_finished, run_networks
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
+    if args.finished:
+        runs = [run for run in runs if is_finished(run, args.out / "networks")]
+        if not runs:
+            raise ValueError(f"{args.out}: no network of these rows is finished; train without --finished")
     check_folder(args.out, ("results.json", "table.md"))
-    if args.smoke:
-        args.seeds, args.iterations = args.seeds[:1], min(args.iterations, 30)
     per_digit = 8 if args.smoke else None
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
     # now, so that a missing or damaged file shows before anything is trained
     real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit, args.skip_damaged)
     data = real.read()
     args.out.mkdir(parents=True, exist_ok=True)
-    simulated = args.simulated or _simulate(args, args.out / "simulated")
-    simulated_description = _set_description(simulated, data)
-    runs = [Run(row, on, seed) for seed in args.seeds for row in args.rows for on in args.trained_on]
+    simulated = _by_name(args.simulated or [_simulate(args, args.out / "simulated")])
+    descriptions = {name: _set_description(folder, data) for name, folder in simulated.items()}
+    print(_listed(runs, args.iterations), file=sys.stderr)
     settings = TrainSettings(iterations=args.iterations, batch=args.batch, precision=args.precision)
     workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
     started = time.monotonic()
@@ -142,35 +178,61 @@ def main(args: argparse.Namespace) -> int:
             "async-tnt table --nmnist N-MNIST --simulated MOVING-MNIST",
             args,
             add_arguments,
-            leave_out=("json", "workers", "skip_damaged"),
+            leave_out=("json", "workers", "skip_damaged", "finished"),
         ),
-        "data": {**data.description, "simulated": simulated_description},
+        "data": {**data.description, "simulated": descriptions},
         "rows": {
             name: {
                 "config": ROWS[name].config.to_dict(),
                 "augmentation": asdict(ROWS[name].augmentation),
+                "iterations": args.iterations or ROWS[name].iterations,
+                "recordings": ROWS[name].recordings,
                 "motions": {r["trained_on"]: r["motions"] for r in results if r["row"] == name and r["motions"]},
             }
-            for name in args.rows
+            for name in table
         },
-        "settings": {"iterations": args.iterations, "batch": args.batch, "precision": args.precision},
-        "seeds": args.seeds,
+        "settings": {"batch": args.batch, "precision": args.precision},
+        "seeds": list(dict.fromkeys(run.seed for run in runs)),
         "machine": machine("torch"),
         "table": table,
+        "differences": differences(table),
         "validation": {Run(r["row"], r["trained_on"], r["seed"]).name: r["validation"] for r in results},
     }
     write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")
-    pages = [markdown_table(table)]
-    for column in ("1/all", "all/sim", "1/sim"):
-        if any(column in columns for columns in table.values()):
-            pages.append(f"{column}, by motion:\n\n{motions_table(table, column)}")
-    write_text(args.out / "table.md", "\n\n".join(pages) + "\n")
+    groups = dict.fromkeys(ROWS[name].group for name in table)
+    write_text(args.out / "table.md", "\n\n".join(markdown_table(table, group) for group in groups) + "\n")
     if args.json:
         print(json.dumps(record))
     else:
         print(text_table(table))
         print(_in_words(record, args, time.monotonic() - started))
     return 0
+
+
+def _listed(runs: list[Run], iterations: int | None) -> str:
+    """The networks, a line for each row: what it is trained on, with how many seeds, for how many steps."""
+    lines = [f"{len(runs)} networks:"]
+    for name in dict.fromkeys(run.row for run in runs):
+        row, of = ROWS[name], [run for run in runs if run.row == name]
+        on = ", ".join(dict.fromkeys(run.trained_on for run in of))
+        seeds = len({run.seed for run in of})
+        steps = f"{iterations or row.iterations:,} steps"
+        lines.append(f"  {name:<30} trained on {on:<10} {seeds} seed{'s' if seeds > 1 else ' '}  {steps}")
+    return "\n".join(lines)
+
+
+def _by_name(folders: list[Path]) -> dict[str, Path]:
+    """Simulated sets by the name of their columns: the first is "sim"."""
+    from async_tnt.simulation.moving_mnist import open_set
+    from async_tnt.training.table_data import set_name
+
+    named = {"sim": folders[0]}
+    for folder in folders[1:]:
+        name = set_name(open_set(folder).parameters)
+        if name in named:
+            raise ValueError(f"{named[name]} and {folder} are the same kind of set, {name}; give one of them")
+        named[name] = folder
+    return named
 
 
 def _simulate(args: argparse.Namespace, folder: Path) -> Path:
@@ -201,13 +263,18 @@ def _set_description(folder: Path, data: RealData) -> dict[str, Any]:
 
 
 def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) -> str:
+    from async_tnt.training.table_data import set_name
+
     data = record["data"]
-    seeds = ", ".join(map(str, args.seeds))
+    seeds = ", ".join(map(str, record["seeds"]))
     return (
-        f"\nmean ± deviation over seeds {seeds}; {args.iterations} iterations of {args.batch} windows each.\n"
+        f"\nmean ± deviation over seeds {seeds}; windows per step: {args.batch}.\n"
         f"N-MNIST: {data['training_recordings']} recordings to train on, {data['held_out_recordings']} held out, "
         f"{data['test_recordings']} to test on; the split is {data['split']}.\n"
-        f"Simulated: {data['simulated']['motions']} motions of {data['simulated']['images_tested_on']} MNIST test "
-        "images that no training recording shows.\n"
-        f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)"
+        + "".join(
+            f"{name}: {found['motions']} {set_name(found)} motions of {found['images_tested_on']} MNIST test images "
+            "that no training recording shows.\n"
+            for name, found in data["simulated"].items()
+        )
+        + f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +18,7 @@ WINDOW_US = 105_000
 OFFICIAL = (60_000, 10_000)
 CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
 """The one saccade of each digit in `confounded`."""
-VALIDATION_SEED = 0  # the same digits are held out in every row and for every seed
+VALIDATION_SEED = 0  # the same digits are held out, or left out, in every row and for every seed
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,29 @@ def trained_on(windows: Windows, name: str) -> Windows:
     if name == "confounded":
         return windows[saccade(windows) == CONFOUNDED[windows.labels]]
     return windows
+
+
+def some_recordings(windows: Windows, n: int) -> Windows:
+    """The windows of `n` of their recordings, drawn at random, with as many of each class as possible."""
+    indices = np.unique(windows.recording)
+    drawn = np.random.default_rng(VALIDATION_SEED).permutation(indices)
+    labels = windows.recordings.labels[drawn]
+    rank = np.empty(len(drawn), np.int64)  # among those of its class
+    for label in np.unique(labels):
+        rank[labels == label] = np.arange((labels == label).sum())
+    chosen = drawn[np.lexsort((labels, rank))][:n]
+    return windows[np.isin(windows.recording, chosen)]
+
+
+def set_name(parameters: Mapping[str, Any]) -> str:
+    """What distinguishes a simulated set in a column: "bell", "constant-from-centre bright".
+
+    Parameters
+    ----------
+    parameters : of `MovingMnist`.
+    """
+    dark: bool = parameters["simulator"]["scene"]["dark_on_bright"]
+    return str(parameters["kind"]) + ("" if dark else " bright")
 
 
 def simulated_windows(folder: Path, seen_images: np.ndarray) -> Iterator[tuple[str, Windows]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,29 +25,28 @@ from async_tnt.training.pipeline import Pipeline, pipeline_of
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.run_folder import CURVES, plot_curves
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.table import ROWS, columns_of
-from async_tnt.training.table_data import RealData, RealFolder, saccade, simulated_windows, trained_on
+from async_tnt.training.table_data import (
+    RealData,
+    RealFolder,
+    saccade,
+    simulated_windows,
+    some_recordings,
+    trained_on,
+)
+from async_tnt.training.table_rows import COLUMNS, ROWS, Run
 from async_tnt.training.windows import Windows
 
 RESULT = "result.json"
 VALIDATION = ("per_window", "validation_loss", "motions_per_window", "motions_validation_loss")
 
 
-@dataclass(frozen=True)
-class Run:
-    """Which network: a row, what it is trained on (one of `TRAINED_ON`), and a seed."""
-
-    row: str
-    trained_on: str
-    seed: int
-
-    @property
-    def name(self) -> str:
-        return f"{self.row}-{self.trained_on}-seed{self.seed}"
-
-
 def run_networks(
-    runs: list[Run], real: RealFolder, simulated: Path, settings: TrainSettings, folder: Path, workers: int
+    runs: list[Run],
+    real: RealFolder,
+    simulated: dict[str, Path],
+    settings: TrainSettings,
+    folder: Path,
+    workers: int,
 ) -> list[dict[str, Any]]:
     """`run_network` for each of `runs`, in `workers` processes of one thread each; with one worker, in this process.
 
@@ -57,7 +56,7 @@ def run_networks(
     """
     folder.mkdir(parents=True, exist_ok=True)
     for row, on in dict.fromkeys((run.row, run.trained_on) for run in runs):  # by all workers together
-        motions_of(row, on, real.read(), settings, folder, workers)
+        motions_of(row, on, real.read(), settings_of(Run(row, on, 0), settings), folder, workers)
     task = partial(_run_task, real=real, simulated=simulated, settings=settings, folder=folder)
     done = []
     with progress(len(runs), "training networks") as bar, contextlib.closing(run_all(task, runs, workers)) as results:
@@ -67,18 +66,29 @@ def run_networks(
     return done
 
 
-def _run_task(run: Run, *, real: RealFolder, simulated: Path, settings: TrainSettings, folder: Path) -> dict[str, Any]:
+def is_finished(run: Run, folder: Path) -> bool:
+    """Whether the network of a run has been trained and tested."""
+    return (folder / run.name / RESULT).exists()
+
+
+def _run_task(
+    run: Run, *, real: RealFolder, simulated: dict[str, Path], settings: TrainSettings, folder: Path
+) -> dict[str, Any]:
     torch.set_num_threads(1)  # the cores have a network each
     return run_network(run, real.read(), simulated, settings, folder)
 
 
-def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettings, folder: Path) -> dict[str, Any]:
+def run_network(
+    run: Run, data: RealData, simulated: dict[str, Path], settings: TrainSettings, folder: Path
+) -> dict[str, Any]:
     """Train and test one network, or return the result that is there already, if its settings are the same.
+
+    A network that was tested on other sets is tested again, and not trained again.
 
     Parameters
     ----------
-    simulated : a set of `async-tnt simulate`.
-    settings : without seed and augmentation, which are the run's and its row's.
+    simulated : name -> a set of `async-tnt simulate`.
+    settings : without seed and augmentation, which are the run's and its row's; without iterations: its row's.
     folder : holds a folder for each run: its checkpoint, its history as JSON and, when done, its model, its result
         as JSON and, with matplotlib, its learning curves.
 
@@ -87,22 +97,33 @@ def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettin
     ValueError : the folder holds this run with other settings or data.
     """
     row = ROWS[run.row]
-    settings = replace(settings, seed=run.seed, augmentation=row.augmentation)
+    settings = settings_of(run, settings)
     training, held_out = (trained_on(windows, run.trained_on) for windows in (data.training, data.held_out))
+    if row.recordings is not None:
+        training = some_recordings(training, row.recordings)
     motions = motions_of(run.row, run.trained_on, data, settings, folder)
     folder = folder / run.name
     # quick for a finished run: its checkpoint, if it has these settings, is at the end
     trained = train(row.config, training, held_out, settings, folder, motions=motions)
-    tested_on = {"nmnist": data.description, "simulated": open_set(simulated).parameters}
+    tests = {name: data.description for name in ("all", "others", "train")}
+    tests |= {name: open_set(path).parameters for name, path in simulated.items()}
+    tested_on = {
+        f"{run.trained_on}/{test}": what
+        for test, what in tests.items()
+        if (f"{run.trained_on}/{test}" in COLUMNS or test in simulated)
+        and not (test == "train" and row.recordings is not None)  # not those that were left out
+    }
     finished = folder / RESULT
-    if finished.exists():
-        result: dict[str, Any] = json.loads(finished.read_text(encoding="utf-8"))
-        if result["tested_on"] == tested_on:
-            return result
+    before = json.loads(finished.read_text(encoding="utf-8")) if finished.exists() else {"tested_on": {}}
+    if before["tested_on"] == tested_on:
+        return dict(before)
     pipeline = pipeline_of(trained.last)
     last_epoch = trained.history[-1]
     columns: dict[str, Any] = {}
-    for column in columns_of(run.trained_on):
+    for column, what in tested_on.items():
+        if before["tested_on"].get(column) == what:
+            columns[column] = before["columns"][column]
+            continue
         n_right, n = {}, {}
         for motion, windows in _tests(column.split("/")[1], data, simulated):
             n[motion] = len(windows)
@@ -127,6 +148,13 @@ def run_network(run: Run, data: RealData, simulated: Path, settings: TrainSettin
     return result
 
 
+def settings_of(run: Run, settings: TrainSettings) -> TrainSettings:
+    """How a network is trained, in full."""
+    row = ROWS[run.row]
+    iterations = settings.iterations or row.iterations
+    return replace(settings, seed=run.seed, augmentation=row.augmentation, iterations=iterations)
+
+
 def motions_of(
     row: str, on: str, data: RealData, settings: TrainSettings, folder: Path, workers: int = 1
 ) -> Motions | None:
@@ -140,13 +168,13 @@ def motions_of(
     return resynthesize(training, held_out, config, motions, folder, workers=workers, progress=progress)
 
 
-def _tests(name: str, data: RealData, simulated: Path) -> Iterator[tuple[str, Windows]]:
-    """(motion, windows) of the test data "all", "train" or "sim"."""
-    if name == "sim":
-        yield from simulated_windows(simulated, data.seen_images)
+def _tests(name: str, data: RealData, simulated: dict[str, Path]) -> Iterator[tuple[str, Windows]]:
+    """(motion, windows) of the test data "all", "others" (saccades 2 and 3), "train", or of a simulated set."""
+    if name in simulated:
+        yield from simulated_windows(simulated[name], data.seen_images)
         return
-    windows = data.test if name == "all" else data.training
-    for k in range(3):
+    windows = data.training if name == "train" else data.test
+    for k in (1, 2) if name == "others" else (0, 1, 2):
         yield f"saccade {k + 1}", windows[saccade(windows) == k]
 
 

@@ -42,6 +42,29 @@ def test_a_stale_page_is_noticed_and_rewritten(monkeypatch, tmp_path, capsys):
         pages.written("<!-- speeds -->\n<!-- end -->\n")
 
 
+@pytest.mark.parametrize(
+    ("low", "mean", "high", "words"),
+    [
+        (-0.01, 0.02, 0.05, "no difference shown between *raw, translated* and *raw* (-.010 to +.050)"),
+        (0.0, 0.02, 0.04, "no difference shown between *raw, translated* and *raw* (+.000 to +.040)"),
+        (0.01, 0.02, 0.03, "*raw, translated* gains .020 over *raw* (+.010 to +.030)"),
+        (-0.03, -0.02, -0.01, "*raw, translated* loses .020 over *raw* (-.030 to -.010)"),
+    ],
+)
+def test_a_difference_is_claimed_only_where_its_interval_does_not_hold_zero(low, mean, high, words):
+    found = {"row": "raw-translated", "against": "raw", "low": low, "mean": mean, "high": high}
+    assert pages.thesis_tables.difference_in_words(found) == words
+
+
+def test_accuracies_in_sentences_are_those_of_the_table():
+    table = tables.results("table")["table"]
+    names = [f"{name}-translated" for name in ("raw", "running", "raw-unsigned", "running-unsigned", "line-unsigned")]
+    expected = [f"{table[name]['1/all']['mean']:.3f}" for name in (*names, "raw-motions")]
+    readme = (pages.ROOT / "README.md").read_text(encoding="utf-8")
+    sentence = readme.split("<!-- unseen_motion -->")[1].split("<!-- end -->")[0]
+    assert [f"0{number}" for number in re.findall(r"\.\d{3}", sentence) if number != ".397"] == expected
+
+
 def test_statements_of_the_results_page_hold():
     """Sentences that no table makes."""
     decisions, early = tables.results("decisions"), tables.results("early")

@@ -7,7 +7,7 @@ import re
 import runpy
 import shlex
 import sys
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import pytest
@@ -201,12 +201,19 @@ def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path, monk
 
 def test_the_committed_table_is_that_of_the_code():
     pytest.importorskip("torch")
-    from async_tnt.training.table import COLUMNS, ROWS
+    from async_tnt.training.table_rows import ROWS
 
     record = json.loads((ROOT / "benchmarks" / "results" / "table.json").read_text(encoding="utf-8"))
-    assert {name: row.config.to_dict() for name, row in ROWS.items() if row.motions is None} == {
-        name: row["config"] for name, row in record["rows"].items()
-    }
-    assert len(record["seeds"]) == 3
-    assert record["command"].replace("MOVING-MNIST", "moving-mnist") in RESULTS
-    assert all(list(columns) == list(COLUMNS)[:5] for columns in record["table"].values())
+    for name, row in record["rows"].items():
+        of = ROWS[name]
+        assert (of.config.to_dict(), asdict(of.augmentation), of.iterations) == (
+            row["config"],
+            row["augmentation"],
+            row["iterations"],
+        ), name
+    comparison = [row for row in ROWS.values() if row.group == "comparison"]
+    assert len(comparison) == 24 and {row.name for row in comparison} <= set(record["table"])
+    for row in comparison:
+        columns = record["table"][row.name]
+        assert {column.split("/")[0] for column in columns} == set(row.trained_on)
+        assert all(len(part["seeds"]) >= 2 for part in columns.values()), row.name

@@ -1,0 +1,137 @@
+"""The tables of the thesis' experiment, all from one run of `async-tnt table`, and what follows from them.
+
+A sentence about two rows is written from the paired difference and its interval: one that holds zero is not called a
+difference.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from page_parts import results, table
+
+from async_tnt.simulation.statistics import UNITS
+from async_tnt.training.table import markdown_table, short
+from async_tnt.training.table_rows import INPUTS, ROWS
+
+GUESS = 0.1
+"""The accuracy of guessing among ten digits."""
+COMPARED = {
+    "Windows moved by up to 4 px in training": [(f"{name}-translated", name, "1/others") for name in INPUTS],
+    "TNT, signed": [
+        *((f"{name}-translated", "raw-translated", "1/others") for name in ("center", "running", "regressor", "line")),
+        ("running-translated", "regressor-translated", "1/others"),
+        ("running-translated", "center-translated", "1/others"),
+    ],
+    "Without the sign": [
+        *((f"{name}-unsigned-translated", f"{name}-translated", "1/others") for name in ("raw", "running", "line")),
+        ("running-unsigned-translated", "raw-unsigned-translated", "1/others"),
+        ("line-unsigned-translated", "running-unsigned-translated", "1/others"),
+    ],
+    "Simulated motions": [
+        *((f"{name}-translated", "raw-translated", "all/sim") for name in ("center", "running", "regressor", "line")),
+        *((f"{name}-translated", "raw-translated", "1/sim") for name in ("running", "line")),
+        ("line-unsigned-translated", "raw-unsigned-translated", "1/sim"),
+    ],
+    "t_max 8 against 2": [
+        (f"{name}-t8-translated", f"{name}-translated", "1/others") for name in ("center", "running", "regressor")
+    ],
+}
+"""Topic -> (row, against, column), for the sentences."""
+
+
+def _accuracies() -> dict[str, Any]:
+    """Row -> column -> accuracy."""
+    return dict(results("table")["table"])
+
+
+def comparison() -> str:
+    """With what a network would have that knows the motion it saw, and guesses in others."""
+    known = _accuracies()["raw"]["1/all"]["per_motion"]["saccade 1"]["mean"]
+    lines = markdown_table(_accuracies(), "comparison").splitlines()
+    columns = lines[0].strip("| ").split(" | ")
+    guessed = {"1/all": (known + 2 * GUESS) / 3, "1/others": GUESS, "1/train": (known + 2 * GUESS) / 3, "1/sim": GUESS}
+    cells = [short(guessed[column]) if column in guessed else "" for column in columns]
+    return "\n".join([*lines[:2], "| *guessing in other motions* | " + " | ".join(cells) + " |", *lines[2:]])
+
+
+def conclusions() -> str:
+    """What the differences say, topic by topic."""
+    found = {(d["row"], d["against"], d["column"]): d for d in results("table")["differences"]}
+    lines = []
+    for topic, pairs in COMPARED.items():
+        columns = dict.fromkeys(column for *_, column in pairs)
+        for column in columns:
+            said = [difference_in_words(found[pair]) for pair in pairs if pair[2] == column]
+            lines.append(f"- **{topic}**, {column}: {'; '.join(said)}.")
+    return "\n".join(lines)
+
+
+def difference_in_words(difference: dict[str, Any]) -> str:
+    """A clause: which row is better, by how much, and the 95 % interval; or that neither is shown to be."""
+    row, against = (ROWS[difference[name]].title for name in ("row", "against"))
+    low, high = (f"{difference[name]:+.3f}".replace("0.", ".", 1) for name in ("low", "high"))
+    if difference["low"] <= 0 <= difference["high"]:
+        return f"no difference shown between *{row}* and *{against}* ({low} to {high})"
+    verb = "gains" if difference["mean"] > 0 else "loses"
+    return f"*{row}* {verb} {short(abs(difference['mean']))} over *{against}* ({low} to {high})"
+
+
+def unseen_motion() -> str:
+    """Sentences."""
+    of = {name: short(columns["1/all"]["mean"]) for name, columns in _accuracies().items() if "1/all" in columns}
+    return (
+        f"Trained on one saccade and tested on all three, at t_max 2 and with windows moved by up to 4 px in training, "
+        f"the accuracy is {of['raw-translated']} untransformed and {of['running-translated']} with `running`; without "
+        f"the sign of polarity {of['raw-unsigned-translated']}, {of['running-unsigned-translated']}, and "
+        f"{of['line-unsigned-translated']} with `line` and its flow removed. Guessing in the other two saccades gives "
+        f"{short((0.99 + 2 * GUESS) / 3)}; [re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions "
+        f"{of['raw-motions']}, untransformed."
+    )
+
+
+def resynthesis() -> str:
+    return markdown_table(_with_resynthesis(), "motions")
+
+
+def _with_resynthesis() -> dict[str, Any]:
+    """The rows with re-synthesis; two of them by commands of their own."""
+    merged = {row: columns for row, columns in _accuracies().items() if ROWS[row].group == "motions"}
+    for name in ("shared", "confounded"):
+        merged |= results(f"resynthesis_{name}")["table"]
+    return {row: merged[row] for row in ROWS if row in merged}
+
+
+def resynthesis_worst() -> str:
+    """The motion of the simulated set that each network knows least, mean over seeds."""
+    rows = []
+    for name, columns in _with_resynthesis().items():
+        for column in columns:
+            if column.endswith("/sim"):
+                motions = {motion: part["mean"] for motion, part in columns[column]["per_motion"].items()}
+                worst = min(motions, key=lambda motion: motions[motion])
+                rows.append([ROWS[name].title, column, worst, short(motions[worst])])
+    return table(["", "", "worst motion", "accuracy"], rows)
+
+
+def resynthesis_match() -> str:
+    """How well the recorded motion is matched, and how many paths were found."""
+    motions = results("table")["rows"]["raw-motions"]["motions"]["1"]
+    names = [name for name in motions["match"]["recorded"] if not name.startswith("ON - OFF")]
+    units = {name: f", {UNITS[name.split(',')[0]]}" if name.split(",")[0] in UNITS else "" for name in names}
+    rows = [
+        [name + units[name], *(f"{motions['match'][part][name]:.2f}" for part in ("recorded", "resynthesized"))]
+        for name in names
+    ]
+    found = f"A path was found in {motions['with_path']:,} of {motions['windows']:,} windows.\n\n"
+    return found + table(["first saccade", "recorded", "simulated again"], rows)
+
+
+TABLES = (
+    comparison,
+    conclusions,
+    unseen_motion,
+    resynthesis,
+    resynthesis_worst,
+    resynthesis_match,
+)
