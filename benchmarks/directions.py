@@ -62,7 +62,9 @@ def draw(report: dict[str, Any]) -> Figure:
         axes.set_title(words, color=TEXT, fontsize=9)
         for saccade in (1,) if column == "1/sim" else (1, 2, 3):
             angle = np.radians(SACCADES_DEG[saccade])
-            axes.annotate("", (angle, 1.16), (angle, 1.01), arrowprops={"arrowstyle": "->", "color": TEXT})
+            axes.annotate(
+                "", (angle, 1.16), (angle, 1.01), arrowprops={"arrowstyle": "->", "color": TEXT}, annotation_clip=False
+            )
     headline(figure, "Accuracy by direction of simulated motions; arrows: saccades trained on; dotted: guessing")
     figure.legend(loc="lower center", ncols=3, labelcolor=TEXT)
     return figure

@@ -163,7 +163,10 @@ def test_anything_under_a_valid_checksum(files, data):
 
 DAMAGED = "holds a damaged model: "
 FOREIGN = "is not a model that this release can read: `format` must be 'async_tnt 2' or 'async_tnt 1', got "
-KNOWN = "known: bins, grid, landmark, polarity, remove_flow, sensor, t_max, transform, window_us"
+KNOWN = (
+    "known: bins, grid, landmark, polarity, remove_flow, representation, sensor, t_max, transform, window_events, "
+    "window_us"
+)
 
 
 @pytest.mark.parametrize(
