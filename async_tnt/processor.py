@@ -202,9 +202,7 @@ class Processor:
         windows = self._windows
         decisions: list[Decision] = []
         first, n = 0, columns.n
-        if windows.is_full:  # its decision failed
-            self._close_oldest(windows.oldest.newest_us, decisions)
-        while first < n:
+        while first < n or windows.is_full:  # full already: its decision failed
             if not len(windows):
                 self._open_windows(int(columns.t[first]))
             if self._by_event:

@@ -79,10 +79,12 @@ def difference_in_words(difference: dict[str, Any]) -> str:
 
 def unseen_motion() -> str:
     """Sentences."""
+    n_seeds = len(_accuracies()["raw-translated"]["1/all"]["seeds"])
     of = {name: short(columns["1/all"]["mean"]) for name, columns in _accuracies().items() if "1/all" in columns}
     return (
-        f"Trained on one saccade and tested on all three, at t_max 2 and with windows moved by up to 4 px in training, "
-        f"the accuracy is {of['raw-translated']} untransformed and {of['running-translated']} with `running`; without "
+        f"Trained on one saccade and tested on all three, at t_max 2, with windows moved by up to 4 px in training, "
+        f"over {n_seeds} seeds, the accuracy is {of['raw-translated']} untransformed and "
+        f"{of['running-translated']} with `running`; without "
         f"the sign of polarity {of['raw-unsigned-translated']}, {of['running-unsigned-translated']}, and "
         f"{of['line-unsigned-translated']} with `line` and its flow removed. Guessing in the other two saccades gives "
         f"{short((0.99 + 2 * GUESS) / 3)}; [re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions "
