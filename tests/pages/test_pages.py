@@ -216,5 +216,5 @@ def test_the_committed_table_is_that_of_the_code():
     for row in comparison:
         columns = record["table"][row.name]
         assert {column.split("/")[0] for column in columns} == set(row.trained_on)
-        assert all(len(part["seeds"]) == 3 for part in columns.values()), row.name
-    assert "over three seeds (five with" in RESULTS
+        assert all(len(part["seeds"]) == 5 for part in columns.values()), row.name
+    assert "over five seeds" in RESULTS
