@@ -18,9 +18,9 @@ if TYPE_CHECKING:  # for type checkers and editors; `X as X` re-exports
     from async_tnt.events import EVENT_DTYPE as EVENT_DTYPE
     from async_tnt.networks.compiled import CompiledClassifier as CompiledClassifier
     from async_tnt.networks.compiled import CompiledRegressor as CompiledRegressor
+    from async_tnt.networks.loading import bundled_models as bundled_models
+    from async_tnt.networks.loading import load_model as load_model
     from async_tnt.networks.model import Model as Model
-    from async_tnt.networks.model import bundled_models as bundled_models
-    from async_tnt.networks.model import load_model as load_model
     from async_tnt.processor import Processor as Processor
     from async_tnt.replay_buffer import ReplayBufferFull as ReplayBufferFull
     from async_tnt.sources.background_reader import BackgroundReader as BackgroundReader
@@ -47,7 +47,8 @@ if not TYPE_CHECKING:  # type checkers use the imports above; __getattr__ would 
             "replay_buffer": "ReplayBufferFull",
             "events": "EVENT_DTYPE",
             "networks.compiled": "CompiledClassifier CompiledRegressor",
-            "networks.model": "Model bundled_models load_model",
+            "networks.loading": "bundled_models load_model",
+            "networks.model": "Model",
             "processor": "Processor",
             "sources.background_reader": "BackgroundReader",
             "sources.files.recording": "open_recording",

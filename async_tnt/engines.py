@@ -9,7 +9,8 @@ from typing import Any
 
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
-from async_tnt.networks.model import Model, load_model
+from async_tnt.networks.loading import load_model
+from async_tnt.networks.model import Model
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
 from async_tnt.networks.torch_modules import TorchClassifier, landmark_function, torch_classifier

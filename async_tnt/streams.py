@@ -8,7 +8,8 @@ from typing import Any
 
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
-from async_tnt.networks.model import Model, load_model
+from async_tnt.networks.loading import load_model
+from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
 
 

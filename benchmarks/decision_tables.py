@@ -18,11 +18,6 @@ WAYS = {
     "torch": "torch: the whole window's volume, its network",
     "eventcv_onnxruntime": "eventcv's voxel grid of all events, onnxruntime",
 }
-LAYERS = {
-    "pooled_1": "cells of the first pooled map",
-    "pooled_2": "cells of the second pooled map",
-    "partial": "partial sums of the dense layer",
-}
 
 
 def speed() -> str:
@@ -96,11 +91,11 @@ def touched() -> str:
         "mean of",
         *("the whole network" if n == "whole" else f"{int(n):,} new event{'s' * (n != '1')}" for n in columns),
     ]
-    rows = [["cells of the volume that change", *(_count(found[n]["changed"]["input"]) for n in columns)]]
-    for layer, words in LAYERS.items():
-        rows.append([f"{words} computed", *(_count(found[n]["reached"][layer]) for n in columns)])
+    rows = [["cells of the volume that change", *(_count(found[n]["cells"]) for n in columns)]]
+    for layer in found["whole"]:
+        if layer not in ("cells", "multiplications"):
+            rows.append([f"places of `{layer}` computed", *(_count(found[n][layer]) for n in columns)])
     rows.append(["multiplications, thousands", *(f"{found[n]['multiplications'] / 1e3:,.0f}" for n in columns)])
-    rows.append(["weights read, kB", *(f"{found[n]['weight_bytes'] / 1e3:,.0f}" for n in columns)])
     return table(head, rows)
 
 

@@ -135,10 +135,10 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
             f"p99 / median {row['p99_over_median']:.1f}"
         )
     yield ""
-    yield "What new events touch, means: places of each map computed; multiplications; weights read"
+    yield "What new events touch, means: multiplications; cells that change, places of each layer computed"
     for name, row in report["touched"].items():
-        layers = ", ".join(f"{k} {v:.1f}" for k, v in row["reached"].items())
-        yield f"  {name:6}{row['multiplications']:>12,.0f}{row['weight_bytes'] / 1e3:>8.0f} kB   {layers}"
+        places = ", ".join(f"{layer} {n:.1f}" for layer, n in row.items() if layer != "multiplications")
+        yield f"  {name:6}{row['multiplications']:>12,.0f}   {places}"
     yield ""
     yield f"Fresh processes, medians of {settings['starts']}: seconds"
     for name, row in report["starts"].items():

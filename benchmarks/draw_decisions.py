@@ -47,8 +47,8 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
     right = axes_at(figure, 5.67, 0.82, 2.7, 3.07, sharey=left)
     slower = {name for name in ONNXRUNTIME if name != report["settings"]["onnxruntime_way"]}
     networks = {name: look for name, look in NETWORKS.items() if name not in slower}
-    ends = [_draw_lines(left, report["network"], networks), _draw_lines(right, report["end_to_end"], WAYS)]
-    _lay_axis(left)
+    ends = [draw_lines(left, report["network"], networks), draw_lines(right, report["end_to_end"], WAYS)]
+    lay_axis(left)
     for axes, named in zip((left, right), ends, strict=True):
         _name_lines(axes, named)
     left.set_title("the network alone", loc="left", fontsize=LARGE)
@@ -66,7 +66,7 @@ def draw_decisions(report: dict[str, Any]) -> Figure:
     return figure
 
 
-def _draw_lines(axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str]]) -> list[tuple[float, str, str]]:
+def draw_lines(axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str]]) -> list[tuple[float, str, str]]:
     """Returns where each line ends, its words and its colour."""
     counts = [name for name in rows if name != "random"]
     shown = [name for name in looks if name in rows[counts[0]]["in_blocks"]["us"]]
@@ -91,7 +91,7 @@ def _draw_lines(axes: Any, rows: dict[str, Any], looks: dict[str, tuple[str, str
     return ends
 
 
-def _lay_axis(axes: Any) -> None:
+def lay_axis(axes: Any) -> None:
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     ticks = [step * 10**k for k in range(-1, 6) for step in (1, 2, 5) if low <= step * 10**k <= high]

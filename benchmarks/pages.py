@@ -14,6 +14,7 @@ import sys
 
 import accuracy_tables
 import decision_tables
+import incremental_tables
 import stream_tables
 import thesis_tables
 import volume_tables
@@ -25,7 +26,7 @@ PAGES = ("README.md", "docs/results.md")
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 TABLES = {
     make.__name__: make
-    for module in (accuracy_tables, thesis_tables, decision_tables, volume_tables, stream_tables)
+    for module in (accuracy_tables, thesis_tables, decision_tables, incremental_tables, volume_tables, stream_tables)
     for make in module.TABLES
 }
 

@@ -3,11 +3,12 @@
 The classifier (`forward`) spells out each operation, rounded once. Nothing of the product is used but the order of its
 sums, which is part of what it promises:
 
-    convolution 1   bias, then channel by channel the nine taps      fma
-    convolution 2   bias, then tap by tap the channels               fma
-    pooling         0 + the four places, row by row; times 1/4
-    dense 1         what each place adds, filter by filter (fma); sums of a row's places; sums of rows; + bias
-    dense 2         bias, then unit by unit, product and sum rounded each
+    convolution     bias, then row by row and tap by tap of the kernel the channels
+    pooling         0, then row by row each place times 1/4
+    dense 1         what each place adds, filter by filter; sums of a row's places; bias, then the rows' sums
+    dense 2         bias, then unit by unit
+
+each term added with one rounding (fma).
 
 The windows and triggers (`Oracle`) are integers, floats and lists, one event at a time, written from the docstrings:
 time passes to an event's time first, moment by moment, and windows close and open on the way; then the event is added
@@ -50,42 +51,49 @@ def pool(x: np.ndarray) -> np.ndarray:
     rows, columns = x.shape[0] // 2, x.shape[1] // 2
     total = np.zeros((rows, columns, x.shape[2]), np.float32)
     for r, q in np.ndindex(2, 2):
-        total = total + x[r : 2 * rows : 2, q : 2 * columns : 2]
-    return total * np.float32(0.25)
+        total = fma(np.float32(0.25), x[r : 2 * rows : 2, q : 2 * columns : 2], total)
+    return total
 
 
-def convolve(x: np.ndarray, weights: np.ndarray, bias: np.ndarray, channels_first: bool) -> np.ndarray:
+def convolve(x: np.ndarray, weights: np.ndarray, bias: np.ndarray) -> np.ndarray:
     """(H, W, C), (F, C, 3, 3) -> (H, W, F), zeros around."""
     height, width, n_channels = x.shape
     framed = np.pad(x, ((1, 1), (1, 1), (0, 0)))
     total = np.broadcast_to(bias, (height, width, len(bias)))
-    order = np.ndindex(n_channels, 3, 3) if channels_first else ((c, i, j) for i, j, c in np.ndindex(3, 3, n_channels))
-    for c, i, j in order:
+    for i, j, c in np.ndindex(3, 3, n_channels):
         total = fma(weights[:, c, i, j], framed[i : i + height, j : j + width, c, None], total)
     return total
 
 
-def forward(weights: Mapping[str, np.ndarray], volume: np.ndarray) -> np.ndarray:
-    """(C, H, W) -> logits (K,)."""
-    x = np.ascontiguousarray(volume.transpose(1, 2, 0))
-    x = pool(relu(convolve(x, weights["conv1.weight"], weights["conv1.bias"], channels_first=True)))
-    x = pool(relu(convolve(x, weights["conv2.weight"], weights["conv2.bias"], channels_first=False)))
+def dense(x: np.ndarray, weights: np.ndarray, bias: np.ndarray) -> np.ndarray:
+    """(H, W, F), (U, F * H * W) as torch flattens (F, H, W) -> (U,)."""
     rows, columns, n_filters = x.shape
-    dense = weights["fc1.weight"].reshape(-1, n_filters, rows, columns)  # torch flattens (F, H, W)
-    hidden = np.zeros(len(dense), np.float32)
-    for row in range(rows):
-        row_sum = np.zeros(len(dense), np.float32)
-        for column in range(columns):
-            partial = np.zeros(len(dense), np.float32)
-            for f in range(n_filters):
-                partial = fma(x[row, column, f], dense[:, f, row, column], partial)
-            row_sum = row_sum + partial
-        hidden = hidden + row_sum
-    hidden = relu(hidden + weights["fc1.bias"])
-    logits = weights["fc2.bias"].copy()
-    for j, value in enumerate(hidden):
-        logits = logits + value * weights["fc2.weight"][:, j]
-    return logits
+    weights = weights.reshape(-1, n_filters, rows, columns)
+    if rows * columns == 1:
+        total = bias
+        for f in range(n_filters):
+            total = fma(x[0, 0, f], weights[:, f, 0, 0], total)
+        return total
+    partial = np.zeros((rows, columns, len(bias)), np.float32)
+    for y, x_, f in np.ndindex(rows, columns, n_filters):
+        partial[y, x_] = fma(x[y, x_, f], weights[:, f, y, x_], partial[y, x_])
+    sums = partial[0] if rows == 1 else partial[:, 0]
+    if rows > 1:
+        for column in range(1, columns):
+            sums = sums + partial[:, column]
+    total = bias
+    for part in sums:
+        total = total + part
+    return total
+
+
+def forward(weights: Mapping[str, np.ndarray], volume: np.ndarray) -> np.ndarray:
+    """The thesis' network: (C, H, W) -> logits (K,)."""
+    x = np.ascontiguousarray(volume.transpose(1, 2, 0))
+    x = pool(relu(convolve(x, weights["conv1.weight"], weights["conv1.bias"])))
+    x = pool(relu(convolve(x, weights["conv2.weight"], weights["conv2.bias"])))
+    hidden = relu(dense(x, weights["fc1.weight"], weights["fc1.bias"]))
+    return dense(hidden[None, None], weights["fc2.weight"], weights["fc2.bias"])
 
 
 Values = tuple[str, int, int, int, bool, bytes]

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.engines import Engine, is_onnx, regressor_path
-from async_tnt.networks.model import Model, bundled_models
+from async_tnt.networks.loading import bundled_models
+from async_tnt.networks.model import Model
 from async_tnt.sources.class_folders import is_recording
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.pixel_selection import PixelSelection

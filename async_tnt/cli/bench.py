@@ -20,7 +20,8 @@ from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
 from async_tnt.compile_ahead import warmup
 from async_tnt.config import LANDMARKS, TIME_IMAGES
-from async_tnt.networks.model import Model, load_model
+from async_tnt.networks.loading import load_model
+from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, progress
 
 DESCRIPTION = """\

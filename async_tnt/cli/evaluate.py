@@ -20,7 +20,8 @@ from async_tnt.cli.options import model_of
 from async_tnt.cli.output import complain, complain_late, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.engines import Engine
-from async_tnt.networks.model import Model, bundled_models
+from async_tnt.networks.loading import bundled_models
+from async_tnt.networks.model import Model
 from async_tnt.sources.class_folders import find_recordings
 from async_tnt.views.figure_style import check_picture
 

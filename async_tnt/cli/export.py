@@ -10,7 +10,8 @@ from typing import Any
 from async_tnt.cli.options import model_of
 from async_tnt.cli.output import one_line
 from async_tnt.files import Replacement, check_writable
-from async_tnt.networks.model import Model, bundled_models
+from async_tnt.networks.loading import bundled_models
+from async_tnt.networks.model import Model
 
 DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
 (1, C, H, W); output `logits`, float32, (1, n_classes). The file also holds configuration, classes and training

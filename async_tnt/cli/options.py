@@ -10,7 +10,8 @@ from typing import Any
 
 from async_tnt.config import MAX_SIDE
 from async_tnt.files import check_writable
-from async_tnt.networks.model import Model, bundled_models, load_model
+from async_tnt.networks.loading import bundled_models, load_model
+from async_tnt.networks.model import Model
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.opening import is_live

@@ -11,7 +11,8 @@ from async_tnt.cli.output import complain, one_line
 from async_tnt.config import LANDMARKS, POLARITIES, TIME_IMAGES, TNTConfig
 from async_tnt.events import EVENT_DTYPE, as_events
 from async_tnt.files import check_writable
-from async_tnt.networks.model import Model, bundled_models, load_model
+from async_tnt.networks.loading import bundled_models, load_model
+from async_tnt.networks.model import Model
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size

@@ -8,7 +8,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ from async_tnt.cli.train_motions import other_motions
 from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_writable, write_text
-from async_tnt.networks.model import Model, load_model
+from async_tnt.networks.loading import load_model
+from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
@@ -74,11 +75,13 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from async_tnt.training.batches import BatchVolumes
     from async_tnt.training.evaluation import evaluate
     from async_tnt.training.loop import train
-    from async_tnt.training.pipeline import pipeline_of
+    from async_tnt.training.pipeline import check_network, pipeline_of
 
     start = load_model(args.start_from) if args.start_from else None
     config = _config(args) if start is None else start.config
     BatchVolumes(config)  # refuses windows that cannot be trained on, before any data is read
+    if start is None:
+        check_network(args.network, config)
     read = _read_dataset if args.dataset is not None else _read_digits
     data, settings, sources = read(args, config, start, run_folder)
     config = data.config
@@ -109,6 +112,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     summary: dict[str, Any] = {
         "data": data.record,
         "command": _command(args),
+        "network": args.network if start is None else "that of the model it started from",
         "seed": args.seed,
         "epochs": n_trained,
         "iterations": int(result.history[-1]["iterations"]),
@@ -140,7 +144,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
     def save() -> list[Path]:
         """The model with the summary so far and, for a dataset, its numbers beside it."""
-        written = [type(model)(config, model.weights, model.classes, summary).save(args.out)]
+        written = [replace(model, record=summary).save(args.out)]
         if args.dataset is not None:
             numbers = {} if scores is None else scores.to_dict()
             numbers |= {"held_out": list(data.held_out), "summary": summary, "history": result.history}
@@ -178,7 +182,8 @@ def _read_dataset(
         raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
     pixels = pixels_of(args, start)
     validation = 0.2 if args.validation is None else args.validation
-    given = {"seed": args.seed, "learning_rate": args.rate, "precision": args.precision, "iterations": args.iterations}
+    given = {"seed": args.seed, "learning_rate": args.rate, "precision": args.precision}
+    given |= {"iterations": args.iterations, "network": args.network}
     known = given | {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
     if args.patience is not None:
         known["patience"] = args.patience or None
@@ -234,6 +239,7 @@ def _read_digits(
         augmentation=None if changes is None else Augmentation(**changes),
         precision=args.precision,
         patience=args.patience or None,
+        network=args.network,
     )
     check_run(run_folder, config.to_dict(), asdict(settings))
     if args.smoke:

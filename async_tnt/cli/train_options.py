@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from async_tnt.cli.data_options import add_folder, add_precision
-from async_tnt.cli.options import positive_int, size_of, size_text
+from async_tnt.cli.options import positive_int, size_text
 from async_tnt.cli.pixel_options import add_selection, selection_of
 from async_tnt.config import LANDMARKS, POLARITIES, REPRESENTATIONS, TRANSFORMS
 from async_tnt.networks.model import Model
@@ -18,7 +18,7 @@ from async_tnt.sources.sensor import format_size
 from async_tnt.training.augment import Augmentation
 
 DESCRIPTION = """\
-Train the thesis' classifier (two convolutions, two fully connected layers) on volumes of events.
+Train a classifier on volumes of events: the thesis' network, others that suit small machines, or your own (--network).
 
 With DATASET, on your own classes: a folder with one folder of recordings for each class, named like the class, from
 any camera and in any format that `async-tnt run` reads. Windows follow each other from each recording's first event; a
@@ -39,6 +39,7 @@ examples:
   async-tnt train gestures --sensor 346x260 --grid 44x33 --window-us 200000 --landmark center
   async-tnt train gestures --roi 100,80,64,64 --crop --mask hot.npy    a part of the camera, without hot pixels
   async-tnt train gestures --motions resynthesized             recognize them in other motions as well
+  async-tnt train gestures --network mine.py:build             a network of your own
   async-tnt evaluate gestures.safetensors held_out             accuracy on other recordings
   async-tnt train --smoke                          does everything work? seconds, no data needed
   async-tnt train --nmnist N-MNIST --out mine.safetensors
@@ -186,6 +187,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     learning = parser.add_argument_group("training")
     learning.add_argument(
+        "--network",
+        default="thesis",
+        metavar="NAME",
+        help="thesis: two convolutions, two dense layers; conv4: four with batch norm; residual; separable: few "
+        "multiplications; or FILE.py:FUNCTION, your own: called with channels, (width, height) and the number of "
+        "classes, it returns a torch module (default: thesis)",
+    )
+    learning.add_argument(
         "--epochs",
         type=int,
         metavar="N",
@@ -293,6 +302,8 @@ def check_options(args: argparse.Namespace) -> None:
     given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name) is not None]
     if args.start_from and given:
         raise ValueError(f"{', '.join(given)} must come without --start-from: the volume is that model's")
+    if args.start_from and args.network != "thesis":
+        raise ValueError("--network must come without --start-from: the network is that model's")
     if args.dataset is None:
         names = ("sensor", "grid", "window_us", "roi", "crop", "mask")
         given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]
@@ -305,8 +316,6 @@ def check_options(args: argparse.Namespace) -> None:
     given += ["--saccades"] if args.saccades != [1, 2, 3] else []
     if given:
         raise ValueError(f"{', '.join(given)} must come without DATASET: train on one or the other")
-    if args.grid and min(size_of(args.grid)) < 4:
-        raise ValueError(f"--grid must be at least 4x4 for the network's two poolings, got {args.grid}")
 
 
 def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:

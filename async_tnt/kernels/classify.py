@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from . import layout as L
+from . import program as P
 from . import state as S
 from . import trigger as T
 from .absorb import absorb
@@ -15,30 +15,30 @@ DECISION_FIELDS = 4  # of a decision in `notes`: events, newest time, trigger, c
 
 
 @compiled
-def classify_array(volume, layout, weights, maps, dirty, logits):
+def classify_array(volume, program, weights, maps, places, logits):
     """The whole network: volume (C, H, W) -> logits (n_classes,)."""
-    set_input(volume, layout, maps, dirty)
-    forward(layout, weights, maps, dirty)
-    _copy_logits(layout, maps, logits)
+    set_input(volume, program, maps, places)
+    forward(program, weights, maps, places)
+    _copy_logits(program, maps, logits)
 
 
 @compiled
-def classify_cells(buffer, layout, weights, maps, dirty, logits, probabilities):
+def classify_cells(buffer, program, weights, maps, places, logits, probabilities):
     """The same for a volume's `state`, where only what has changed since the last call is computed.
 
     Returns
     -------
     int : the class, as `softmax` returns it.
     """
-    sync_input(buffer, layout, maps, dirty)
-    forward(layout, weights, maps, dirty)
-    _copy_logits(layout, maps, logits)
+    sync_input(buffer, program, maps, places)
+    forward(program, weights, maps, places)
+    _copy_logits(program, maps, logits)
     return softmax(logits, probabilities)
 
 
 @compiled_without_gil
 def absorb_and_decide(
-    buffer, t, x, y, p, first, last, trigger, layout, weights, maps, dirty, logits, probabilities, notes
+    buffer, t, x, y, p, first, last, trigger, program, weights, maps, places, logits, probabilities, notes
 ):
     """Absorb events, and decide at each one where a trigger makes a decision due.
 
@@ -47,7 +47,7 @@ def absorb_and_decide(
     buffer : float64, the volume's `state`. Updated in place.
     t, x, y, p, first, last : as for `absorb`.
     trigger : float64, see `trigger`. Updated in place.
-    layout, weights, maps, dirty : the classifier's, see `layout`. Updated in place.
+    program, weights, maps, places : the classifier's, see `program`. Updated in place.
     logits, probabilities, notes : float32 and float64 (n, n_classes), int64 (n, DECISION_FIELDS). Overwritten, one
         row per decision.
 
@@ -70,7 +70,7 @@ def absorb_and_decide(
         first = absorbed
         why = T.why_due(trigger, n_before, ints[S.N], fires)
         if why != T.NOT_DUE:
-            best = classify_cells(buffer, layout, weights, maps, dirty, logits[n], probabilities[n])
+            best = classify_cells(buffer, program, weights, maps, places, logits[n], probabilities[n])
             if best < 0:
                 return first, n, NOT_FINITE
             if probabilities[n, best] >= trigger[T.CONFIDENCE]:
@@ -89,8 +89,8 @@ def absorb_and_decide(
 
 
 @compiled
-def _copy_logits(layout, maps, logits):
-    at = np.uint64(layout[L.LOGITS])
+def _copy_logits(program, maps, logits):
+    at = np.uint64(program[P.OUTPUT])
     for k in range(logits.size):
         logits[k] = maps[at + np.uint64(k)]
 

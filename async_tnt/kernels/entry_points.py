@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from numba import boolean, float32, float64, int64, types, uint8
+from numba import boolean, float32, float64, int64, types, uint32
 
 from .absorb import absorb, absorb_one, store_events
 from .classify import absorb_and_decide, classify_array, classify_cells, softmax
@@ -14,9 +14,7 @@ from .trigger import advance_triggers, why_due
 _STATE = _TRIGGER = float64[::1]
 _ARRAY = float32[:, :, ::1]
 _VOLUME = types.Array(float32, 3, "C", readonly=True)
-_NETWORK = int64[::1], float32[::1], float32[::1], uint8[::1]
-_LAYERS = types.Tuple((*(float32[:, :, :, ::1], float32[:, ::1]) * 3, float32[::1]))
-_MAPS = types.Tuple((*(float32[:, ::1],) * 4, float32[::1]))
+_NETWORK = int64[::1], float32[::1], float32[::1], uint32[::1]
 
 ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     kernel.__name__: (kernel, arguments)
@@ -32,7 +30,7 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (advance_triggers, (_TRIGGER, _STATE, int64[::1], int64, int64)),
         (why_due, (_TRIGGER, int64, int64, boolean)),
         (softmax, (float32[::1], float64[::1])),
-        (find_landmark, (_VOLUME, _LAYERS, _MAPS)),
+        (find_landmark, (_VOLUME, *_NETWORK)),
         (classify_array, (_VOLUME, *_NETWORK, float32[::1])),
         (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1])),
         (

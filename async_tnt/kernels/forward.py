@@ -1,159 +1,200 @@
-"""The classifier, layer by layer, where it is out of date: input -> logits.
+"""A network, step by step, where it is out of date.
 
-    conv 3x3, ReLU, 2x2 mean -> the same -> dense, ReLU -> dense
-
-Each layer computes its dirty cells, keeps them, and marks as dirty the cells of the next layer that depend on those
-that changed. With everything dirty this is the plain forward pass. There is no second implementation of it, so an
-update and a whole pass cannot differ in a bit.
+Each step lists the places that a change reaches, computes them, keeps those whose bits differ, and hands their list to
+the steps that read them. With everything out of date this is the plain forward pass. There is no second implementation
+of it, so an update and a whole pass cannot differ in a bit.
 """
 
 import numpy as np
 
-from . import layout as L
-from .conv_pool import CELLS_1, CELLS_2, FILTERS_1, FILTERS_2, any_input_1, conv_pool_1, conv_pool_2
-from .dense import forward_logits, forward_partials
+from . import program as P
 from .jit import compiled, inlined
+from .simd import LANES
+from .tiles import max_tile, mix_tile_1, mix_tile_2, sum_tile
 
 
 @compiled
-def forward(layout, weights, maps, dirty):
-    """Bring the logits up to date with the input.
+def forward(program, weights, maps, places):
+    """Bring the output up to date with the input.
 
     Parameters
     ----------
-    layout, weights, maps, dirty : the classifier's, see `layout`. Maps, mask and the scratch part of the layout are
-        updated in place.
+    program, weights, maps, places : the network's, see `program`. All but the weights are updated in place.
     """
-    forward_conv_1(layout, weights, maps, dirty)
-    forward_conv_2(layout, weights, maps, dirty)
-    if forward_partials(layout, weights, maps, dirty):
-        forward_logits(layout, weights, maps)
+    for step in range(program[P.N_STEPS]):
+        at = P.FIRST_STEP + step * P.STEP_SIZE
+        n = _list_dirty(program, at, places)
+        program[at + P.N_COMPUTED] = n
+        if n == 0:
+            program[at + P.CHANGED + 1] = 0
+        elif program[at + P.KIND] == P.MIX:
+            _mix(program, at, n, weights, maps, places)
+        else:
+            _by_channel(program, at, n, weights, maps, places)
+    program[P.STALE] = 0
 
 
 @compiled
-def forward_conv_1(layout, weights, maps, dirty):
-    """Input -> pooled 1."""
-    n_channels, pitch = layout[L.CHANNELS], layout[L.WIDTH] + 2
-    n_filters, n_rows, n_columns = layout[L.F], layout[L.ROWS_1], layout[L.COLUMNS_1]
-    for row in range(n_rows):
-        if dirty[layout[L.DIRTY_1] + row] == 0:
-            continue
-        dirty[layout[L.DIRTY_1] + row] = 0
-        flags = layout[L.DIRTY_1] + n_rows + row * n_columns
-        column = _next_dirty(dirty, flags, 0, n_columns)
-        while column < n_columns:
-            first = max(min(column, n_columns - CELLS_1), 0)  # at the right edge, also cells that are not dirty
-            n = min(CELLS_1, n_columns - first)
-            inputs = layout[L.INPUT] + 2 * row * n_channels * pitch + 2 * first
-            cells = layout[L.POOLED_1] + ((row + 1) * (n_columns + 2) + first + 1) * n_filters
-            n_active = _list_active(maps, inputs, pitch, n_channels, layout)
-            lo, hi = n, -1
-            for f in range(0, n_filters, FILTERS_1):
-                conv_pool_1(
-                    maps,
-                    inputs,
-                    n_channels * pitch,
-                    pitch,
-                    layout[L.ACTIVE :],
-                    n_active,
-                    weights,
-                    layout[L.CONV_1] + 9 * n_channels * f,
-                    layout[L.BIAS_1] + f,
-                    maps,
-                    layout[L.TILE],
-                )
-                for cell in range(n):
-                    if _replace(maps, layout[L.TILE] + cell * FILTERS_1, cells + cell * n_filters + f, FILTERS_1):
-                        lo, hi = min(lo, cell), max(hi, cell)
-            if hi >= 0:
-                mark_dirty(
-                    layout, dirty, L.DIRTY_2, layout[L.ROWS_2], layout[L.COLUMNS_2], row, row, first + lo, first + hi
-                )
-            for cell in range(first, first + n):
-                dirty[flags + cell] = 0
-            column = _next_dirty(dirty, flags, first + n, n_columns)
+def _mix(program, at, n, weights, maps, places):
+    """A convolution at the n places of the list."""
+    first_group, n_groups = program[at + P.WEIGHTS], program[at + P.GROUPS]
+    channels, columns = program[at + P.OUT_CHANNELS], program[at + P.COLUMNS]
+    n_products = program[at + P.N_RUNS] * program[at + P.RUN_LENGTH]
+    places[np.uint64(program[P.LIST] + n)] = places[np.uint64(program[P.LIST] + n - 1)]  # a tile may have one too many
+    n_changed = 0
+    k = 0
+    while k < n:
+        listed = program[P.LIST] + k
+        n_places = 1
+        block = first_group
+        if program[at + P.PLACE_WEIGHTS] == 0:
+            n_places = _tile_size(n - k)
+        else:
+            place = np.int64(places[listed])
+            block += ((place >> 16) * columns + (place & 0xFFFF)) * program[at + P.PLACE_WEIGHTS]
+        changed = np.int64(0)
+        for group in range(n_groups):
+            inputs = program[at + P.IN] + group * program[at + P.GROUP_CHANNELS]
+            for f in range(0, channels, 2 * LANES):
+                left = channels - f
+                output = program[at + P.OUT] + group * channels + f
+                if left > LANES:
+                    size = min(left, 2 * LANES)
+                    changed |= mix_tile_2(
+                        program, at, places, listed, n_places, maps, inputs, output, weights, block, size
+                    )
+                    block += (n_products + 2) * 2 * LANES + LANES
+                else:
+                    changed |= mix_tile_1(
+                        program, at, places, listed, n_places, maps, inputs, output, weights, block, left
+                    )
+                    block += (n_products + 2) * LANES + LANES
+        n_changed = _keep_changed(program, at, places, listed, min(n_places, n - k), changed, n_changed)
+        k += n_places
+    program[at + P.CHANGED + 1] = n_changed
+
+
+@inlined
+def _tile_size(n):
+    """How many of n places the next tile computes: one of `SIZES`, at most one more than n."""
+    if n >= 11:
+        return 12
+    if n >= 7:
+        return 8
+    if n >= 5:
+        return 6
+    return 4 if n >= 3 else n
 
 
 @compiled
-def forward_conv_2(layout, weights, maps, dirty):
-    """Pooled 1 -> pooled 2."""
-    n_channels, pitch = layout[L.F_USED], layout[L.F]
-    n_filters, n_rows, n_columns = layout[L.G], layout[L.ROWS_2], layout[L.COLUMNS_2]
-    row_pitch = (layout[L.COLUMNS_1] + 2) * pitch
-    for row in range(n_rows):
-        if dirty[layout[L.DIRTY_2] + row] == 0:
-            continue
-        dirty[layout[L.DIRTY_2] + row] = 0
-        flags = layout[L.DIRTY_2] + n_rows + row * n_columns
-        partials = layout[L.DIRTY_3] + n_rows + row * n_columns
-        column = _next_dirty(dirty, flags, 0, n_columns)
-        while column < n_columns:
-            first = max(min(column, n_columns - CELLS_2), 0)
-            n = min(CELLS_2, n_columns - first)
-            inputs = layout[L.POOLED_1] + 2 * row * row_pitch + 2 * first * pitch
-            cells = layout[L.POOLED_2] + (row * n_columns + first) * n_filters
-            for f in range(0, n_filters, FILTERS_2):
-                conv_pool_2(
-                    maps,
-                    inputs,
-                    row_pitch,
-                    pitch,
-                    n_channels,
-                    weights,
-                    layout[L.CONV_2] + 9 * n_channels * f,
-                    layout[L.BIAS_2] + f,
-                    maps,
-                    layout[L.TILE],
-                )
-                for cell in range(n):
-                    if _replace(maps, layout[L.TILE] + cell * FILTERS_2, cells + cell * n_filters + f, FILTERS_2):
-                        dirty[partials + first + cell] = 1
-                        dirty[layout[L.DIRTY_3] + row] = 1
-            for cell in range(first, first + n):
-                dirty[flags + cell] = 0
-            column = _next_dirty(dirty, flags, first + n, n_columns)
+def _by_channel(program, at, n, weights, maps, places):
+    """A sum or maximum of each channel, at the n places of the list."""
+    n_changed = 0
+    is_sum = program[at + P.KIND] == P.SUM
+    for listed in range(program[P.LIST], program[P.LIST] + n):
+        if is_sum:
+            changed = sum_tile(program, at, places, listed, maps, weights)
+        else:
+            changed = max_tile(program, at, places, listed, maps, weights)
+        n_changed = _keep_changed(program, at, places, listed, 1, changed, n_changed)
+    program[at + P.CHANGED + 1] = n_changed
 
 
 @inlined
-def mark_dirty(layout, dirty, which, n_rows, n_columns, y_lo, y_hi, x_lo, x_hi):
-    """Mark the cells that the pixels y_lo..y_hi, x_lo..x_hi (inclusive) of the map before can reach.
+def _keep_changed(program, at, places, listed, n_places, changed, n_changed):
+    """Append to the list of changed places those whose bit is set; returns its new length."""
+    end = np.uint64(program[at + P.CHANGED] + n_changed)
+    for p in range(n_places):
+        places[end] = places[np.uint64(listed + p)]
+        end += np.uint64((changed >> p) & 1)
+    return np.int64(end) - program[at + P.CHANGED]
 
-    A pixel reaches the pooled cells whose 2x2 places lie within one pixel of it, through the 3x3 taps: rows
-    (y - 1) // 2 to (y + 1) // 2 of the next map, and columns likewise.
+
+@compiled
+def _list_dirty(program, at, places):
+    """List the places of a step that a change of its sources reaches, each once; returns how many."""
+    sources = program[at + P.SOURCES]
+    total = 0
+    everything = program[P.STALE] != 0
+    sees_all = (
+        program[at + P.KERNEL_Y] >= program[at + P.STRIDE_Y] and program[at + P.KERNEL_X] >= program[at + P.STRIDE_X]
+    )
+    for s in range(sources, sources + program[at + P.N_SOURCES]):
+        n_changed = program[program[s] + 1]
+        total += n_changed
+        # Three quarters have changed: a list would cost more than it spares.
+        everything |= sees_all and 4 * n_changed >= 3 * program[at + P.SOURCE_PLACES]
+    if everything:
+        return _list_all(program, at, places)
+    if total == 0:
+        return 0
+    n = 0
+    for s in range(sources, sources + program[at + P.N_SOURCES]):
+        first = program[program[s]]
+        n = _list_reached(program, at, places, first, first + program[program[s] + 1], n)
+    flags = places.view(np.uint8)
+    columns = program[at + P.COLUMNS]
+    for k in range(program[P.LIST], program[P.LIST] + n):
+        place = np.int64(places[np.uint64(k)])
+        flags[np.uint64((place >> 16) * columns + (place & 0xFFFF))] = 0
+    return n
+
+
+@inlined
+def _list_all(program, at, places):
+    end = program[P.LIST]
+    for y in range(program[at + P.ROWS]):
+        for x in range(program[at + P.COLUMNS]):
+            places[np.uint64(end)] = y << 16 | x
+            end += 1
+    return end - program[P.LIST]
+
+
+@inlined
+def _list_reached(program, at, places, first, last, n):
+    """List the places that see one of these changed places, y stride - pad + i dilation = changed for a tap i.
+
+    Parameters
+    ----------
+    first, last : where in `places` the changed places lie.
+    n : how many are listed already; their flags are set.
     """
-    first_x = max(x_lo - 1, 0) >> 1
-    last_x = min((x_hi + 1) >> 1, n_columns - 1)
-    for row in range(max(y_lo - 1, 0) >> 1, min((y_hi + 1) >> 1, n_rows - 1) + 1):
-        dirty[np.uint64(layout[which] + row)] = 1
-        cells = layout[which] + n_rows + row * n_columns
-        for column in range(first_x, last_x + 1):
-            dirty[np.uint64(cells + column)] = 1
+    flags = places.view(np.uint8)
+    rows, columns = program[at + P.ROWS], program[at + P.COLUMNS]
+    stride_y, stride_x = program[at + P.STRIDE_Y], program[at + P.STRIDE_X]
+    dilation_y, dilation_x = program[at + P.DILATION_Y], program[at + P.DILATION_X]
+    reach_y, reach_x = (program[at + P.KERNEL_Y] - 1) * dilation_y, (program[at + P.KERNEL_X] - 1) * dilation_x
+    end = program[P.LIST] + n
+    k = first
+    while k < last:
+        place = np.int64(places[np.uint64(k)])
+        n_neighbours = 1  # side by side: most changes are, and what they reach overlaps
+        if dilation_x == 1:
+            while k + n_neighbours < last and np.int64(places[np.uint64(k + n_neighbours)]) == place + n_neighbours:
+                n_neighbours += 1
+        k += n_neighbours
+        y, x = (place >> 16) + program[at + P.PAD_Y], (place & 0xFFFF) + program[at + P.PAD_X]
+        x_first = _quotient(max(x - reach_x + stride_x - 1, 0), stride_x)
+        x_last = min(_quotient(x + n_neighbours - 1, stride_x), columns - 1)
+        y_first = _quotient(max(y - reach_y + stride_y - 1, 0), stride_y)
+        for row in range(y_first, min(_quotient(y, stride_y), rows - 1) + 1):
+            if dilation_y > 1 and (y - row * stride_y) % dilation_y:
+                continue
+            for column in range(x_first, x_last + 1):
+                if dilation_x > 1 and (x - column * stride_x) % dilation_x:
+                    continue
+                flag = np.uint64(row * columns + column)
+                places[np.uint64(end)] = row << 16 | column
+                end += 1 - np.int64(flags[flag])
+                flags[flag] = 1
+    return end - program[P.LIST]
 
 
 @inlined
-def _list_active(maps, inputs, pitch, n_channels, layout):
-    """List the channels that are not all zero in a tile, in `layout` from ACTIVE on; returns how many, at least one."""
-    layout[L.ACTIVE] = 0
-    n_active = 0
-    for c in range(n_channels):
-        layout[np.uint64(L.ACTIVE + n_active)] = c
-        n_active += any_input_1(maps, inputs + c * pitch, n_channels * pitch)
-    return max(n_active, 1)
-
-
-@inlined
-def _next_dirty(dirty, flags, column, n_columns):
-    while column < n_columns and dirty[flags + column] == 0:
-        column += 1
-    return column
-
-
-@inlined
-def _replace(maps, source, target, n):
-    """Copy n numbers; returns whether any differs from what was there."""
-    changed = False
-    for k in range(n):
-        value = maps[np.uint64(source + k)]
-        changed |= value != maps[np.uint64(target + k)]
-        maps[np.uint64(target + k)] = value
-    return changed
+def _quotient(n, stride):
+    """n // stride; a division takes longer than all else there."""
+    if stride == 1:
+        return n
+    if stride == 2:
+        return n >> 1
+    return n // stride

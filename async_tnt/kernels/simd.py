@@ -107,7 +107,7 @@ class Simd:
         new = [builder.add(counter, whole(1)), *body(counter, [phi for phi, _ in carried[1:]])]
         for (phi, first), value in zip(carried, new, strict=True):
             phi.add_incoming(first, before)
-            phi.add_incoming(value, inside)
+            phi.add_incoming(value, builder.block)  # not `inside`, where the body holds a loop
         builder.cbranch(builder.icmp_signed("<", new[0], n), inside, after)
         builder.position_at_end(after)
         return new[1:]

@@ -1,14 +1,13 @@
-"""Bring a classifier's input up to date, and mark the cells of its first map that depend on a change as dirty.
+"""Bring a network's input up to date, and list the places that have changed.
 
-Only values that differ are marked, so events that the transform dropped cost nothing further.
+Only places whose values differ are listed, so events that the transform dropped cost nothing further.
 """
 
 import numpy as np
 from llvmlite import ir
 
-from . import layout as L
+from . import program as P
 from . import state as S
-from .forward import mark_dirty
 from .jit import compiled, inlined
 from .readout import cell_at, cell_value, parts_of, strides_of
 from .simd import vectorized
@@ -17,82 +16,114 @@ NUMBERS_PER_LOGGED = 100  # one logged event, scattered in memory, costs as much
 
 
 @compiled
-def sync_input(buffer, layout, maps, dirty):
-    """Copy a volume to the input, from its cells:
+def sync_input(buffer, program, maps, places):
+    """Copy a volume to the input, from its cells, and list the places that differ.
 
-        input[y + 1, c, x + 1] = cells[c, y, x, 0] + cells[c - 1, y, x, 1], rounded to float32 as in `readout`
+        input[y, x, c] = cells[c, y, x, 0] + cells[c - 1, y, x, 1], rounded to float32 as in `readout`, and never -0
+
+    The planes (C, H, W) hold the same numbers: cells can be compared with these in vector registers. Where the input
+    does not show a window, everything is copied, and to be computed.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. Only read.
-    layout, maps, dirty : the classifier's, see `layout`. Updated in place.
+    program, maps, places : the network's, see `program`. Updated in place.
     """
     ints = buffer.view(np.int64)
-    n_new = ints[S.N_LOG] - layout[L.N_SEEN]
-    n_cells = layout[L.CHANNELS] * layout[L.HEIGHT] * layout[L.WIDTH]
-    same_window = layout[L.EPOCH] == ints[S.EPOCH]
+    n_new = ints[S.N_LOG] - program[P.N_SEEN]
+    n_cells = program[P.CHANNELS] * program[P.HEIGHT] * program[P.WIDTH]
+    same_window = program[P.EPOCH] == ints[S.EPOCH]
     if same_window and n_new <= ints[S.LOG_SIZE] and n_new * NUMBERS_PER_LOGGED <= n_cells:
-        for k in range(layout[L.N_SEEN], ints[S.N_LOG]):
-            _sync_corner(buffer, ints, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))], layout, maps, dirty)
+        _sync_corners(buffer, ints, program, maps, places)
     else:
-        _sync_all(buffer, ints, layout, maps, dirty)
-    layout[L.EPOCH] = ints[S.EPOCH]
-    layout[L.N_SEEN] = ints[S.N_LOG]
+        _sync_all(buffer, ints, program, maps, places)
+    if program[P.EPOCH] == 0:
+        program[P.STALE] = 1
+    program[P.EPOCH] = ints[S.EPOCH]
+    program[P.N_SEEN] = ints[S.N_LOG]
 
 
 @compiled
-def set_input(volume, layout, maps, dirty):
-    """Copy an array (C, H, W) to the input, and mark everything as dirty."""
+def set_input(volume, program, maps, places):
+    """Copy an array (C, H, W) to the input; everything is to be computed. The planes stay as they were."""
     n_channels, height, width = volume.shape
-    for c in range(n_channels):
-        for y in range(height):
-            at = np.uint64(layout[L.INPUT] + ((y + 1) * n_channels + c) * (width + 2) + 1)
+    step = np.uint64(n_channels)
+    for y in range(height):
+        for c in range(n_channels):
+            source = volume[c, y]
+            at = np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + c)
             for x in range(width):
-                maps[at + np.uint64(x)] = volume[c, y, x]
-    for k in range(layout[L.DIRTY_1], dirty.size):
-        dirty[k] = 1
-    layout[L.EPOCH] = 0
+                maps[at] = source[x] + np.float32(0)  # 0 where it is -0
+                at += step
+    program[P.EPOCH] = 0
+    program[P.STALE] = 1
 
 
 @inlined
-def _sync_corner(buffer, ints, corner, layout, maps, dirty):
-    """The eight cells of an event."""
-    n_channels, height, width = layout[L.CHANNELS], layout[L.HEIGHT], layout[L.WIDTH]
+def _copy_pixel(program, maps, y, x):
+    """A pixel's channels, from the planes to the input."""
+    width, n_channels = program[P.WIDTH], program[P.CHANNELS]
+    at = np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels)
+    plane, source = np.uint64(program[P.HEIGHT] * width), np.uint64(program[P.PLANES] + y * width + x)
+    for c in range(n_channels):
+        u = np.uint64(c)
+        maps[at + u] = maps[source + u * plane]
+
+
+@inlined
+def _sync_corners(buffer, ints, program, maps, places):
+    """The cells of the events since the last call, eight each."""
+    n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
     strides = strides_of(ints)
-    c0, y0, x0 = cell_at(strides, corner)
-    changed = False
-    for c in range(c0, min(c0 + 2, n_channels)):
-        for y in range(y0, min(y0 + 2, height)):
-            lower, upper, is_first = parts_of(strides, c, y, x0)
-            at = np.uint64(layout[L.INPUT] + ((y + 1) * n_channels + c) * (width + 2) + x0 + 1)
-            for k in range(min(2, width - x0)):
-                value = np.float32(cell_value(buffer, lower, upper, is_first, k))
-                changed |= maps[at + np.uint64(k)] != value
-                maps[at + np.uint64(k)] = value
-    if changed:
-        mark_dirty(layout, dirty, L.DIRTY_1, layout[L.ROWS_1], layout[L.COLUMNS_1], y0, y0 + 1, x0, x0 + 1)
+    flags = places.view(np.uint8)
+    first = end = program[P.INPUT_CHANGED]
+    for k in range(program[P.N_SEEN], ints[S.N_LOG]):
+        c0, y0, x0 = cell_at(strides, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))])
+        for c in range(c0, min(c0 + 2, n_channels)):
+            for y in range(y0, min(y0 + 2, height)):
+                lower, upper, is_first = parts_of(strides, c, y, x0)
+                plane = program[P.PLANES] + (c * height + y) * width
+                for x in range(x0, min(x0 + 2, width)):
+                    value = np.float32(cell_value(buffer, lower, upper, is_first, x - x0)) + np.float32(0)
+                    if maps[np.uint64(plane + x)] != value:
+                        maps[np.uint64(plane + x)] = value
+                        maps[np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels + c)] = value
+                        flag = np.uint64(y * width + x)
+                        places[np.uint64(end)] = y << 16 | x
+                        end += 1 - flags[flag]
+                        flags[flag] = 1
+    for k in range(first, end):
+        place = np.int64(places[np.uint64(k)])
+        flags[np.uint64((place >> 16) * width + (place & 0xFFFF))] = 0
+    program[P.INPUT_CHANGED + 1] = end - first
 
 
 @compiled
-def _sync_all(buffer, ints, layout, maps, dirty):
+def _sync_all(buffer, ints, program, maps, places):
     """All cells, row by row of the image."""
-    n_channels, height, width = layout[L.CHANNELS], layout[L.HEIGHT], layout[L.WIDTH]
+    n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
     strides = strides_of(ints)
-    changed = layout[L.TILE]  # flags of this row's pixels, from the one before the first to the one past the last
+    changed = program[P.SCRATCH]  # flags of this row's pixels
+    end = program[P.INPUT_CHANGED]
     for y in range(height):
-        for x in range(width + 2):
+        for x in range(width):
             maps[np.uint64(changed + x)] = 0
         for c in range(n_channels):
-            at = layout[L.INPUT] + ((y + 1) * n_channels + c) * (width + 2) + 1
+            at = program[P.PLANES] + (c * height + y) * width
             lower, upper, is_first = parts_of(strides, c, y, 0)
             upper = lower if is_first else upper
             if width < 8:
-                round_cells(buffer, lower, upper, width, maps, at, changed + 1)
+                round_cells(buffer, lower, upper, width, maps, at, changed)
             else:
                 for k in range(0, width, 8):
                     x = min(k, width - 8)  # the last eight overlap those before: they do not differ twice
-                    round_eight(buffer, lower + 2 * x, upper + 2 * x, maps, at + x, changed + 1 + x)
-        _mark_row(layout, maps, changed, dirty, max(y - 1, 0) >> 1, min((y + 1) >> 1, layout[L.ROWS_1] - 1))
+                    round_eight(buffer, lower + 2 * x, upper + 2 * x, maps, at + x, changed + x)
+        for x in range(width):
+            if maps[np.uint64(changed + x)] != 0 or program[P.EPOCH] == 0:
+                _copy_pixel(program, maps, y, x)
+                places[np.uint64(end)] = y << 16 | x
+                end += 1
+    program[P.INPUT_CHANGED + 1] = end - program[P.INPUT_CHANGED]
 
 
 @inlined
@@ -106,7 +137,7 @@ def round_cells(buffer, lower, upper, n, maps, at, changed):
     maps : float32. Values from `at` on are updated in place; flags from `changed` on become 1 where they differed.
     """
     for x in range(n):
-        value = np.float32(cell_value(buffer, lower, upper, lower == upper, x))
+        value = np.float32(cell_value(buffer, lower, upper, lower == upper, x)) + np.float32(0)  # 0 where it is -0
         if maps[at + x] != value:
             maps[changed + x] = 1
         maps[at + x] = value
@@ -133,25 +164,8 @@ def round_eight(simd, buffer, lower, upper, maps, at, changed):
     is_first = builder.icmp_signed("==", upper, lower)
     uppers = builder.select(is_first, ir.Constant(doubles, [0.0] * 8), every_other(upper))
     value = builder.fptrunc(builder.fadd(every_other(lower), uppers), singles)
+    value = builder.fadd(value, ir.Constant(singles, [0.0] * 8))
     differs = builder.fcmp_unordered("!=", simd.load(maps, at, singles), value)
     flags = builder.select(differs, ir.Constant(singles, [1.0] * 8), simd.load(maps, changed, singles))
     simd.store(value, maps, at)
     simd.store(flags, maps, changed)
-
-
-@inlined
-def _mark_row(layout, maps, changed, dirty, upper, lower):
-    """`mark_dirty` for a row of pixels, which reaches these two rows of cells (or twice the same)."""
-    n_rows, n_columns = layout[L.ROWS_1], layout[L.COLUMNS_1]
-    upper_cells = layout[L.DIRTY_1] + n_rows + upper * n_columns
-    lower_cells = layout[L.DIRTY_1] + n_rows + lower * n_columns
-    any_changed = np.uint8(0)
-    for column in range(n_columns):
-        i = np.uint64(changed + 2 * column)
-        near = maps[i] + maps[i + np.uint64(1)] + maps[i + np.uint64(2)] + maps[i + np.uint64(3)]
-        flag = np.uint8(near > 0)
-        dirty[np.uint64(upper_cells + column)] |= flag
-        dirty[np.uint64(lower_cells + column)] |= flag
-        any_changed |= flag
-    dirty[layout[L.DIRTY_1] + upper] |= any_changed
-    dirty[layout[L.DIRTY_1] + lower] |= any_changed

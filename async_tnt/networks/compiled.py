@@ -9,9 +9,10 @@ import numpy as np
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.classify import classify_array, classify_cells
 from async_tnt.kernels.heatmap import find_landmark
-from async_tnt.kernels.layout import EPOCH
-from async_tnt.networks.layout import VolumeInput, classifier_arrays, regressor_arrays
+from async_tnt.kernels.program import EPOCH
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
+from async_tnt.networks.program import StepWork, VolumeInput, make_program
 
 
 class Volume(Protocol):
@@ -25,8 +26,7 @@ class Volume(Protocol):
 class CompiledClassifier:
     """The network of a model, compiled: volume (C, H, W) -> logits (n_classes,).
 
-    conv 3x3, ReLU, 2x2 average pool, twice; then two dense layers with a ReLU between (Wang 2019, section on
-    the classifier). Equal to the torch reference to 1e-4. Called with an array it computes the whole network;
+    Equal to torch to 1e-4. Called with an array it computes the whole network;
     `refresh` computes what has changed in a volume since its last call. Both give the same logits, bit for bit.
     Holds its feature maps: one instance per thread.
 
@@ -47,12 +47,13 @@ class CompiledClassifier:
     def __init__(self, model: Model) -> None:
         self.shape = model.config.shape
         self.n_classes = len(model.classes)
-        self.network = classifier_arrays(model)
+        self._program = make_program(model.layers[CLASSIFIER], self.shape, model.weights)
+        self.network = self._program.arrays
         self._input = VolumeInput(self.shape)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self.network.layout[EPOCH] = 0  # in another process, another window may have this number
+        self.network.program[EPOCH] = 0  # in another process, another window may have this number
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """Logits of one volume: float32, shape (n_classes,), a new array."""
@@ -69,6 +70,11 @@ class CompiledClassifier:
             raise ValueError(f"`volume` must have shape {self.shape}, got {volume.config.shape}")
         return self.answer(volume)[1]
 
+    @property
+    def work(self) -> list[tuple[StepWork, int]]:
+        """The network's steps, and how many places of each the last call computed."""
+        return list(zip(self._program.steps, self._program.computed(), strict=True))
+
     def answer(self, volume: Volume) -> tuple[int, np.ndarray, np.ndarray]:
         """`refresh` for a volume whose shape is known to fit: class (-1 if a logit is not finite), logits, and
         probabilities (float64, shape (n_classes,))."""
@@ -79,10 +85,9 @@ class CompiledClassifier:
 class CompiledRegressor:
     """The landmark network of a model, compiled: raw volume (C, H, W) -> landmark (x, y) in grid pixels.
 
-    Three convolutions 3x3 with ReLU and one 1x1 draw a heatmap; the landmark is the centroid of its exponential,
-    in float64 (Wang 2019, the landmark regression network). Equal to the torch reference to 1e-4 pixels. For the
-    volume alone: `TNTVolume(model.config, regressor=CompiledRegressor(model))`; `Processor(model)` makes its own.
-    Holds scratch memory: one instance per thread.
+    Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. Equal to torch to 1e-4
+    pixels. For the volume alone: `TNTVolume(model.config, regressor=CompiledRegressor(model))`; `Processor(model)`
+    makes its own. Holds scratch memory: one instance per thread.
 
     Raises
     ------
@@ -97,19 +102,18 @@ class CompiledRegressor:
                 f"got landmark={config.landmark!r}, transform={config.transform!r}"
             )
         self.shape = config.shape
-        self._layers, self._maps = regressor_arrays(model)
+        self._program = make_program(model.layers[REGRESSOR], self.shape, model.weights)
         self._input = VolumeInput(self.shape)
 
     def __call__(self, volume: np.ndarray) -> tuple[float, float]:
         """The landmark of one raw volume, float64; nan where the network's float32 numbers overflow."""
-        x, y = find_landmark(self._input(volume), self._layers, self._maps)
+        x, y = find_landmark(self._input(volume), *self._program.arrays)
         return x, y
 
     def heatmap(self, volume: np.ndarray) -> np.ndarray:
         """How much each pixel counts in the landmark of one raw volume, which is their centroid: float64, shape (H, W),
         sum 1."""
         self(volume)
-        _, height, width = self.shape
-        exponent = self._maps[-1][: height * (width + 2)].reshape(height, width + 2)[:, :width].astype(np.float64)
+        exponent = self._program.output_map()[..., 0].astype(np.float64)
         heat: np.ndarray = np.exp(exponent - exponent.max())
         return heat / heat.sum()

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import json
-import warnings
-from collections.abc import Mapping
+import reprlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from safetensors import SafetensorError
 
-from async_tnt.checked_tensors import checksum, read_tensors, tensor_bytes
-from async_tnt.checks import one_line, plain_array
+from async_tnt.checked_tensors import checksum, tensor_bytes
+from async_tnt.checks import plain_array
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
-from async_tnt.networks.layer_graph import check_layer_graph, layer_graph
+from async_tnt.networks.from_torch import layers_from_torch
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
+from async_tnt.networks.thesis import thesis_network
+
+if TYPE_CHECKING:
+    from torch import nn
 
 FORMAT = "async_tnt 2"
 UNCHECKED_FORMAT = "async_tnt 1"  # the one before, without a checksum
-LAYERS = ("conv1", "conv2", "fc1", "fc2")
-REGRESSOR_LAYERS = ("regressor.conv1", "regressor.conv2", "regressor.conv3")
-HEATMAP = "regressor.heatmap.weight"  # no bias: it would not move the centroid
-REGRESSOR_HINT = '; those of the regressor belong to landmark="regressor" with transform="tnt", and only to that'
+CENTROID = "heatmap_centroid"
 
 
 class UncheckedModelWarning(UserWarning):
@@ -38,24 +38,28 @@ class Model:
     Parameters
     ----------
     config : TNTConfig.
-    weights : float32 arrays `conv1.weight` (F1, C, 3, 3), `conv2.weight` (F2, F1, 3, 3), `fc1.weight`
-        (F3, F2 * (H // 4) * (W // 4)), `fc2.weight` (n_classes, F3), and a `.bias` for each. With landmark
-        "regressor" (and transform "tnt"), and then only, its network, too: `regressor.conv1.weight`
-        (G1, C, 3, 3), `regressor.conv2.weight` (G2, G1, 3, 3), `regressor.conv3.weight` (G3, G2, 3, 3), a
-        `.bias` for each, and `regressor.heatmap.weight` (1, G3, 1, 1).
+    weights : float32 arrays, by the names that the network's layers give them.
     classes : names, in the order of the network's outputs.
     record : how it was trained: data, seed, accuracy, what was tried.
+    network : its layers, see `networks.graph`: {"classifier": [...]}, volume (C, H, W) -> logits, and with landmark
+        "regressor" (and transform "tnt"), and then only, {"regressor": [...]}, raw volume -> landmark. By default the
+        thesis' networks, with weights `conv1.weight` (F1, C, 3, 3), `conv2.weight` (F2, F1, 3, 3), `fc1.weight`
+        (F3, F2 * (H // 4) * (W // 4)), `fc2.weight` (n_classes, F3), and a `.bias` for each; of the regressor
+        `regressor.conv1.weight` (G1, C, 3, 3), `regressor.conv2.weight` (G2, G1, 3, 3), `regressor.conv3.weight`
+        (G3, G2, 3, 3), a `.bias` for each, and `regressor.heatmap.weight` (1, G3, 1, 1).
 
     Raises
     ------
-    ValueError, TypeError : weights are missing or not finite numbers, or their shapes do not fit each other,
-        the configuration or `classes`.
+    ValueError, TypeError : weights are missing or not finite numbers, or do not fit the network, or that does not fit
+        the configuration or `classes`; the layer is named.
+    NotImplementedError : names a layer that this release cannot run.
     """
 
     config: TNTConfig
     weights: Mapping[str, np.ndarray]
     classes: tuple[str, ...]
     record: Mapping[str, Any] = field(default_factory=dict)
+    network: Network | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.classes, (tuple, list)):
@@ -65,7 +69,59 @@ class Model:
         object.__setattr__(self, "classes", tuple(str(name) for name in self.classes))
         weights = {name: _float32(name, w) for name, w in self.weights.items()}
         object.__setattr__(self, "weights", weights)
-        _check_weights(weights, self.config, self.classes)
+        if self.network is None:
+            object.__setattr__(self, "network", thesis_network(self.config))
+        if not self.classes:
+            raise ValueError("`classes` must hold at least one name")
+        _check_network(self.layers, weights, self.config, len(self.classes))
+
+    @classmethod
+    def from_torch(
+        cls,
+        module: nn.Module,
+        config: TNTConfig,
+        classes: Sequence[str],
+        *,
+        record: Mapping[str, Any] | None = None,
+        regressor: nn.Module | None = None,
+    ) -> Model:
+        """A model of a torch module: `nn.Sequential`, or any module that `torch.fx` can trace.
+
+        Parameters
+        ----------
+        module : volumes (N, C, H, W) -> logits (N, n_classes), see `layers_from_torch`. Taken as in eval mode, with
+            the weights that it has now.
+        config, classes, record : see Model.
+        regressor : the landmark network, raw volumes -> landmarks; where the configuration needs one, and only there.
+
+        Raises
+        ------
+        NotImplementedError : names the first operation that has no compiled form.
+        ValueError, TypeError : see Model.
+
+        Examples
+        --------
+        >>> from torch import nn
+        >>> from async_tnt import CompiledClassifier, Model, TNTConfig
+        >>> config = TNTConfig(sensor=(34, 34), bins=5)
+        >>> net = nn.Sequential(nn.Conv2d(5, 8, 3), nn.ReLU(), nn.MaxPool2d(2), nn.Flatten(), nn.Linear(8 * 16 * 16, 2))
+        >>> model = Model.from_torch(net, config, classes=["left", "right"])
+        >>> CompiledClassifier(model).n_classes
+        2
+        """
+        network: dict[str, Any] = {}
+        weights: dict[str, np.ndarray] = {}
+        for name, part in ((CLASSIFIER, module), (REGRESSOR, regressor)):
+            if part is not None:
+                network[name], tensors = layers_from_torch(part, prefix="" if name == CLASSIFIER else f"{name}.")
+                weights |= tensors
+        return cls(config, weights, tuple(classes), record or {}, network)
+
+    @property
+    def layers(self) -> Network:
+        """`network`, which is never None once the model is made."""
+        assert self.network is not None
+        return self.network
 
     def save(self, path: str | Path) -> Path:
         """Write the model to a .safetensors file; returns its path.
@@ -83,84 +139,16 @@ class Model:
             "config": json.dumps(self.config.to_dict()),
             "classes": json.dumps(self.classes),
             "record": json.dumps(self.record),
-            "network": json.dumps(layer_graph(self.config)),
+            "network": json.dumps(self.network),
         }
-        metadata["sha256"] = _checksum(self.weights, metadata)
+        metadata["sha256"] = checksum_of(self.weights, metadata)
         content = tensor_bytes(self.weights, metadata)
         with replacing(path) as part:
             part.write_bytes(content)
         return path
 
 
-def bundled_models() -> tuple[str, ...]:
-    """Names that `load_model` knows without a path."""
-    folder = resources.files("async_tnt") / "assets"
-    names = (file.name for file in folder.iterdir())
-    return tuple(sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors")))
-
-
-def load_model(name_or_path: str | Path) -> Model:
-    """Load a bundled model by its name, such as "digits", or any model file by its path.
-
-    Raises
-    ------
-    FileNotFoundError : neither; the message lists the bundled names.
-    ValueError : the file is damaged, needs a network that this release cannot run, or is not a model of this package.
-
-    Warns
-    -----
-    UncheckedModelWarning : the file has format 1, which has no checksum.
-    """
-    if str(name_or_path) in bundled_models():
-        path = Path(str(resources.files("async_tnt") / "assets" / f"{name_or_path}.safetensors"))
-    else:
-        path = Path(name_or_path)
-        if not path.is_file():
-            names = ", ".join(bundled_models())
-            raise FileNotFoundError(f"no model file {path}, and no bundled model of that name (bundled: {names})")
-    try:
-        with path.open("rb") as file:
-            weights, metadata = read_tensors(file, (FORMAT, UNCHECKED_FORMAT))
-    except ValueError as error:
-        raise ValueError(f"{path} is not a model that this release can read: {one_line(error)}") from None
-    except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path} is not a readable .safetensors file: {one_line(error)}") from None
-    try:
-        model = _model_of(weights, metadata)
-    except NotImplementedError as error:
-        raise ValueError(f"{path} holds a network that this release cannot run: {one_line(error)}") from None
-    except (TypeError, ValueError, RecursionError) as error:  # the last: JSON nested too deep
-        raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
-    if metadata["format"] == UNCHECKED_FORMAT:
-        warnings.warn(
-            f"{path} has no checksum, so damage to it would go unnoticed; load_model(path).save(path) adds one",
-            UncheckedModelWarning,
-            stacklevel=2,
-        )
-    return model
-
-
-def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> Model:
-    """The model in a file, checked; raises NotImplementedError for a network that only another release can run."""
-    checked = metadata["format"] == FORMAT
-    needed = ("config", "classes", "record", "network", "sha256") if checked else ("config", "classes")
-    missing = [name for name in needed if name not in metadata]
-    if missing:
-        raise ValueError(f"no {' and no '.join(missing)} in its metadata")
-    if checked and metadata["sha256"] != _checksum(weights, metadata):
-        raise ValueError("its checksum differs; copy or download it again")
-    if not checked and ("sha256" in metadata or "network" in metadata):
-        raise ValueError(f"its `format` must be {FORMAT!r}, as it has a checksum, got {UNCHECKED_FORMAT!r}")
-    for name, values in weights.items():
-        if values.dtype != np.float32:
-            raise ValueError(f"`{name}` must be float32, got {values.dtype}")
-    config = TNTConfig.from_dict(json.loads(metadata["config"]))
-    if checked:
-        check_layer_graph(json.loads(metadata["network"]), config)
-    return Model(config, weights, json.loads(metadata["classes"]), json.loads(metadata.get("record", "{}")))
-
-
-def _checksum(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
+def checksum_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
     """Of the weights and all metadata other than itself."""
     return checksum(weights, json.dumps({name: metadata[name] for name in sorted(metadata) if name != "sha256"}))
 
@@ -173,50 +161,26 @@ def _float32(name: str, values: Any) -> np.ndarray:
         return np.ascontiguousarray(array, np.float32).copy()  # a copy: the given one may change
 
 
-def _check_weights(weights: Mapping[str, np.ndarray], config: TNTConfig, classes: tuple[str, ...]) -> None:
-    names = {f"{layer}.{kind}" for layer in LAYERS for kind in ("weight", "bias")}
-    if config.needs_regressor:
-        names |= {f"{layer}.{kind}" for layer in REGRESSOR_LAYERS for kind in ("weight", "bias")} | {HEATMAP}
-    if set(weights) != names:
-        wrong = set(weights) ^ names
-        hint = REGRESSOR_HINT if any(name.startswith("regressor.") for name in wrong) else ""
-        raise ValueError(f"`weights` must hold {', '.join(sorted(names))}, got {', '.join(sorted(weights))}{hint}")
-    channels, height, width = config.shape
-    if height < 4 or width < 4:
-        raise ValueError(f"`grid` must be at least (4, 4) for two 2x2 poolings, got {config.grid}")
-    if not classes:
-        raise ValueError("`classes` must hold at least one name")
-    f1, f2, f3 = _widths(weights, ("conv1", "conv2", "fc1"))
-    expected = {
-        "conv1.weight": (f1, channels, 3, 3),
-        "conv2.weight": (f2, f1, 3, 3),
-        "fc1.weight": (f3, f2 * (height // 2 // 2) * (width // 2 // 2)),
-        "fc2.weight": (len(classes), f3),
-    }
-    if config.needs_regressor:
-        g1, g2, g3 = _widths(weights, REGRESSOR_LAYERS)
-        expected |= {
-            "regressor.conv1.weight": (g1, channels, 3, 3),
-            "regressor.conv2.weight": (g2, g1, 3, 3),
-            "regressor.conv3.weight": (g3, g2, 3, 3),
-            HEATMAP: (1, g3, 1, 1),
-        }
-    for name, shape in expected.items():
-        _check_array(weights, name, shape)
-        bias = name.replace("weight", "bias")
-        if bias in names:
-            _check_array(weights, bias, shape[:1])
-        if not all(np.isfinite(weights[key]).all() for key in {name, bias} & names):
-            raise ValueError(f"`{name}`{' and its bias' if bias in names else ''} must be finite numbers")
-
-
-def _widths(weights: Mapping[str, np.ndarray], layers: tuple[str, ...]) -> tuple[int, ...]:
-    widths = tuple(weights[f"{layer}.weight"].shape[0] for layer in layers)
-    if 0 in widths:
-        raise ValueError(f"every layer must have at least one filter or unit, got widths {widths}")
-    return widths
-
-
-def _check_array(weights: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> None:
-    if weights[name].shape != shape:
-        raise ValueError(f"`{name}` must have shape {shape} here, got {weights[name].shape}")
+def _check_network(network: Any, weights: Mapping[str, np.ndarray], config: TNTConfig, n_classes: int) -> None:
+    if not isinstance(network, Mapping) or not all(isinstance(layers, Sequence) for layers in network.values()):
+        raise TypeError(f"`network` must map names to lists of layers, got {reprlib.repr(network)}")
+    expected = {CLASSIFIER, *([REGRESSOR] if config.needs_regressor else [])}
+    if set(network) != expected:
+        raise ValueError(f"`network` must hold {', '.join(sorted(expected))} here, got {', '.join(sorted(network))}")
+    shapes = {name: w.shape for name, w in weights.items()}
+    outputs = {name: list(layer_shapes(layers, config.shape, shapes).values())[-1] for name, layers in network.items()}
+    if outputs[CLASSIFIER] not in ((n_classes,), (n_classes, 1, 1)):
+        raise ValueError(f"the network must compute {n_classes} logits, one for each class, got {outputs[CLASSIFIER]}")
+    centroids = [layer for layers in network.values() for layer in layers if layer["op"] == CENTROID]
+    if centroids != [layers[-1] for name, layers in network.items() if name == REGRESSOR]:
+        raise ValueError(f"a {CENTROID} must be the last layer of a regressor, and nowhere else")
+    unused = set(weights) - set().union(*(tensors_of(layers) for layers in network.values()))
+    if unused:
+        raise ValueError(f"no layer has the weights {', '.join(sorted(unused))}")
+    for name, w in weights.items():
+        if not np.isfinite(w).all():
+            raise ValueError(f"`{name}` must be finite numbers")
+    for layers in network.values():
+        for layer in layers:
+            if layer["op"] == "batch_norm" and not (weights[layer["weights"]["variance"]] + layer["epsilon"] > 0).all():
+                raise ValueError(f"layer {layer['name']!r} (batch_norm): variance + epsilon must be positive")

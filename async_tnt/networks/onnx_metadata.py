@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from async_tnt.checked_tensors import checksum
 from async_tnt.config import TNTConfig
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import FORMAT, UNCHECKED_FORMAT, Model
 
 if TYPE_CHECKING:
     import onnx
 
 BLANK = 64 * "0"  # in place of the checksum while it is computed
-CLASSIFIER, REGRESSOR = "classifier", "regressor"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt.checks import one_line, positive_int
-from async_tnt.networks.onnx_metadata import CLASSIFIER, REGRESSOR, Exported
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
+from async_tnt.networks.onnx_metadata import Exported
 from async_tnt.networks.onnx_session import DTYPES, check_input, check_output, open_session, source_of
 
 

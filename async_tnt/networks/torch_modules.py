@@ -13,40 +13,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.checks import positive_int
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
 
 if TYPE_CHECKING:
     import tnt_reference
     import torch
 
-REGRESSOR = "regressor."
 
-
-def torch_classifier(model: Model) -> tnt_reference.Classifier:
+def torch_classifier(model: Model) -> tnt_reference.LayerNetwork:
     """A model's classifier: volumes (N, C, H, W) -> logits (N, n_classes), in eval mode."""
-    from tnt_reference import Classifier
-
-    f1, f2, f3 = (len(model.weights[f"{layer}.bias"]) for layer in ("conv1", "conv2", "fc1"))
-    network = Classifier(model.config.channels, model.config.grid, len(model.classes), (f1, f2, f3))
-    network.load_state_dict(_tensors(model, ""))
-    return network.eval()
+    return _network(model, CLASSIFIER)
 
 
-def torch_regressor(model: Model) -> tnt_reference.LandmarkRegressor | None:
+def torch_regressor(model: Model) -> tnt_reference.LayerNetwork | None:
     """A model's landmark network: raw volumes (N, C, H, W) -> (N, 2) in grid pixels, in eval mode; None without one."""
-    if not model.config.needs_regressor:
-        return None
-    from tnt_reference import LandmarkRegressor
-    from torch import nn
+    return _network(model, REGRESSOR) if model.config.needs_regressor else None
 
-    weights = _tensors(model, REGRESSOR)
-    network = LandmarkRegressor(model.config.channels, model.config.grid)
-    for layer in ("conv1", "conv2", "conv3", "heatmap"):  # of the model's widths, which need not be equal
-        n_filters, channels, side, _ = weights[f"{layer}.weight"].shape
-        convolution = nn.Conv2d(channels, n_filters, side, padding="same", bias=f"{layer}.bias" in weights)
-        setattr(network, layer, convolution)
-    network.load_state_dict(weights)
-    return network.eval()
+
+def _network(model: Model, name: str) -> tnt_reference.LayerNetwork:
+    from tnt_reference import LayerNetwork
+
+    return LayerNetwork(model.layers[name], model.weights).eval()
 
 
 def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float]]:
@@ -58,21 +46,10 @@ def landmark_function(model: Model) -> Callable[[np.ndarray], tuple[float, float
 
     def landmark(raw_volume: np.ndarray) -> tuple[float, float]:
         with torch.inference_mode():
-            x, y = network(torch.tensor(raw_volume)).tolist()
+            x, y = network(torch.tensor(raw_volume)[None])[0].tolist()
         return x, y
 
     return landmark
-
-
-def _tensors(model: Model, prefix: str) -> dict[str, torch.Tensor]:
-    """Copies of the weights of one of the model's networks."""
-    import torch
-
-    return {
-        name.removeprefix(prefix): torch.tensor(w)
-        for name, w in model.weights.items()
-        if name.startswith(REGRESSOR) == bool(prefix)
-    }
 
 
 class TorchClassifier:

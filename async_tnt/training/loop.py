@@ -51,7 +51,7 @@ def train(
     report: Callable[[dict[str, float]], None] = lambda row: None,
     device: str | None = None,
 ) -> TrainResult:
-    """Train the thesis' classifier.
+    """Train a classifier.
 
     After each epoch a checkpoint goes into the run folder. A run that finds one there resumes from it and ends with
     the same weights as if it had never stopped: all randomness is drawn from (seed, epoch).
@@ -90,7 +90,7 @@ def train(
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     run_folder.mkdir(parents=True, exist_ok=True)
     pipeline = (
-        new_pipeline(config, len(classes), settings.seed, training)
+        new_pipeline(config, len(classes), settings.seed, training, settings.network)
         if start is None
         else pipeline_before_export(start, training)
     ).to(device)

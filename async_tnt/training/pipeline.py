@@ -11,19 +11,21 @@ the landmark's two numbers are learned there, so the backward pass costs about a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
-from tnt_reference import Classifier, LandmarkRegressor
 from torch import nn
 
 from async_tnt.config import TNTConfig
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, VOLUME, Layer
 from async_tnt.networks.model import Model
 from async_tnt.networks.torch_modules import torch_classifier, torch_regressor
 from async_tnt.training.augment import Draws
 from async_tnt.training.batches import BatchVolumes
+from async_tnt.training.networks import build_network, landmark_network
 from async_tnt.training.windows import Windows
 
 
@@ -108,18 +110,33 @@ class _SplatAbout(torch.autograd.Function):
         return torch.from_numpy(gradient), None, None, None
 
 
-def new_pipeline(config: TNTConfig, n_classes: int, seed: int, windows: Windows) -> Pipeline:
-    """The thesis' networks with PyTorch's initial weights, which depend on the seed alone; input scales measured on
-    `windows`.
+def new_pipeline(config: TNTConfig, n_classes: int, seed: int, windows: Windows, network: str = "thesis") -> Pipeline:
+    """Networks with PyTorch's initial weights, which depend on the seed alone; input scales measured on `windows`.
 
-    The regressor's last convolution starts at zero: the first landmark is the image centre. Torch's global
-    generator is left as it was.
+    Torch's global generator is left as it was.
+
+    Parameters
+    ----------
+    network : the classifier, see `build_network`.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        classifier = Classifier(config.channels, config.grid, n_classes)
-        regressor = LandmarkRegressor(config.channels, config.grid) if config.needs_regressor else None
+        classifier = build_network(network, config.channels, config.grid, n_classes)
+        regressor = landmark_network(config.channels) if config.needs_regressor else None
     return Pipeline(config, classifier, regressor, **input_scales(config, windows))
+
+
+def check_network(name: str, config: TNTConfig) -> None:
+    """Refuse a network that cannot be built for this configuration, or has no compiled form, before it is trained.
+
+    Raises
+    ------
+    ValueError : what is wrong with it.
+    """
+    try:
+        Model.from_torch(build_network(name, config.channels, config.grid, 2), config.replace(landmark="center"), "ab")
+    except NotImplementedError as error:
+        raise ValueError(f"--network {name}: {error}") from None
 
 
 def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:
@@ -146,20 +163,50 @@ def input_scale(config: TNTConfig, windows: Windows, n: int = 512) -> float:
 
 
 def export(pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, Any]) -> Model:
-    """The finished model: the first convolutions absorb their input's scale, so that they take raw volumes.
+    """The finished model; its first layers absorb their input's scale, so that they take raw volumes.
 
     conv1(scale V) = w * (scale V) = (scale w) * V
+
+    Raises
+    ------
+    NotImplementedError : names the first operation of a network that has no compiled form.
+    ValueError : the classifier does not compute one logit for each class, or a layer does not fit.
     """
-    parts: dict[str, tuple[Any, torch.Tensor]]
-    parts = {"": (pipeline.classifier, pipeline.scale), "regressor.": (pipeline.regressor, pipeline.raw_scale)}
-    weights = {}
-    for prefix, (network, scale) in parts.items():
-        if network is None:
+    model = Model.from_torch(pipeline.classifier, pipeline.config, classes, record=record, regressor=pipeline.regressor)
+    weights, network = dict(model.weights), dict(model.layers)
+    for name, scale in ((CLASSIFIER, pipeline.scale), (REGRESSOR, pipeline.raw_scale)):
+        if name not in network:
             continue
-        for name, tensor in network.state_dict().items():
-            w = tensor.detach().cpu()
-            weights[prefix + name] = (w * scale.cpu() if name == "conv1.weight" else w.clone()).numpy()
-    return Model(pipeline.config, weights, classes, record)
+        first = first_weights(network[name])
+        for tensor in first:
+            weights[tensor] = weights[tensor] * scale.cpu().numpy()
+        if not first:  # a layer of its own, before the others
+            added, tensors = _scale_layer(name, pipeline.config.channels, float(scale))
+            weights |= tensors
+            network[name] = [added, *(_renamed(layer, {VOLUME: added["name"]}) for layer in network[name])]
+    return replace(model, weights=weights, network=network)
+
+
+def first_weights(layers: Sequence[Layer]) -> list[str]:
+    """The weights that multiply the volume; none where a layer other than a convolution reads it, too, or where another
+    layer has the same weights."""
+    readers = [layer for layer in layers if VOLUME in layer["inputs"]]
+    tensors = [layer["weights"]["weight"] for layer in readers if layer["op"] == "conv"]
+    used = [name for layer in layers for name in layer.get("weights", {}).values()]
+    alone = all(used.count(name) == 1 for name in tensors)
+    return tensors if alone and len(tensors) == len(readers) else []
+
+
+def _scale_layer(network: str, channels: int, scale: float) -> tuple[Layer, dict[str, np.ndarray]]:
+    """The volume times a number, as a batch norm."""
+    tensors = {"mean": np.zeros(channels), "variance": np.ones(channels), "weight": np.full(channels, scale)}
+    named = {f"{network}.scale.{role}": values.astype(np.float32) for role, values in tensors.items()}
+    weights = dict(zip(tensors, named, strict=True))
+    return {"op": "batch_norm", "name": "scaled volume", "inputs": [VOLUME], "weights": weights, "epsilon": 0.0}, named
+
+
+def _renamed(layer: Layer, names: Mapping[str, str]) -> Layer:
+    return {**layer, "inputs": [names.get(name, name) for name in layer["inputs"]]}
 
 
 def pipeline_of(model: Model) -> Pipeline:
@@ -168,12 +215,20 @@ def pipeline_of(model: Model) -> Pipeline:
 
 
 def pipeline_before_export(model: Model, windows: Windows) -> Pipeline:
-    """The inverse of `export`: a model's pipeline, with input scales measured on `windows`, to train it on."""
+    """The inverse of `export`: a model's pipeline, with input scales measured on `windows`, to train it on.
+
+    Batch norms keep their statistics.
+    """
     scales = input_scales(model.config, windows)
     pipeline = Pipeline(model.config, torch_classifier(model), torch_regressor(model), **scales)
     network: Any
     with torch.no_grad():
         for network, scale in ((pipeline.classifier, pipeline.scale), (pipeline.regressor, pipeline.raw_scale)):
-            if network is not None:
-                network.conv1.weight /= scale
+            if network is None:
+                continue
+            first = first_weights(network.layers)
+            for name in first:
+                network.tensors[name] /= scale
+            if not first:
+                scale.fill_(1.0)
     return pipeline

@@ -38,6 +38,7 @@ class TrainSettings:
         windows count equally.
     patience : stop when the validation loss has not fallen for this many epochs; the best epoch is then the one with
         the lowest validation loss. None trains to the end; the best epoch then has the most windows right.
+    network : the classifier, see `training.networks.build_network`. Not used where a model is trained further.
     """
 
     epochs: int = 10
@@ -51,6 +52,7 @@ class TrainSettings:
     precision: str = "float32"
     balance: bool = False
     patience: int | None = None
+    network: str = "thesis"
 
     def __post_init__(self) -> None:
         for name, low in (("epochs", 1), ("iterations", 1), ("batch", 1), ("seed", 0), ("patience", 1)):

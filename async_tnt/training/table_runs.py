@@ -15,7 +15,6 @@ import torch
 
 from async_tnt.archive.executor import run_all
 from async_tnt.files import write_text
-from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.simulation.moving_mnist import open_set
 from async_tnt.training.evaluation import class_probabilities
@@ -143,7 +142,7 @@ def run_network(
         "motions": None if motions is None else motions.record,
     }
     plot_curves(trained.history, folder / CURVES)
-    Model(row.config, trained.last.weights, trained.last.classes, result).save(folder / "model.safetensors")
+    replace(trained.last, record=result).save(folder / "model.safetensors")
     write_text(finished, json.dumps(result, indent=1))
     return result
 

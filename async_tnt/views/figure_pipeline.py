@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.decision import Decision
+from async_tnt.networks.graph import CLASSIFIER
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
 from async_tnt.views.figure_events import draw_raw, draw_transformed
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 MOST_CLASSES = 12
 MOST_STACKED = 9
 PATH_DOTS = 800
+MAX_BOXES = 6
+POOLS = {"average_pool": "average of {}", "max_pool": "maximum of {}", "global_average_pool": "mean over all places"}
 NETWORK_COLOUR, PATH = "#eef3f7", "#009E73"
 
 
@@ -167,13 +170,22 @@ def _draw_volume(axes: Any, window: Window) -> None:
 
 
 def layer_words(model: Model) -> list[str]:
-    """The classifier's layers with their sizes, read from its weights."""
-    w = model.weights
-    words = [f"{w[f'{layer}.weight'].shape[0]} convolutions 3x3, ReLU,\naverage of 2x2" for layer in ("conv1", "conv2")]
-    n, n_in = w["fc1.weight"].shape
-    words.append(f"{n_in:,} to {n} fully connected, ReLU")
-    words.append(f"{n} to {len(model.classes)} fully connected")
-    return words
+    """The classifier's convolutions and dense layers, each with what follows it."""
+    words: list[list[str]] = [[]]
+    for layer in model.layers[CLASSIFIER]:
+        op = layer["op"]
+        side = "x".join(map(str, layer.get("kernel", [])))
+        if op in ("conv", "dense"):
+            n, n_in = model.weights[layer["weights"]["weight"]].shape[:2]
+            words.append([f"{n} convolutions {side}" if op == "conv" else f"{n_in:,} to {n} fully connected"])
+        elif op == "relu" and words[-1]:
+            words[-1][0] += ", ReLU"
+        elif op in POOLS:
+            words[-1].append(POOLS[op].format(side))
+    lines = [",\n".join(part) for part in words if part]
+    if len(lines) > MAX_BOXES:
+        lines[MAX_BOXES - 2 : -1] = [f"{len(lines) - MAX_BOXES + 1} more layers"]
+    return lines
 
 
 def _draw_network(axes: Any, model: Model) -> None:
@@ -185,7 +197,9 @@ def _draw_network(axes: Any, model: Model) -> None:
     words, top = layer_words(model), 1.0
     box: dict[str, Any] = {"boxstyle": "round,pad=0,rounding_size=0.03", "fc": NETWORK_COLOUR, "ec": OFF, "lw": 1}
     arrow = {"arrowstyle": "-|>", "color": GREY, "shrinkA": 0, "shrinkB": 0}
-    for text, height in zip(words, [0.25, 0.25, 0.155, 0.155], strict=True):
+    n_lines = [1.6 + text.count("\n") for text in words]
+    unit = (1.0 - 0.063 * (len(words) - 1)) / sum(n_lines)
+    for text, height in zip(words, [unit * n for n in n_lines], strict=True):
         axes.add_patch(FancyBboxPatch((0.02, top - height), 0.96, height, **box))
         axes.text(0.5, top - height / 2, text, ha="center", va="center", fontsize=SMALL, linespacing=1.25)
         top -= height + 0.063

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -95,7 +95,7 @@ class Subject:
         if self.model is None or not self.model.config.needs_regressor:
             who = "there is no model" if self.model is None else f"model {self.model_name} has none"
             raise ValueError(f'landmark="regressor" needs a model with a landmark network, but {who}')
-        return CompiledRegressor(Model(self.config, self.model.weights, self.model.classes, self.model.record))
+        return CompiledRegressor(replace(self.model, config=self.config))
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,9 +56,10 @@ def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
 
 def features(volume: torch.Tensor, network: Any) -> list[torch.Tensor]:
     """Of each of `LAYERS`, at every pixel."""
-    first = F.conv2d(volume, network.conv1.weight, network.conv1.bias, padding=1).relu()
+    w = network.tensors
+    first = F.conv2d(volume, w["conv1.weight"], w["conv1.bias"], padding=1).relu()
     pooled = F.avg_pool2d(first, 2, stride=1)
-    second = F.conv2d(pooled, network.conv2.weight, network.conv2.bias, padding=2, dilation=2).relu()
+    second = F.conv2d(pooled, w["conv2.weight"], w["conv2.bias"], padding=2, dilation=2).relu()
     rows = (second[..., :-2, :] + second[..., 2:, :]) / 2  # what 2 x 2 averages are among every other place
     return [volume, first, pooled, second, (rows[..., :-2] + rows[..., 2:]) / 2]
 

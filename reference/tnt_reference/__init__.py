@@ -8,6 +8,7 @@ Normalization Transform), then `networks.py`. Independent of these: `images.py`,
 
 from .images import count_image, count_timestamp_image, time_image
 from .landmarks import fitted_flow, landmark
+from .layers import LayerNetwork, heatmap_centroid
 from .motion import move_by_flow
 from .networks import Classifier, LandmarkRegressor, Pipeline
 from .saccades import find_pauses, segment_index
@@ -18,6 +19,7 @@ from .window import until_newest, windows_of_events
 __all__ = [
     "Classifier",
     "LandmarkRegressor",
+    "LayerNetwork",
     "Pipeline",
     "TNTCoordinates",
     "count_image",
@@ -25,6 +27,7 @@ __all__ = [
     "event_volume",
     "find_pauses",
     "fitted_flow",
+    "heatmap_centroid",
     "landmark",
     "move_by_flow",
     "segment_index",

@@ -111,9 +111,8 @@ def test_more_new_events_touch_more_and_the_whole_network_by_hand():
     multiplications = [found[n]["multiplications"] for n in ("1", "10", "100", "1300", "whole")]
     assert multiplications == sorted(multiplications) and multiplications[0] < multiplications[-1] / 5
     for n in ("1", "10", "100", "1300"):
-        assert 0 < found[n]["changed"]["pooled_1"] <= found[n]["reached"]["pooled_1"]
+        assert 0 < found[n]["cells"] < found["whole"]["cells"] and 0 < found[n]["conv1"] < found["whole"]["conv1"]
     assert multiplications[-1] == 4 * 289 * 9 * 9 * 16 + 4 * 64 * 9 * 16 * 32 + 64 * 32 * 64 + 64 * 10
-    assert found["whole"]["weight_bytes"] == 4 * (9 * 9 * 16 + 9 * 16 * 32 + 64 * 32 * 64 + 64 * 10)
 
 
 # -- edges.py --------------------------------------------------------------------------------------------
@@ -136,3 +135,21 @@ def test_events_fall_with_the_angle_between_edge_and_motion(tmp_path):
     for found in report["between_saccades"].values():
         assert 100 < found["angle_deg"] < 130
         assert found["signed"] == pytest.approx(found["expected"], abs=0.2) and found["unsigned"] > 0.3
+
+
+# -- incremental.py --------------------------------------------------------------------------------------
+
+
+def test_four_networks_are_compared_and_drawn(tmp_path, capsys):
+    pytest.importorskip("torch", reason="torch is not installed")
+    incremental = load_benchmark("incremental")
+    words = ["--quick", "--json", str(tmp_path / "i.json"), "--picture", str(tmp_path / "i.png")]
+    assert incremental.main(words) == 0
+    report, text = json.loads((tmp_path / "i.json").read_text(encoding="utf-8")), capsys.readouterr().out
+    assert list(report["networks"]) == list(incremental.NETWORKS) and all(name in text for name in incremental.NETWORKS)
+    for row in report["networks"].values():
+        counts = [row["touched"][n]["multiplications"] for n in ("1", "10", "100", "1300", "whole")]
+        assert counts == sorted(counts) and counts[0] < counts[-1] / 5
+        assert {"incremental", "dense", "torch"} <= row["network"]["1"]["in_blocks"]["us"].keys()
+    assert report["networks"]["conv4"]["touched"]["whole"]["multiplications"] == pytest.approx(12.3e6, rel=0.02)
+    assert (tmp_path / "i.png").stat().st_size > 10_000

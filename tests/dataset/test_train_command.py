@@ -9,7 +9,7 @@ from dataset.gestures import bar, write, write_set
 from processes import started
 from waiting import until
 
-from async_tnt.networks.model import load_model
+from async_tnt.networks.loading import load_model
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 

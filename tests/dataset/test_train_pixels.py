@@ -9,7 +9,7 @@ import pytest
 from dataset.gestures import bar, write
 
 from async_tnt.config import TNTConfig
-from async_tnt.networks.model import load_model
+from async_tnt.networks.loading import load_model
 from async_tnt.sources.pixel_masks import save_mask
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data

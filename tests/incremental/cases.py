@@ -6,9 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+import torch
 from made import random_model
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, TNTConfig, TNTVolume
+from async_tnt.training.networks import build_network
 
 WINDOW_US = 4000
 
@@ -51,6 +53,29 @@ class Network:
         return TNTVolume(config, regressor=CompiledRegressor(self.model()) if config.needs_regressor else None)
 
 
+class TrainedNetwork(Network):
+    """One of the networks that `train` offers, with random weights and statistics."""
+
+    def __init__(self, name: str, grid: tuple[int, int], bins: int, classes: int, **settings) -> None:
+        super().__init__(grid, bins, (), classes, **settings)
+        self.name = name
+
+    def __str__(self) -> str:
+        return f"{self.name}-{super().__str__()}"
+
+    @cache  # noqa: B019
+    def model(self, seed: int = 0) -> Model:
+        config, classes = self.config, [f"class {k}" for k in range(self.classes)]
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            module = build_network(self.name, config.channels, config.grid, self.classes)
+            for part in module.modules():
+                if isinstance(part, torch.nn.BatchNorm2d):
+                    part.running_mean.uniform_(-0.2, 0.2)
+                    part.running_var.uniform_(0.05, 0.2)
+        return Model.from_torch(module, config, classes)
+
+
 NETWORKS = [
     Network((4, 4), 1, (1, 1, 1), 1, transform="none"),
     Network((5, 7), 2, (3, 5, 7), 2, polarity="unsigned"),
@@ -63,6 +88,9 @@ NETWORKS = [
     Network((34, 34), 9, (16, 32, 64), 10, transform="none"),
     Network((34, 34), 2, (17, 33, 65), 2, polarity="split", landmark="line", remove_flow=True),
     Network((40, 30), 9, (3, 5, 7), 1, polarity="unsigned", landmark="line"),
+    TrainedNetwork("conv4", (19, 16), 3, 5, polarity="split", transform="none"),
+    TrainedNetwork("residual", (16, 13), 2, 3),
+    TrainedNetwork("separable", (16, 16), 2, 3, landmark="line", remove_flow=True),
 ]
 LARGE = Network((346, 260), 9, (16, 32, 64), 10)
 SMALL, DIGITS = NETWORKS[1], NETWORKS[7]

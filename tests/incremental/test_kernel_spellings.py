@@ -10,10 +10,9 @@ import pytest
 from numba import njit
 
 import async_tnt.kernels.classify  # noqa: F401 (which registers the kernels below)
-from async_tnt.kernels.conv import PLACES
-from async_tnt.kernels.conv_pool import CELLS_1, CELLS_2, FILTERS_1, FILTERS_2, SEEN_1
-from async_tnt.kernels.dense import UNITS
+from async_tnt.kernels import program as P
 from async_tnt.kernels.simd import LANES, SPELLINGS
+from async_tnt.kernels.tiles import SIZES
 
 
 @cache
@@ -27,62 +26,94 @@ def numbers(n: int, seed: int, dtype=np.float32) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=n).astype(dtype)
 
 
-IN, WEIGHTS, OUT = numbers(9000, 1), numbers(40_000, 2), numbers(4000, 3)
-TILE_1, TILE_2 = range(5, 5 + CELLS_1 * FILTERS_1), range(9, 9 + CELLS_2 * FILTERS_2)
-UNITS_OUT = range(7, 7 + UNITS)
-ROWS = [20 + f * 3 * PLACES + i for f in range(8) for i in range(PLACES)]
-CASES = [  # kernel, arguments before the array that it writes, arguments behind it, places that it may change
-    *(
-        ("conv_pool_1", (IN, 3, 55, 11, np.array([*active, 99]), len(active), WEIGHTS, 7, 2), (5,), TILE_1)
-        for active in ([0], [4], [1, 3], [4, 0, 2], range(5))  # what is behind the active channels is not read
-    ),
-    *(
-        ("conv_pool_2", (IN, 3, pitch * 9, pitch, n_channels, WEIGHTS, 7, 2), (9,), TILE_2)
-        for n_channels, pitch in ((1, 16), (5, 8), (16, 16), (17, 32))
-    ),
-    *(("dense_tile", (IN, 3, n_inputs, WEIGHTS, 5), (7,), UNITS_OUT) for n_inputs in (1, 2, 5, 32, 33)),
-    *(
-        ("conv_rows", (IN, 3 * PLACES + 16, 7, n_channels, start, WEIGHTS, WEIGHTS[50:], 0), (3 * PLACES,), ROWS)
-        for n_channels, start in ((1, 20), (3, 20))
-    ),
+MAPS, WEIGHTS = numbers(9000, 1), numbers(60_000, 2)
+AT, LISTED, OUT = 3, 5, 6000
+LISTS = [
+    [7, 3 << 16 | 2, 3 << 16 | 3, 0, 5 << 16 | 6, 1, 4 << 16, 2, 3, 4 << 16 | 1, 9, 2 << 16 | 5][:n] for n in SIZES
+]
+KERNELS = [  # runs or taps, the length of a run, channels
+    ([40], 1, 1),
+    ([40, 90, 140], 6, LANES),
+    ([64, 65, 80], 3, LANES + 3),
+    ([0, 17, 33, 35], 7, 2 * LANES - 1),
 ]
 
 
-@pytest.mark.parametrize("value", [0.0, np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("name, before, behind, places", CASES)
-def test_tiles(name, before, behind, places, value):
-    """max(nan, 0) is nan here, as in torch: values that are not finite reach the output."""
-    inputs = before[0].copy()
-    inputs[: 50 if value else 0 : 3] = value
-    found = [OUT.copy(), OUT.copy()]
-    for run, out in zip(both(name), found, strict=True):
-        run(inputs, *before[1:], out, *behind)
-    assert np.array_equal(*found, equal_nan=True)
-    assert value == 0 or not np.isfinite(found[0]).all()
-    changed = np.flatnonzero(found[0] != OUT)
-    assert set(changed) <= set(places) and changed.size > 0.9 * len(places)
+def program_of(kind: int, runs: list[int], run_length: int, channels: int) -> np.ndarray:
+    program = np.zeros(AT + P.STEP_SIZE + len(runs), np.int64)
+    program[AT + P.STEP_SIZE :] = runs
+    record = program[AT : AT + P.STEP_SIZE]
+    record[[P.KIND, P.RUNS, P.N_RUNS, P.RUN_LENGTH]] = kind, AT + P.STEP_SIZE, len(runs), run_length
+    record[[P.IN, P.IN_DY, P.IN_DX, P.OUT, P.OUT_DY, P.OUT_DX]] = 11, 160, 16, OUT, 400, channels
+    record[[P.OUT_CHANNELS, P.WEIGHTS]] = channels, 20
+    return program
+
+
+def weights_of(n_products: int, size: int, low: float, high: float) -> np.ndarray:
+    """Random weights, biases and slopes from place 20 on, and limits behind them."""
+    weights = WEIGHTS.copy()
+    weights[20 + (n_products + 2) * size :][:2] = low, high
+    return weights
+
+
+def assert_same(name: str, program, weights, list_of_places, more, channels: int, value: float) -> None:
+    """Both spellings write the same bits, only where they may, and return the same; a second call changes nothing."""
+    places = np.array([1 << 20] * LISTED + list_of_places, np.uint32)
+    found = []
+    for run in both(name):
+        maps = MAPS.copy()
+        maps[: 700 if value else 0 : 3] = value
+        changed = run(program, AT, places, LISTED, *more(maps, weights))
+        found.append((changed, maps.tobytes()))
+        assert run(program, AT, places, LISTED, *more(maps, weights)) == 0
+    assert found[0] == found[1]
+    assert value or found[0][0] == (1 << len(list_of_places)) - 1
+    written = {OUT + 400 * (p >> 16) + channels * (p & 0xFFFF) + c for p in list_of_places for c in range(channels)}
+    before = MAPS.copy()
+    before[: 700 if value else 0 : 3] = value
+    assert set(np.flatnonzero(np.frombuffer(found[0][1], np.uint32) != before.view(np.uint32)).tolist()) <= written
+
+
+@pytest.mark.parametrize("value", [0.0, np.inf, -np.inf])
+@pytest.mark.parametrize("list_of_places", LISTS, ids=len)
+@pytest.mark.parametrize("runs, run_length, channels", KERNELS)
+@pytest.mark.parametrize("limits", [(-np.inf, np.inf), (0.0, np.inf), (-0.5, 6.0)])
+def test_mix_tiles(runs, run_length, channels, list_of_places, value, limits):
+    name, size = ("mix_tile_1", LANES) if channels <= LANES else ("mix_tile_2", 2 * LANES)
+    program = program_of(P.MIX, runs, run_length, channels)
+    weights = weights_of(len(runs) * run_length, size, *limits)
+    n = len(list_of_places)
+    more = lambda maps, weights: (n, maps, 11, OUT, weights, 20, channels)  # noqa: E731
+    assert_same(name, program, weights, list_of_places, more, channels, value)
+
+
+@pytest.mark.parametrize("value", [0.0, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["sum_tile", "max_tile"])
+@pytest.mark.parametrize("runs, run_length, channels", KERNELS)
+@pytest.mark.parametrize("place", LISTS[-1])
+def test_channel_tiles(name, runs, run_length, channels, place, value):
+    program = program_of(P.SUM if name == "sum_tile" else P.MAXIMUM, runs, run_length, channels)
+    size = -(-channels // LANES) * LANES
+    weights = weights_of(len(runs) if name == "sum_tile" else 0, size, -0.4, 0.9)
+    more = lambda maps, weights: (maps, weights)  # noqa: E731
+    assert_same(name, program, weights, [place], more, channels, value)
+
+
+def test_nan_stays_nan():
+    """As in torch: also in a maximum, and through limits."""
+    maps = np.full(9000, np.nan, np.float32)
+    maps[11 + 40] = 1.0
+    for name in ("sum_tile", "max_tile"):
+        program = program_of(P.SUM if name == "sum_tile" else P.MAXIMUM, [40, 41, 42], 1, 1)
+        for run in both(name):
+            out = maps.copy()
+            run(program, AT, np.zeros(9, np.uint32), LISTED, out, weights_of(3, LANES, 0.0, 6.0))
+            assert np.isnan(out[OUT])
 
 
 def test_every_vectorized_kernel_is_tested_here():
-    tested = {name for name, *_ in CASES} | {"any_input_1", "round_eight", "add_f64x2"}
-    assert set(SPELLINGS) == tested
-    assert LANES in (8, 16) and FILTERS_1 == LANES and FILTERS_2 == 2 * LANES and UNITS % LANES == 0
-
-
-def test_any_input_1():
-    """Whether a tile sees anything of a channel: its 4 x 8 pixels, and none beside them; -0 is nothing, nan is not."""
-    first, row = 5, 13
-    inside = {first + r * row + x for r in range(4) for x in range(SEEN_1)}
-    assert SEEN_1 == 2 * CELLS_1 + 2
-    for any_input in both("any_input_1"):
-        inputs = np.zeros(4 * 13 + 9, np.float32)
-        assert any_input(inputs, first, row) == 0
-        for place in range(len(inputs)):
-            for value in (1.0, -3.0, 1e-45, -1e-45, np.nan, np.inf):
-                inputs[place] = value
-                assert any_input(inputs, first, row) == (place in inside)
-            inputs[place] = -0.0
-            assert any_input(inputs, first, row) == 0
+    tested = {"mix_tile_1", "mix_tile_2", "sum_tile", "max_tile", "round_eight", "add_f64x2"}
+    assert set(SPELLINGS) == tested and LANES in (8, 16)
 
 
 def test_add_f64x2():
@@ -104,7 +135,7 @@ def test_round_eight(lower, upper, same):
     buffer[lower + 4] = buffer[upper + 4] = 0
     values = buffer[lower : lower + 16 : 2] + (0 if upper == lower else buffer[upper : upper + 16 : 2])
     values = values.astype(np.float32)
-    maps, at, changed = OUT[:50].copy(), 5, 30
+    maps, at, changed = MAPS[:50].copy(), 5, 30
     maps[changed : changed + 8] = [0, 0, 1, 1, 0, 0, 0, 0]  # some were marked before, by another channel
     for k in same:
         maps[at + k] = values[k]
@@ -117,11 +148,10 @@ def test_round_eight(lower, upper, same):
         assert found.tobytes() == expected.tobytes()
 
 
-def test_round_eight_treats_the_two_zeros_as_equal():
+def test_round_eight_writes_no_negative_zero():
     """A cell that has cancelled is 0 or -0: it has not changed, whichever it was."""
     for run in both("round_eight"):
-        for was, becomes in ((0.0, -0.0), (-0.0, 0.0)):
-            buffer, maps = np.full(40, becomes), np.zeros(40, np.float32)
-            maps[:8] = was
+        for value in (0.0, -0.0, -1e-60):
+            buffer, maps = np.full(40, value), np.zeros(40, np.float32)
             run(buffer, 2, 2, maps, 0, 20)
-            assert not maps[20:28].any() and maps[:8].tolist() == [0.0] * 8
+            assert not maps[20:28].any() and maps[:8].tobytes() == bytes(32)

@@ -7,7 +7,6 @@ from made import random_events, random_model, random_regressor_model
 
 from async_tnt import CompiledRegressor, Model, TNTConfig, TNTVolume
 from async_tnt.kernels.heatmap import centroid
-from async_tnt.networks.model import HEATMAP
 from async_tnt.networks.torch_modules import landmark_function
 
 NETWORKS = [  # grid, bins, polarity, widths
@@ -54,7 +53,9 @@ def one_tap(config: TNTConfig, tap: tuple[int, int], heatmap: float) -> Compiled
     kernel[0, 0][tap] = 1
     for layer in ("conv1", "conv2", "conv3"):
         weights |= {f"regressor.{layer}.weight": kernel, f"regressor.{layer}.bias": np.zeros(1)}
-    return CompiledRegressor(Model(config, weights | {HEATMAP: np.full((1, 1, 1, 1), heatmap)}, tuple("abcdefghij")))
+    return CompiledRegressor(
+        Model(config, weights | {"regressor.heatmap.weight": np.full((1, 1, 1, 1), heatmap)}, tuple("abcdefghij"))
+    )
 
 
 def test_centroid_of_one_cell_by_hand():
@@ -89,7 +90,7 @@ def test_large_exponents_and_those_that_overflowed_give_what_torch_gives(heatmap
     exponent[3] = exponent[3] if value is None else value
     h = torch.softmax(torch.tensor(exponent).double(), 0).numpy()
     in_rows = np.array([*exponent[:2], 7, 7, *exponent[2:]], np.float32)
-    assert centroid(in_rows, 2, 2) == pytest.approx((h[1] + h[3], h[2] + h[3]), abs=1e-15, nan_ok=True)
+    assert centroid(in_rows, 4, 2, 2) == pytest.approx((h[1] + h[3], h[2] + h[3]), abs=1e-15, nan_ok=True)
 
 
 def test_what_is_refused():

@@ -6,7 +6,7 @@ from pkgutil import iter_modules
 
 import numpy as np
 import pytest
-from incremental.cases import NETWORKS, of_all
+from incremental.cases import NETWORKS
 from made import events_of, random_events, random_model
 from numba.core.registry import CPUDispatcher
 from oracles import forward
@@ -25,7 +25,7 @@ def test_no_kernel_may_reorder_arithmetic():
     assert classify.absorb_and_decide.targetoptions["nogil"]  # other threads run while a packet is decided
 
 
-@of_all
+@pytest.mark.parametrize("network", [network for network in NETWORKS if network.widths], ids=str)
 def test_logits_are_those_of_the_twin_bit_for_bit(network):
     """After events, where many channels are empty, and for arrays in which none is, or each second one."""
     model, classifier, volume = network.model(), network.classifier(), network.volume()

@@ -15,7 +15,7 @@ from incremental.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network
 from made import events_of, nasty_streams, random_events
 
 from async_tnt import TNTConfig, TNTVolume, volume_state
-from async_tnt.kernels import layout as L
+from async_tnt.kernels import program as P
 from async_tnt.kernels import state as S
 from async_tnt.kernels.sync_input import NUMBERS_PER_LOGGED
 
@@ -121,14 +121,14 @@ def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monke
     classifier, volume = SMALL.classifier(), SMALL.volume()
     volume.update(random_events(10, seed=1, duration_us=900, sensor=SMALL.config.sensor))
     classifier.refresh(volume)
-    parcel, number = pickle.dumps(classifier), int(classifier.network.layout[L.EPOCH])
+    parcel, number = pickle.dumps(classifier), int(classifier.network.program[P.EPOCH])
     assert number > 0
     monkeypatch.setattr(volume_state, "_epochs", itertools.count(number - 1))  # one for `reset`, one for `open`
     here = SMALL.volume()
     here.update(random_events(10, seed=2, duration_us=900, sensor=SMALL.config.sensor))
     expected = SMALL.dense()(here.array).tobytes()
     assert pickle.loads(parcel).refresh(here).tobytes() == expected
-    classifier.network.layout[L.EPOCH] = number  # had it kept the number, it would have been wrong
+    classifier.network.program[P.EPOCH] = number  # had it kept the number, it would have been wrong
     assert classifier.refresh(here).tobytes() != expected
 
 

@@ -6,8 +6,8 @@ from made import random_model
 
 from async_tnt import TNTConfig
 from async_tnt.checked_tensors import checksum, tensor_bytes
-from async_tnt.networks.layer_graph import layer_graph
 from async_tnt.networks.model import FORMAT
+from async_tnt.networks.thesis import thesis_network
 
 SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)
 WITH_REGRESSOR = SMALL.replace(landmark="regressor")
@@ -42,7 +42,7 @@ def write_file(path, weights, of=SMALL, /, **changes):
         "config": json.dumps(of.to_dict()),
         "classes": json.dumps(CLASSES),
         "record": "{}",
-        "network": json.dumps(layer_graph(of)),
+        "network": json.dumps(thesis_network(of)),
         **changes,
     }
     values = {name: value for name, value in values.items() if value is not None}

@@ -16,8 +16,8 @@ from safetensors.torch import save_file as save_tensors
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.checked_tensors import read_tensors
 from async_tnt.networks import OnnxClassifier, OnnxRegressor, UncheckedModelWarning, regressor_to_onnx, to_onnx
-from async_tnt.networks.layer_graph import layer_graph
 from async_tnt.networks.onnx_metadata import seal
+from async_tnt.networks.thesis import thesis_network
 
 ONNX = to_onnx(small_model()).SerializeToString()
 ONNX_REGRESSOR = regressor_to_onnx(small_model(config=WITH_REGRESSOR)).SerializeToString()
@@ -141,7 +141,7 @@ broken_json = st.sampled_from(["[" * 100_000, '{"a":' * 100_000, "1" * 5000, "\0
 @settings(max_examples=100)
 @given(st.data())
 def test_anything_under_a_valid_checksum(files, data):
-    config, graph, metadata = SMALL.to_dict(), layer_graph(SMALL), {}
+    config, graph, metadata = SMALL.to_dict(), thesis_network(SMALL), {}
     layers = graph["classifier"]
     place = data.draw(st.sampled_from(["config", "layer", "parameter", "network", "text"]))
     value = data.draw(json_values)
@@ -174,7 +174,10 @@ KNOWN = (
     [
         ({"config": None, "classes": None}, DAMAGED + "no config and no classes in its metadata"),
         ({"config": '{"a\\nb": 1}'}, DAMAGED + "unknown configuration a b; " + KNOWN),
-        ({"config": "{}"}, DAMAGED + "`conv1.weight` must have shape (2, 9, 3, 3) here, got (2, 2, 3, 3)"),
+        (
+            {"config": "{}"},
+            DAMAGED + "layer 'conv1' (conv): its weight must have shape (2, 9, 3, 3) here, got (2, 2, 3, 3)",
+        ),
         ({"classes": ""}, DAMAGED + "Expecting value: line 1 column 1 (char 0)"),
         ({"network": None}, DAMAGED + "no network in its metadata"),
         ({"sha256": None}, DAMAGED + "no sha256 in its metadata"),

@@ -4,7 +4,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from async_tnt.networks.model import load_model  # noqa: E402
+from async_tnt.networks.loading import load_model  # noqa: E402
 from async_tnt.training.digits import read_nmnist_folder, read_samples  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402

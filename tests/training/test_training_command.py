@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("torch")
 
 from async_tnt.cli import main
-from async_tnt.networks.model import load_model
+from async_tnt.networks.loading import load_model
 
 WORDS = ("--epochs", "2", "--batch", "8", "--landmark", "line", "--t-max", "4", "--validation", "0.25", "--test")
 

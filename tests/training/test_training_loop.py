@@ -9,7 +9,7 @@ from made import events_of
 torch = pytest.importorskip("torch")
 
 from async_tnt.config import TNTConfig  # noqa: E402
-from async_tnt.networks.model import load_model  # noqa: E402
+from async_tnt.networks.loading import load_model  # noqa: E402
 from async_tnt.networks.torch_modules import torch_classifier  # noqa: E402
 from async_tnt.progress import Bar  # noqa: E402
 from async_tnt.training import loop  # noqa: E402

@@ -1,0 +1,298 @@
+"""The innermost steps of every network: a map at a handful of places, anywhere in it, with all sums in registers.
+
+A register holds LANES channels of one place. A MIX keeps the sums of up to PLACES places and two registers of filters:
+each weight is read once for all places, each input once for all filters. Every sum is taken in one order, each product
+added with one rounding, so how places are put together changes no bit. A place's last register may hold more channels
+than the map has: what lies behind them in memory is written as it was.
+"""
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+
+from . import program as P
+from .jit import inlined
+from .simd import INDEX, LANES, VECTOR, ZERO, fma, vectorized, whole
+
+SIZES = 1, 2, 4, 6, 8, 12
+"""How many places a tile of a MIX may have: each number has code of its own, which takes time to compile."""
+PLACES = SIZES[-1]
+WORDS = ir.VectorType(ir.IntType(32), LANES)
+
+
+@inlined
+def mix_tile_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters, size):
+    """One block of a step's filters, at some places of its list.
+
+    Parameters
+    ----------
+    program, at, places, maps, weights : see `program`; `at` is where the step's record begins.
+    listed, n_places : where in `places` they are listed, and how many, of SIZES. One may be listed twice.
+    inputs, output : where in `maps` place (0, 0) reads and writes, for this group and block.
+    block : where in `weights` the block begins.
+    n_filters : that are written, 1 to `size`, of which there are weights.
+
+    Returns
+    -------
+    int : bit p is set if the bits of place p differ from what was there.
+    """
+    words = maps.view(np.uint32)
+    n_runs, run_length = program[at + P.N_RUNS], program[at + P.RUN_LENGTH]
+    bias = block + n_runs * run_length * size
+    changed = np.int64(0)
+    for p in range(n_places):
+        y, x = np.int64(places[listed + p]) >> 16, np.int64(places[listed + p]) & 0xFFFF
+        start = inputs + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
+        out = output + y * program[at + P.OUT_DY] + x * program[at + P.OUT_DX]
+        for f in range(n_filters):
+            total = weights[bias + f]
+            for r in range(n_runs):
+                for k in range(run_length):
+                    value = maps[start + program[program[at + P.RUNS] + r] + k]
+                    total = fma(weights[block + (r * run_length + k) * size + f], value, total)
+            before = words[out + f]
+            maps[out + f] = activated(total, weights, bias + size, f, size)
+            changed |= np.int64(words[out + f] != before) << p
+    return changed
+
+
+@inlined
+def activated(value, weights, slopes, f, size):
+    """clip(value < 0 ? slope value : value, low, high); nan stays nan.
+
+    slopes, size : where in `weights` `size` slopes begin, then low and high.
+    """
+    low, high = weights[slopes + size], weights[slopes + size + 1]
+    value = value * weights[slopes + f] if value < 0 else value
+    value = low if value < low else value
+    return high if value > high else value
+
+
+@inlined
+def mix_tile_1_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
+    return mix_tile_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters, LANES)
+
+
+@inlined
+def mix_tile_2_plain(program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
+    return mix_tile_plain(
+        program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters, 2 * LANES
+    )
+
+
+@vectorized(mix_tile_1_plain, returns=types.int64)
+def mix_tile_1(simd, program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
+    """A block of one register."""
+    tile = _Tile(simd, program, at, places, listed, maps, inputs, output)
+    return tile.mix(n_places, weights, block, n_filters, 1)
+
+
+@vectorized(mix_tile_2_plain, returns=types.int64)
+def mix_tile_2(simd, program, at, places, listed, n_places, maps, inputs, output, weights, block, n_filters):
+    """A block of two registers."""
+    tile = _Tile(simd, program, at, places, listed, maps, inputs, output)
+    return tile.mix(n_places, weights, block, n_filters, 2)
+
+
+@inlined
+def channel_tile_plain(program, at, places, listed, maps, weights, is_sum):
+    """All channels of a SUM or MAXIMUM at one place of its list; parameters and result as for `mix_tile_plain`."""
+    words = maps.view(np.uint32)
+    channels, n_taps, taps = program[at + P.OUT_CHANNELS], program[at + P.N_RUNS], program[at + P.RUNS]
+    size = (channels + LANES - 1) // LANES * LANES
+    bias = program[at + P.WEIGHTS] + (n_taps * size if is_sum else 0)
+    y, x = np.int64(places[listed]) >> 16, np.int64(places[listed]) & 0xFFFF
+    start = program[at + P.IN] + y * program[at + P.IN_DY] + x * program[at + P.IN_DX]
+    out = program[at + P.OUT] + y * program[at + P.OUT_DY] + x * program[at + P.OUT_DX]
+    changed = np.int64(0)
+    for c in range(channels):
+        if is_sum:
+            total = weights[bias + c]
+            for r in range(n_taps):
+                w = weights[program[at + P.WEIGHTS] + r * size + c]
+                total = fma(w, maps[start + program[taps + r] + c], total)
+        else:
+            total = maps[start + program[taps] + c]
+            for r in range(1, n_taps):
+                value = maps[start + program[taps + r] + c]
+                total = value if value > total or np.isnan(value) else total
+        before = words[out + c]
+        maps[out + c] = activated(total, weights, bias + size, c, size)
+        changed |= np.int64(words[out + c] != before)
+    return changed
+
+
+@inlined
+def sum_tile_plain(program, at, places, listed, maps, weights):
+    return channel_tile_plain(program, at, places, listed, maps, weights, True)
+
+
+@inlined
+def max_tile_plain(program, at, places, listed, maps, weights):
+    return channel_tile_plain(program, at, places, listed, maps, weights, False)
+
+
+@vectorized(sum_tile_plain, returns=types.int64)
+def sum_tile(simd, program, at, places, listed, maps, weights):
+    tile = _Tile(simd, program, at, places, listed, maps, None, None)
+    return tile.by_channel(weights, is_sum=True)
+
+
+@vectorized(max_tile_plain, returns=types.int64)
+def max_tile(simd, program, at, places, listed, maps, weights):
+    tile = _Tile(simd, program, at, places, listed, maps, None, None)
+    return tile.by_channel(weights, is_sum=False)
+
+
+class _Tile:
+    """Builds a tile's instructions."""
+
+    def __init__(self, simd, program, at, places, listed, maps, inputs, output):
+        self._simd, self._program, self._at = simd, program, at
+        self._places, self._listed, self._maps = places, listed, maps
+        self._inputs = self._slot(P.IN) if inputs is None else inputs
+        self._output = self._slot(P.OUT) if output is None else output
+
+    def _slot(self, slot):
+        simd = self._simd
+        return simd.builder.load(simd.at(self._program, simd.add(self._at, slot)))
+
+    def _starts(self, n_places):
+        """Of each place, what it reads from and where it writes."""
+        simd, builder = self._simd, self._simd.builder
+        slots = {slot: self._slot(slot) for slot in (P.IN_DY, P.IN_DX, P.OUT_DY, P.OUT_DX)}
+        starts = []
+        for p in range(n_places):
+            place = builder.zext(builder.load(simd.at(self._places, simd.add(self._listed, p))), INDEX)
+            y, x = builder.lshr(place, whole(16)), builder.and_(place, whole(0xFFFF))
+            start = simd.add(self._inputs, simd.mul(y, slots[P.IN_DY]), simd.mul(x, slots[P.IN_DX]))
+            out = simd.add(self._output, simd.mul(y, slots[P.OUT_DY]), simd.mul(x, slots[P.OUT_DX]))
+            starts.append((simd.at(self._maps, start), out))
+        return starts
+
+    def mix(self, n_places, weights, block, n_filters, n_vectors):
+        """Of so many places at a time: each number of them has its own instructions."""
+        builder = self._simd.builder
+        cases = [(p, builder.append_basic_block(f"places{p}")) for p in SIZES]
+        done = builder.append_basic_block("mixed")
+        switch = builder.switch(n_places, cases[-1][1])
+        for p, case in cases[:-1]:
+            switch.add_case(whole(p), case)
+        results = []
+        for p, case in cases:
+            builder.position_at_end(case)
+            results.append((self._mix(p, weights, block, n_filters, n_vectors), builder.block))
+            builder.branch(done)
+        builder.position_at_end(done)
+        changed = builder.phi(INDEX)
+        for value, case in results:
+            changed.add_incoming(value, case)
+        return changed
+
+    def _mix(self, n_places, weights, block, n_filters, n_vectors):
+        simd, builder = self._simd, self._simd.builder
+        size, vectors = n_vectors * LANES, range(n_vectors)
+        starts = self._starts(n_places)
+        runs, n_runs, run_length = self._slot(P.RUNS), self._slot(P.N_RUNS), self._slot(P.RUN_LENGTH)
+        n_weights = simd.mul(run_length, size)  # of a run
+        bias = simd.add(block, simd.mul(n_runs, n_weights))
+
+        def add_run(r, sums):
+            distance = builder.load(simd.at(self._program, simd.add(runs, r)))
+            inputs = [simd.at(start, distance) for start, _ in starts]
+            of_run = simd.at(weights, simd.add(block, simd.mul(r, n_weights)))
+
+            def add_input(k, sums):
+                w = [simd.load(of_run, simd.add(simd.mul(k, size), v * LANES)) for v in vectors]
+                totals, new = iter(sums), []
+                for start in inputs:
+                    value = simd.spread(simd.at(start, k))
+                    new += [simd.fma(each, value, next(totals)) for each in w]
+                return new
+
+            return simd.loop(run_length, sums, add_input)
+
+        biases = [simd.load(weights, simd.add(bias, v * LANES)) for v in vectors]
+        sums = iter(simd.loop(n_runs, biases * n_places, add_run))
+        slopes = simd.add(bias, size)
+        slope = [simd.load(weights, simd.add(slopes, v * LANES)) for v in vectors]
+        limits = self._limits(weights, simd.add(slopes, size))
+        changed = whole(0)
+        for p, (_, out) in enumerate(starts):
+            differs = ir.Constant(WORDS, None)
+            for v in vectors:
+                value = self._activated(next(sums), slope[v], limits)
+                is_last = v == n_vectors - 1
+                left = simd.add(n_filters, -v * LANES) if is_last else None
+                differs = builder.or_(differs, self._replace(value, simd.add(out, v * LANES), left))
+            changed = builder.or_(changed, builder.shl(self._any(differs), whole(p)))
+        return changed
+
+    def by_channel(self, weights, *, is_sum):
+        simd, builder = self._simd, self._simd.builder
+        ((start, out),) = self._starts(1)
+        channels, taps, n_taps = self._slot(P.OUT_CHANNELS), self._slot(P.RUNS), self._slot(P.N_RUNS)
+        n_vectors = builder.udiv(simd.add(channels, LANES - 1), whole(LANES))
+        size = simd.mul(n_vectors, LANES)
+        first = self._slot(P.WEIGHTS)
+        bias = simd.add(first, simd.mul(n_taps, size)) if is_sum else first
+        slopes = simd.add(bias, size)
+        limits = self._limits(weights, simd.add(slopes, size))
+
+        def input_of(tap, c):
+            distance = builder.load(simd.at(self._program, simd.add(taps, tap)))
+            return simd.load(start, simd.add(distance, c))
+
+        def one_vector(v, carried):
+            c = simd.mul(v, LANES)
+
+            def add_tap(tap, sums):
+                w = simd.load(weights, simd.add(first, simd.mul(tap, size), c))
+                return [simd.fma(w, input_of(tap, c), sums[0])]
+
+            def compare_tap(tap, largest):
+                value = input_of(tap, c)
+                larger = builder.fcmp_ordered(">", value, largest[0])
+                larger = builder.or_(larger, builder.fcmp_unordered("uno", value, value))
+                return [builder.select(larger, value, largest[0])]
+
+            if is_sum:
+                (total,) = simd.loop(n_taps, [simd.load(weights, simd.add(bias, c))], add_tap)
+            else:
+                (total,) = simd.loop(n_taps, [input_of(whole(0), c)], compare_tap)
+            value = self._activated(total, simd.load(weights, simd.add(slopes, c)), limits)
+            differs = self._replace(value, simd.add(out, c), builder.sub(channels, c))
+            return [builder.bitcast(builder.or_(builder.bitcast(carried[0], WORDS), differs), VECTOR)]
+
+        (differs,) = simd.loop(n_vectors, [ZERO], one_vector)
+        return self._any(builder.bitcast(differs, WORDS))
+
+    def _limits(self, weights, at):
+        simd = self._simd
+        return simd.spread(simd.at(weights, at)), simd.spread(simd.at(weights, simd.add(at, 1)))
+
+    def _activated(self, value, slope, limits):
+        builder, (low, high) = self._simd.builder, limits
+        value = builder.select(builder.fcmp_ordered("<", value, ZERO), builder.fmul(value, slope), value)
+        value = builder.select(builder.fcmp_ordered("<", value, low), low, value)
+        return builder.select(builder.fcmp_ordered(">", value, high), high, value)
+
+    def _replace(self, value, at, left):
+        """Write a register of channels, of which `left` belong to the place (None: all); the bits that differ."""
+        simd, builder = self._simd, self._simd.builder
+        before, new = simd.load(self._maps, at, WORDS), builder.bitcast(value, WORDS)
+        if left is not None:
+            numbers = ir.Constant(WORDS, list(range(LANES)))
+            limit = builder.insert_element(
+                ir.Constant(WORDS, ir.Undefined), builder.trunc(left, ir.IntType(32)), ir.Constant(ir.IntType(32), 0)
+            )
+            limit = builder.shuffle_vector(limit, ir.Constant(WORDS, ir.Undefined), ir.Constant(WORDS, None))
+            new = builder.select(builder.icmp_signed("<", numbers, limit), new, before)
+        simd.store(builder.bitcast(new, VECTOR), self._maps, at)
+        return builder.xor(new, before)
+
+    def _any(self, words):
+        """1 if a bit is set, else 0."""
+        builder = self._simd.builder
+        lanes = builder.bitcast(builder.icmp_unsigned("!=", words, ir.Constant(WORDS, None)), ir.IntType(LANES))
+        return builder.zext(builder.icmp_unsigned("!=", lanes, ir.Constant(lanes.type, 0)), INDEX)

@@ -1,0 +1,313 @@
+"""A network as data: the layers that a model's file lists, checked, with the shape of what each computes.
+
+    {"classifier": [layer, ...], "regressor": [layer, ...]}      the regressor where the configuration needs one
+
+A layer is an object with `op`, `name`, `inputs` and the parameters of its op. Inputs are names of earlier layers or
+"volume", the network's input (C, H, W). The last layer is the network's output. `weights` maps each role to the name of
+a tensor in the file, a role in brackets may be missing. Sides are [y, x], paddings [top, left, bottom, right].
+
+    op                   parameters
+    conv                 kernel, stride, padding, dilation, groups;
+                         weights: weight (F, C / groups, *kernel), [bias] (F,)
+    dense                weights: weight (N, M), [bias] (N,)
+    batch_norm           epsilon; weights: mean, variance, [weight], [bias], each (C,)
+    relu
+    leaky_relu           slope
+    prelu                weights: slope, (1,) or (C,)
+    clip                 low, high; null: no limit
+    max_pool             kernel, stride, padding
+    average_pool         kernel, stride, padding: padded places count, as zeros
+    sum_pool             kernel, stride, padding
+    global_average_pool  to (C, 1, 1)
+    add, concat          of two inputs or more; channels one after the other
+    flatten              to (C * H * W,), in C order
+    heatmap_centroid     to (x, y) in grid pixels: the mean place under a softmax over all places of (1, H, W)
+
+Every parameter is written, so readers need no defaults. What is not in this table may be written in the same format: a
+release that cannot run it refuses the file.
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+VOLUME = "volume"
+CLASSIFIER, REGRESSOR = "classifier", "regressor"
+MAX_SIDE = 1 << 15
+
+Layer = Mapping[str, Any]
+Network = Mapping[str, Sequence[Layer]]
+Shape = tuple[int, ...]
+"""(C, H, W), or (N,)."""
+
+
+class UnknownOperation(NotImplementedError):
+    """A layer that this release cannot run."""
+
+
+def layer_shapes(
+    layers: Sequence[Layer], volume: Shape, tensors: Mapping[str, Shape], *, partial: bool = False
+) -> dict[str, Shape]:
+    """What each layer computes, by its name, and the volume.
+
+    Parameters
+    ----------
+    layers : of one network.
+    volume : (C, H, W).
+    tensors : the shapes of the weights.
+    partial : whether more layers are to come.
+
+    Raises
+    ------
+    UnknownOperation : names the first layer that this release cannot run.
+    ValueError : names the first layer that does not fit, and what was expected.
+    """
+    shapes: dict[str, Shape] = {VOLUME: volume}
+    flat_maps: set[str] = set()  # of more than one place
+    if not layers and not partial:
+        raise ValueError("a network must have at least one layer")
+    for place, layer in enumerate(layers):
+        name = layer.get("name") if isinstance(layer, Mapping) else None
+        if not isinstance(layer, Mapping) or not isinstance(name, str) or not isinstance(layer.get("op"), str):
+            raise ValueError(f"layer {place} must be an object with `name` and `op`, got {reprlib.repr(layer)}")
+        try:
+            if name in shapes:
+                raise ValueError("another layer has this name")
+            shapes[name] = _shape_of(layer, shapes, tensors)
+            if _is_flat_map(layer, shapes, flat_maps):
+                flat_maps.add(name)
+        except ValueError as error:
+            raise ValueError(f"layer {name!r} ({layer['op']}): {error}") from None
+    if not partial and name in flat_maps:
+        raise ValueError(f"layer {name!r} is the output, and a flattened map: a dense layer belongs behind it")
+    return shapes
+
+
+def tensors_of(layers: Sequence[Layer]) -> set[str]:
+    """The names of all weights of a network."""
+    return {tensor for layer in layers for tensor in layer.get("weights", {}).values()}
+
+
+def _is_flat_map(layer: Layer, shapes: Mapping[str, Shape], flat_maps: set[str]) -> bool:
+    """Whether a layer computes a map of more than one place as a vector, whose order only a dense layer knows."""
+    if layer["op"] == "flatten" and len(shapes[layer["inputs"][0]]) == 3:
+        return shapes[layer["name"]] != shapes[layer["inputs"][0]][:1]
+    read = flat_maps.intersection(layer["inputs"])
+    if not read or layer["op"] == "dense":
+        return False
+    if layer["op"] not in ("flatten", "relu", "leaky_relu", "clip"):
+        raise ValueError(f"{read.pop()!r} is a flattened map: a dense layer belongs between")
+    return True
+
+
+def _shape_of(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape]) -> Shape:
+    op = OPERATIONS.get(layer["op"])
+    if op is None:
+        raise UnknownOperation(
+            f"layer {layer['name']!r} is a {layer['op']!r}; this release knows {', '.join(OPERATIONS)}"
+        )
+    expected = {"op", "name", "inputs", *op.parameters, *(["weights"] if op.roles else [])}
+    if set(layer) != expected:
+        missing, unknown = sorted(expected - set(layer)), sorted(set(layer) - expected)
+        if unknown and not missing:
+            raise UnknownOperation(f"layer {layer['name']!r} ({layer['op']}) has {', '.join(unknown)}")
+        raise ValueError(f"must have {', '.join(missing)}")
+    for name, check in op.parameters.items():
+        if not check.holds(layer[name]):
+            raise ValueError(f"`{name}` must be {check.words}, got {reprlib.repr(layer[name])}")
+    inputs = layer["inputs"]
+    if not isinstance(inputs, Sequence) or isinstance(inputs, str) or not all(isinstance(name, str) for name in inputs):
+        raise ValueError(f"`inputs` must be a list of names, got {reprlib.repr(inputs)}")
+    unknown = [name for name in inputs if name not in shapes]
+    if unknown:
+        raise ValueError(f"no earlier layer is named {unknown[0]!r}")
+    if len(inputs) < op.n_inputs or (op.n_inputs == 1 and len(inputs) > 1):
+        expected_inputs = "2 inputs or more" if op.n_inputs > 1 else "1 input"
+        raise ValueError(f"must have {expected_inputs}, got {len(inputs)}")
+    return op.shape(layer, [shapes[name] for name in inputs], _weights(layer, op, tensors))
+
+
+def _weights(layer: Layer, op: _Operation, tensors: Mapping[str, Shape]) -> dict[str, Shape]:
+    """Role -> shape."""
+    if not op.roles:
+        return {}
+    weights = layer["weights"]
+    if not isinstance(weights, Mapping) or not all(isinstance(name, str) for name in weights.values()):
+        raise ValueError(f"`weights` must map roles to names of tensors, got {reprlib.repr(weights)}")
+    unknown = set(weights) - set(op.roles)
+    missing = [role for role, needed in op.roles.items() if needed and role not in weights]
+    if unknown or missing:
+        raise ValueError(f"`weights` must be {', '.join(op.roles)}, got {', '.join(weights) or 'none'}")
+    lost = [name for name in weights.values() if name not in tensors]
+    if lost:
+        raise ValueError(f"no tensor is named {lost[0]!r}")
+    return {role: tuple(tensors[name]) for role, name in weights.items()}
+
+
+@dataclass(frozen=True)
+class _Check:
+    words: str
+    holds: Callable[[Any], bool]
+
+
+def _is_whole(value: Any, low: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and low <= value < MAX_SIDE
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and not math.isnan(value)
+
+
+def _whole_numbers(n: int, low: int) -> _Check:
+    words = f"a list of {n} whole numbers from {low} on"
+    return _Check(
+        words, lambda value: isinstance(value, list) and len(value) == n and all(_is_whole(v, low) for v in value)
+    )
+
+
+SIDES = _whole_numbers(2, 1)
+PADDING = _whole_numbers(4, 0)
+POSITIVE = _Check("a positive whole number", lambda value: _is_whole(value, 1))
+LIMIT = _Check("a number, or null", lambda value: value is None or _is_number(value))
+FINITE = _Check("a finite number", lambda value: _is_number(value) and math.isfinite(value))
+NOT_NEGATIVE = _Check("a finite number from 0 on", lambda value: FINITE.holds(value) and value >= 0)
+
+ShapeRule = Callable[[Layer, list[Shape], dict[str, Shape]], Shape]
+
+
+@dataclass(frozen=True)
+class _Operation:
+    """Parameters, roles of weights (True: needed), the number of inputs (2: or more), and the shape of the output."""
+
+    shape: ShapeRule
+    parameters: Mapping[str, _Check]
+    roles: Mapping[str, bool]
+    n_inputs: int = 1
+
+
+def _windowed(layer: Layer, shape: Shape, dilation: Sequence[int] = (1, 1)) -> tuple[int, int]:
+    """Sides of the output of a convolution or pooling."""
+    if len(shape) != 3:
+        raise ValueError(f"its input must be a map (C, H, W), got {shape}")
+    top, left, bottom, right = layer["padding"]
+    sides = []
+    for axis, side in enumerate((shape[1] + top + bottom, shape[2] + left + right)):
+        reach = (layer["kernel"][axis] - 1) * dilation[axis] + 1
+        if reach > side:
+            raise ValueError(
+                f"its kernel reaches over {reach} places, its input has {side} with the padding (input {shape})"
+            )
+        sides.append((side - reach) // layer["stride"][axis] + 1)
+    return sides[0], sides[1]
+
+
+def _expect(role: str, shape: Shape, expected: Shape) -> None:
+    if shape != expected:
+        raise ValueError(f"its {role} must have shape {expected} here, got {shape}")
+
+
+def _conv(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    sides = _windowed(layer, inputs[0], layer["dilation"])
+    channels, groups = inputs[0][0], layer["groups"]
+    n_filters = weights["weight"][0] if weights["weight"] else 0
+    if channels % groups or n_filters % groups or n_filters == 0:
+        raise ValueError(f"{groups} groups must divide its {channels} channels and {n_filters} filters")
+    _expect("weight", weights["weight"], (n_filters, channels // groups, *layer["kernel"]))
+    _expect("bias", weights.get("bias", (n_filters,)), (n_filters,))
+    return n_filters, *sides
+
+
+def _dense(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    if len(inputs[0]) != 1:
+        raise ValueError(f"its input must be flat, got {inputs[0]}: a flatten belongs before it")
+    n_units = weights["weight"][0] if weights["weight"] else 0
+    if n_units == 0:
+        raise ValueError("it must have at least one unit")
+    _expect("weight", weights["weight"], (n_units, *inputs[0]))
+    _expect("bias", weights.get("bias", (n_units,)), (n_units,))
+    return (n_units,)
+
+
+def _batch_norm(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    for role, shape in weights.items():
+        _expect(role, shape, inputs[0][:1])
+    return inputs[0]
+
+
+def _prelu(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    if weights["slope"] != (1,):
+        _expect("slope", weights["slope"], inputs[0][:1])
+    return inputs[0]
+
+
+def _same(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    return inputs[0]
+
+
+def _clip(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    low, high = layer["low"], layer["high"]
+    if low is not None and high is not None and low > high:
+        raise ValueError(f"`low` must be at most `high`, got {low} and {high}")
+    return inputs[0]
+
+
+def _pool(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    sides = _windowed(layer, inputs[0])
+    top, left, bottom, right = layer["padding"]
+    if max(top, bottom) >= layer["kernel"][0] or max(left, right) >= layer["kernel"][1]:
+        raise ValueError(f"padding {layer['padding']} must be less than kernel {layer['kernel']}")
+    return inputs[0][0], *sides
+
+
+def _global_pool(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    if len(inputs[0]) != 3:
+        raise ValueError(f"its input must be a map (C, H, W), got {inputs[0]}")
+    return inputs[0][0], 1, 1
+
+
+def _add(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    if len(set(inputs)) > 1:
+        raise ValueError(f"its inputs must have one shape, got {', '.join(map(str, inputs))}")
+    return inputs[0]
+
+
+def _concat(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    if len({shape[1:] for shape in inputs}) > 1 or len({len(shape) for shape in inputs}) > 1:
+        raise ValueError(f"its inputs must differ in their channels only, got {', '.join(map(str, inputs))}")
+    return sum(shape[0] for shape in inputs), *inputs[0][1:]
+
+
+def _flatten(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    return (math.prod(inputs[0]),)
+
+
+def _centroid(layer: Layer, inputs: list[Shape], weights: dict[str, Shape]) -> Shape:
+    if len(inputs[0]) != 3 or inputs[0][0] != 1:
+        raise ValueError(f"its input must be a heatmap (1, H, W), got {inputs[0]}")
+    return (2,)
+
+
+_WINDOW = {"kernel": SIDES, "stride": SIDES, "padding": PADDING}
+OPERATIONS: dict[str, _Operation] = {
+    "conv": _Operation(_conv, {**_WINDOW, "dilation": SIDES, "groups": POSITIVE}, {"weight": True, "bias": False}),
+    "dense": _Operation(_dense, {}, {"weight": True, "bias": False}),
+    "batch_norm": _Operation(
+        _batch_norm, {"epsilon": NOT_NEGATIVE}, {"mean": True, "variance": True, "weight": False, "bias": False}
+    ),
+    "relu": _Operation(_same, {}, {}),
+    "leaky_relu": _Operation(_same, {"slope": FINITE}, {}),
+    "prelu": _Operation(_prelu, {}, {"slope": True}),
+    "clip": _Operation(_clip, {"low": LIMIT, "high": LIMIT}, {}),
+    "max_pool": _Operation(_pool, _WINDOW, {}),
+    "average_pool": _Operation(_pool, _WINDOW, {}),
+    "sum_pool": _Operation(_pool, _WINDOW, {}),
+    "global_average_pool": _Operation(_global_pool, {}, {}),
+    "add": _Operation(_add, {}, {}, n_inputs=2),
+    "concat": _Operation(_concat, {}, {}, n_inputs=2),
+    "flatten": _Operation(_flatten, {}, {}),
+    "heatmap_centroid": _Operation(_centroid, {}, {}),
+}

@@ -1,0 +1,138 @@
+"""Models from files: bundled ones, .safetensors files, and ONNX networks."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError
+
+from async_tnt.checked_tensors import read_tensors
+from async_tnt.checks import one_line
+from async_tnt.config import TNTConfig
+from async_tnt.networks.from_onnx import layers_from_onnx
+from async_tnt.networks.graph import CLASSIFIER, layer_shapes
+from async_tnt.networks.model import FORMAT, UNCHECKED_FORMAT, Model, UncheckedModelWarning, checksum_of
+from async_tnt.networks.onnx_metadata import is_damaged, read_metadata
+
+
+def bundled_models() -> tuple[str, ...]:
+    """Names that `load_model` knows without a path."""
+    folder = resources.files("async_tnt") / "assets"
+    names = (file.name for file in folder.iterdir())
+    return tuple(sorted(name.removesuffix(".safetensors") for name in names if name.endswith(".safetensors")))
+
+
+def load_model(
+    name_or_path: str | Path, *, config: TNTConfig | None = None, classes: Sequence[str] | None = None
+) -> Model:
+    """Load a bundled model by its name, such as "digits", any model file by its path, or an .onnx network.
+
+    Parameters
+    ----------
+    config : how events become the volumes of an .onnx network, which does not say; those of `async-tnt export` do.
+    classes : names of its outputs, likewise; "0", "1", ... by default.
+
+    Raises
+    ------
+    FileNotFoundError : neither; the message lists the bundled names.
+    ImportError : an .onnx network, and onnx is not installed.
+    TypeError : `config` or `classes` for a model that has its own, or no `config` for a network that has none.
+    NotImplementedError : names the first node of an .onnx network that has no compiled form.
+    ValueError : the file is damaged, needs a network that this release cannot run, or is not a model of this package.
+
+    Warns
+    -----
+    UncheckedModelWarning : the file has format 1, which has no checksum.
+    """
+    if str(name_or_path) in bundled_models():
+        path = Path(str(resources.files("async_tnt") / "assets" / f"{name_or_path}.safetensors"))
+    else:
+        path = Path(name_or_path)
+        if not path.is_file():
+            names = ", ".join(bundled_models())
+            raise FileNotFoundError(f"no model file {path}, and no bundled model of that name (bundled: {names})")
+    if path.suffix.lower() == ".onnx":
+        return _load_onnx(path, config, classes)
+    if config is not None or classes is not None:
+        raise TypeError(f"`config` and `classes` are for .onnx networks; {path} has its own")
+    try:
+        with path.open("rb") as file:
+            weights, metadata = read_tensors(file, (FORMAT, UNCHECKED_FORMAT))
+    except ValueError as error:
+        raise ValueError(f"{path} is not a model that this release can read: {one_line(error)}") from None
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path} is not a readable .safetensors file: {one_line(error)}") from None
+    try:
+        model = _model_of(weights, metadata)
+    except NotImplementedError as error:
+        raise ValueError(f"{path} holds a network that this release cannot run: {one_line(error)}") from None
+    except (TypeError, ValueError, RecursionError) as error:  # the last: JSON nested too deep
+        raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
+    if metadata["format"] == UNCHECKED_FORMAT:
+        warnings.warn(
+            f"{path} has no checksum, so damage to it would go unnoticed; load_model(path).save(path) adds one",
+            UncheckedModelWarning,
+            stacklevel=2,
+        )
+    return model
+
+
+def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> Model:
+    """The model in a file, checked; raises NotImplementedError for a network that only another release can run."""
+    checked = metadata["format"] == FORMAT
+    needed = ("config", "classes", "record", "network", "sha256") if checked else ("config", "classes")
+    missing = [name for name in needed if name not in metadata]
+    if missing:
+        raise ValueError(f"no {' and no '.join(missing)} in its metadata")
+    if checked and metadata["sha256"] != checksum_of(weights, metadata):
+        raise ValueError("its checksum differs; copy or download it again")
+    if not checked and ("sha256" in metadata or "network" in metadata):
+        raise ValueError(f"its `format` must be {FORMAT!r}, as it has a checksum, got {UNCHECKED_FORMAT!r}")
+    for name, values in weights.items():
+        if values.dtype != np.float32:
+            raise ValueError(f"`{name}` must be float32, got {values.dtype}")
+    config = TNTConfig.from_dict(json.loads(metadata["config"]))
+    record = json.loads(metadata.get("record", "{}"))
+    network = json.loads(metadata["network"]) if checked else None
+    return Model(config, weights, json.loads(metadata["classes"]), record, network)
+
+
+def _load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | None) -> Model:
+    """See `load_model`."""
+    try:
+        import onnx
+    except ImportError as error:
+        raise ImportError(f"ONNX networks are read by onnx: pip install '.[onnx]' ({error})") from None
+    content = path.read_bytes()
+    try:
+        proto = onnx.load_from_string(content)
+        onnx.checker.check_model(proto)
+        metadata = {entry.key: entry.value for entry in proto.metadata_props}
+        exported = read_metadata(metadata)
+    except Exception as error:  # of many types
+        raise ValueError(f"{path} is not a readable ONNX network: {one_line(error)}") from None
+    if exported is not None:
+        if is_damaged(metadata, content):
+            raise ValueError(f"{path} is damaged: its checksum differs; copy or download it again")
+        if config is not None or classes is not None:
+            raise TypeError(f"`config` and `classes` are for networks of other programs; {path} has its own")
+        if exported.config.needs_regressor:
+            raise NotImplementedError(f"{path} has a landmark network beside it: load the model it was exported from")
+        config, classes = exported.config, exported.classes
+    if config is None:
+        raise TypeError(
+            f"{path} does not say how events become its volume: load_model(path, config=TNTConfig(...), classes=[...])"
+        )
+    try:
+        layers, weights = layers_from_onnx(proto, config.shape)
+    except NotImplementedError as error:
+        raise NotImplementedError(f"{path}: {error}") from None
+    if classes is None:
+        shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
+        classes = [str(k) for k in range(list(shapes.values())[-1][0])]
+    return Model(config, weights, tuple(classes), exported.record if exported else {}, {CLASSIFIER: layers})

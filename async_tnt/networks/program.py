@@ -1,0 +1,303 @@
+"""Steps as the arrays that the kernels work on, see `kernels.program`, and volumes as they take them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from async_tnt.checks import plain_array
+from async_tnt.kernels import program as P
+from async_tnt.kernels.simd import LANES
+from async_tnt.networks.graph import Layer
+from async_tnt.networks.steps import Map, Step, steps_of
+
+
+class ProgramArrays(NamedTuple):
+    """In the order in which the kernels take them."""
+
+    program: np.ndarray
+    weights: np.ndarray
+    maps: np.ndarray
+    places: np.ndarray
+
+
+class StepWork(NamedTuple):
+    """What a step computes, at most."""
+
+    layer: str
+    places: int
+    products: int
+    """Multiplications at each place."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """A network for the compiled interpreter; its input is zero, and nothing has been computed.
+
+    arrays : ProgramArrays.
+    output : rows, columns and channels of its last map.
+    steps : in order.
+    """
+
+    arrays: ProgramArrays
+    output: tuple[int, int, int]
+    steps: list[StepWork]
+
+    def output_map(self) -> np.ndarray:
+        """The last map: (rows, columns, channels), a view."""
+        program, maps = self.arrays.program, self.arrays.maps
+        strides = 4 * int(program[P.OUTPUT_DY]), 4 * self.output[2], 4
+        return np.lib.stride_tricks.as_strided(maps[program[P.OUTPUT] :], self.output, strides, writeable=False)
+
+    def computed(self) -> list[int]:
+        """How many places of each step's map were computed in the last call."""
+        first = P.FIRST_STEP + P.N_COMPUTED
+        found: list[int] = self.arrays.program[first :: P.STEP_SIZE][: len(self.steps)].tolist()
+        return found
+
+
+def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: Mapping[str, np.ndarray]) -> Program:
+    """The program of a network whose layers have been checked, for volumes of this shape (C, H, W)."""
+    channels, height, width = shape
+    volume = Map(channels, height, width)
+    steps, output = steps_of(layers, volume, tensors)
+    steps = _without_unused(steps, (volume, output))
+    _frame(steps)
+    maps = list(dict.fromkeys([volume, *(step.output for step in steps)]))
+
+    program = np.zeros(P.FIRST_STEP + len(steps) * P.STEP_SIZE, np.int64)
+    program[[P.N_STEPS, P.CHANNELS, P.HEIGHT, P.WIDTH, P.STALE]] = len(steps), channels, height, width, 1
+    tables: list[int] = []
+    places = _Arena()
+    places.take(-(-max(part.rows * part.columns for part in maps) // 4))  # flags, a byte each
+    program[P.LIST] = places.take(max(part.rows * part.columns for part in maps) + 2)
+    program[P.INPUT_CHANGED] = places.take(height * width + 1)
+    numbers = _Arena()
+    program[P.PLANES] = numbers.take(channels * height * width)
+    program[P.SCRATCH] = numbers.take(width)
+    firsts = {part: numbers.take(_size(part)) + _first(part) for part in maps}
+    program[[P.INPUT, P.INPUT_DY]] = firsts[volume], _pitch(volume)
+    program[[P.OUTPUT, P.OUTPUT_DY]] = firsts[output], _pitch(output)
+
+    records = {step: P.FIRST_STEP + k * P.STEP_SIZE for k, step in enumerate(steps)}
+    weights: list[np.ndarray] = []
+    n_weights = 0
+    for step, at in records.items():
+        record = program[at : at + P.STEP_SIZE]
+        sources = [records[writer] + P.CHANGED for part in step.inputs for writer in part.writers]
+        sources += [P.INPUT_CHANGED] * any(part is volume for part in step.inputs)
+        runs, run_length = _runs(step, firsts)
+        groups, place_weights, packed = _packed(step)
+        source = step.inputs[0]
+        record[P.KIND] = step.kind
+        record[[P.N_SOURCES, P.SOURCES]] = len(sources), len(program) + len(tables)
+        tables += sources
+        record[P.SOURCE_PLACES] = source.rows * source.columns
+        record[[P.KERNEL_Y, P.KERNEL_X]] = step.kernel
+        record[[P.STRIDE_Y, P.STRIDE_X]] = step.stride
+        record[[P.PAD_Y, P.PAD_X]] = step.padding
+        record[[P.DILATION_Y, P.DILATION_X]] = step.dilation
+        record[[P.ROWS, P.COLUMNS]] = step.rows, step.columns
+        record[P.CHANGED] = places.take(step.rows * step.columns + 1)
+        record[P.IN] = 0  # the distances below are from the beginning
+        record[[P.IN_DY, P.IN_DX]] = step.stride[0] * _pitch(source), step.stride[1] * source.channels
+        record[P.OUT] = firsts[step.output] + step.channel
+        record[[P.OUT_DY, P.OUT_DX]] = _pitch(step.output), step.output.channels
+        record[P.OUT_CHANNELS] = len(step.bias) // groups
+        record[[P.RUNS, P.N_RUNS, P.RUN_LENGTH]] = len(program) + len(tables), len(runs), run_length
+        tables += runs
+        record[[P.GROUPS, P.GROUP_CHANNELS]] = groups, source.channels // groups
+        record[[P.WEIGHTS, P.PLACE_WEIGHTS]] = n_weights, place_weights
+        weights.append(packed)
+        n_weights += packed.size
+    values = aligned(numbers.size + LANES, np.float32)  # a register may reach behind the last channel
+    for part in maps:
+        if part.fill:
+            values[firsts[part] - _first(part) :][: _size(part)] = part.fill
+    packed_weights = aligned(n_weights, np.float32)
+    np.concatenate(weights, out=packed_weights)
+    arrays = ProgramArrays(
+        np.concatenate([program, np.array(tables, np.int64)]), packed_weights, values, np.zeros(places.size, np.uint32)
+    )
+    work = [StepWork(step.name, step.rows * step.columns, step.products) for step in steps]
+    return Program(arrays, (output.rows, output.columns, output.channels), work)
+
+
+def aligned(n: int, dtype: type) -> np.ndarray:
+    """Zeros that begin where a cache line does: registers across two lines are read half as fast."""
+    array: np.ndarray = np.zeros(n + 64 // np.dtype(dtype).itemsize, dtype)
+    first = -array.ctypes.data % 64 // array.itemsize
+    return array[first : first + n]
+
+
+class _Arena:
+    """Places parts one after the other, each where a cache line begins."""
+
+    def __init__(self) -> None:
+        self.size = 0
+
+    def take(self, n: int) -> int:
+        first = self.size
+        self.size += -(-n // 16) * 16
+        return first
+
+
+def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
+    """The steps whose maps are read, or are to be kept. Last rows and columns that no step reads, as a pooling may
+    drop them, are not computed."""
+    needed: dict[Map, tuple[int, int]] = {}
+    used = []
+    for step in reversed(steps):
+        if step.output not in keep:
+            if step.output not in needed:
+                continue
+            step.rows, step.columns = needed[step.output]
+        rows, columns = (
+            (side - 1) * stride + (kernel - 1) * dilation - padding + 1
+            for side, stride, kernel, dilation, padding in zip(
+                (step.rows, step.columns),
+                step.stride,
+                step.kernel,
+                step.dilation,
+                step.padding,
+                strict=True,
+            )
+        )
+        for part in step.inputs:
+            before = needed.get(part, (0, 0))
+            needed[part] = min(max(before[0], rows, 1), part.rows), min(max(before[1], columns, 1), part.columns)
+        used.append(step)
+    return used[::-1]
+
+
+def _frame(steps: list[Step]) -> None:
+    """Give each map the frame that its readers need; the maps that a step adds get the same one."""
+    for step in steps:
+        for part in step.inputs:
+            sides = (part.rows, part.columns)
+            after = [
+                max(0, (out - 1) * stride + (kernel - 1) * dilation - padding - (side - 1))
+                for out, stride, kernel, dilation, padding, side in zip(
+                    (step.rows, step.columns),
+                    step.stride,
+                    step.kernel,
+                    step.dilation,
+                    step.padding,
+                    sides,
+                    strict=True,
+                )
+            ]
+            _widen(part, (*step.padding, *after))
+    while any([_widen(part, other.frame) for step in steps for part in step.inputs for other in step.inputs]):
+        pass
+
+
+def _widen(part: Map, frame: Sequence[int]) -> bool:
+    """Returns whether that changed anything."""
+    before = part.frame
+    top, left, bottom, right = map(max, before, frame)
+    part.frame = top, left, bottom, right
+    return part.frame != before
+
+
+def _pitch(part: Map) -> int:
+    """Numbers in a row."""
+    _, left, _, right = part.frame
+    return (left + part.columns + right) * part.channels
+
+
+def _size(part: Map) -> int:
+    top, _, bottom, _ = part.frame
+    return (top + part.rows + bottom) * _pitch(part)
+
+
+def _first(part: Map) -> int:
+    """Where its place (0, 0) lies, behind the frame."""
+    return part.frame[0] * _pitch(part) + part.frame[1] * part.channels
+
+
+def _runs(step: Step, firsts: Mapping[Map, int]) -> tuple[list[int], int]:
+    """Where in the maps the runs or taps of place (0, 0) begin, and how long a run is."""
+    taps = []
+    for part in step.inputs:
+        origin = firsts[part] - step.padding[0] * _pitch(part) - step.padding[1] * part.channels
+        taps += [
+            origin + i * step.dilation[0] * _pitch(part) + j * step.dilation[1] * part.channels
+            for i in range(step.kernel[0])
+            for j in range(step.kernel[1])
+        ]
+    channels = step.inputs[0].channels
+    if step.kind == P.MIX and step.groups == 1 and step.dilation[1] == 1:
+        return taps[:: step.kernel[1]], step.kernel[1] * channels
+    return taps, channels // step.groups
+
+
+def _packed(step: Step) -> tuple[int, int, np.ndarray]:
+    """Groups, numbers from one place's weights to the next one's, and the weights as `kernels.program` describes."""
+    if step.kind != P.MIX:
+        size = _up(len(step.bias), LANES)
+        rows = [_padded(row, size) for row in (*step.weights.reshape(-1, len(step.bias)), step.bias, step.slopes)]
+        return 1, 0, np.concatenate([*rows, _limits(step)])
+    if step.own_weights:
+        of_place = [_blocks(w[:, :, None, None], step) for of_row in step.weights for w in of_row]
+        return 1, of_place[0].size, np.concatenate(of_place)
+    per_group = len(step.bias) // step.groups
+    parts = [_blocks(step.weights[k : k + per_group], step, k) for k in range(0, len(step.bias), per_group)]
+    return step.groups, 0, np.concatenate(parts)
+
+
+def _blocks(w: np.ndarray, step: Step, first: int = 0) -> np.ndarray:
+    """Filters (F, C, kernel_y, kernel_x), the step's from `first` on, in blocks of one or two registers."""
+    parts = []
+    products = w.transpose(2, 3, 1, 0).reshape(-1, len(w))  # (K, F): taps row by row, then channels
+    for f in range(0, len(w), 2 * LANES):
+        n = min(len(w) - f, 2 * LANES)
+        size = _up(n, LANES)
+        block = np.zeros((len(products) + 2, size), np.float32)
+        block[:-2, :n] = products[:, f : f + n]
+        block[-2, :n] = step.bias[first + f : first + f + n]
+        block[-1, :n] = step.slopes[first + f : first + f + n]
+        parts += [block.reshape(-1), _limits(step)]
+    return np.concatenate(parts)
+
+
+def _limits(step: Step) -> np.ndarray:
+    return _padded(np.array([step.low, step.high], np.float32), LANES)
+
+
+def _padded(row: np.ndarray, size: int) -> np.ndarray:
+    padded = np.zeros(size, np.float32)
+    padded[: len(row)] = row
+    return padded
+
+
+def _up(n: int, step: int) -> int:
+    return -(-n // step) * step
+
+
+class VolumeInput:
+    """Passes volumes to a kernel in one form, that of `TNTVolume.array`, so the kernel is compiled only once."""
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        self.shape = shape
+        self._copy = np.zeros(shape, np.float32)
+
+    def __call__(self, volume: np.ndarray) -> np.ndarray:
+        """float32, contiguous, read-only: the volume itself where it is so, else a copy, valid until the next call.
+
+        Raises
+        ------
+        ValueError : another shape.
+        """
+        volume = plain_array("volume", volume)
+        if volume.shape != self.shape:
+            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
+        if volume.dtype == np.float32 and volume.flags.c_contiguous and not volume.flags.writeable:
+            return volume
+        np.copyto(self._copy, volume)
+        view = self._copy.view()
+        view.flags.writeable = False
+        return view

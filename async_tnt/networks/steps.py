@@ -1,0 +1,287 @@
+"""From layers to steps of the compiled interpreter: what `kernels.program` describes, before it is laid out in memory.
+
+Normalizations are folded into the step before them, activations become part of it. A dense layer that reads a map
+becomes three steps, a global average pooling two: what each place adds, the sum of each row, the sum of the rows.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from async_tnt.kernels.program import MAXIMUM, MIX, SUM
+from async_tnt.networks.graph import VOLUME, Layer
+
+INF = np.float32(np.inf)
+
+
+@dataclass(eq=False)
+class Map:
+    """Numbers (rows, columns, channels) within a frame of `fill`; a vector has one place."""
+
+    channels: int
+    rows: int
+    columns: int
+    fill: float = 0.0
+    frame: tuple[int, int, int, int] = (0, 0, 0, 0)
+    """Places above, to the left, below, to the right."""
+    writers: list[Step] = field(default_factory=list)
+    """Whose places change; none for the volume."""
+
+
+@dataclass(eq=False)
+class Step:
+    """A map, or some channels of it, from other maps.
+
+    name : of the layer that it computes, or a part of.
+    kind : MIX (one input), SUM (several of one shape are taps of one sum) or MAXIMUM (one).
+    weights : of a MIX (F, C / groups, kernel_y, kernel_x), with `own_weights` (rows, columns, F, C); of a SUM (taps,
+        C), tap by tap of an input, input by input.
+    bias, slopes : (F,) or (C,).
+    channel : where in the output its channels begin.
+    rows, columns : of the output that are computed; all, at first.
+    """
+
+    name: str
+    kind: int
+    inputs: list[Map]
+    output: Map
+    weights: np.ndarray
+    bias: np.ndarray
+    kernel: tuple[int, int] = (1, 1)
+    stride: tuple[int, int] = (1, 1)
+    padding: tuple[int, int] = (0, 0)
+    dilation: tuple[int, int] = (1, 1)
+    groups: int = 1
+    own_weights: bool = False
+    channel: int = 0
+    rows: int = field(init=False)
+    columns: int = field(init=False)
+    slopes: np.ndarray = field(init=False)
+    low: float = -np.inf
+    high: float = np.inf
+
+    def __post_init__(self) -> None:
+        self.output.writers.append(self)
+        self.rows, self.columns = self.output.rows, self.output.columns
+        self.slopes = np.ones(len(self.bias), np.float32)
+
+    @property
+    def is_linear(self) -> bool:
+        return self.kind != MAXIMUM and not self.is_activated
+
+    @property
+    def is_activated(self) -> bool:
+        return bool((self.slopes != 1).any()) or self.low != -np.inf or self.high != np.inf
+
+    @property
+    def products(self) -> int:
+        """Multiplications of one place; none of a plain sum or mean."""
+        if self.kind != MIX and (self.weights == self.weights.flat[:1]).all():
+            return 0
+        return self.weights.size // (self.output.rows * self.output.columns if self.own_weights else 1)
+
+
+def steps_of(layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]) -> tuple[list[Step], Map]:
+    """The steps of a network whose layers have been checked, in order, and the map of its output.
+
+    The last layer may be a `heatmap_centroid`, which is no step: then the output is its heatmap.
+    """
+    return _Lowering(layers, tensors).run(volume)
+
+
+class _Lowering:
+    def __init__(self, layers: Sequence[Layer], tensors: Mapping[str, np.ndarray]) -> None:
+        self._layers, self._tensors = layers, tensors
+        self._readers = self._count_readers()
+        self._steps: list[Step] = []
+        self._name = ""  # of the layer that is next
+        self._maps: dict[str, Map] = {}
+
+    def _count_readers(self) -> Counter[str]:
+        """How many layers read what a layer computes, through a flatten, too; the output is read once."""
+        origins: dict[str, str] = {}
+        readers: Counter[str] = Counter()
+        for layer in self._layers:
+            read = [origins.get(name, name) for name in layer["inputs"]]
+            if layer["op"] == "flatten":
+                origins[layer["name"]] = read[0]
+            else:
+                readers.update(read)
+        output: str = self._layers[-1]["name"]
+        readers[origins.get(output, output)] += 1
+        readers.update({name: readers[origin] - readers[name] for name, origin in origins.items()})
+        return readers
+
+    def run(self, volume: Map) -> tuple[list[Step], Map]:
+        self._maps[VOLUME] = volume
+        for layer in self._layers:
+            inputs = [self._maps[name] for name in layer["inputs"]]
+            self._name = layer["name"]
+            self._maps[layer["name"]] = getattr(self, f"_{layer['op']}")(layer, inputs)
+        output = self._maps[self._layers[-1]["name"]]
+        return self._steps, self._copy(volume, replace(volume)) if output is volume else output
+
+    def _tensor(self, layer: Layer, role: str, default: float, n: int) -> np.ndarray:
+        name = layer["weights"].get(role)
+        return np.full(n, default, np.float32) if name is None else self._tensors[name]
+
+    def _add_step(self, kind: int, inputs: list[Map], output: Map, weights: Any, bias: Any, **options: Any) -> Map:
+        weights, bias = np.asarray(weights, np.float32), np.asarray(bias, np.float32)
+        self._steps.append(Step(self._name, kind, inputs, output, weights, bias, **options))
+        return output
+
+    def _copy(self, source: Map, output: Map, channel: int = 0) -> Map:
+        ones = np.ones((1, source.channels))
+        return self._add_step(SUM, [source], output, ones, np.zeros(source.channels), channel=channel)
+
+    def _own_step(self, layer: Layer, inputs: list[Map], *, linear: bool = False) -> Step:
+        """The step to fold a layer into: the one before it if nothing else reads that, otherwise a copy."""
+        (source,) = inputs
+        if len(source.writers) == 1 and self._readers[layer["inputs"][0]] == 1:
+            step = source.writers[0]
+            if not step.is_activated and (step.is_linear or not linear):
+                return step
+        return self._copy(source, replace(source, fill=0.0, writers=[])).writers[0]
+
+    def _conv(self, layer: Layer, inputs: list[Map]) -> Map:
+        (source,) = inputs
+        w = self._tensors[layer["weights"]["weight"]]
+        n_filters, per_group = w.shape[:2]
+        bias = self._tensor(layer, "bias", 0.0, n_filters)
+        options = _window(layer) | {"dilation": tuple(layer["dilation"])}
+        output = Map(n_filters, *_sides(layer, source, layer["dilation"]))
+        if layer["groups"] == n_filters == source.channels:
+            return self._add_step(SUM, inputs, output, w.reshape(n_filters, -1).T, bias, **options)
+        return self._add_step(MIX, inputs, output, w, bias, groups=source.channels // per_group, **options)
+
+    def _dense(self, layer: Layer, inputs: list[Map]) -> Map:
+        (source,) = inputs
+        w = self._tensors[layer["weights"]["weight"]]
+        n_units = len(w)
+        bias = self._tensor(layer, "bias", 0.0, n_units)
+        w = w.reshape(n_units, source.channels, source.rows, source.columns)
+        if source.rows * source.columns == 1:
+            return self._add_step(MIX, inputs, Map(n_units, 1, 1), w, bias)
+        parts = Map(n_units, source.rows, source.columns)
+        self._add_step(MIX, inputs, parts, w.transpose(2, 3, 0, 1), np.zeros(n_units), own_weights=True)
+        return self._sum_of_places(parts, 1.0, bias)
+
+    def _sum_of_places(self, source: Map, factor: float, bias: np.ndarray) -> Map:
+        """Row by row, then of the rows: after a change, one row is summed again."""
+        channels, sides = source.channels, (source.rows, source.columns)
+        if 1 not in sides:
+            row_sums = Map(channels, source.rows, 1)
+            ones = np.ones((source.columns, channels))
+            source = self._add_step(SUM, [source], row_sums, ones, np.zeros(channels), kernel=(1, source.columns))
+        kernel = source.rows, source.columns
+        weights = np.full((source.rows * source.columns, channels), factor)
+        return self._add_step(SUM, [source], Map(channels, 1, 1), weights, bias, kernel=kernel)
+
+    def _batch_norm(self, layer: Layer, inputs: list[Map]) -> Map:
+        n = len(self._tensors[layer["weights"]["mean"]])
+        mean, variance, weight, bias = (
+            self._tensor(layer, role, default, n).astype(np.float64)
+            for role, default in (("mean", 0.0), ("variance", 1.0), ("weight", 1.0), ("bias", 0.0))
+        )
+        factor = weight / np.sqrt(variance + layer["epsilon"])
+        step = self._own_step(layer, inputs, linear=True)
+        along = factor if step.kind == SUM else factor[:, None, None, None]
+        step.weights = (step.weights * along).astype(np.float32)
+        step.bias = ((step.bias - mean) * factor + bias).astype(np.float32)
+        return step.output
+
+    def _relu(self, layer: Layer, inputs: list[Map]) -> Map:
+        step = self._own_step(layer, inputs)
+        step.low = 0.0
+        return step.output
+
+    def _clip(self, layer: Layer, inputs: list[Map]) -> Map:
+        step = self._own_step(layer, inputs)
+        step.low = -np.inf if layer["low"] is None else layer["low"]
+        step.high = np.inf if layer["high"] is None else layer["high"]
+        return step.output
+
+    def _leaky_relu(self, layer: Layer, inputs: list[Map]) -> Map:
+        step = self._own_step(layer, inputs)
+        step.slopes[:] = layer["slope"]
+        return step.output
+
+    def _prelu(self, layer: Layer, inputs: list[Map]) -> Map:
+        step = self._own_step(layer, inputs)
+        step.slopes[:] = self._tensors[layer["weights"]["slope"]]
+        return step.output
+
+    def _max_pool(self, layer: Layer, inputs: list[Map]) -> Map:
+        (source,) = inputs
+        if any(layer["padding"]):  # with what is less than any number
+            framed = replace(source, fill=-np.inf, frame=(0, 0, 0, 0), writers=[])
+            source = self._copy(source, framed)
+        output = Map(source.channels, *_sides(layer, source))
+        return self._add_step(MAXIMUM, [source], output, [], np.zeros(source.channels), **_window(layer))
+
+    def _average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
+        return self._pool(layer, inputs, 1.0 / (layer["kernel"][0] * layer["kernel"][1]))
+
+    def _sum_pool(self, layer: Layer, inputs: list[Map]) -> Map:
+        return self._pool(layer, inputs, 1.0)
+
+    def _pool(self, layer: Layer, inputs: list[Map], factor: float) -> Map:
+        (source,) = inputs
+        if tuple(layer["kernel"]) == (source.rows, source.columns) and not any(layer["padding"]):
+            return self._sum_of_places(source, factor, np.zeros(source.channels))
+        weights = np.full((layer["kernel"][0] * layer["kernel"][1], source.channels), factor)
+        output = Map(source.channels, *_sides(layer, source))
+        return self._add_step(SUM, inputs, output, weights, np.zeros(source.channels), **_window(layer))
+
+    def _global_average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
+        (source,) = inputs
+        return self._sum_of_places(source, 1.0 / (source.rows * source.columns), np.zeros(source.channels))
+
+    def _add(self, layer: Layer, inputs: list[Map]) -> Map:
+        first = inputs[0]
+        output = Map(first.channels, first.rows, first.columns)
+        weights = np.ones((len(inputs), first.channels))
+        return self._add_step(SUM, inputs, output, weights, np.zeros(first.channels))
+
+    def _concat(self, layer: Layer, inputs: list[Map]) -> Map:
+        output = Map(sum(source.channels for source in inputs), inputs[0].rows, inputs[0].columns)
+        channel = 0
+        for source in inputs:
+            self._copy(source, output, channel)
+            channel += source.channels
+        return output
+
+    def _flatten(self, layer: Layer, inputs: list[Map]) -> Map:
+        return inputs[0]  # dense layers know their input as a map
+
+    def _heatmap_centroid(self, layer: Layer, inputs: list[Map]) -> Map:
+        return inputs[0]
+
+
+def _window(layer: Layer) -> dict[str, Any]:
+    return {
+        "kernel": tuple(layer["kernel"]),
+        "stride": tuple(layer["stride"]),
+        "padding": tuple(layer["padding"][:2]),
+    }
+
+
+def _sides(layer: Layer, source: Map, dilation: Sequence[int] = (1, 1)) -> tuple[int, int]:
+    top, left, bottom, right = layer["padding"]
+    rows, columns = (
+        (side + padding - (kernel - 1) * step - 1) // stride + 1
+        for side, padding, kernel, step, stride in zip(
+            (source.rows, source.columns),
+            (top + bottom, left + right),
+            layer["kernel"],
+            dilation,
+            layer["stride"],
+            strict=True,
+        )
+    )
+    return rows, columns

@@ -1,0 +1,186 @@
+"""Networks to train: a few that suit small sensors and small machines, or one's own.
+
+Each is a torch module from volumes (N, C, H, W) to logits (N, n_classes), of layers that have a compiled form.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from tnt_reference import heatmap_centroid
+from torch import nn
+
+from async_tnt.checks import one_line
+
+Build = Callable[[int, tuple[int, int], int], nn.Module]
+"""(channels, (width, height), n_classes) -> network."""
+
+
+def thesis(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+    """The thesis' classifier: two convolutions with average pooling, two dense layers. Widths are ours."""
+    width, height = grid
+    return nn.Sequential(
+        OrderedDict(
+            conv1=nn.Conv2d(channels, 16, 3, padding="same"),
+            relu1=nn.ReLU(),
+            pool1=nn.AvgPool2d(2),
+            conv2=nn.Conv2d(16, 32, 3, padding="same"),
+            relu2=nn.ReLU(),
+            pool2=nn.AvgPool2d(2),
+            flatten=nn.Flatten(),
+            fc1=nn.Linear(32 * (height // 4) * (width // 4), 64),
+            relu3=nn.ReLU(),
+            fc2=nn.Linear(64, n_classes),
+        )
+    )
+
+
+def conv4(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+    """Four convolutions with batch norm, three max poolings, the mean over all places, a dense layer."""
+    return nn.Sequential(
+        *_conv(channels, 16),
+        nn.MaxPool2d(2),
+        *_conv(16, 32),
+        nn.MaxPool2d(2),
+        *_conv(32, 64),
+        nn.MaxPool2d(2),
+        *_conv(64, 64),
+        *_head(64, n_classes),
+    )
+
+
+def residual(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+    """A 5x5 convolution with stride 2, two residual blocks, max poolings between."""
+    return nn.Sequential(
+        *_conv(channels, 16, 5, stride=2),
+        Residual(16),
+        nn.MaxPool2d(2),
+        *_conv(16, 32),
+        nn.MaxPool2d(2),
+        Residual(32),
+        *_conv(32, 64),
+        *_head(64, n_classes),
+    )
+
+
+def separable(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+    """Depthwise-separable convolutions: each channel by itself, then 1x1. Few multiplications."""
+    return nn.Sequential(
+        *_conv(channels, 16),
+        nn.MaxPool2d(2),
+        *_separable(16, 32),
+        nn.MaxPool2d(2),
+        *_separable(32, 64),
+        nn.MaxPool2d(2),
+        *_separable(64, 64),
+        *_head(64, n_classes),
+    )
+
+
+NETWORKS: dict[str, Build] = {"thesis": thesis, "conv4": conv4, "residual": residual, "separable": separable}
+SMALLEST = {"thesis": 4, "conv4": 8, "residual": 8, "separable": 8}
+"""The least side of a grid."""
+
+
+class Residual(nn.Module):
+    """relu(x + bn(conv(relu(bn(conv(x))))))"""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = nn.Sequential(*_conv(channels, channels))
+        self.second = nn.Sequential(nn.Conv2d(channels, channels, 3, padding=1, bias=False), nn.BatchNorm2d(channels))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return torch.relu(x + self.second(self.first(x)))
+
+
+def _conv(channels: int, n_filters: int, side: int = 3, stride: int = 1, groups: int = 1) -> list[nn.Module]:
+    """Convolution, batch norm, ReLU."""
+    conv = nn.Conv2d(channels, n_filters, side, stride, padding=side // 2, groups=groups, bias=False)
+    return [conv, nn.BatchNorm2d(n_filters), nn.ReLU()]
+
+
+def _separable(channels: int, n_filters: int) -> list[nn.Module]:
+    return [*_conv(channels, channels, groups=channels), *_conv(channels, n_filters, 1)]
+
+
+def _head(channels: int, n_classes: int) -> list[nn.Module]:
+    return [nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(channels, n_classes)]
+
+
+class HeatmapCentroid(nn.Module):
+    """Heatmaps (N, 1, H, W) to landmarks (N, 2): the mean place under a softmax over all places."""
+
+    def forward(self, exponent: torch.Tensor) -> torch.Tensor:
+        landmark: torch.Tensor = heatmap_centroid(exponent)
+        return landmark
+
+
+def landmark_network(channels: int, n_filters: int = 20) -> nn.Module:
+    """The thesis' landmark regressor: raw volumes (N, C, H, W) to landmarks (N, 2) in grid pixels.
+
+    The 1x1 convolution starts at zero: the first landmark is the image centre, whatever the events.
+    """
+    network: Any = nn.Sequential(
+        OrderedDict(
+            conv1=nn.Conv2d(channels, n_filters, 3, padding="same"),
+            relu1=nn.ReLU(),
+            conv2=nn.Conv2d(n_filters, n_filters, 3, padding="same"),
+            relu2=nn.ReLU(),
+            conv3=nn.Conv2d(n_filters, n_filters, 3, padding="same"),
+            relu3=nn.ReLU(),
+            heatmap=nn.Conv2d(n_filters, 1, 1, bias=False),
+            landmark=HeatmapCentroid(),
+        )
+    )
+    nn.init.zeros_(network.heatmap.weight)
+    made: nn.Module = network
+    return made
+
+
+def build_network(name: str, channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+    """A network by its name, or one's own.
+
+    Parameters
+    ----------
+    name : of `NETWORKS`, or "module.py:build": a Python file and a function in it, which gets the three arguments below
+        and returns a module.
+
+    Raises
+    ------
+    ValueError : no such network, file or function; the grid is too small; or the function fails, or returns no module.
+    """
+    if ":" in name:
+        return _own(name, channels, grid, n_classes)
+    if name not in NETWORKS:
+        raise ValueError(f"a network must be one of {', '.join(NETWORKS)}, or FILE.py:FUNCTION; got {name!r}")
+    if min(grid) < SMALLEST[name]:
+        raise ValueError(f"network {name!r} needs a grid of at least {SMALLEST[name]}x{SMALLEST[name]}, got {grid}")
+    return NETWORKS[name](channels, grid, n_classes)
+
+
+def _own(name: str, channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+    file, function = name.rsplit(":", 1)
+    path = Path(file)
+    if not path.is_file():
+        raise ValueError(f"{name}: no file {path}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ValueError(f"{name}: {path} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+        build: Any = getattr(module, function, None)
+        if not callable(build):
+            raise ValueError(f"it has no function {function!r}")
+        network = build(channels, grid, n_classes)
+    except Exception as error:  # anything that the user's own code raises
+        raise ValueError(f"{name}: {type(error).__name__}: {one_line(error)}") from error
+    if not isinstance(network, nn.Module):
+        raise ValueError(f"{name} must return a torch module, got {type(network).__name__}")
+    return network

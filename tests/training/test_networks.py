@@ -1,0 +1,148 @@
+"""The networks that can be trained, or one's own: what training ends with computes, compiled, what torch computed."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import tnt_reference  # noqa: E402
+from made import random_events  # noqa: E402
+from torch import nn  # noqa: E402
+
+from async_tnt import CompiledClassifier, TNTConfig  # noqa: E402
+from async_tnt.networks.loading import load_model  # noqa: E402
+from async_tnt.training.batches import BatchVolumes  # noqa: E402
+from async_tnt.training.networks import NETWORKS, SMALLEST, build_network, landmark_network  # noqa: E402
+from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export  # noqa: E402
+from async_tnt.training.windows import Recordings, make_windows  # noqa: E402
+
+CONFIG = TNTConfig(sensor=(20, 18), grid=(20, 18), bins=3)
+OWN = """
+from torch import nn
+
+def linear(channels, grid, n_classes):
+    return nn.Sequential(nn.Flatten(), nn.Linear(channels * grid[0] * grid[1], n_classes))
+
+def normed(channels, grid, n_classes):
+    return nn.Sequential(nn.BatchNorm2d(channels), nn.Conv2d(channels, 4, 3), nn.ReLU(), nn.AdaptiveAvgPool2d(1),
+                         nn.Flatten(), nn.Linear(4, n_classes))
+
+def gelu(channels, grid, n_classes):
+    return nn.Sequential(nn.Conv2d(channels, 4, 3), nn.GELU(), nn.Flatten(), nn.LazyLinear(n_classes))
+
+def broken(channels, grid, n_classes):
+    return 1 / 0
+
+def nothing(channels, grid, n_classes):
+    return 3
+"""
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    path = tmp_path_factory.mktemp("own") / "mine.py"
+    path.write_text(OWN)
+    return path
+
+
+@pytest.fixture(scope="module")
+def windows():
+    events = [random_events(300, seed=k, sensor=CONFIG.sensor) for k in range(6)]
+    return make_windows(Recordings.from_events(events, [0, 1, 2] * 2), CONFIG.window_us, duration_us=CONFIG.window_us)
+
+
+@pytest.mark.parametrize("name", [*NETWORKS, "linear", "normed"])
+def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_path):
+    """Batch norms and input scale folded; and so does the pipeline that continues from the model."""
+    pipeline = new_pipeline(CONFIG, 3, 0, windows, name if name in NETWORKS else f"{own}:{name}")
+    optimizer = torch.optim.Adam(pipeline.parameters(), lr=0.01)
+    for _ in range(3):
+        optimizer.zero_grad()
+        nn.functional.cross_entropy(pipeline(windows), torch.from_numpy(windows.labels)).backward()
+        optimizer.step()
+    pipeline.eval()
+    with torch.no_grad():
+        expected = pipeline(windows).numpy()
+        model = load_model(export(pipeline, ("a", "b", "c"), {}).save(tmp_path / "m.safetensors"))
+        again = pipeline_before_export(model, windows)(windows).numpy()
+    compiled = CompiledClassifier(model)
+    found = np.array([compiled(volume) for volume in BatchVolumes(CONFIG)(windows)])
+    assert np.ptp(expected) > 0.01
+    np.testing.assert_allclose(found, expected, atol=1e-4 * max(1, np.abs(expected).max()))
+    np.testing.assert_allclose(again, expected, atol=1e-4 * max(1, np.abs(expected).max()))
+
+
+def test_the_first_two_are_the_references_with_the_same_initial_weights():
+    pairs = [
+        (lambda: build_network("thesis", 3, (20, 18), 5), lambda: tnt_reference.Classifier(3, (20, 18), 5)),
+        (lambda: landmark_network(3), lambda: tnt_reference.LandmarkRegressor(3, (20, 18))),
+    ]
+    volume = torch.randn(2, 3, 18, 20, generator=torch.Generator().manual_seed(1))
+    for ours, reference in pairs:
+        made = []
+        for build in (ours, reference):
+            torch.manual_seed(7)
+            made.append(build())
+        states = [module.state_dict() for module in made]
+        assert states[0].keys() == states[1].keys()
+        assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
+        torch.testing.assert_close(made[0](volume), made[1](volume))
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_smallest_grid(name):
+    side = SMALLEST[name]
+    logits = build_network(name, 2, (side, side), 3).eval()(torch.zeros(1, 2, side, side))
+    assert logits.shape == (1, 3)
+    with pytest.raises(
+        ValueError, match=rf"^network '{name}' needs a grid of at least {side}x{side}, got \(40, {side - 1}\)$"
+    ):
+        build_network(name, 2, (40, side - 1), 3)
+
+
+@pytest.mark.parametrize(
+    "function, message",
+    [
+        ("gelu", "layer '1' is a GELU, which has no compiled form; TorchClassifier"),
+        ("broken", "ZeroDivisionError: division by zero"),
+        ("nothing", "must return a torch module, got int"),
+        ("absent", "ValueError: it has no function 'absent'"),
+    ],
+)
+def test_what_is_wrong_with_ones_own_is_said_before_training(function, message, own, tmp_path, program):
+    out = tmp_path / "m.safetensors"
+    code, _, err = program(
+        "train", "--smoke", "--network", f"{own}:{function}", "--out", out, "--run", tmp_path / "run"
+    )
+    assert code == 2 and f"{own}:{function}" in err and message in err
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (
+            ["--network", "conv5"],
+            "a network must be one of thesis, conv4, residual, separable, or FILE.py:FUNCTION; got 'co",
+        ),
+        (["--network", "no.py:build"], "no.py:build: no file no.py"),
+        (
+            ["--network", "conv4", "--start-from", "digits"],
+            "--network must come without --start-from: the network is that",
+        ),
+    ],
+)
+def test_networks_that_are_refused(words, message, tmp_path, program):
+    code, _, err = program("train", "--smoke", *words, "--out", tmp_path / "m.safetensors", "--run", tmp_path / "run")
+    assert code == 2 and message in err
+
+
+def test_training_one_from_the_command(own, tmp_path, program):
+    out = tmp_path / "m.safetensors"
+    words = ["--network", f"{own}:normed", "--out", out, "--run", tmp_path / "run"]
+    assert program("train", "--smoke", *words)[0] == 0
+    model = load_model(out)
+    assert model.record["network"] == f"{own}:normed"
+    assert [layer["op"] for layer in model.layers["classifier"]][:2] == ["batch_norm", "batch_norm"]
+    code, printed, _ = program("check", "--model", out)
+    assert code == 0 and "stream and batch are equal" in printed
