@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.kernels.program import MAXIMUM, MIX, SUM
-from async_tnt.networks.graph import VOLUME, Layer
+from async_tnt.networks.graph import VOLUME, Layer, layer_shapes
 
 INF = np.float32(np.inf)
 
@@ -91,12 +91,14 @@ def steps_of(layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndar
 
     The last layer may be a `heatmap_centroid`, which is no step: then the output is its heatmap.
     """
-    return _Lowering(layers, tensors).run(volume)
+    return _Lowering(layers, volume, tensors).run()
 
 
 class _Lowering:
-    def __init__(self, layers: Sequence[Layer], tensors: Mapping[str, np.ndarray]) -> None:
-        self._layers, self._tensors = layers, tensors
+    def __init__(self, layers: Sequence[Layer], volume: Map, tensors: Mapping[str, np.ndarray]) -> None:
+        self._layers, self._volume, self._tensors = layers, volume, tensors
+        shape = volume.channels, volume.rows, volume.columns
+        self._shapes: Mapping[str, Any] = layer_shapes(layers, shape, {name: w.shape for name, w in tensors.items()})
         self._readers = self._count_readers()
         self._steps: list[Step] = []
         self._name = ""  # of the layer that is next
@@ -117,8 +119,8 @@ class _Lowering:
         readers.update({name: readers[origin] - readers[name] for name, origin in origins.items()})
         return readers
 
-    def run(self, volume: Map) -> tuple[list[Step], Map]:
-        self._maps[VOLUME] = volume
+    def run(self) -> tuple[list[Step], Map]:
+        self._maps[VOLUME] = volume = self._volume
         for layer in self._layers:
             inputs = [self._maps[name] for name in layer["inputs"]]
             self._name = layer["name"]
@@ -154,7 +156,7 @@ class _Lowering:
         n_filters, per_group = w.shape[:2]
         bias = self._tensor(layer, "bias", 0.0, n_filters)
         options = _window(layer) | {"dilation": tuple(layer["dilation"])}
-        output = Map(n_filters, *_sides(layer, source, layer["dilation"]))
+        output = Map(*self._shapes[layer["name"]])
         if layer["groups"] == n_filters == source.channels:
             return self._add_step(SUM, inputs, output, w.reshape(n_filters, -1).T, bias, **options)
         return self._add_step(MIX, inputs, output, w, bias, groups=source.channels // per_group, **options)
@@ -221,7 +223,7 @@ class _Lowering:
         if any(layer["padding"]):  # with what is less than any number
             framed = replace(source, fill=-np.inf, frame=(0, 0, 0, 0), writers=[])
             source = self._copy(source, framed)
-        output = Map(source.channels, *_sides(layer, source))
+        output = Map(*self._shapes[layer["name"]])
         return self._add_step(MAXIMUM, [source], output, [], np.zeros(source.channels), **_window(layer))
 
     def _average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
@@ -235,7 +237,7 @@ class _Lowering:
         if tuple(layer["kernel"]) == (source.rows, source.columns) and not any(layer["padding"]):
             return self._sum_of_places(source, factor, np.zeros(source.channels))
         weights = np.full((layer["kernel"][0] * layer["kernel"][1], source.channels), factor)
-        output = Map(source.channels, *_sides(layer, source))
+        output = Map(*self._shapes[layer["name"]])
         return self._add_step(SUM, inputs, output, weights, np.zeros(source.channels), **_window(layer))
 
     def _global_average_pool(self, layer: Layer, inputs: list[Map]) -> Map:
@@ -269,19 +271,3 @@ def _window(layer: Layer) -> dict[str, Any]:
         "stride": tuple(layer["stride"]),
         "padding": tuple(layer["padding"][:2]),
     }
-
-
-def _sides(layer: Layer, source: Map, dilation: Sequence[int] = (1, 1)) -> tuple[int, int]:
-    top, left, bottom, right = layer["padding"]
-    rows, columns = (
-        (side + padding - (kernel - 1) * step - 1) // stride + 1
-        for side, padding, kernel, step, stride in zip(
-            (source.rows, source.columns),
-            (top + bottom, left + right),
-            layer["kernel"],
-            dilation,
-            layer["stride"],
-            strict=True,
-        )
-    )
-    return rows, columns
