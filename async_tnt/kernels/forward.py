@@ -10,7 +10,7 @@ import numpy as np
 from . import program as P
 from .jit import compiled, inlined
 from .simd import LANES
-from .tiles import max_tile, mix_tile_1, mix_tile_2, sum_tile
+from .tiles import PLACES, max_tile, mix_tile_1, mix_tile_2, sum_tile
 
 
 @compiled
@@ -77,9 +77,9 @@ def _mix(program, at, n, weights, maps, places):
 @inlined
 def _tile_size(n):
     """How many of n places the next tile computes: one of `SIZES`, at most one more than n."""
-    if n >= 11:
+    if PLACES == 12 and n >= 11:
         return 12
-    if n >= 7:
+    if PLACES == 12 and n >= 7:
         return 8
     if n >= 5:
         return 6

@@ -14,8 +14,9 @@ from . import program as P
 from .jit import inlined
 from .simd import INDEX, LANES, VECTOR, ZERO, fma, vectorized, whole
 
-SIZES = 1, 2, 4, 6, 8, 12
-"""How many places a tile of a MIX may have: each number has code of its own, which takes time to compile."""
+SIZES = (1, 2, 4, 6, 8, 12) if LANES == 16 else (1, 2, 4, 6)
+"""How many places a tile of a MIX may have: as fit in the registers, 32 of 16 lanes or 16 of 8. Each number has code of
+its own, which takes time to compile."""
 PLACES = SIZES[-1]
 WORDS = ir.VectorType(ir.IntType(32), LANES)
 
