@@ -25,13 +25,12 @@ from draw_decisions import draw_decisions
 from measure_noise import bench_on_noise, fastest
 from measure_singles import bench_singles
 from measure_touched import bench_touched
-from script_options import report_of, script_parser, write_outputs
+from script_options import run_script, script_parser
 
 from async_tnt import load_model, warmup
 from async_tnt.checking import backends
 from async_tnt.checking.bench_every_event import bench_every_event
 from async_tnt.checking.bench_network import bench_network
-from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
 from async_tnt.progress import Bar, progress
@@ -162,17 +161,7 @@ def _turns(rows: dict[str, Any], mode: str) -> Iterator[str]:
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
     parser = script_parser(__doc__, "few rounds", draws=True)
-    args = parser.parse_args(argv)
-    try:
-        report = report_of(args, lambda: measure(QUICK if args.quick else FULL, args.quick))
-    except (OSError, ValueError) as error:
-        parser.error(str(error))
-    except WorkDiffers as error:
-        print(f"{parser.prog}: {error}", file=sys.stderr)
-        return 1
-    print("\n".join(lines(report)))
-    write_outputs(args, report, draw_decisions)
-    return 0
+    return run_script(parser, argv, lambda quick: measure(QUICK if quick else FULL, quick), lines, draw_decisions)
 
 
 if __name__ == "__main__":

@@ -21,14 +21,13 @@ if __name__ == "__main__":  # before any library reads them
 import torch
 from draw_incremental import draw_incremental
 from measure_touched import bench_touched
-from script_options import report_of, script_parser, write_outputs
+from script_options import run_script, script_parser
 from torch import nn
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, warmup
 from async_tnt.checking import backends
 from async_tnt.checking.bench_every_event import bench_every_event
 from async_tnt.checking.bench_network import bench_network
-from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import machine, machine_text, one_thread
 from async_tnt.progress import progress
@@ -126,17 +125,9 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure and print."""
-    args = script_parser(__doc__, "a few decisions of each", draws=True).parse_args(argv)
-    settings = QUICK if args.quick else FULL
-    try:
-        report = report_of(args, lambda: measure(settings, args.quick))
-    except (OSError, ValueError, WorkDiffers) as error:
-        print(f"incremental.py: {error}", file=sys.stderr)
-        return 2
-    print("\n".join(lines(report)))
-    write_outputs(args, report, draw_incremental)
-    return 0
+    """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
+    parser = script_parser(__doc__, "a few decisions of each", draws=True)
+    return run_script(parser, argv, lambda quick: measure(QUICK if quick else FULL, quick), lines, draw_incremental)
 
 
 if __name__ == "__main__":

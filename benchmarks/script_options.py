@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.cli.options import writable_file
 from async_tnt.files import write_text
 from async_tnt.views.figure_style import check_picture, save, styled
@@ -35,6 +37,28 @@ def report_of(args: argparse.Namespace, measure: Callable[[], dict[str, Any]]) -
     if args.picture:
         check_picture(args.picture)
     return json.loads(args.source.read_text(encoding="utf-8")) if args.source else measure()
+
+
+def run_script(
+    parser: argparse.ArgumentParser,
+    argv: list[str] | None,
+    measure: Callable[[bool], dict[str, Any]],
+    lines: Callable[[dict[str, Any]], Iterable[str]],
+    draw: Callable[[Any], Any],
+) -> int:
+    """Measure (given --quick) or read, print, and write JSON and the picture if asked. Returns the exit code: 1 if
+    backends do not agree."""
+    args = parser.parse_args(argv)
+    try:
+        report = report_of(args, lambda: measure(args.quick))
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    except WorkDiffers as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 1
+    print("\n".join(lines(report)))
+    write_outputs(args, report, draw)
+    return 0
 
 
 def write_outputs(args: argparse.Namespace, report: dict[str, Any], draw: Callable[[Any], Any] | None = None) -> None:

@@ -38,6 +38,7 @@ from typing import Any
 VOLUME = "volume"
 CLASSIFIER, REGRESSOR = "classifier", "regressor"
 MAX_SIDE = 1 << 15
+MAX_NUMBERS = 1 << 28  # of a map with its padding: a gigabyte
 
 Layer = Mapping[str, Any]
 Network = Mapping[str, Sequence[Layer]]
@@ -78,6 +79,8 @@ def layer_shapes(
             if name in shapes:
                 raise ValueError("another layer has this name")
             shapes[name] = _shape_of(layer, shapes, tensors)
+            if math.prod(shapes[name]) > MAX_NUMBERS or max(shapes[name][1:], default=1) >= MAX_SIDE:
+                raise ValueError(f"{shapes[name]} are more than {MAX_NUMBERS:_} numbers, or {MAX_SIDE:_} a side")
             if _is_flat_map(layer, shapes, flat_maps):
                 flat_maps.add(name)
         except ValueError as error:
@@ -194,6 +197,8 @@ def _windowed(layer: Layer, shape: Shape, dilation: Sequence[int] = (1, 1)) -> t
     if len(shape) != 3:
         raise ValueError(f"its input must be a map (C, H, W), got {shape}")
     top, left, bottom, right = layer["padding"]
+    if shape[0] * (shape[1] + top + bottom) * (shape[2] + left + right) > MAX_NUMBERS:
+        raise ValueError(f"its input {shape} with padding {layer['padding']} has more than {MAX_NUMBERS:_} numbers")
     sides = []
     for axis, side in enumerate((shape[1] + top + bottom, shape[2] + left + right)):
         reach = (layer["kernel"][axis] - 1) * dilation[axis] + 1

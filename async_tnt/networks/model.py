@@ -167,13 +167,18 @@ def _check_network(network: Any, weights: Mapping[str, np.ndarray], config: TNTC
     expected = {CLASSIFIER, *([REGRESSOR] if config.needs_regressor else [])}
     if set(network) != expected:
         raise ValueError(f"`network` must hold {', '.join(sorted(expected))} here, got {', '.join(sorted(network))}")
-    shapes = {name: w.shape for name, w in weights.items()}
-    outputs = {name: list(layer_shapes(layers, config.shape, shapes).values())[-1] for name, layers in network.items()}
-    if outputs[CLASSIFIER] not in ((n_classes,), (n_classes, 1, 1)):
-        raise ValueError(f"the network must compute {n_classes} logits, one for each class, got {outputs[CLASSIFIER]}")
+    tensors = {name: w.shape for name, w in weights.items()}
+    shapes = {name: layer_shapes(layers, config.shape, tensors) for name, layers in network.items()}
+    logits = list(shapes[CLASSIFIER].values())[-1]
+    if logits not in ((n_classes,), (n_classes, 1, 1)):
+        raise ValueError(f"the network must compute {n_classes} logits, one for each class, got {logits}")
     centroids = [layer for layers in network.values() for layer in layers if layer["op"] == CENTROID]
     if centroids != [layers[-1] for name, layers in network.items() if name == REGRESSOR]:
         raise ValueError(f"a {CENTROID} must be the last layer of a regressor, and nowhere else")
+    for layer in centroids:
+        heatmap = shapes[REGRESSOR][layer["inputs"][0]]
+        if heatmap != (1, *config.shape[1:]):
+            raise ValueError(f"the heatmap must be of shape {(1, *config.shape[1:])}, as the volume, got {heatmap}")
     unused = set(weights) - set().union(*(tensors_of(layers) for layers in network.values()))
     if unused:
         raise ValueError(f"no layer has the weights {', '.join(sorted(unused))}")

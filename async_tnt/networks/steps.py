@@ -16,8 +16,6 @@ import numpy as np
 from async_tnt.kernels.program import MAXIMUM, MIX, SUM
 from async_tnt.networks.graph import VOLUME, Layer, layer_shapes
 
-INF = np.float32(np.inf)
-
 
 @dataclass(eq=False)
 class Map:

@@ -165,3 +165,28 @@ def test_networks_that_are_none(network, error):
         Model(SMALL, changed(), ("a", "b", "c"), network=network)
     with pytest.raises(ValueError, match=r"^`network` must hold classifier, regressor here, got classifier$"):
         Model(WITH_REGRESSOR, changed(), ("a", "b", "c"), network=thesis_network(SMALL))
+
+
+def test_a_heatmap_of_other_places_than_the_volumes_is_refused():
+    """Its places are grid pixels; the kernel reads as many as the volume has."""
+    network = copy.deepcopy(thesis_network(WITH_REGRESSOR))
+    pool = {
+        "op": "max_pool",
+        "name": "p",
+        "inputs": ["heatmap"],
+        "kernel": [2, 2],
+        "stride": [2, 2],
+        "padding": [0] * 4,
+    }
+    network["regressor"].insert(-1, pool)
+    network["regressor"][-1]["inputs"] = ["p"]
+    message = r"^the heatmap must be of shape \(1, 6, 5\), as the volume, got \(1, 3, 2\)$"
+    with pytest.raises(ValueError, match=message):
+        Model(WITH_REGRESSOR, changed(WITH_REGRESSOR), ("a", "b", "c"), network=network)
+
+
+@pytest.mark.parametrize("padding", [[20_000] * 4, [30_000, 0, 30_000, 0], [0, 16_384, 0, 16_384]])
+def test_padding_that_would_fill_the_memory_or_the_numbers_of_places_is_refused(padding):
+    network = edited(update(0, padding=padding))
+    with pytest.raises(ValueError, match=r"^layer 'conv1' \(conv\): .* more than 268_435_456 numbers"):
+        Model(SMALL, changed(), ("a", "b", "c"), network=network)
