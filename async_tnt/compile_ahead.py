@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import subprocess
 import sys
@@ -20,15 +21,16 @@ from async_tnt.process import available_cores
 PATIENCE_S, PATIENCE_OF_LOGS_S = 1.0, 5.0  # silent until then, on a terminal and elsewhere
 CHILD_S = 120.0  # a child that takes longer is not waited for
 
-PACKETS = {"load_records", "check_columns", "empty_volume", "absorb"}
-OTHER_EVENTS = {"absorb_one", "find_late"}
+EVENTS = {"load_records", "check_columns", "empty_volume", "absorb", "absorb_one"}
+LATE = {"find_late"}
 REPLAY = {"store_events", "cells_to_float32"}
-NETWORK = {"classify_cells"}
-REGRESSOR = {"find_landmark"}
+CLASSIFIER = {"classify_cells"}
+WHOLE_NETWORK = {"set_input", "forward"}
+REGRESSOR = WHOLE_NETWORK | {"centroid"}
 OTHER_CLASSIFIERS = {"cells_to_float32", "softmax"}
 EVENT_TRIGGERS = {"advance_triggers", "why_due"}
 # What another process compiles meanwhile: about half of the work, and nothing of it is part of the other half.
-OTHER_HALF = ("classify_cells", "find_landmark")
+OTHER_HALF = CLASSIFIER | REGRESSOR | {"cells_to_float32"}
 
 
 def warmup(model: Model | TNTConfig | None = None) -> float:
@@ -46,51 +48,56 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     float : seconds it took.
     """
     config = model.config if isinstance(model, Model) else model
-    kernels = PACKETS | OTHER_EVENTS | OTHER_CLASSIFIERS | EVENT_TRIGGERS
+    kernels = EVENTS | LATE | OTHER_CLASSIFIERS | EVENT_TRIGGERS
     if config is None or config.needs_replay:
         kernels |= REPLAY
     if config is None or config.needs_regressor:
         kernels |= REGRESSOR
     if config is None or isinstance(model, Model):
-        kernels |= NETWORK | {"classify_array", "absorb_and_decide"}
+        kernels |= CLASSIFIER | WHOLE_NETWORK | {"absorb_and_decide"}
     return compile_kernels(kernels)
 
 
-def compile_for(config: TNTConfig, *, compiled: bool, late: str = "accept", **triggers: Any) -> float:
-    """`warmup` for a Processor whose settings will not change and that takes packets: what it calls, and nothing else.
+def compile_for(config: TNTConfig, *, compiled: bool, late: str, by_event: bool) -> float:
+    """`warmup` for a Processor whose settings will not change: what it calls, and nothing else.
 
     Parameters
     ----------
     config : TNTConfig.
-    compiled : whether the model's own compiled networks decide.
-    late, triggers : see `Processor`; other arguments of it are ignored.
+    compiled : whether a CompiledClassifier decides.
+    late : see `Processor`.
+    by_event : whether a trigger looks at every event.
     """
-    kernels = PACKETS | (NETWORK if compiled else OTHER_CLASSIFIERS)
+    kernels = EVENTS | (CLASSIFIER if compiled else OTHER_CLASSIFIERS)
     if late != "accept":
-        kernels |= {"find_late"}
+        kernels |= LATE
     if config.needs_replay:
         kernels |= REPLAY
     if config.needs_regressor and compiled:
         kernels |= REGRESSOR
-    if any(triggers.get(name) is not None for name in ("every_events", "confidence", "activity")):
-        kernels |= {"absorb_and_decide"} if compiled and not config.needs_replay else EVENT_TRIGGERS
+    if by_event:
+        kernels |= EVENT_TRIGGERS
+        if compiled and not config.needs_replay:
+            kernels |= {"absorb_and_decide"}
     return compile_kernels(kernels)
 
 
 def compile_kernels(names: Iterable[str]) -> float:
     """Compile these kernels, or load them from Numba's cache; returns the seconds it took."""
     started = time.perf_counter()
+    missing = {name for name in names if not _is_compiled(name)}
+    if not missing:
+        return 0.0
     patience_s = PATIENCE_S if sys.stderr.isatty() else PATIENCE_OF_LOGS_S
     notice = threading.Timer(patience_s, _explain_wait)
     notice.daemon = True
     notice.start()
     try:
-        names = set(names)
-        wanted = [name for name in ENTRY_POINTS if name in names]  # in the order of compilation
+        wanted = [name for name in ENTRY_POINTS if name in missing]  # in the order of compilation
         child = _start_child([name for name in wanted if name in OTHER_HALF])
         if child is not None:
             with _ending(child):
-                _compile(name for name in wanted if name not in (*OTHER_HALF, "absorb_and_decide"))
+                _compile(name for name in wanted if name not in OTHER_HALF | {"absorb_and_decide"})
         _compile(wanted)  # what the child has compiled is loaded
     finally:
         notice.cancel()
@@ -98,10 +105,21 @@ def compile_kernels(names: Iterable[str]) -> float:
 
 
 def _compile(names: Iterable[str]) -> None:
-    for name in names:
-        kernel, types = ENTRY_POINTS[name]
-        if types not in kernel.overloads:
-            kernel.compile(types)
+    collecting = gc.isenabled()
+    gc.disable()  # a tenth of the time, and Numba makes no garbage in the meantime
+    try:
+        for name in names:
+            if not _is_compiled(name):
+                kernel, types = ENTRY_POINTS[name]
+                kernel.compile(types)
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def _is_compiled(name: str) -> bool:
+    kernel, types = ENTRY_POINTS[name]
+    return types in kernel.overloads
 
 
 def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
@@ -34,8 +33,7 @@ class Engine:
         return self.model.config if isinstance(self.model, Model) else self.model
 
     def processor(self, **settings: Any) -> Processor:
-        """A Processor that decides by these networks; `settings` are its own. What it calls has been compiled."""
-        compile_for(self.config, compiled=not self.networks, **settings)
+        """A Processor that decides by these networks; `settings` are its own."""
         return Processor(self.model, classes=self.classes, **self.networks, **settings)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from async_tnt.checked_tensors import checked_array, read_state, state_bytes, with_prefix, without_prefix
 from async_tnt.checks import checked_time
+from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.events import Columns, EventDecoder
@@ -93,13 +94,15 @@ class Processor:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         self._classifier = WindowClassifier(self.config, classifier, classes)
         self._start_us = start_us = None if start_us is None else checked_time("start_us", start_us)
+        self._triggers = Triggers()
+        self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
+        by_event = self._triggers.by_event
+        compile_for(self.config, compiled=self._classifier.is_compiled, late=late, by_event=by_event)
         self._decoder = EventDecoder(self.config.sensor, late)
         self._new_windows = partial(WindowScheduler, self.config, hop_us, start_us, replay_events, regressor)
         self._windows = self._new_windows()
         hop_us = self._windows.hop_us
         self._fixed = {"config": self.config.to_dict(), "hop_us": hop_us, "start_us": start_us, "late": late}
-        self._triggers = Triggers()
-        self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
         self.reset()
 
     def __repr__(self) -> str:

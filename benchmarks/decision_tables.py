@@ -152,7 +152,7 @@ def starts() -> str:
     steps = {
         "import": "import",
         "load": "load the model",
-        "warmup": "`warmup`",
+        "processor": "`Processor`",
         "decision": "first decision",
         "first_decision": "total",
     }

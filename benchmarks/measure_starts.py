@@ -27,13 +27,12 @@ WORK = {
 NEEDS = {"onnxruntime": ("onnx", "onnxruntime"), "torch": ("torch", "tnt_reference")}
 
 _OURS = """
-from async_tnt import Processor, load_model, warmup
+from async_tnt import Processor, load_model
 step("import")
 model = load_model(arguments["model"])
 step("load")
-warmup(model)
-step("warmup")
 processor = Processor(model, start_us=0)
+step("processor")
 processor.push_one(1000, 1, 1, 1)
 processor.fire()
 step("decision")

@@ -42,6 +42,5 @@ def run(name: str, processor: async_tnt.Processor, **settings: object) -> None:
 
 
 model = async_tnt.load_model("digits")
-async_tnt.warmup(model)  # compile now, not while packets arrive
 run("every packet", async_tnt.Processor(model), max_packets=1_000)
 run("the newest", async_tnt.Processor(model), max_packets=4, latest=True)

@@ -8,7 +8,6 @@ import async_tnt
 from async_tnt.sources import open_recording, sample_recordings
 
 model = async_tnt.load_model("digits")
-async_tnt.warmup(model)  # compile now, not at the first packet
 processor = async_tnt.Processor(model)
 
 

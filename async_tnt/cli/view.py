@@ -13,7 +13,6 @@ from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, 
 from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected
-from async_tnt.compile_ahead import warmup
 from async_tnt.engines import choose_engine
 from async_tnt.files import check_writable
 from async_tnt.progress import progress
@@ -80,7 +79,6 @@ def main(args: argparse.Namespace) -> int:
     pixels = selector_of(args, engine.model)
     sources = [path if isinstance(path, str) else open_selected(path, pixels) for path in paths_of(args)]
     speed = args.speed or (1.0 if args.out is None else math.inf)
-    warmup(engine.model)
     live = any(isinstance(source, str) for source in sources)
     view = RerunView(
         engine.model,

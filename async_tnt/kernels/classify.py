@@ -1,4 +1,4 @@
-"""From a volume to logits and probabilities, in one call; from a packet to all its decisions, in one call."""
+"""From a window to its class, in one call; from a packet to all its decisions, in one call."""
 
 import numpy as np
 
@@ -8,23 +8,15 @@ from . import trigger as T
 from .absorb import absorb
 from .forward import forward
 from .jit import compiled, compiled_without_gil
-from .sync_input import set_input, sync_input
+from .sync_input import sync_input
 
 DONE, FULL, CLOSE, NOT_FINITE = range(4)  # why absorb_and_decide returned
 DECISION_FIELDS = 4  # of a decision in `notes`: events, newest time, trigger, class
 
 
 @compiled
-def classify_array(volume, program, weights, maps, places, logits):
-    """The whole network: volume (C, H, W) -> logits (n_classes,)."""
-    set_input(volume, program, maps, places)
-    forward(program, weights, maps, places)
-    _copy_logits(program, maps, logits)
-
-
-@compiled
 def classify_cells(buffer, program, weights, maps, places, logits, probabilities):
-    """The same for a volume's `state`, where only what has changed since the last call is computed.
+    """Logits and probabilities of a volume's `state`; only what has changed since the last call is computed.
 
     Returns
     -------
@@ -32,7 +24,9 @@ def classify_cells(buffer, program, weights, maps, places, logits, probabilities
     """
     sync_input(buffer, program, maps, places)
     forward(program, weights, maps, places)
-    _copy_logits(program, maps, logits)
+    at = np.uint64(program[P.OUTPUT])
+    for k in range(logits.size):
+        logits[k] = maps[at + np.uint64(k)]
     return softmax(logits, probabilities)
 
 
@@ -86,13 +80,6 @@ def absorb_and_decide(
         if at_limit:
             break
     return first, n, DONE
-
-
-@compiled
-def _copy_logits(program, maps, logits):
-    at = np.uint64(program[P.OUTPUT])
-    for k in range(logits.size):
-        logits[k] = maps[at + np.uint64(k)]
 
 
 @compiled

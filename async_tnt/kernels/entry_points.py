@@ -5,10 +5,12 @@ from typing import Any
 from numba import boolean, float32, float64, int64, types, uint32
 
 from .absorb import absorb, absorb_one, store_events
-from .classify import absorb_and_decide, classify_array, classify_cells, softmax
-from .heatmap import find_landmark
+from .classify import absorb_and_decide, classify_cells, softmax
+from .forward import forward
+from .heatmap import centroid
 from .readout import cells_to_float32, empty_volume
 from .records import CHECK_TYPES, COLUMN_TYPES, LOAD_TYPES, check_columns, find_late, load_records
+from .sync_input import set_input
 from .trigger import advance_triggers, why_due
 
 _STATE = _TRIGGER = float64[::1]
@@ -30,8 +32,9 @@ ENTRY_POINTS: dict[str, tuple[Any, tuple[Any, ...]]] = {
         (advance_triggers, (_TRIGGER, _STATE, int64[::1], int64, int64)),
         (why_due, (_TRIGGER, int64, int64, boolean)),
         (softmax, (float32[::1], float64[::1])),
-        (find_landmark, (_VOLUME, *_NETWORK)),
-        (classify_array, (_VOLUME, *_NETWORK, float32[::1])),
+        (set_input, (_VOLUME, int64[::1], float32[::1])),
+        (forward, _NETWORK),
+        (centroid, (float32[::1], int64, int64, int64)),
         (classify_cells, (_STATE, *_NETWORK, float32[::1], float64[::1])),
         (
             absorb_and_decide,

@@ -8,12 +8,12 @@ of it, so an update and a whole pass cannot differ in a bit.
 import numpy as np
 
 from . import program as P
-from .jit import compiled, inlined
+from .jit import compiled, compiled_without_gil, inlined
 from .simd import LANES
 from .tiles import PLACES, max_tile, mix_tile_1, mix_tile_2, sum_tile
 
 
-@compiled
+@compiled_without_gil
 def forward(program, weights, maps, places):
     """Bring the output up to date with the input.
 

@@ -5,18 +5,7 @@ l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x])          in grid pixe
 
 import numpy as np
 
-from . import program as P
-from .forward import forward
 from .jit import compiled
-from .sync_input import set_input
-
-
-@compiled
-def find_landmark(volume, program, weights, maps, places):
-    """The whole network: raw volume (C, H, W) -> landmark (x, y) in grid pixels; parameters as for `classify_array`."""
-    set_input(volume, program, maps, places)
-    forward(program, weights, maps, places)
-    return centroid(maps[program[P.OUTPUT] :], program[P.OUTPUT_DY], program[P.WIDTH], program[P.HEIGHT])
 
 
 @compiled

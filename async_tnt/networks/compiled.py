@@ -7,9 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.kernels.classify import classify_array, classify_cells
-from async_tnt.kernels.heatmap import find_landmark
-from async_tnt.kernels.program import EPOCH
+from async_tnt.kernels.classify import classify_cells
+from async_tnt.kernels.heatmap import centroid
+from async_tnt.kernels.program import EPOCH, OUTPUT_DY
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
 from async_tnt.networks.program import StepWork, VolumeInput, make_program
@@ -57,9 +57,7 @@ class CompiledClassifier:
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """Logits of one volume: float32, shape (n_classes,), a new array."""
-        logits = np.empty(self.n_classes, np.float32)
-        classify_array(self._input(volume), *self.network, logits)
-        return logits
+        return self._program.run(self._input(volume))[: self.n_classes].copy()
 
     def refresh(self, volume: Volume) -> np.ndarray:
         """Logits of a volume's open window, a new array; quick where little has changed since the last call.
@@ -107,7 +105,8 @@ class CompiledRegressor:
 
     def __call__(self, volume: np.ndarray) -> tuple[float, float]:
         """The landmark of one raw volume, float64; nan where the network's float32 numbers overflow."""
-        x, y = find_landmark(self._input(volume), *self._program.arrays)
+        exponent, (_, height, width) = self._program.run(self._input(volume)), self.shape
+        x, y = centroid(exponent, int(self._program.arrays.program[OUTPUT_DY]), width, height)
         return x, y
 
     def heatmap(self, volume: np.ndarray) -> np.ndarray:

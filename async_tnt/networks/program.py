@@ -10,7 +10,9 @@ import numpy as np
 
 from async_tnt.checks import plain_array
 from async_tnt.kernels import program as P
+from async_tnt.kernels.forward import forward
 from async_tnt.kernels.simd import LANES
+from async_tnt.kernels.sync_input import set_input
 from async_tnt.networks.graph import Layer
 from async_tnt.networks.steps import Map, Step, steps_of
 
@@ -45,6 +47,13 @@ class Program:
     arrays: ProgramArrays
     output: tuple[int, int, int]
     steps: list[StepWork]
+
+    def run(self, volume: np.ndarray) -> np.ndarray:
+        """Compute the whole network: volume, as `VolumeInput` returns it -> the output's numbers, a view that begins
+        with the first and may go on behind the last."""
+        set_input(volume, self.arrays.program, self.arrays.maps)
+        forward(*self.arrays)
+        return self.arrays.maps[self.arrays.program[P.OUTPUT] :]
 
     def output_map(self) -> np.ndarray:
         """The last map: (rows, columns, channels), a view."""

@@ -13,7 +13,6 @@ import sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from async_tnt import CompiledClassifier, EVENT_DTYPE, LeakyIntegrator, Processor, TNTConfig, warmup
-from async_tnt.engines import choose_engine, Engine
 from made import random_model
 
 def compiled():
@@ -55,13 +54,14 @@ warmup(TNTConfig(landmark="window"))
 before = compiled() - missed
 stream_all(TNTConfig(landmark="window"), classifier=lambda volume: [0.0])
 """,
-    "a_processor_of_an_engine": """
-engines = [Engine("compiled", model, model.classes) for model in MODELS.values()]
-engines.append(Engine("other", TNTConfig(), ("a",), {"classifier": lambda volume: [0.0]}))
-processors = [engine.processor(**settings) for engine in engines for settings in TRIGGERS]
+    "a_processor_is_made": """
+streams = [(model, {}) for model in MODELS.values()] + [(TNTConfig(), {"classifier": lambda volume: [0.0]})]
+processors = [Processor(model, **networks, **settings) for model, networks in streams for settings in TRIGGERS]
 before = compiled()
 for processor in processors:
-    processor.push(records), processor.push(columns), processor.fire(), processor.finish()
+    for packet in (records, columns, (300_000, 1, 1, 1)):
+        processor.push(packet)
+    processor.fire(), processor.finish()
 """,
 }
 
@@ -76,6 +76,7 @@ def test_nothing_is_compiled_after(case, pytestconfig):
 
 @pytest.mark.parametrize("compiling", [True, False])
 def test_a_long_wait_for_the_compiler_is_explained_and_one_for_the_disk_is_not(compiling, monkeypatch, capsys):
+    monkeypatch.setattr(compile_ahead, "_is_compiled", lambda name: False)
     monkeypatch.setattr(compile_ahead, "_is_compiling", lambda: compiling)
     monkeypatch.setattr(compile_ahead, "_compile", lambda names: compile_ahead._explain_wait())
     assert async_tnt.warmup() > 0
@@ -85,6 +86,7 @@ def test_a_long_wait_for_the_compiler_is_explained_and_one_for_the_disk_is_not(c
 @pytest.fixture
 def cold(monkeypatch):
     """As on a machine with two cores where nothing has been compiled yet."""
+    monkeypatch.setattr(compile_ahead, "_is_compiled", lambda name: False)
     monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel, types: False)
     monkeypatch.setattr(compile_ahead, "available_cores", lambda: 2)
 
