@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.entry_points import ENTRY_POINTS
