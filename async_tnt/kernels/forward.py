@@ -9,6 +9,7 @@ import numpy as np
 
 from . import program as P
 from .jit import compiled, compiled_without_gil, inlined
+from .marks import list_marked, mark, words_of
 from .simd import LANES
 from .tiles import PLACES, max_tile, mix_tile_1, mix_tile_2, sum_tile
 
@@ -128,16 +129,14 @@ def _list_dirty(program, at, places):
         return _list_all(program, at, places)
     if total == 0:
         return 0
-    n = 0
+    marks = places.view(np.uint64)
+    first_row, last_row = program[at + P.ROWS], np.int64(-1)
     for s in range(sources, sources + program[at + P.N_SOURCES]):
         first = program[program[s]]
-        n = _list_reached(program, at, places, first, first + program[program[s] + 1], n)
-    flags = places.view(np.uint8)
-    columns = program[at + P.COLUMNS]
-    for k in range(program[P.LIST], program[P.LIST] + n):
-        place = np.int64(places[np.uint64(k)])
-        flags[np.uint64((place >> 16) * columns + (place & 0xFFFF))] = 0
-    return n
+        top, bottom = _mark_reached(program, at, places, marks, first, first + program[program[s] + 1])
+        first_row, last_row = min(first_row, top), max(last_row, bottom)
+    end = list_marked(marks, words_of(program[at + P.COLUMNS]), first_row, last_row, places, program[P.LIST])
+    return end - program[P.LIST]
 
 
 @inlined
@@ -151,20 +150,24 @@ def _list_all(program, at, places):
 
 
 @inlined
-def _list_reached(program, at, places, first, last, n):
-    """List the places that see one of these changed places, y stride - pad + i dilation = changed for a tap i.
+def _mark_reached(program, at, places, marks, first, last):
+    """Mark the places that see one of these changed places, y stride - pad + i dilation = changed for a tap i.
 
     Parameters
     ----------
     first, last : where in `places` the changed places lie.
-    n : how many are listed already; their flags are set.
+    marks : see `marks`.
+
+    Returns
+    -------
+    first_row, last_row : that may be marked.
     """
-    flags = places.view(np.uint8)
     rows, columns = program[at + P.ROWS], program[at + P.COLUMNS]
     stride_y, stride_x = program[at + P.STRIDE_Y], program[at + P.STRIDE_X]
     dilation_y, dilation_x = program[at + P.DILATION_Y], program[at + P.DILATION_X]
     reach_y, reach_x = (program[at + P.KERNEL_Y] - 1) * dilation_y, (program[at + P.KERNEL_X] - 1) * dilation_x
-    end = program[P.LIST] + n
+    words = words_of(columns)
+    first_row, last_row = rows, np.int64(-1)
     k = first
     while k < last:
         place = np.int64(places[np.uint64(k)])
@@ -177,17 +180,20 @@ def _list_reached(program, at, places, first, last, n):
         x_first = _quotient(max(x - reach_x + stride_x - 1, 0), stride_x)
         x_last = min(_quotient(x + n_neighbours - 1, stride_x), columns - 1)
         y_first = _quotient(max(y - reach_y + stride_y - 1, 0), stride_y)
-        for row in range(y_first, min(_quotient(y, stride_y), rows - 1) + 1):
+        y_last = min(_quotient(y, stride_y), rows - 1)
+        if x_first > x_last:
+            continue
+        first_row, last_row = min(first_row, y_first), max(last_row, y_last)
+        for row in range(y_first, y_last + 1):
             if dilation_y > 1 and (y - row * stride_y) % dilation_y:
                 continue
-            for column in range(x_first, x_last + 1):
-                if dilation_x > 1 and (x - column * stride_x) % dilation_x:
-                    continue
-                flag = np.uint64(row * columns + column)
-                places[np.uint64(end)] = row << 16 | column
-                end += 1 - np.int64(flags[flag])
-                flags[flag] = 1
-    return end - program[P.LIST]
+            if dilation_x == 1:
+                mark(marks, words, row, x_first, x_last)
+            else:
+                for column in range(x_first, x_last + 1):
+                    if (x - column * stride_x) % dilation_x == 0:
+                        mark(marks, words, row, column, column)
+    return first_row, last_row
 
 
 @inlined

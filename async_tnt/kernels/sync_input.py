@@ -9,6 +9,7 @@ from llvmlite import ir
 from . import program as P
 from . import state as S
 from .jit import compiled, inlined
+from .marks import list_marked, mark, words_of
 from .readout import cell_at, cell_value, parts_of, strides_of
 from .simd import vectorized
 
@@ -71,12 +72,24 @@ def _copy_pixel(program, maps, y, x):
 
 
 @inlined
+def _copy_row(program, maps, y):
+    """All pixels of a row: plane by plane, which is faster than pixel by pixel."""
+    width, n_channels = program[P.WIDTH], program[P.CHANNELS]
+    for c in range(n_channels):
+        at = np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + c)
+        source = np.uint64(program[P.PLANES] + (c * program[P.HEIGHT] + y) * width)
+        for x in range(width):
+            maps[at] = maps[source + np.uint64(x)]
+            at += np.uint64(n_channels)
+
+
+@inlined
 def _sync_corners(buffer, ints, program, maps, places):
     """The cells of the events since the last call, eight each."""
     n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
     strides = strides_of(ints)
-    flags = places.view(np.uint8)
-    first = end = program[P.INPUT_CHANGED]
+    marks, words = places.view(np.uint64), words_of(width)
+    first_row, last_row = height, np.int64(-1)
     for k in range(program[P.N_SEEN], ints[S.N_LOG]):
         c0, y0, x0 = cell_at(strides, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))])
         for c in range(c0, min(c0 + 2, n_channels)):
@@ -88,14 +101,10 @@ def _sync_corners(buffer, ints, program, maps, places):
                     if maps[np.uint64(plane + x)] != value:
                         maps[np.uint64(plane + x)] = value
                         maps[np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels + c)] = value
-                        flag = np.uint64(y * width + x)
-                        places[np.uint64(end)] = y << 16 | x
-                        end += 1 - flags[flag]
-                        flags[flag] = 1
-    for k in range(first, end):
-        place = np.int64(places[np.uint64(k)])
-        flags[np.uint64((place >> 16) * width + (place & 0xFFFF))] = 0
-    program[P.INPUT_CHANGED + 1] = end - first
+                        mark(marks, words, y, x, x)
+                        first_row, last_row = min(first_row, y), max(last_row, y)
+    end = list_marked(marks, words, first_row, last_row, places, program[P.INPUT_CHANGED])
+    program[P.INPUT_CHANGED + 1] = end - program[P.INPUT_CHANGED]
 
 
 @compiled
@@ -118,11 +127,15 @@ def _sync_all(buffer, ints, program, maps, places):
                 for k in range(0, width, 8):
                     x = min(k, width - 8)  # the last eight overlap those before: they do not differ twice
                     round_eight(buffer, lower + 2 * x, upper + 2 * x, maps, at + x, changed + x)
+        first = end
         for x in range(width):
-            if maps[np.uint64(changed + x)] != 0 or program[P.EPOCH] == 0:
-                _copy_pixel(program, maps, y, x)
-                places[np.uint64(end)] = y << 16 | x
-                end += 1
+            places[np.uint64(end)] = y << 16 | x
+            end += np.int64(maps[np.uint64(changed + x)] != 0 or program[P.EPOCH] == 0)
+        if 2 * (end - first) > width:
+            _copy_row(program, maps, y)
+        else:
+            for k in range(first, end):
+                _copy_pixel(program, maps, y, np.int64(places[np.uint64(k)]) & 0xFFFF)
     program[P.INPUT_CHANGED + 1] = end - program[P.INPUT_CHANGED]
 
 

@@ -81,7 +81,7 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
     program[[P.N_STEPS, P.CHANNELS, P.HEIGHT, P.WIDTH, P.STALE]] = len(steps), channels, height, width, 1
     tables: list[int] = []
     places = _Arena()
-    places.take(-(-max(part.rows * part.columns for part in maps) // 4))  # flags, a byte each
+    places.take(max(part.rows * -(-part.columns // 64) * 2 for part in maps))  # marks, whole uint64 for each row
     program[P.LIST] = places.take(max(part.rows * part.columns for part in maps) + 2)
     program[P.INPUT_CHANGED] = places.take(height * width + 1)
     numbers = _Arena()
