@@ -1,15 +1,27 @@
 """A network, step by step, where it is out of date.
 
-Each step lists the places that a change reaches, computes them, keeps those whose bits differ, and hands their list to
-the steps that read them. With everything out of date this is the plain forward pass. There is no second implementation
+Each step lists the places that a change reaches, computes them, and notes, for the steps that read them, those whose
+bits differ. With everything out of date this is the plain forward pass. There is no second implementation
 of it, so an update and a whole pass cannot differ in a bit.
 """
 
 import numpy as np
 
 from . import program as P
+from .changes import (
+    EVERY_BIT,
+    FIRST_ROW,
+    LAST_ROW,
+    MAX_ROW,
+    WORDS,
+    forget_changes,
+    list_places,
+    note_changes,
+    note_rows,
+    seen_from,
+    words_of,
+)
 from .jit import compiled, compiled_without_gil, inlined
-from .marks import list_marked, mark, words_of
 from .simd import LANES
 from .tiles import PLACES, max_tile, mix_tile_1, mix_tile_2, sum_tile
 
@@ -22,27 +34,30 @@ def forward(program, weights, maps, places):
     ----------
     program, weights, maps, places : the network's, see `program`. All but the weights are updated in place.
     """
+    bits = places.view(np.uint64)
     for step in range(program[P.N_STEPS]):
         at = P.FIRST_STEP + step * P.STEP_SIZE
-        n = _list_dirty(program, at, places)
+        forget_changes(program, at + P.CHANGED, bits)
+        n = _list_dirty(program, at, places, bits)
         program[at + P.N_COMPUTED] = n
         if n == 0:
-            program[at + P.CHANGED + 1] = 0
-        elif program[at + P.KIND] == P.MIX:
-            _mix(program, at, n, weights, maps, places)
+            continue
+        first, last = program[P.LIST], program[P.LIST] + n - 1
+        note_rows(program, at + P.CHANGED, np.int64(places[first]) >> 16, np.int64(places[last]) >> 16)
+        if program[at + P.KIND] == P.MIX:
+            _mix(program, at, n, weights, maps, places, bits)
         else:
-            _by_channel(program, at, n, weights, maps, places)
+            _by_channel(program, at, n, weights, maps, places, bits)
     program[P.STALE] = 0
 
 
 @compiled
-def _mix(program, at, n, weights, maps, places):
+def _mix(program, at, n, weights, maps, places, bits):
     """A convolution at the n places of the list."""
     first_group, n_groups = program[at + P.WEIGHTS], program[at + P.GROUPS]
     channels, columns = program[at + P.OUT_CHANNELS], program[at + P.COLUMNS]
     n_products = program[at + P.N_RUNS] * program[at + P.RUN_LENGTH]
     places[np.uint64(program[P.LIST] + n)] = places[np.uint64(program[P.LIST] + n - 1)]  # a tile may have one too many
-    n_changed = 0
     k = 0
     while k < n:
         listed = program[P.LIST] + k
@@ -70,9 +85,8 @@ def _mix(program, at, n, weights, maps, places):
                         program, at, places, listed, n_places, maps, inputs, output, weights, block, left
                     )
                     block += (n_products + 2) * LANES + LANES
-        n_changed = _keep_changed(program, at, places, listed, min(n_places, n - k), changed, n_changed)
+        _note_tile(program, at, places, bits, listed, min(n_places, n - k), changed)
         k += n_places
-    program[at + P.CHANGED + 1] = n_changed
 
 
 @inlined
@@ -88,54 +102,76 @@ def _tile_size(n):
 
 
 @compiled
-def _by_channel(program, at, n, weights, maps, places):
+def _by_channel(program, at, n, weights, maps, places, bits):
     """A sum or maximum of each channel, at the n places of the list."""
-    n_changed = 0
     is_sum = program[at + P.KIND] == P.SUM
+    noted, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
     for listed in range(program[P.LIST], program[P.LIST] + n):
         if is_sum:
             changed = sum_tile(program, at, places, listed, maps, weights)
         else:
             changed = max_tile(program, at, places, listed, maps, weights)
-        n_changed = _keep_changed(program, at, places, listed, 1, changed, n_changed)
-    program[at + P.CHANGED + 1] = n_changed
+        place = np.int64(places[np.uint64(listed)])
+        note_changes(bits, noted + (place >> 16) * words, place & 0xFFFF, np.uint64(changed))
 
 
 @inlined
-def _keep_changed(program, at, places, listed, n_places, changed, n_changed):
-    """Append to the list of changed places those whose bit is set; returns its new length."""
-    end = np.uint64(program[at + P.CHANGED] + n_changed)
-    for p in range(n_places):
-        places[end] = places[np.uint64(listed + p)]
-        end += np.uint64((changed >> p) & 1)
-    return np.int64(end) - program[at + P.CHANGED]
+def _note_tile(program, at, places, bits, listed, n_places, changed):
+    """Note which places of a tile have changed, a bit of `changed` each."""
+    changed = np.uint64(changed)
+    first, last = np.int64(places[np.uint64(listed)]), np.int64(places[np.uint64(listed + n_places - 1)])
+    base, words = program[at + P.CHANGED], program[at + P.CHANGED + WORDS]
+    if last - first == n_places - 1:  # side by side
+        changed &= EVERY_BIT >> np.uint64(64 - n_places)
+        note_changes(bits, base + (first >> 16) * words, first & 0xFFFF, changed)
+    else:
+        for p in range(n_places):
+            place = np.int64(places[np.uint64(listed + p)])
+            note_changes(bits, base + (place >> 16) * words, place & 0xFFFF, changed >> np.uint64(p) & np.uint64(1))
 
 
 @compiled
-def _list_dirty(program, at, places):
-    """List the places of a step that a change of its sources reaches, each once; returns how many."""
-    sources = program[at + P.SOURCES]
-    total = 0
-    everything = program[P.STALE] != 0
-    sees_all = (
-        program[at + P.KERNEL_Y] >= program[at + P.STRIDE_Y] and program[at + P.KERNEL_X] >= program[at + P.STRIDE_X]
-    )
-    for s in range(sources, sources + program[at + P.N_SOURCES]):
-        n_changed = program[program[s] + 1]
-        total += n_changed
-        # Three quarters have changed: a list would cost more than it spares.
-        everything |= sees_all and 4 * n_changed >= 3 * program[at + P.SOURCE_PLACES]
-    if everything:
+def _list_dirty(program, at, places, bits):
+    """List the places of a step that a change of its sources reaches, row by row; returns how many.
+
+    They are those with y stride - padding + i dilation = y of the change for a tap i, and with the same in x.
+    """
+    if program[P.STALE] != 0:
         return _list_all(program, at, places)
-    if total == 0:
+    first_source, n_sources = program[at + P.SOURCES], program[at + P.N_SOURCES]
+    top, bottom, n_words = np.int64(MAX_ROW), np.int64(-1), np.int64(0)
+    for s in range(first_source, first_source + n_sources):
+        top, bottom = min(top, program[program[s] + FIRST_ROW]), max(bottom, program[program[s] + LAST_ROW])
+        n_words = max(n_words, program[program[s] + WORDS])
+    if bottom < 0:
         return 0
-    marks = places.view(np.uint64)
-    first_row, last_row = program[at + P.ROWS], np.int64(-1)
-    for s in range(sources, sources + program[at + P.N_SOURCES]):
-        first = program[program[s]]
-        top, bottom = _mark_reached(program, at, places, marks, first, first + program[program[s] + 1])
-        first_row, last_row = min(first_row, top), max(last_row, bottom)
-    end = list_marked(marks, words_of(program[at + P.COLUMNS]), first_row, last_row, places, program[P.LIST])
+    kernel_y, kernel_x = program[at + P.KERNEL_Y], program[at + P.KERNEL_X]
+    stride_y, stride_x = program[at + P.STRIDE_Y], program[at + P.STRIDE_X]
+    padding_y, padding_x = program[at + P.PAD_Y], program[at + P.PAD_X]
+    dilation_y, dilation_x = program[at + P.DILATION_Y], program[at + P.DILATION_X]
+    first_row = _quotient(max(0, top + padding_y - (kernel_y - 1) * dilation_y + stride_y - 1), stride_y)
+    last_row = min(program[at + P.ROWS] - 1, _quotient(bottom + padding_y, stride_y))
+    columns, scratch, end = program[at + P.COLUMNS], program[P.SCRATCH], program[P.LIST]
+    for word in range(n_words, program[P.SCRATCH_WORDS]):
+        bits[np.uint64(scratch + word)] = 0
+    for row in range(first_row, last_row + 1):
+        some = np.uint64(0)
+        for word in range(n_words):
+            changed = np.uint64(0)
+            for s in range(first_source, first_source + n_sources):
+                record = program[s]
+                first, last, words = program[record + FIRST_ROW], program[record + LAST_ROW], program[record + WORDS]
+                if word < words:
+                    for tap in range(kernel_y):
+                        y = row * stride_y - padding_y + tap * dilation_y
+                        if first <= y <= last:
+                            changed |= bits[np.uint64(program[record] + y * words + word)]
+            bits[np.uint64(scratch + word)] = changed
+            some |= changed
+        if some != 0:
+            for word in range(words_of(columns)):
+                seen = seen_from(bits, scratch, word, kernel_x, stride_x, padding_x, dilation_x)
+                end = list_places(seen, columns - 64 * word, row, word, places, end)
     return end - program[P.LIST]
 
 
@@ -147,53 +183,6 @@ def _list_all(program, at, places):
             places[np.uint64(end)] = y << 16 | x
             end += 1
     return end - program[P.LIST]
-
-
-@inlined
-def _mark_reached(program, at, places, marks, first, last):
-    """Mark the places that see one of these changed places, y stride - pad + i dilation = changed for a tap i.
-
-    Parameters
-    ----------
-    first, last : where in `places` the changed places lie.
-    marks : see `marks`.
-
-    Returns
-    -------
-    first_row, last_row : that may be marked.
-    """
-    rows, columns = program[at + P.ROWS], program[at + P.COLUMNS]
-    stride_y, stride_x = program[at + P.STRIDE_Y], program[at + P.STRIDE_X]
-    dilation_y, dilation_x = program[at + P.DILATION_Y], program[at + P.DILATION_X]
-    reach_y, reach_x = (program[at + P.KERNEL_Y] - 1) * dilation_y, (program[at + P.KERNEL_X] - 1) * dilation_x
-    words = words_of(columns)
-    first_row, last_row = rows, np.int64(-1)
-    k = first
-    while k < last:
-        place = np.int64(places[np.uint64(k)])
-        n_neighbours = 1  # side by side: most changes are, and what they reach overlaps
-        if dilation_x == 1:
-            while k + n_neighbours < last and np.int64(places[np.uint64(k + n_neighbours)]) == place + n_neighbours:
-                n_neighbours += 1
-        k += n_neighbours
-        y, x = (place >> 16) + program[at + P.PAD_Y], (place & 0xFFFF) + program[at + P.PAD_X]
-        x_first = _quotient(max(x - reach_x + stride_x - 1, 0), stride_x)
-        x_last = min(_quotient(x + n_neighbours - 1, stride_x), columns - 1)
-        y_first = _quotient(max(y - reach_y + stride_y - 1, 0), stride_y)
-        y_last = min(_quotient(y, stride_y), rows - 1)
-        if x_first > x_last:
-            continue
-        first_row, last_row = min(first_row, y_first), max(last_row, y_last)
-        for row in range(y_first, y_last + 1):
-            if dilation_y > 1 and (y - row * stride_y) % dilation_y:
-                continue
-            if dilation_x == 1:
-                mark(marks, words, row, x_first, x_last)
-            else:
-                for column in range(x_first, x_last + 1):
-                    if (x - column * stride_x) % dilation_x == 0:
-                        mark(marks, words, row, column, column)
-    return first_row, last_row
 
 
 @inlined

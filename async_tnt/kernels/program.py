@@ -3,7 +3,7 @@
     program  int64    the header below, one record for each step, then tables of distances
     weights  float32  never changed
     maps     float32  what the network has computed of its current input
-    places   uint32   which places of each map have changed; scratch
+    places   uint32   as uint64: which places of each map have changed, see `changes`; a list of places
 
 A map is stored as (row, column, channel), within a frame that stands for the padding of the convolutions that read it.
 A place is one number, row << 16 | column. A step computes one map, of one of these:
@@ -32,47 +32,47 @@ WIDTH = 3
 PLANES = 4  # where in `maps` the volume lies as (C, H, W)
 INPUT = 5  # and where as a map: its first pixel
 INPUT_DY = 6  # numbers from one row to the next
-SCRATCH = 7  # where in `maps` a row of flags lies
-OUTPUT = 8  # where in `maps` the last step's numbers lie
-OUTPUT_DY = 9
-LIST = 10  # where in `places` the list of dirty places lies; marks, see `marks`, lie at its beginning
-EPOCH = 11  # the window that the input shows, see `state`; 0: none
-N_SEEN = 12  # how many corners of the window's log are in the input
-STALE = 13  # 1: nothing has been computed yet
-INPUT_CHANGED = 14  # where in `places` the list of changed places begins, and in the next slot its length
+OUTPUT = 7  # where in `maps` the last step's numbers lie
+OUTPUT_DY = 8
+LIST = 9  # where in `places` the list of dirty places lies
+SCRATCH = 10  # where in `places`, as uint64, a row of bits lies, in a frame of zeros
+SCRATCH_WORDS = 11  # how long it may be
+EPOCH = 12  # the window that the input shows, see `state`; 0: none
+N_SEEN = 13  # how many corners of the window's log are in the input
+STALE = 14  # 1: nothing has been computed yet
+INPUT_CHANGED = 15  # the record of its changes, see `changes`
 
-FIRST_STEP = 16
+FIRST_STEP = 19
 # a step's record
 KIND = 0  # MIX, SUM or MAXIMUM
 N_SOURCES = 1  # whose changes it depends on
-SOURCES = 2  # where in the program they lie: of each, where its CHANGED is
-SOURCE_PLACES = 3  # in each of these maps
-KERNEL_Y = 4  # what a place sees of them
-KERNEL_X = 5
-STRIDE_Y = 6
-STRIDE_X = 7
-PAD_Y = 8
-PAD_X = 9
-DILATION_Y = 10
-DILATION_X = 11
-ROWS = 12  # of the map that it computes
-COLUMNS = 13
-N_COMPUTED = 14  # places in the last call
-CHANGED = 15  # as INPUT_CHANGED
-IN = 17  # where in `maps` the first run or tap of place (0, 0) is counted from
-IN_DY = 18
-IN_DX = 19
-OUT = 20
-OUT_DY = 21
-OUT_DX = 22
-OUT_CHANNELS = 23  # of each group
-RUNS = 24  # where in the program the distances of its runs or taps lie
-N_RUNS = 25
-RUN_LENGTH = 26  # of a MIX
-GROUPS = 27  # of a MIX
-GROUP_CHANNELS = 28  # input channels from one group to the next
-WEIGHTS = 29
-PLACE_WEIGHTS = 30  # numbers from one place's weights to the next one's; 0: they share them
-STEP_SIZE = 31
+SOURCES = 2  # where in the program they lie: of each, where the record of its changes begins
+KERNEL_Y = 3  # what a place sees of them
+KERNEL_X = 4
+STRIDE_Y = 5
+STRIDE_X = 6
+PAD_Y = 7
+PAD_X = 8
+DILATION_Y = 9
+DILATION_X = 10
+ROWS = 11  # of the map that it computes
+COLUMNS = 12
+N_COMPUTED = 13  # places in the last call
+CHANGED = 14  # the record of its changes
+IN = 18  # where in `maps` the first run or tap of place (0, 0) is counted from
+IN_DY = 19
+IN_DX = 20
+OUT = 21
+OUT_DY = 22
+OUT_DX = 23
+OUT_CHANNELS = 24  # of each group
+RUNS = 25  # where in the program the distances of its runs or taps lie
+N_RUNS = 26
+RUN_LENGTH = 27  # of a MIX
+GROUPS = 28  # of a MIX
+GROUP_CHANNELS = 29  # input channels from one group to the next
+WEIGHTS = 30
+PLACE_WEIGHTS = 31  # numbers from one place's weights to the next one's; 0: they share them
+STEP_SIZE = 32
 
 MIX, SUM, MAXIMUM = range(3)

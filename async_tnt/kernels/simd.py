@@ -158,6 +158,26 @@ def fma(typingctx: Any, a: types.Type, b: types.Type, c: types.Type) -> Any:
     return types.float32(a, b, c), codegen
 
 
+@intrinsic
+def trailing_zeros(typingctx: Any, word: types.Type) -> Any:
+    """The number of the lowest bit of a uint64 that is set; one must be."""
+
+    def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return (types.int64(word), codegen) if word == types.uint64 else None
+
+
+@intrinsic
+def count_bits(typingctx: Any, word: types.Type) -> Any:
+    """How many bits of a uint64 are set."""
+
+    def codegen(context: Any, builder: ir.IRBuilder, signature: Any, args: list) -> ir.Value:
+        return builder.ctpop(args[0])
+
+    return (types.int64(word), codegen) if word == types.uint64 else None
+
+
 @inlined
 def add_f64x2_plain(cells, index, lower, upper, weight):
     """cells[index] += lower * weight; cells[index + 1] += upper * weight

@@ -1,24 +1,25 @@
-"""Bring a network's input up to date, and list the places that have changed.
+"""Bring a network's input up to date, and note which places have changed.
 
-Only places whose values differ are listed, so events that the transform dropped cost nothing further.
+Only places whose values differ are noted, so events that the transform dropped cost nothing further.
 """
 
 import numpy as np
 from llvmlite import ir
+from numba import types
 
 from . import program as P
 from . import state as S
+from .changes import WORDS, forget_changes, note_changes, note_rows
 from .jit import compiled, inlined
-from .marks import list_marked, mark, words_of
 from .readout import cell_at, cell_value, parts_of, strides_of
-from .simd import vectorized
+from .simd import count_bits, trailing_zeros, vectorized
 
 NUMBERS_PER_LOGGED = 100  # one logged event, scattered in memory, costs as much as so many cells in order
 
 
 @compiled
 def sync_input(buffer, program, maps, places):
-    """Copy a volume to the input, from its cells, and list the places that differ.
+    """Copy a volume to the input, from its cells, and note which places differ.
 
         input[y, x, c] = cells[c, y, x, 0] + cells[c - 1, y, x, 1], rounded to float32 as in `readout`, and never -0
 
@@ -30,14 +31,15 @@ def sync_input(buffer, program, maps, places):
     buffer : float64, the volume's `state`. Only read.
     program, maps, places : the network's, see `program`. Updated in place.
     """
-    ints = buffer.view(np.int64)
+    ints, bits = buffer.view(np.int64), places.view(np.uint64)
+    forget_changes(program, P.INPUT_CHANGED, bits)
     n_new = ints[S.N_LOG] - program[P.N_SEEN]
     n_cells = program[P.CHANNELS] * program[P.HEIGHT] * program[P.WIDTH]
     same_window = program[P.EPOCH] == ints[S.EPOCH]
     if same_window and n_new <= ints[S.LOG_SIZE] and n_new * NUMBERS_PER_LOGGED <= n_cells:
-        _sync_corners(buffer, ints, program, maps, places)
+        _sync_corners(buffer, ints, program, maps, bits)
     else:
-        _sync_all(buffer, ints, program, maps, places)
+        _sync_all(buffer, ints, program, maps, bits)
     if program[P.EPOCH] == 0:
         program[P.STALE] = 1
     program[P.EPOCH] = ints[S.EPOCH]
@@ -84,12 +86,11 @@ def _copy_row(program, maps, y):
 
 
 @inlined
-def _sync_corners(buffer, ints, program, maps, places):
+def _sync_corners(buffer, ints, program, maps, bits):
     """The cells of the events since the last call, eight each."""
     n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
     strides = strides_of(ints)
-    marks, words = places.view(np.uint64), words_of(width)
-    first_row, last_row = height, np.int64(-1)
+    changed, words = program[P.INPUT_CHANGED], program[P.INPUT_CHANGED + WORDS]
     for k in range(program[P.N_SEEN], ints[S.N_LOG]):
         c0, y0, x0 = cell_at(strides, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))])
         for c in range(c0, min(c0 + 2, n_channels)):
@@ -101,70 +102,72 @@ def _sync_corners(buffer, ints, program, maps, places):
                     if maps[np.uint64(plane + x)] != value:
                         maps[np.uint64(plane + x)] = value
                         maps[np.uint64(program[P.INPUT] + y * program[P.INPUT_DY] + x * n_channels + c)] = value
-                        mark(marks, words, y, x, x)
-                        first_row, last_row = min(first_row, y), max(last_row, y)
-    end = list_marked(marks, words, first_row, last_row, places, program[P.INPUT_CHANGED])
-    program[P.INPUT_CHANGED + 1] = end - program[P.INPUT_CHANGED]
+                        note_changes(bits, changed + y * words, x, np.uint64(1))
+                        note_rows(program, P.INPUT_CHANGED, y, y)
 
 
 @compiled
-def _sync_all(buffer, ints, program, maps, places):
+def _sync_all(buffer, ints, program, maps, bits):
     """All cells, row by row of the image."""
     n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
     strides = strides_of(ints)
-    changed = program[P.SCRATCH]  # flags of this row's pixels
-    end = program[P.INPUT_CHANGED]
+    changed, words = program[P.INPUT_CHANGED], program[P.INPUT_CHANGED + WORDS]
+    note_rows(program, P.INPUT_CHANGED, 0, height - 1)
     for y in range(height):
-        for x in range(width):
-            maps[np.uint64(changed + x)] = 0
+        row = changed + y * words
         for c in range(n_channels):
             at = program[P.PLANES] + (c * height + y) * width
             lower, upper, is_first = parts_of(strides, c, y, 0)
             upper = lower if is_first else upper
             if width < 8:
-                round_cells(buffer, lower, upper, width, maps, at, changed)
+                note_changes(bits, row, 0, round_cells(buffer, lower, upper, width, maps, at))
             else:
                 for k in range(0, width, 8):
                     x = min(k, width - 8)  # the last eight overlap those before: they do not differ twice
-                    round_eight(buffer, lower + 2 * x, upper + 2 * x, maps, at + x, changed + x)
-        first = end
-        for x in range(width):
-            places[np.uint64(end)] = y << 16 | x
-            end += np.int64(maps[np.uint64(changed + x)] != 0 or program[P.EPOCH] == 0)
-        if 2 * (end - first) > width:
+                    note_changes(bits, row, x, round_eight(buffer, lower + 2 * x, upper + 2 * x, maps, at + x))
+        n_changed = 0
+        for word in range(words):
+            n_changed += count_bits(bits[np.uint64(row + word)])
+        if 2 * n_changed > width or program[P.EPOCH] == 0:
             _copy_row(program, maps, y)
         else:
-            for k in range(first, end):
-                _copy_pixel(program, maps, y, np.int64(places[np.uint64(k)]) & 0xFFFF)
-    program[P.INPUT_CHANGED + 1] = end - program[P.INPUT_CHANGED]
+            for word in range(words):
+                left = bits[np.uint64(row + word)]
+                while left != 0:
+                    _copy_pixel(program, maps, y, 64 * word + trailing_zeros(left))
+                    left &= left - np.uint64(1)
 
 
 @inlined
-def round_cells(buffer, lower, upper, n, maps, at, changed):
+def round_cells(buffer, lower, upper, n, maps, at):
     """Neighbouring cells of a row, rounded to float32 and compared with the input.
 
     Parameters
     ----------
     buffer : float64, a volume's `state`.
     lower, upper : int. The `parts_of` the first cell; of a first bin, the lower one twice.
-    maps : float32. Values from `at` on are updated in place; flags from `changed` on become 1 where they differed.
+    maps : float32. Values from `at` on are updated in place.
+
+    Returns
+    -------
+    uint64 : a bit for each that differed.
     """
+    changed = np.uint64(0)
     for x in range(n):
         value = np.float32(cell_value(buffer, lower, upper, lower == upper, x)) + np.float32(0)  # 0 where it is -0
-        if maps[at + x] != value:
-            maps[changed + x] = 1
+        changed |= np.uint64(maps[at + x] != value) << np.uint64(x)
         maps[at + x] = value
+    return changed
 
 
 @inlined
-def round_eight_plain(buffer, lower, upper, maps, at, changed):
-    """`round_cells` of eight. LLVM's own vector code for it is three times slower: it needs every other number, and
-    flags go to another place than values."""
-    round_cells(buffer, lower, upper, 8, maps, at, changed)
+def round_eight_plain(buffer, lower, upper, maps, at):
+    """`round_cells` of eight. LLVM's own vector code for it is three times slower: it needs every other number."""
+    return round_cells(buffer, lower, upper, 8, maps, at)
 
 
-@vectorized(round_eight_plain)
-def round_eight(simd, buffer, lower, upper, maps, at, changed):
+@vectorized(round_eight_plain, returns=types.uint64)
+def round_eight(simd, buffer, lower, upper, maps, at):
     builder = simd.builder
     singles, doubles = ir.VectorType(ir.FloatType(), 8), ir.VectorType(ir.DoubleType(), 8)
     pairs = ir.VectorType(ir.DoubleType(), 16)
@@ -179,6 +182,5 @@ def round_eight(simd, buffer, lower, upper, maps, at, changed):
     value = builder.fptrunc(builder.fadd(every_other(lower), uppers), singles)
     value = builder.fadd(value, ir.Constant(singles, [0.0] * 8))
     differs = builder.fcmp_unordered("!=", simd.load(maps, at, singles), value)
-    flags = builder.select(differs, ir.Constant(singles, [1.0] * 8), simd.load(maps, changed, singles))
     simd.store(value, maps, at)
-    simd.store(flags, maps, changed)
+    return builder.zext(builder.bitcast(differs, ir.IntType(8)), ir.IntType(64))

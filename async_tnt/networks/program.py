@@ -10,6 +10,7 @@ import numpy as np
 
 from async_tnt.checks import plain_array
 from async_tnt.kernels import program as P
+from async_tnt.kernels.changes import MAX_ROW
 from async_tnt.kernels.forward import forward
 from async_tnt.kernels.simd import LANES
 from async_tnt.kernels.sync_input import set_input
@@ -81,12 +82,14 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
     program[[P.N_STEPS, P.CHANNELS, P.HEIGHT, P.WIDTH, P.STALE]] = len(steps), channels, height, width, 1
     tables: list[int] = []
     places = _Arena()
-    places.take(max(part.rows * -(-part.columns // 64) * 2 for part in maps))  # marks, whole uint64 for each row
     program[P.LIST] = places.take(max(part.rows * part.columns for part in maps) + 2)
-    program[P.INPUT_CHANGED] = places.take(height * width + 1)
+    program[P.SCRATCH_WORDS] = n_words = max(_words(part.columns) for part in maps)
+    before = max(_words(step.padding[1]) for step in steps)
+    seen = max(_words(s.columns) * s.stride[1] + _words((s.kernel[1] - 1) * s.dilation[1]) + 2 for s in steps)
+    program[P.SCRATCH] = places.take(2 * (before + max(n_words, seen))) // 2 + before
+    program[P.INPUT_CHANGED : P.INPUT_CHANGED + 4] = _changes(height, width, places)
     numbers = _Arena()
     program[P.PLANES] = numbers.take(channels * height * width)
-    program[P.SCRATCH] = numbers.take(width)
     firsts = {part: numbers.take(_size(part)) + _first(part) for part in maps}
     program[[P.INPUT, P.INPUT_DY]] = firsts[volume], _pitch(volume)
     program[[P.OUTPUT, P.OUTPUT_DY]] = firsts[output], _pitch(output)
@@ -104,13 +107,12 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
         record[P.KIND] = step.kind
         record[[P.N_SOURCES, P.SOURCES]] = len(sources), len(program) + len(tables)
         tables += sources
-        record[P.SOURCE_PLACES] = source.rows * source.columns
         record[[P.KERNEL_Y, P.KERNEL_X]] = step.kernel
         record[[P.STRIDE_Y, P.STRIDE_X]] = step.stride
         record[[P.PAD_Y, P.PAD_X]] = step.padding
         record[[P.DILATION_Y, P.DILATION_X]] = step.dilation
         record[[P.ROWS, P.COLUMNS]] = step.rows, step.columns
-        record[P.CHANGED] = places.take(step.rows * step.columns + 1)
+        record[P.CHANGED : P.CHANGED + 4] = _changes(step.rows, step.columns, places)
         record[P.IN] = 0  # the distances below are from the beginning
         record[[P.IN_DY, P.IN_DX]] = step.stride[0] * _pitch(source), step.stride[1] * source.channels
         record[P.OUT] = firsts[step.output] + step.channel
@@ -152,6 +154,16 @@ class _Arena:
         first = self.size
         self.size += -(-n // 16) * 16
         return first
+
+
+def _changes(rows: int, columns: int, places: _Arena) -> tuple[int, int, int, int]:
+    """A record of changes, see `kernels.changes`: none."""
+    return places.take(2 * rows * _words(columns)) // 2, MAX_ROW, -1, _words(columns)
+
+
+def _words(columns: int) -> int:
+    """uint64 that have a bit for each."""
+    return -(-columns // 64)
 
 
 def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
