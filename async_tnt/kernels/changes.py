@@ -1,7 +1,7 @@
 """Which places of a map have changed, a bit each, and which places of another map see them.
 
-A row of places is a row of whole uint64 words, so that 64 places are looked at together. What a program keeps of the
-changes of a map is a record: where in `bits` they lie, the first and the last row that may have any, the words of a row.
+A row of places is a row of whole uint64 words, so that 64 places are looked at together. A program's record of a map's
+changes: where in `bits` they lie, the first and the last row that may have any, the words in a row.
 """
 
 import numpy as np
