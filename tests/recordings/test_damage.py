@@ -4,11 +4,25 @@ ASYNC_TNT_FUZZ_CASES and ASYNC_TNT_FUZZ_SEED make the random damage a long run.
 """
 
 import os
+import struct
 import warnings
 
 import numpy as np
 import pytest
-from recordings.written import FORMATS, IN_CHILD, dat, es, evt2, evt3, evt_header, made_events, uzh_text, written
+from recordings.written import (
+    FORMATS,
+    IN_CHILD,
+    aedat2,
+    aedat3,
+    dat,
+    es,
+    evt2,
+    evt3,
+    evt_header,
+    made_events,
+    uzh_text,
+    written,
+)
 
 from async_tnt.sources.files import child_source
 from async_tnt.sources.files.recording import open_recording
@@ -19,7 +33,7 @@ SEED = int(os.environ.get("ASYNC_TNT_FUZZ_SEED", "0"))
 SMALL = (34, 34)
 EVENTS = made_events(12, step_us=300, sensor=SMALL)
 # a file that is cut between two events is a whole one, and nothing can tell
-WHOLE_AGAIN = (".raw", ".dat", ".es", ".txt", ".csv", ".bin")
+WHOLE_AGAIN = (".raw", ".dat", ".aedat", ".es", ".txt", ".csv", ".bin")
 every_format = pytest.mark.parametrize("name", sorted(FORMATS))
 
 
@@ -121,6 +135,9 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
         ("a.npy", b"PK\x03\x04", "rename it to .npz"),
         ("a.npz", b"\x93NUMPY", "got a single .npy array"),
         ("a.h5", b"\x89HDF\r\n\x1a\n" + bytes(100), "not a readable HDF5 file: "),
+        ("a.aedat", b"#!AER-DAT1.0\r\n", "AEDAT 2.0, 3.1 or 4, ES or HDF5; got b'#!AER-DAT1.0"),
+        ("a.aedat", b"#!AER-DAT2.0\r\n# AEChip: ini.Foo7\r\n", "the camera must be one of DVS128, .*, got 'ini.Foo7'"),
+        ("a.aedat", b"#!AER-DAT3.1\r\n#Source 1: DVS128\r\n", "the header must end within 4096 lines by #!END-HEADER"),
         ("a.aedat4", b"#!AER-DAT4.0\r\n" + bytes(9), "not a readable AEDAT4 file: "),
     ],
 )
@@ -132,6 +149,7 @@ def test_a_file_that_cannot_be_understood_is_refused_in_one_line(tmp_path, name,
 
 
 VECTOR = np.array([0x8001, 0x6005, 0x0009, 0x3000 | 2040, 0x4001, 0x4FFF], "<u2").tobytes()
+NEGATIVE = struct.pack("<hhiiiiiiII", 1, 1, 8, 4, 0, 1, 1, 1, 1, 1 << 31)  # AEDAT 3.1, a time before 0
 ROWS = b"\n".join(b"%d.5 1 2 1" % i if i != 150_000 else b"what" for i in range(160_000))
 OFF = EVENTS.copy()
 OFF["x"][9] = 34
@@ -145,6 +163,18 @@ OFF["x"][9] = 34
         ("a.raw", evt2(EVENTS)[:-1], "the file ends at byte .*, 3 bytes into a word of 4", 11),
         ("a.dat", dat(EVENTS)[:-3], "the file ends 5 bytes into event 11, which has 8", 11),
         ("a.dat", dat(EVENTS)[:-1] + b"\x70", r"event 11 \(byte .*\): t = .*, p = 7 is not a valid event", 11),
+        ("a.aedat", aedat2(EVENTS, SMALL, "")[:-1], "the file ends 7 bytes into an event, which has 8", 11),
+        (
+            "a.aedat",
+            aedat2(EVENTS, SMALL, "") + b"\0\1" * 4,
+            "byte .*: the address 0x10001 is not one of a DVS128, as",
+            12,
+        ),
+        ("a.aedat", aedat3(EVENTS)[:-45], "the file ends within a packet, which has 2 more events", 11),
+        ("a.aedat", aedat3(EVENTS)[:-8], "the file ends 0 bytes into a packet, which has 8", 12),
+        ("a.aedat", aedat3(EVENTS)[:-9], "the file ends 27 bytes into the header of a packet, which has 28", 12),
+        ("a.aedat", aedat3(EVENTS) + b"\1\0" * 14, "has no valid header: type 1, 65537 events of 65537 bytes", 12),
+        ("a.aedat", aedat3(EVENTS) + NEGATIVE, "in the packet around byte .*: t = -1, x = 0, y = 0, p = 0 is not", 12),
         ("a.es", es(EVENTS)[:-1], "the file ends 4 bytes into the event at byte", 11),
         ("a.txt", ROWS, "line 150001: .* got 'what'", 150_000),
         ("a.txt", b"0.5 1 2 1\n" + b"7" * 3_000_000, "line 2: expected", 1),

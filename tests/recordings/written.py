@@ -111,6 +111,39 @@ def atis(events, sensor=SENSOR):
     return b"".join(out)
 
 
+def aedat2(events, sensor, chip):
+    """A DVS128 that states no camera, or a DAVIS; between every two events one that is not a pixel's."""
+    lines = [
+        "#!AER-DAT2.0",
+        "# This is a raw AE data file - do not edit",
+        *([f"# AEChip: eu.chips.{chip}"] if chip else []),
+    ]
+    out = ["".join(line + "\r\n" for line in lines).encode()]
+    for t, x, y, p in events.tolist():
+        if chip:
+            address, other = (179 - y) << 22 | x << 12 | p << 11, 1 << 31 | 7 << 22
+        else:
+            address, other = y << 8 | x << 1 | 1 - p, 1 << 15
+        out.append(struct.pack(">IIII", other, t & 0xFFFFFFFF, address, t & 0xFFFFFFFF))
+    return b"".join(out)
+
+
+def aedat3(events, sensor=(240, 180)):
+    """Packets of five polarity events and one that is not valid, and packets of special events between."""
+    out = [b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"]
+    rows = events.tolist()
+    for first in range(0, len(rows), 5):
+        packet = rows[first : first + 5]
+        overflows = packet[0][0] >> 31
+        packet = [row for row in packet if row[0] >> 31 == overflows]
+        assert len(packet) == len(rows[first : first + 5])
+        n = len(packet) + 1
+        out.append(struct.pack("<hhiiiiii", 1, 1, 8, 4, overflows, n, n, n - 1))
+        out += [struct.pack("<II", x << 17 | y << 2 | p << 1 | 1, t & 0x7FFFFFFF) for t, x, y, p in packet]
+        out += [struct.pack("<II", 5 << 17, 3), struct.pack("<hhiiiiiiII", 0, 1, 8, 4, overflows, 1, 1, 1, 3, 7)]
+    return b"".join(out)
+
+
 def nmnist(events, sensor=(34, 34)):
     return b"".join(struct.pack(">BBBH", x, y, p << 7 | t >> 16, t & 0xFFFF) for t, x, y, p in events.tolist())
 
@@ -181,6 +214,9 @@ FORMATS = {
     "v1.dat": _bytes(lambda events, sensor: dat(events, sensor, 1), (512, 256)),
     "dvs.es": _bytes(es, (65535, 65535)),
     "atis.es": _bytes(atis, (65535, 65535)),
+    "dvs128.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, ""), (128, 128), states_sensor=False),
+    "davis.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, "DAViS240C"), (240, 180)),
+    "caer.aedat": _bytes(aedat3, (240, 180)),
     "plain.bin": _bytes(nmnist, (34, 34), linear=False),  # damage anywhere refuses the whole file
     "records.npy": Format(lambda path, events, sensor: np.save(path, events), states_sensor=False),
     "table.npy": Format(lambda path, events, sensor: np.save(path, table_of(events)), states_sensor=False),

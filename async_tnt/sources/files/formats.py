@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
 from async_tnt.sources.files.child_source import open_aedat4, open_hdf5
 from async_tnt.sources.files.es import EsSource
 from async_tnt.sources.files.nmnist import SENSOR, read_nmnist
@@ -28,13 +29,17 @@ def _read_bin(path: Path) -> tuple[np.ndarray, Sensor]:
 
 
 def _open_by_content(path: Path) -> Source:
-    """Many programs write `.raw`, `.dat` and `.h5`: the first bytes tell which format it is."""
+    """Many programs write `.raw`, `.dat`, `.h5` and `.aedat`: the first bytes tell which format it is."""
     with path.open("rb") as file:
         start = file.read(4096)
     if start.startswith(b"\x89HDF\r\n\x1a\n"):
         return open_hdf5(path)
     if start.startswith(b"#!AER-DAT4"):
         return open_aedat4(path)
+    if start.startswith(b"#!AER-DAT2."):
+        return Aedat2Source(path)
+    if start.startswith(b"#!AER-DAT3.1"):
+        return Aedat3Source(path)
     if start.startswith(b"Event Stream"):
         return EsSource(path)
     if not start:
@@ -46,7 +51,7 @@ def _open_by_content(path: Path) -> Source:
         return DatSource(path)
     raise ValueError(
         f"{path}: its first bytes are not those of a known format: expected a header of EVT (with a line `% evt 3.0` "
-        f"or `% format EVT3`), of DAT (lines that begin with %), AEDAT4, ES or HDF5; got {start[:16]!r}"
+        f"or `% format EVT3`), of DAT (lines that begin with %), AEDAT 2.0, 3.1 or 4, ES or HDF5; got {start[:16]!r}"
     )
 
 
@@ -59,6 +64,7 @@ READERS: dict[str, Reader] = {
     ".tsv": open_csv,
     ".raw": _open_by_content,
     ".dat": _open_by_content,
+    ".aedat": _open_by_content,
     ".aedat4": _open_by_content,
     ".es": _open_by_content,
     ".h5": _open_by_content,

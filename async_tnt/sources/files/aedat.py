@@ -1,0 +1,192 @@
+"""AEDAT files (`.aedat`) of jAER, version 2.0, and of cAER, version 3.1; `aedat4` reads version 4.
+
+All begin with lines of text: `#!AER-DAT2.0` or `#!AER-DAT3.1`, then lines that begin with `#`, each ended by \\r\\n.
+
+2.0   events, big-endian: an address and a time, in microseconds, of 32 bits each. What an address means depends on the
+      camera, which `# AEChip:` names; a file that names none is of a DVS128, or of some part of one.
+
+          DVS128   bit 0: 0 is ON; 1-7: x; 8-14: y; 15: not a pixel
+          DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: a frame's
+
+      jAER counts y from the bottom. A DAVIS' y is turned round, as other readers do; a DVS128's addresses are x and y.
+      The clock wraps after 71.6 minutes; times are unwrapped.
+3.1   up to `#!END-HEADER`, with a line `#Source 1: DVS128`; then packets, little-endian, of 28 bytes of header (16 bits
+      each: type, source; 32 bits each: size of an event, place of the time in it, overflows of the clock, capacity,
+      events, valid events) and their events. Those of type 1 are of pixels:
+
+          bit 0: valid; 1: polarity; 2-16: y; 17-31: x; then the time, 31 bits, to which each overflow adds 2**31 us
+
+References
+----------
+iniVation, AEDAT file formats: versions 2.0 and 3.1.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+
+from async_tnt.kernels.evt import unwrap_times
+from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, valid_events
+from async_tnt.sources.sensor import Sensor
+
+SENSORS: dict[str, Sensor] = {
+    "DVS128": (128, 128),
+    "TMPDIFF128": (128, 128),
+    "DAVIS128": (128, 128),
+    "DAVIS208": (208, 192),
+    "DAVIS240": (240, 180),
+    "DAVIS346": (346, 260),
+    "DAVIS640": (640, 480),
+}
+"""Name of a camera, in capitals, without the letter of a version -> its pixels."""
+EVENT_BYTES = 8
+MAX_LINE, MAX_LINES = 1 << 16, 4096
+PERIOD_US = 1 << 32
+
+
+class Header(NamedTuple):
+    camera: str | None
+    """One of `SENSORS`; None where the file names none."""
+    length: int
+    """Bytes."""
+
+    @property
+    def sensor(self) -> Sensor | None:
+        return None if self.camera is None else SENSORS[self.camera]
+
+
+class Aedat2Source(Source):
+    """The pixels' events of an AEDAT 2.0 file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        header = _read_header(path, rb"#\s*AEChip:\s*(\S+)", None)
+        self.sensor = header.sensor
+        self._start = header.length
+        self._camera = header.camera or "DVS128, as the header names no other camera"
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        newest_us = np.int64(-1)
+        with self.path.open("rb") as file:
+            file.seek(self._start)
+            for n_before in count(0, BLOCK_EVENTS):
+                data = file.read(BLOCK_EVENTS * EVENT_BYTES)
+                words = np.frombuffer(data, ">u4", len(data) // EVENT_BYTES * 2).astype(np.int64).reshape(-1, 2)
+                address, t = words[:, 0], np.ascontiguousarray(words[:, 1])
+                newest_us = np.int64(unwrap_times(t, newest_us, np.int64(PERIOD_US)))
+                x, y, p, is_pixel = self._pixels(address)
+                events, problem = valid_events(t[is_pixel], x[is_pixel], y[is_pixel], p[is_pixel])
+                yield events
+                if problem:
+                    i = int(np.flatnonzero(is_pixel)[len(events)])
+                    place = self._start + (n_before + i) * EVENT_BYTES
+                    raise CorruptData(f"byte {place}: the address {address[i]:#x} is not one of a {self._camera}")
+                if n_left := len(data) % EVENT_BYTES:
+                    raise CorruptData(f"the file ends {n_left} bytes into an event, which has {EVENT_BYTES}")
+                if len(data) < BLOCK_EVENTS * EVENT_BYTES:
+                    return
+
+    def _pixels(self, address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """x, y, p, and whether the event is a pixel's; x is -1 in an address of another camera."""
+        if self.sensor is not None and self._camera.startswith("DAVIS"):
+            y = self.sensor[1] - 1 - (address >> 22 & 0x1FF)
+            return address >> 12 & 0x3FF, y, address >> 11 & 1, address & 0x8000_0400 == 0
+        x = np.where(address >> 16 == 0, address >> 1 & 0x7F, -1)
+        return x, address >> 8 & 0x7F, 1 - (address & 1), address & 0x8000 == 0
+
+
+class Aedat3Source(Source):
+    """The pixels' events of an AEDAT 3.1 file, of all its sources."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        header = _read_header(path, rb"#\s*Source\s+\d+:\s*(\S+)", b"#!END-HEADER")
+        self.sensor = header.sensor
+        self._start = header.length
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        with self.path.open("rb") as file:
+            file.seek(self._start)
+            while True:
+                place = file.tell()
+                head = file.read(28)
+                if not head:
+                    return
+                if len(head) < 28:
+                    raise CorruptData(f"the file ends {len(head)} bytes into the header of a packet, which has 28")
+                kind, _, size, time_at, n_overflows, _, n_events, _ = struct.unpack("<2h6i", head)
+                is_pixels = kind == 1
+                if min(kind, size, n_overflows, n_events) < 0 or (is_pixels and (size, time_at) != (EVENT_BYTES, 4)):
+                    raise CorruptData(
+                        f"the packet at byte {place} has no valid header: type {kind}, {n_events} events of {size} "
+                        f"bytes, time at byte {time_at}, {n_overflows} overflows"
+                    )
+                if is_pixels:
+                    yield from _polarity_events(file, n_events, n_overflows)
+                else:
+                    _skip(file, n_events * size)
+
+
+def _polarity_events(file: BinaryIO, n_events: int, n_overflows: int) -> Iterator[np.ndarray]:
+    while n_events:
+        place, n = file.tell(), min(n_events, BLOCK_EVENTS)
+        data = file.read(n * EVENT_BYTES)
+        words = np.frombuffer(data, "<u4", len(data) // EVENT_BYTES * 2).astype(np.int64).reshape(-1, 2)
+        words = words[words[:, 0] & 1 == 1]
+        what, t = words.T
+        t = np.where(t >> 31 == 0, t + (n_overflows << 31), -1)  # a negative time is not valid
+        events, problem = valid_events(t, what >> 17, what >> 2 & 0x7FFF, what >> 1 & 1)
+        yield events
+        if problem:
+            raise CorruptData(f"in the packet around byte {place}: {problem}")
+        if len(data) < n * EVENT_BYTES:
+            n_left = n_events - len(data) // EVENT_BYTES
+            raise CorruptData(f"the file ends within a packet, which has {n_left} more events")
+        n_events -= n
+
+
+def _skip(file: BinaryIO, n_bytes: int) -> None:
+    start = file.tell()
+    end = file.seek(0, 2)
+    if start + n_bytes > end:
+        raise CorruptData(f"the file ends {end - start} bytes into a packet, which has {n_bytes}")
+    file.seek(start + n_bytes)
+
+
+def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> Header:
+    """The camera that the header names, and its length: up to the line `end`, or as far as lines begin with #."""
+    names: list[str] = []
+    with path.open("rb") as file:
+        for _ in range(MAX_LINES):
+            place = file.tell()
+            line = file.readline(MAX_LINE)
+            if end is None and not _is_comment(line):
+                return Header(_camera(path, names), place)
+            if found := re.match(camera_line, line):
+                names.append(found[1].decode("ascii", "replace"))
+            if end is not None and line.startswith(end):
+                return Header(_camera(path, names), file.tell())
+            if end is not None and not line.endswith(b"\n"):
+                break
+    raise ValueError(f"{path}: the header must end within {MAX_LINES} lines{f' by {end.decode()}' if end else ''}")
+
+
+def _is_comment(line: bytes) -> bool:
+    """Events follow without a mark, and their first byte may be a #."""
+    text = line.rstrip(b"\r\n")
+    return line.startswith(b"#") and line.endswith(b"\n") and all(32 <= byte < 127 or byte == 9 for byte in text)
+
+
+def _camera(path: Path, names: list[str]) -> str | None:
+    """The first of the named cameras that is known; such a name is `eu.seebetter.ini.chips.davis.DAVIS240C`, too."""
+    known = [camera for name in names for camera in SENSORS if camera in name.rpartition(".")[2].upper()]
+    if names and not known:
+        raise ValueError(f"{path}: the camera must be one of {', '.join(SENSORS)}, got {', '.join(names)[:80]!r}")
+    return known[0] if known else None
