@@ -138,6 +138,8 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
         ("a.aedat", b"#!AER-DAT1.0\r\n", "AEDAT 2.0, 3.1 or 4, ES or HDF5; got b'#!AER-DAT1.0"),
         ("a.aedat", b"#!AER-DAT2.0\r\n# AEChip: ini.Foo7\r\n", "the camera must be one of DVS128, .*, got 'ini.Foo7'"),
         ("a.aedat", b"#!AER-DAT3.1\r\n#Source 1: DVS128\r\n", "the header must end within 4096 lines by #!END-HEADER"),
+        ("a.mat", b"MATLAB 5.0 MAT-file".ljust(128), "not a readable MATLAB file: "),
+        ("a.mat", b"MATLAB 7.3 MAT-file".ljust(600), "not a readable HDF5 file: "),
         ("a.aedat4", b"#!AER-DAT4.0\r\n" + bytes(9), "not a readable AEDAT4 file: "),
     ],
 )

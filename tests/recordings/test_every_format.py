@@ -139,7 +139,11 @@ def test_what_is_not_a_file_is_refused_at_opening(tmp_path, suffix):
 @pytest.mark.parametrize(
     ("name", "how", "message"),
     [
-        ("a.mp4", {}, r"a\.mp4: unknown suffix '\.mp4', expected one of \.aedat, \.aedat4, \.bin, \.csv, \.dat.*\.txt$"),
+        (
+            "a.mp4",
+            {},
+            r"a\.mp4: unknown suffix '\.mp4', expected one of \.aedat, \.aedat4, \.bin, \.csv, \.dat.*\.txt$",
+        ),
         ("a.csv.gz", {}, r"unknown suffix '\.gz', expected .*; decompress it first$"),
         ("a.bin", {"packet_events": 0}, "`packet_events` must be at least 1, got 0"),
         ("a.bin", {"unsorted": "sort"}, "`unsorted` must be one of accept, drop, raise, got 'sort'"),

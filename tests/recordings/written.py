@@ -176,6 +176,30 @@ def metavision(path, events, sensor=SENSOR, **how):
         file.create_dataset("CD/events", data=records, **how)
 
 
+def mat5(path, events, sensor=SENSOR):
+    """As ASL-DVS has them: doubles in columns, compressed."""
+    io = pytest.importorskip("scipy.io", reason="MATLAB files need SciPy")
+    columns = {"x": events["x"], "y": events["y"], "ts": events["t"], "pol": events["p"]}
+    io.savemat(path, {name: c.astype(np.float64)[:, None] for name, c in columns.items()}, do_compression=True)
+
+
+def mat5_structure(path, events, sensor=SENSOR):
+    """Fields of one structure, in rows, OFF as -1, beside another variable."""
+    io = pytest.importorskip("scipy.io", reason="MATLAB files need SciPy")
+    fields = {name: events[name].astype(np.int64)[None] for name in "xyt"}
+    io.savemat(path, {"note": "made", "TD": {**fields, "p": (2 * events["p"].astype(np.int8) - 1)[None]}})
+
+
+def mat73(path, events, sensor=SENSOR, **how):
+    """What MATLAB's -v7.3 writes of columns of doubles: rows, behind 512 bytes of its own."""
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, field in (("x", "x"), ("y", "y"), ("ts", "t"), ("pol", "p")):
+            file.create_dataset(f"TD/{name}", data=events[field].astype(np.float64)[None], **how)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
 def columns_of(events):
     return {name: events[name] for name in "txyp"}
 
@@ -225,9 +249,12 @@ FORMATS = {
     "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed
     "dsec.h5": Format(dsec, states_sensor=False),
     "metavision.hdf5": Format(metavision),
+    "columns.mat": Format(mat5, states_sensor=False),
+    "structure.mat": Format(mat5_structure, states_sensor=False),
+    "matlab73.mat": Format(mat73, states_sensor=False),
 }
 """File name -> `Format`."""
-IN_CHILD = (".aedat4", ".h5", ".hdf5")  # suffixes that are read in a child process, which takes a while
+IN_CHILD = (".aedat4", ".h5", ".hdf5", ".mat")  # suffixes that are read in a child process, which takes a while
 
 
 def written(path, events, sensor=SENSOR):

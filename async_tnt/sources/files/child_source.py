@@ -1,8 +1,8 @@
-"""AEDAT4 and HDF5 files, read in a child process, because a damaged file can crash or hang their libraries.
+"""AEDAT4, HDF5 and MATLAB files, read in a child process, because a damaged file can crash or hang their libraries.
 
 faery panics on a damaged AEDAT4 file or asks for so much memory that its process is aborted; Blosc's decoder can crash
 on a damaged HDF5 file, and HDF5 itself can read one forever. So `child_process.py` runs one of the readers beside this
-file, `aedat4.py` or `hdf5.py`, and sends what it reads through a pipe, as messages:
+file, `aedat4.py`, `hdf5.py` or `mat5.py`, and sends what it reads through a pipe, as messages:
 
     the sensor           JSON: [width, height] or null
     a block of events    its columns t, x, y, p: four rows of int64; any number of such messages
@@ -113,6 +113,14 @@ def open_aedat4(path: Path) -> Source:
 def open_hdf5(path: Path) -> Source:
     """Open an HDF5 file of events."""
     return _open(path, "hdf5.py", "HDF5", "h5py", "hdf5")
+
+
+def open_mat(path: Path) -> Source:
+    """Open a MATLAB file of events; version 7.3 is HDF5."""
+    with path.open("rb") as file:
+        if file.read(10) == b"MATLAB 7.3":
+            return open_hdf5(path)
+    return _open(path, "mat5.py", "MATLAB", "scipy", "files")
 
 
 def _open(path: Path, reader: str, format: str, library: str, extra: str) -> Source:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
-from async_tnt.sources.files.child_source import open_aedat4, open_hdf5
+from async_tnt.sources.files.child_source import open_aedat4, open_hdf5, open_mat
 from async_tnt.sources.files.es import EsSource
 from async_tnt.sources.files.nmnist import SENSOR, read_nmnist
 from async_tnt.sources.files.numpy_files import open_npy, open_npz
@@ -67,6 +67,7 @@ READERS: dict[str, Reader] = {
     ".aedat": _open_by_content,
     ".aedat4": _open_by_content,
     ".es": _open_by_content,
+    ".mat": open_mat,
     ".h5": _open_by_content,
     ".hdf5": _open_by_content,
 }

@@ -1,0 +1,51 @@
+"""MATLAB files: which variables are events, and what cannot be."""
+
+import numpy as np
+import pytest
+from recordings.written import made_events
+
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.source import DamagedRecording
+
+io = pytest.importorskip("scipy.io", reason="MATLAB files need SciPy")
+EVENTS = made_events(5)
+COLUMNS = {name: EVENTS[name].astype(float) for name in "txyp"}
+
+
+def test_doubles_of_any_shape_of_a_vector_and_minus_one_for_off(tmp_path):
+    p = 2 * EVENTS["p"].astype(float) - 1
+    vectors = COLUMNS | {"x": COLUMNS["x"][None], "y": COLUMNS["y"][:, None], "p": p, "other": np.eye(3)}
+    io.savemat(tmp_path / "a.mat", vectors)
+    np.testing.assert_array_equal(open_recording(tmp_path / "a.mat").read(), EVENTS)
+
+
+@pytest.mark.parametrize(
+    ("variables", "message"),
+    [
+        ({"t": 1, "x": 2}, r"expected x, y, t or ts, p or pol, .*; got t \(int64\), x \(int64\)"),
+        ({"a": {"x": 1}, "b": {"x": 1}}, r".* fields of one structure; got a \(struct\), b \(struct\)"),
+        (COLUMNS | {"ts": [1]}, "events need one of t and ts, got both"),
+        (COLUMNS | {"y": np.zeros(4)}, r"t, x, y, p must have equal lengths, got \[5, 5, 4, 5\]"),
+        (COLUMNS | {"y": np.zeros((5, 2))}, r"y must be a vector of numbers, got float64 of shape \(5, 2\)"),
+        (COLUMNS | {"x": "word"}, "x must be a vector of numbers, got <U4"),
+    ],
+)
+def test_other_variables_are_refused(tmp_path, variables, message):
+    io.savemat(tmp_path / "a.mat", variables)
+    with pytest.raises(ValueError, match=f"a.mat: not a readable MATLAB file: {message}"):
+        open_recording(tmp_path / "a.mat")
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (0.5, "t must be whole numbers, got 0.5"),
+        (np.nan, "t must be whole numbers, got nan"),
+        (1e300, r"event 3: t = -46\d+, x = "),
+        (-3.0, "event 3: t = -3, x = "),
+    ],
+)
+def test_times_that_cannot_be_are_damage(tmp_path, value, message):
+    io.savemat(tmp_path / "a.mat", COLUMNS | {"t": np.array([*EVENTS["t"][:3], value, 9e5])})
+    with pytest.warns(DamagedRecording, match=message):
+        open_recording(tmp_path / "a.mat").read()
