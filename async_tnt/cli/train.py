@@ -194,6 +194,7 @@ def _read_dataset(
     sources: dict[str, Any] = {
         "recordings": file_sizes(args.dataset, "Train"),
         "validation": validation,
+        "groups": args.groups,
         "pixels": pixels.record,
     }
     check_run(run_folder, volume, known, sources)
@@ -204,6 +205,7 @@ def _read_dataset(
         sensor_source="--sensor" if args.sensor else "--start-from",
         classes=None if start is None else start.classes,
         validation=validation,
+        groups=args.groups,
         test=args.test,
         seed=args.seed,
         progress=progress,

@@ -38,6 +38,7 @@ examples:
   async-tnt train gestures --out gestures.safetensors          gestures/wave/*.npz, gestures/clap/*.npz, ...
   async-tnt train gestures --sensor 346x260 --grid 44x33 --window-us 200000 --landmark center
   async-tnt train gestures --roi 100,80,64,64 --crop --mask hot.npy    a part of the camera, without hot pixels
+  async-tnt train gestures --groups 'user\\d+'                 held-out people: what new ones will give
   async-tnt train gestures --motions resynthesized             recognize them in other motions as well
   async-tnt train gestures --network mine.py:build             a network of your own
   async-tnt evaluate gestures.safetensors held_out             accuracy on other recordings
@@ -84,6 +85,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SHARE",
         help="share of each class's real recordings held out for validation (default: 0.1; with DATASET 0.2, and at "
         "least one)",
+    )
+    data.add_argument(
+        "--groups",
+        metavar="PATTERN",
+        help=r"with DATASET: a regular expression on class/file, such as 'user\d+'; recordings in whose names it finds "
+        "the same text are never on both sides of the split (default: the file DATASET/groups.csv, with columns "
+        "recording and group; without it, blocks of neighbours where recordings are numbered)",
     )
     data.add_argument(
         "--skip-damaged",
@@ -305,8 +313,8 @@ def check_options(args: argparse.Namespace) -> None:
     if args.start_from and args.network != "thesis":
         raise ValueError("--network must come without --start-from: the network is that model's")
     if args.dataset is None:
-        names = ("sensor", "grid", "window_us", "roi", "crop", "mask")
-        given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name)]
+        needs_folder = ("groups", "sensor", "grid", "window_us", "roi", "crop", "mask")
+        given = [f"--{name.replace('_', '-')}" for name in needs_folder if getattr(args, name)]
         if given:
             raise ValueError(f"{', '.join(given)} must come with DATASET, a folder of class folders")
         if args.test and args.smoke:

@@ -14,6 +14,13 @@ from async_tnt.progress import Bar, no_progress
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.dataset import Dataset, read_dataset
 from async_tnt.training.digits import read_nmnist_folder, read_samples, simulate_recordings
+from async_tnt.training.groups import (
+    GROUPS_FILE,
+    groups_by_number,
+    groups_by_pattern,
+    groups_by_table,
+    hold_out_groups,
+)
 from async_tnt.training.windows import CLASSES, Recordings, Windows, make_windows, split_recordings
 
 SACCADES = (1, 2, 3)
@@ -54,31 +61,35 @@ def dataset_data(
     sensor_source: str = "--sensor",
     classes: tuple[str, ...] | None = None,
     validation: float = 0.2,
+    groups: str | None = None,
     test: bool = False,
     seed: int = 0,
     progress: Callable[..., Bar] = no_progress,
 ) -> TrainingData:
-    """A folder of class folders, split by recording. Windows start at each recording's first event.
+    """A folder of class folders, split by groups of recordings. Windows start at each recording's first event.
 
     Parameters
     ----------
     config : its sensor is replaced by that of the events.
     pixels, sensor_source, classes : as for `read_dataset`.
-    validation : share of each class's recordings to hold out; at least one, if there are two.
+    validation : share of each class's recordings to hold out; at least one, if there are two groups.
+    groups : a regular expression, see `groups_by_pattern`; by default the file `groups.csv` in the folder, or else
+        blocks of neighbours where recordings are numbered.
     test : also read `folder/Test`, through the same pixels.
     seed : of the split.
     """
     dataset = read_dataset(folder, pixels=pixels, sensor_source=sensor_source, classes=classes, progress=progress)
     config = config.replace(sensor=dataset.sensor)
     recordings, labels = dataset.recordings, dataset.recordings.labels
-    learned, held_out = split_recordings(recordings, validation, np.random.default_rng(seed), at_least=1)
+    together, grouping = _groups(folder, recordings, groups)
+    learned, held_out = hold_out_groups(labels, together, validation, np.random.default_rng(seed))
 
     def windows_of(of: Dataset, which: np.ndarray | None = None) -> Windows:
         return make_windows(of.recordings, config.window_us, which=which, first_event=True, duration_us=None)
 
     counts = {name: int((labels == k).sum()) for k, name in enumerate(dataset.classes)}
     record: dict[str, Any] = {
-        "source": "recordings of own classes, held out by recording",
+        "source": f"recordings of own classes, held out by {grouping}",
         "classes": counts,
         "sensor": list(dataset.sensor),
         "real_recordings": len(learned),
@@ -89,9 +100,10 @@ def dataset_data(
         record["pixels"] = {**pixels.record, "camera": list(dataset.camera), **dataset.left_out_events}
     notes = _notes(dataset, "the recordings")
     notes.append("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()))
+    notes.append(f"held out by {grouping}: {len({together[r] for r in held_out})} of {len(set(together))}")
     single = [name for k, name in enumerate(dataset.classes) if counts[name] and k not in labels[held_out]]
     if single and validation:
-        notes.append(f"not held out, as there is only one recording: {', '.join(single)}")
+        notes.append(f"not held out, as there is only one recording, or one group of them: {', '.join(single)}")
     left_out, tests = list(dataset.left_out), {}
     if test:
         testing = read_dataset(
@@ -117,6 +129,18 @@ def dataset_data(
         tuple(left_out),
         tuple(notes),
     )
+
+
+def _groups(folder: Path, recordings: Recordings, pattern: str | None) -> tuple[list[str], str]:
+    """The group of each recording, and what groups are."""
+    if pattern is not None:
+        return groups_by_pattern(recordings.names, pattern), f"group ({pattern})"
+    if (folder / GROUPS_FILE).exists():
+        return groups_by_table(recordings.names, folder / GROUPS_FILE), f"group ({GROUPS_FILE})"
+    blocks = groups_by_number(recordings.names, recordings.labels)
+    if blocks is not None:
+        return blocks, "blocks of neighbouring numbers"
+    return list(recordings.names), "recording"
 
 
 def nmnist_data(

@@ -102,7 +102,7 @@ def check_run(
     ----------
     config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known so far.
     sources : as given to `train`. `pixels`: `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of
-        those that were not left out, not known yet; `validation`: the share held out.
+        those that were not left out, not known yet; `validation`: the share held out; `groups`: its pattern.
 
     Raises
     ------
@@ -137,8 +137,9 @@ def _check_recordings(run_folder: Path, then: Mapping[str, Any], now: Mapping[st
     if differ:
         more = f", and {len(differ) - SHOWN} more" if len(differ) > SHOWN else ""
         raise other_run(run_folder, f"recordings ({', '.join(differ[:SHOWN])}{more})")
-    if then.get("validation") != now.get("validation"):
-        raise other_run(run_folder, f"validation ({then.get('validation')}, now {now.get('validation')})")
+    for name in ("validation", "groups"):
+        if then.get(name) != now.get(name):
+            raise other_run(run_folder, f"{name} ({then.get(name)}, now {now.get(name)})")
 
 
 def other_run(run_folder: Path, what: str) -> ValueError:

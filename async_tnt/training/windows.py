@@ -128,7 +128,7 @@ class Windows:
 
 
 def split_recordings(
-    recordings: Recordings, fraction: float, rng: np.random.Generator, *, at_least: int = 0
+    recordings: Recordings, fraction: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Hold out a share of each class's recordings, drawn at random.
 
@@ -137,7 +137,6 @@ def split_recordings(
     Parameters
     ----------
     fraction : the share, rounded to whole recordings of each class.
-    at_least : hold out at least this many of each class, but leave one to train on; no effect with a fraction of 0.
 
     Returns
     -------
@@ -148,10 +147,7 @@ def split_recordings(
     held_out = np.zeros(len(recordings), bool)
     for label in np.unique(recordings.labels):
         members = rng.permutation(np.flatnonzero(recordings.labels == label))
-        n = round(fraction * len(members))
-        if fraction and at_least:
-            n = min(max(n, at_least), len(members) - 1)
-        held_out[members[:n]] = True
+        held_out[members[: round(fraction * len(members))]] = True
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 

@@ -123,7 +123,35 @@ def test_windows_counts_and_the_held_out(tmp_path):
     # one of five is held out of each class: 4 x 5 windows of 105 ms and 4 partial ones, and the single one
     assert (len(data.training), len(data.validation), data.config.sensor) == (25, 6, (128, 128))
     assert data.record["classes"] == {"flat": 5, "single": 1, "upright": 5}
-    assert "not held out, as there is only one recording: single" in data.notes
+    assert "not held out, as there is only one recording, or one group of them: single" in data.notes
+
+
+def test_who_was_seen_in_training_is_not_held_out(tmp_path):
+    """By a pattern, by a table, by the numbers of recordings; and by recording where nothing is known."""
+    for kind in ("upright", "flat"):
+        for k in range(30):
+            write(tmp_path / kind / f"{'abcde'[k % 5]}{k:02d}.npz", bar(kind, k, n=50))
+
+    def sides(**how):
+        data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, **how)
+        return [
+            {data.training.recordings.names[r] for r in windows.recording}
+            for windows in (data.training, data.validation)
+        ], data
+
+    (train, held_out), data = sides(groups="/(.)")
+    people = [{name.split("/")[1][0] for name in side} for side in (train, held_out)]
+    assert len(held_out) == 12 and len(people[1]) == 1 and not people[0] & people[1]
+    assert data.record["source"] == "recordings of own classes, held out by group (/(.))"
+    assert "held out by group (/(.)): 1 of 5" in data.notes
+
+    assert sides()[1].record["source"] == "recordings of own classes, held out by recording"
+    rows = [f"{kind}/{'abcde'[k % 5]}{k:02d}.npz,{k // 10}" for kind in ("upright", "flat") for k in range(30)]
+    (tmp_path / "groups.csv").write_text("recording,group\n" + "\n".join(rows) + "\n")
+    (train, held_out), data = sides()
+    decades = [{int(name[-6:-4]) // 10 for name in side} for side in (train, held_out)]
+    assert len(held_out) == 20 and len(decades[1]) == 1 and not decades[0] & decades[1]
+    assert data.record["source"] == "recordings of own classes, held out by group (groups.csv)"
 
 
 def test_the_folder_test_is_of_the_same_sensor_and_classes(tmp_path):

@@ -64,6 +64,7 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
 
     assert refused("--seed", "1", "--window-us", "5000", "--iterations", "7") == "iterations, seed, window_us"
     assert refused("--validation", "0.5") == "validation (0.2, now 0.5)"
+    assert refused("--groups", "0") == "groups (None, now 0)"
     write(folder / "upright" / "new.npy", bar("upright", 77))
     assert refused() == "recordings (upright/new.npy is new)"
     write(folder / "upright" / "00.npy", bar("upright", 77)[:100])

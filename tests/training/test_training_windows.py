@@ -53,13 +53,6 @@ def test_a_split_is_by_recording_and_even_over_the_classes():
         split_recordings(recordings, 1, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize(("fraction", "expected"), [(0.1, [1, 1, 0]), (0.99, [9, 2, 0]), (0.0, [0, 0, 0])])
-def test_a_small_class_gives_one_recording_to_the_held_out_and_keeps_one(fraction, expected):
-    recordings = Recordings.from_events([recording([1])] * 14, [0] * 10 + [1] * 3 + [2])
-    _, held_out = split_recordings(recordings, fraction, np.random.default_rng(0), at_least=1)
-    np.testing.assert_array_equal(np.bincount(recordings.labels[held_out], minlength=3), expected)
-
-
 def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_path):
     """Images with one bar each, only beyond FIRST_INDEX; the label is the bar's place."""
     images = np.zeros((FIRST_INDEX + 4, 28, 28), np.uint8)

@@ -1,0 +1,86 @@
+"""Groups of recordings that stay together, and how they are held out."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from async_tnt.training.groups import (
+    BLOCKS,
+    groups_by_number,
+    groups_by_pattern,
+    groups_by_table,
+    hold_out_groups,
+)
+
+
+def test_a_pattern_groups_by_its_parentheses_or_by_all_it_finds():
+    names = ["wave/user01_lab_3.npz", "clap/user01_led_1.npz", "clap/user22_lab_1.npz"]
+    assert groups_by_pattern(names, r"user\d+") == ["user01", "user01", "user22"]
+    assert groups_by_pattern(names, r"user(\d+)_(led)?") == ["01/", "01/led", "22/"]
+    with pytest.raises(ValueError, match=r"but 'led' is not in wave/user01_lab_3.npz"):
+        groups_by_pattern(names, "led")
+    with pytest.raises(ValueError, match=r"--groups must be a regular expression, got '\(': "):
+        groups_by_pattern(names, "(")
+
+
+def test_a_table_names_files_alone_or_with_their_class(tmp_path):
+    path = tmp_path / "groups.csv"
+    path.write_text("\ufeffgroup,recording,note\nana,wave/1.npz,first\nbo,2.npz,\n", encoding="utf-8")
+    assert groups_by_table(["wave/1.npz", "clap/2.npz"], path) == ["ana", "bo"]
+    with pytest.raises(ValueError, match=r"groups.csv: every recording must have a group, clap/1.npz has none"):
+        groups_by_table(["wave/1.npz", "clap/1.npz"], path)
+    path.write_text("recording,group\n1.npz,a\n1.npz,b\n")
+    with pytest.raises(ValueError, match=r"line 3: 1.npz is in groups a and b"):
+        groups_by_table(["wave/1.npz"], path)
+    path.write_text("file,person\n")
+    with pytest.raises(ValueError, match=r"expected columns recording and group, got \['file', 'person'\]"):
+        groups_by_table([], path)
+    path.write_bytes(b"\xff\xfe\x00recording")
+    with pytest.raises(ValueError, match=r"groups.csv: not a CSV file: "):
+        groups_by_table([], path)
+
+
+def test_numbered_recordings_are_grouped_in_blocks_of_neighbours():
+    names = [f"car/obj_{99 - k}_td.dat" for k in range(100)]
+    names += ["road/7.npy", "road/30.npy", "road/8.npy"]
+    groups = groups_by_number(names, np.array([0] * 100 + [1] * 3))
+    of = dict(zip(names, groups, strict=True))
+    assert len(set(groups)) == BLOCKS + 3
+    for k in range(0, 100, 5):
+        assert len({of[f"car/obj_{i}_td.dat"] for i in range(k, k + 5)}) == 1
+    assert groups_by_number(["a/left.npy", "a/right.npy"], np.zeros(2, int)) is None
+    assert groups_by_number(["a/one.npy", "b/1.npy"], np.arange(2)) is None
+    two = groups_by_number([f"a/user{u}_{k}.npy" for k in range(20) for u in (10, 9)], np.zeros(40, int))
+    assert [two[2 * k] == two[2 * k + 2] for k in range(4)] == [True, False, True, False]  # by user, then by number
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 3), st.integers(0, 5)), min_size=1, max_size=60),
+    st.floats(0, 0.99),
+    st.integers(0, 9),
+)
+def test_no_group_is_on_both_sides_and_each_class_is_on_the_side_of_training(recordings, share, seed):
+    labels, groups = np.array([label for label, _ in recordings]), [str(group) for _, group in recordings]
+    train, held_out = hold_out_groups(labels, groups, share, np.random.default_rng(seed))
+    assert sorted([*train, *held_out]) == list(range(len(labels)))
+    assert not {groups[r] for r in train} & {groups[r] for r in held_out}
+    assert set(labels[train]) == set(labels)
+    again = hold_out_groups(labels, groups, share, np.random.default_rng(seed))
+    assert again[1].tolist() == held_out.tolist()
+    if share == 0:
+        assert len(held_out) == 0
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"), [(0.1, [1, 1, 0]), (0.25, [2, 1, 0]), (0.99, [9, 2, 0]), (0.0, [0, 0, 0])]
+)
+def test_single_recordings_give_each_class_its_share_and_at_least_one(share, expected):
+    labels = np.array([0] * 10 + [1] * 3 + [2])
+    _, held_out = hold_out_groups(labels, [str(k) for k in range(14)], share, np.random.default_rng(0))
+    assert np.bincount(labels[held_out], minlength=3).tolist() == expected
+
+
+def test_a_share_of_all_is_refused():
+    with pytest.raises(ValueError, match=r"must be in \[0, 1\), got 1"):
+        hold_out_groups(np.zeros(2, int), ["a", "b"], 1, np.random.default_rng(0))
