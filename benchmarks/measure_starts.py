@@ -130,9 +130,11 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
     if cache is not None:
         cache.mkdir(exist_ok=True)
         settings["NUMBA_CACHE_DIR"] = str(cache)
+    environment = os.environ | settings
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package has its bytecode
     command = [sys.executable, "-c", _AROUND.format(body=body), json.dumps(arguments)]
     started = time.perf_counter()
-    done = subprocess.run(command, env=os.environ | settings, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     taken = time.perf_counter() - started
     if done.returncode:
         raise RuntimeError(f"the start of {name} failed:\n{done.stderr}")

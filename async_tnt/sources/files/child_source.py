@@ -120,7 +120,7 @@ def open_mat(path: Path) -> Source:
     with path.open("rb") as file:
         if file.read(10) == b"MATLAB 7.3":
             return open_hdf5(path)
-    return _open(path, "mat5.py", "MATLAB", "scipy", "files")
+    return _open(path, "mat5.py", "MATLAB", "scipy", "matlab")
 
 
 def _open(path: Path, reader: str, format: str, library: str, extra: str) -> Source:
