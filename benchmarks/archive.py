@@ -34,8 +34,8 @@ from async_tnt.archive.records import evaluate_recording, moments
 from async_tnt.checking.timing import machine
 from async_tnt.engines import choose_engine
 from async_tnt.progress import progress
-from async_tnt.sources.class_folders import find_recordings
 from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.labelled_recordings import find_recordings
 
 QUICK = 40  # recordings
 REPEAT_US = 315_000  # three windows
@@ -56,9 +56,9 @@ def tasks_of(folder: Path, n: int | None) -> list[Task]:
     """Tasks of the folder's recordings, or of the first `n` of them, the classes in turn."""
     engine = choose_engine("digits")
     job = job_of("evaluate", "digits", engine, every_us=moments(engine.config)[0])
-    found = find_recordings(folder, "Test").values()
-    paths = sorted((path for paths in found for path in paths), key=lambda path: (path.name, path.parent.name))
-    return [task_of(path.relative_to(folder).as_posix(), path, job) for path in paths[:n]]
+    found = find_recordings(folder, "Test").items()
+    labelled = sorted((one.path.name, name, one.path) for name, recordings in found for one in recordings)
+    return [task_of(path.relative_to(folder).as_posix(), path, job, name) for _, name, path in labelled[:n]]
 
 
 @contextlib.contextmanager

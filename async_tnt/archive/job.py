@@ -16,8 +16,8 @@ from typing import Any
 from async_tnt.engines import Engine, is_onnx, regressor_path
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
-from async_tnt.sources.class_folders import is_recording
 from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.labelled_recordings import is_recording
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.version import __version__
 
@@ -75,6 +75,8 @@ class Task:
     job : what is done with it.
     settings : `job.id`.
     bytes, modified_ns : size, and time of the last change; None if the file cannot be accessed.
+    label : its class; None where that is not known.
+    between_us : the part of the file that it is; None: all.
     """
 
     recording: str
@@ -83,6 +85,8 @@ class Task:
     settings: str
     bytes: int | None = None
     modified_ns: int | None = None
+    label: str | None = None
+    between_us: tuple[int, int] | None = None
 
 
 def job_of(kind: str, name_or_path: str, engine: Engine, pixels: PixelSelection | None = None, **settings: Any) -> Job:
@@ -91,15 +95,21 @@ def job_of(kind: str, name_or_path: str, engine: Engine, pixels: PixelSelection 
     return Job(kind, model, engine.name, settings, sha256_of(engine, model), pixels=pixels or PixelSelection())
 
 
-def task_of(recording: str, path: Path, job: Job) -> Task:
-    """The task of a file, with its current size and time."""
+def task_of(
+    recording: str,
+    path: Path,
+    job: Job,
+    label: str | None = None,
+    between_us: tuple[int, int] | None = None,
+) -> Task:
+    """The task of a file, or a part of it, with its current size and time."""
     name = recording.encode("utf-8", "backslashreplace").decode()  # file names need not be valid text
     absolute = Path(os.path.abspath(path))
     try:
         status = path.stat()
     except OSError:  # opening it will raise the same error
-        return Task(name, absolute, job, job.id)
-    return Task(name, absolute, job, job.id, status.st_size, status.st_mtime_ns)
+        return Task(name, absolute, job, job.id, None, None, label, between_us)
+    return Task(name, absolute, job, job.id, status.st_size, status.st_mtime_ns, label, between_us)
 
 
 def sha256_of(engine: Engine, path: str) -> str:

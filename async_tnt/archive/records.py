@@ -93,7 +93,7 @@ def run_recording(task: Task) -> Record:
 
 
 def evaluate_recording(task: Task) -> Record:
-    """What is decided in each window of one labelled recording, at each of `moments`; its folder is its class.
+    """What is decided in each window of one labelled recording, at each of `moments`.
 
     The job's Processor must decide at the first of `moments` and its multiples. Errors are those of `run_recording`.
     """
@@ -145,7 +145,7 @@ def _stream(task: Task, fields_of: Callable[[list[Decision], Engine], Record]) -
 def _record(task: Task, fields: Record, error: str | None, seconds: float | None) -> Record:
     record = dict.fromkeys(COLUMNS[task.job.kind]) | {"recording": task.recording, **fields, "error": error}
     if task.job.kind == "evaluate":
-        record["class"] = task.path.parent.name
+        record["class"] = task.label
     about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.settings}
     return {**record, **about_file, TIMED: seconds}
 
@@ -216,7 +216,7 @@ def decisions_of(task: Task, processor: Processor, pixels: PixelSelector) -> tup
     ValueError, TypeError, OSError : the recording is damaged, anywhere; of another sensor; or without events.
     """
     before = pixels.counts
-    recording, sensor = pixels.open(task.path, name=task.recording, strict=True)
+    recording, sensor = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)
     select = pixels.filter_of(task.recording, sensor)
     decisions: list[Decision] = []
     seconds = 0.0

@@ -22,14 +22,15 @@ from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.engines import Engine
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
-from async_tnt.sources.class_folders import find_recordings
+from async_tnt.sources.labelled_recordings import LabelledRecording, file_of, find_recordings
 from async_tnt.views.figure_style import check_picture
 
 SHOWN = 10  # classes that an error names
 
 DESCRIPTION = """Stream every recording of a folder of class folders through a model, and count how often it is right.
 
-DATASET holds <class name>/<recordings>, or Test/<class name>/<recordings>; the names are the model's classes. Use
+DATASET holds <class name>/<recordings>, or Test/<class name>/<recordings>; the names are the model's classes. Or it
+holds sessions, each with a table NAME_labels.csv of class, start and end, which are evaluated part by part. Use
 recordings that the model was not trained on, if possible of other days and people. Windows follow each other from each
 recording's first event, as on a live stream. A recording's class is the one with the highest mean probability over its
 windows. Recordings that cannot be read, and empty ones, are skipped and named at the end.
@@ -71,15 +72,24 @@ def main(args: argparse.Namespace) -> int:
     executor = archive_executor(args)
     model = model_of(args)
     pixels = selector_of(args, model)
-    paths, labels = labelled_recordings(args.dataset, model)
+    recordings, labels = labelled_recordings(args.dataset, model)
     engine = Engine("compiled", model, model.classes)
     every_us = next(iter(moments(model.config)), None)
     job = job_of("evaluate", args.model, engine, pixels.selection, every_us=every_us)
-    tasks = [task_of(path.relative_to(args.dataset).as_posix(), path, job) for path in paths]
+    tasks = [
+        task_of(
+            one.name_as(one.path.relative_to(args.dataset).as_posix()),
+            one.path,
+            job,
+            model.classes[label],
+            one.between_us,
+        )
+        for one, label in zip(recordings, labels, strict=True)
+    ]
     label_of = {task.recording: label for task, label in zip(tasks, labels, strict=True)}
 
     def is_gone(name: str) -> bool:
-        return not (args.dataset / name).exists()
+        return not (args.dataset / file_of(name)).exists()
 
     try:
         records = list(stream_archive(args, evaluate_recording, tasks, executor, Progress(), is_gone))
@@ -111,7 +121,7 @@ def main(args: argparse.Namespace) -> int:
     return 2 if skipped and args.strict else 0
 
 
-def labelled_recordings(folder: Path, model: Model) -> tuple[list[Path], list[int]]:
+def labelled_recordings(folder: Path, model: Model) -> tuple[list[LabelledRecording], list[int]]:
     """The recordings of a folder, and the index of each one's class in `model.classes`.
 
     Raises
@@ -123,10 +133,10 @@ def labelled_recordings(folder: Path, model: Model) -> tuple[list[Path], list[in
     unknown = [name for name in found if name not in model.classes]
     if unknown:
         raise ValueError(f"{folder}: the model does not know class {_some(unknown)}; it knows {_some(model.classes)}")
-    paths = [path for name in found for path in found[name]]
-    if not paths:
+    recordings = [one for name in found for one in found[name]]
+    if not recordings:
         raise ValueError(f"{folder}: no recordings in its class folders ({', '.join(found)})")
-    return paths, [model.classes.index(name) for name in found for _ in found[name]]
+    return recordings, [model.classes.index(name) for name in found for _ in found[name]]
 
 
 def _some(names: Sequence[str]) -> str:

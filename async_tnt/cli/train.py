@@ -24,6 +24,7 @@ from async_tnt.files import check_folder, check_writable, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
+from async_tnt.sources.labelled_recordings import has_part
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
@@ -178,7 +179,7 @@ def _read_dataset(
     args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
 ) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
     """DATASET, how to train on it, and what `check_run` compares; checks the run folder before reading the data."""
-    if args.test and not (args.dataset / "Test").is_dir():
+    if args.test and not has_part(args.dataset, "Test"):
         raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
     pixels = pixels_of(args, start)
     validation = 0.2 if args.validation is None else args.validation

@@ -55,14 +55,23 @@ class PixelSelector:
             raise ValueError(f"{name}: does not say the camera's pixels, which --crop needs: give --sensor WxH")
         return found[0], found[1]
 
-    def open(self, path: Path, *, name: str | None = None, strict: bool = False) -> tuple[Recording, Sensor]:
-        """A recording, and the sensor of its events, for `filter_of`. `name` is for messages; by default its path.
+    def open(
+        self,
+        path: Path,
+        *,
+        name: str | None = None,
+        strict: bool = False,
+        between_us: tuple[int, int] | None = None,
+    ) -> tuple[Recording, Sensor]:
+        """A recording, or its part between two times, and the sensor of its events, for `filter_of`.
+
+        `name` is for messages; by default its path.
 
         Raises
         ------
         ValueError, OSError : unreadable, or of another sensor than expected.
         """
-        recording = open_recording(path, strict=strict, sensor=self.expected)
+        recording = open_recording(path, strict=strict, sensor=self.expected, between_us=between_us)
         return recording, self.sensor_of(path if name is None else name, recording.sensor)
 
     def check_events(self, packets: Iterable[Any], name: Any, sensor: Sensor) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.progress import Bar, no_progress
+from async_tnt.sources.labelled_recordings import file_of
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.dataset import Dataset, read_dataset
 from async_tnt.training.digits import read_nmnist_folder, read_samples, simulate_recordings
@@ -75,7 +76,7 @@ def dataset_data(
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
     groups : a regular expression, see `groups_by_pattern`; by default the file `groups.csv` in the folder, or else
         blocks of neighbours where recordings are numbered.
-    test : also read `folder/Test`, through the same pixels.
+    test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
     """
     dataset = read_dataset(folder, pixels=pixels, sensor_source=sensor_source, classes=classes, progress=progress)
@@ -107,7 +108,7 @@ def dataset_data(
     left_out, tests = list(dataset.left_out), {}
     if test:
         testing = read_dataset(
-            folder / "Test",
+            folder / "Test" if (folder / "Test").is_dir() else folder,
             part="Test",
             pixels=replace(pixels, sensor=dataset.camera),
             sensor_source="the recordings to train on",
@@ -140,7 +141,8 @@ def _groups(folder: Path, recordings: Recordings, pattern: str | None) -> tuple[
     blocks = groups_by_number(recordings.names, recordings.labels)
     if blocks is not None:
         return blocks, "blocks of neighbouring numbers"
-    return list(recordings.names), "recording"
+    files = [file_of(name) for name in recordings.names]
+    return files, "recording" if files == list(recordings.names) else "session"
 
 
 def nmnist_data(

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.progress import Bar, no_progress
-from async_tnt.sources.class_folders import find_recordings, name_of
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.sensor import Sensor, format_size
@@ -54,7 +54,7 @@ def read_dataset(
     classes: tuple[str, ...] | None = None,
     progress: Callable[..., Bar] = no_progress,
 ) -> Dataset:
-    """Read `<folder>/<class>/<recording>`, or `<folder>/<part>/<class>/<recording>` if that folder exists.
+    """Read the recordings that `find_recordings` finds.
 
     The recordings state their sensor and agree, or `pixels.sensor` gives it to those that do not state one. Recordings
     that cannot be read, have no events, or have an event off the sensor are left out. So are events older than their
@@ -82,13 +82,13 @@ def read_dataset(
     found = find_recordings(folder, part)
     _check_classes(folder, found, classes)
     names = tuple(found) if classes is None else classes
-    paths = [(label, path) for label, name in enumerate(names) for path in found.get(name, [])]
+    labelled = [(label, one) for label, name in enumerate(names) for one in found.get(name, [])]
     camera, source = pixels.sensor, sensor_source
     recordings: list[_Recording] = []
     n_selected = 0
-    with progress(len(paths), "reading") as bar:
-        for label, path in paths:
-            one = _Recording.read(path, label, pixels.sensor)
+    with progress(len(labelled), "reading") as bar:
+        for label, which in labelled:
+            one = _Recording.read(which, label, pixels.sensor)
             recordings.append(one)
             if camera is None:
                 camera, source = one.sensor, one.name
@@ -138,8 +138,8 @@ def read_dataset(
 
 def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
     """Recording -> bytes, of all that `folder` or `folder/part` holds; -1 for a link to nothing."""
-    paths = [path for some in find_recordings(folder, part).values() for path in some]
-    return {name_of(path): path.stat().st_size if path.exists() else -1 for path in paths}
+    recordings = [one for some in find_recordings(folder, part).values() for one in some]
+    return {one.name: one.path.stat().st_size if one.path.exists() else -1 for one in recordings}
 
 
 @dataclass
@@ -156,7 +156,7 @@ class _Recording:
     n_outside, n_masked : events removed outside of the region, and at masked pixels.
     """
 
-    path: Path
+    file: LabelledRecording
     label: int
     events: np.ndarray | None = None
     sensor: Sensor | None = None
@@ -166,14 +166,14 @@ class _Recording:
     n_masked: int = 0
 
     @classmethod
-    def read(cls, path: Path, label: int, sensor: Sensor | None) -> _Recording:
+    def read(cls, file: LabelledRecording, label: int, sensor: Sensor | None) -> _Recording:
         """All events of a recording; `sensor` is that of a file that does not state one."""
-        one = cls(path, label)
+        one = cls(file, label)
         try:
-            recording = open_recording(path, strict=True, sensor=sensor)
+            recording = open_recording(file.path, strict=True, sensor=sensor, between_us=file.between_us)
             events = recording.read()
         except (ValueError, OSError) as error:
-            return one.leave_out(_message(error, path))
+            return one.leave_out(_message(error, file))
         if len(events) == 0:
             return one.leave_out(f"{one.name}: no events")
         if recording.stated_sensor is not None:
@@ -183,12 +183,11 @@ class _Recording:
 
     @property
     def name(self) -> str:
-        """Class folder and file."""
-        return name_of(self.path)
+        return self.file.name
 
     def leave_out(self, why: str) -> _Recording:
         """Give the reason by name, not by path: it goes into the model's record, which may be published."""
-        self.events, self.left_out = None, why.replace(str(self.path), self.name)
+        self.events, self.left_out = None, why.replace(str(self.file.path), self.name)
         return self
 
     def select(self, keep: PixelFilter | None, sensor: Sensor) -> None:
@@ -216,7 +215,7 @@ class _Recording:
             return
         if seen["t"][-1] >= MAX_US:
             raise ValueError(
-                f"{self.path}: lasts {seen['t'][-1] / 60e6:.0f} minutes, more than the 35 that training supports; "
+                f"{self.file.path}: lasts {seen['t'][-1] / 60e6:.0f} minutes, more than the 35 that training supports; "
                 "cut it into shorter recordings"
             )
         self.events = seen
@@ -251,7 +250,7 @@ def _filter(pixels: PixelSelection, sensor: Sensor) -> PixelFilter | None:
 
 
 def _check_classes(
-    folder: str | os.PathLike[str], found: dict[str, list[Path]], classes: tuple[str, ...] | None
+    folder: str | os.PathLike[str], found: dict[str, list[LabelledRecording]], classes: tuple[str, ...] | None
 ) -> None:
     if classes is not None:
         unknown = [name for name in found if name not in classes]
@@ -288,9 +287,9 @@ def _leave_out_copies(recordings: Iterable[_Recording]) -> None:
             one.leave_out(f"{one.name}: the same events as {twin.name}{where}")
 
 
-def _message(error: Exception, path: Path) -> str:
+def _message(error: Exception, file: LabelledRecording) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}."
     text = str(error)
-    text = text if path.name in text else f"{name_of(path)}: {text}"
+    text = text if file.path.name in text else f"{file.name}: {text}"
     return text if text.endswith(".") else f"{text}."

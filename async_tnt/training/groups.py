@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+
+from async_tnt.sources.labelled_recordings import file_of
 
 GROUPS_FILE = "groups.csv"
 BLOCKS = 20  # of a class whose recordings are numbered
@@ -57,20 +59,26 @@ def groups_by_table(names: Sequence[str], path: Path) -> list[str]:
                     raise ValueError(f"{path}: line {rows.line_num}: {name} is in groups {table[name]} and {group}")
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a CSV file: {error}") from None
-    groups = [table.get(name) or table.get(PurePosixPath(name).name) for name in names]
+    groups = [_first_in(table, (name, file_of(name), PurePosixPath(file_of(name)).name)) for name in names]
     missing = [name for name, group in zip(names, groups, strict=True) if group is None]
     if missing:
         raise ValueError(f"{path}: every recording must have a group, {missing[0]} has none")
     return [group for group in groups if group is not None]
 
 
+def _first_in(table: Mapping[str, str], names: Sequence[str]) -> str | None:
+    return next((table[name] for name in names if name in table), None)
+
+
 def groups_by_number(names: Sequence[str], labels: np.ndarray) -> list[str] | None:
     """Blocks of neighbours, at most `BLOCKS` of each class; None where names are not numbered.
 
     They are if those of a class differ in numbers only; several numbers count from left to right. What leaks are the
-    neighbours at the ends of blocks.
+    neighbours at the ends of blocks. Parts of sessions are not.
     """
     groups = list(names)
+    if any(file_of(name) != name for name in names):
+        return None
     for label in np.unique(labels):
         members = np.flatnonzero(labels == label).tolist()
         texts = {re.sub(r"\d+", "0", PurePosixPath(names[r]).stem) for r in members}

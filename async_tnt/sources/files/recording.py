@@ -52,8 +52,10 @@ class Recording:
         *,
         strict: bool = False,
         unsorted: str = "accept",
+        between_us: tuple[int, int] | None = None,
     ) -> None:
         self.path = path
+        self.between_us = between_us
         self.sensor = sensor
         self.packet_events = packet_events
         self.strict = strict
@@ -125,6 +127,10 @@ class Recording:
             for block in self._source.blocks():
                 events, problem = events_on_sensor(block, self.stated_sensor, n_read)
                 n_read += len(events)
+                if self.between_us is not None:
+                    if len(events) and (events["t"] >= self.between_us[1]).all():
+                        break
+                    events = events[(events["t"] >= self.between_us[0]) & (events["t"] < self.between_us[1])]
                 events = self._apply_policy(events, totals)
                 if len(events):
                     yield events
@@ -176,6 +182,7 @@ def open_recording(
     strict: bool = False,
     unsorted: str = "accept",
     sensor: Sensor | None = None,
+    between_us: tuple[int, int] | None = None,
 ) -> Recording:
     """Open a recording of the format that its suffix means (`READERS`), or its first bytes where it may mean several.
 
@@ -190,6 +197,8 @@ def open_recording(
         reading gets there. `Recording.n_unsorted` counts them.
     sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` has
         this sensor instead of N-MNIST's 34 x 34. Events are compared with it where they are streamed, not here.
+    between_us : (start, end): only the events with start <= t < end. The file is read up to the first block of events
+        that all come later.
 
     Returns
     -------
@@ -233,7 +242,15 @@ def open_recording(
     else:
         found = READERS[suffix](path)
         source = found if isinstance(found, Source) else ArraySource(*found)
-    return Recording(path, source, source.sensor or sensor, int(packet_events), strict=strict, unsorted=unsorted)
+    return Recording(
+        path,
+        source,
+        source.sensor or sensor,
+        int(packet_events),
+        strict=strict,
+        unsorted=unsorted,
+        between_us=between_us,
+    )
 
 
 def sample_recordings() -> dict[int, Path]:

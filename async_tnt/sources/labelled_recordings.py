@@ -1,0 +1,173 @@
+"""Which labelled recordings a folder holds: class folders of recordings, or sessions with tables of what they show.
+
+A session is a recording with a table beside it, `NAME_labels.csv`: a row for each part that shows one class, with the
+columns `class`, `start` and `end`, in microseconds, as DVS128 Gesture has them. Its file `gesture_mapping.csv` gives
+class numbers their names, `trials_to_train.txt` and `trials_to_test.txt` say which sessions are for what.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from async_tnt.sources.files.formats import READERS
+
+TABLE = "_labels.csv"
+COLUMNS = {
+    "class": ("class", "label"),
+    "start": ("start", "start_us", "startTime_usec"),
+    "end": ("end", "end_us", "endTime_usec"),
+}
+NAMES_FILE = "gesture_mapping.csv"
+LISTS = {"Train": "trials_to_train.txt", "Test": "trials_to_test.txt"}
+
+
+@dataclass(frozen=True)
+class LabelledRecording:
+    """A recording of one class, or a part of one.
+
+    Parameters
+    ----------
+    path : of its file.
+    between_us : the events with start <= t < end; None: all.
+    """
+
+    path: Path
+    between_us: tuple[int, int] | None = None
+
+    @property
+    def name(self) -> str:
+        """For messages and reports: class folder and file, or the session's file and the part's times."""
+        return f"{self.path.parent.name}/{self.path.name}" if self.between_us is None else self.name_as(self.path.name)
+
+    def name_as(self, file: str) -> str:
+        """The same under another name of its file, such as one relative to some folder."""
+        return file if self.between_us is None else f"{file}[{self.between_us[0]}:{self.between_us[1]}]"
+
+
+def file_of(name: str) -> str:
+    """The file that a name belongs to: that of a session for each of its parts.
+
+    Examples
+    --------
+    >>> file_of("user01_led.aedat[80048239:85092709]"), file_of("wave/a.npz")
+    ('user01_led.aedat', 'wave/a.npz')
+    """
+    return name.rpartition("[")[0] if name.endswith("]") else name
+
+
+def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> dict[str, list[LabelledRecording]]:
+    """The recordings of a folder of class folders, or of sessions.
+
+    Parameters
+    ----------
+    folder : holds a folder for each class, with the name of the class, or sessions. Hidden files and folders
+        (".cache"), files that are not recordings, and deeper ones are ignored.
+    part : such as "Train": they are in `folder/part` if that exists and has any; of sessions, those that the list for
+        this part names, if there is one.
+
+    Returns
+    -------
+    Class name -> recordings, both sorted by name. A class folder without recordings has an empty list.
+
+    Raises
+    ------
+    FileNotFoundError, NotADirectoryError : no such folder.
+    ValueError : neither class folders nor sessions in it, or a table that cannot be read.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     for name in ("left/a.npy", "left/b.npz", "right/a.npy", "right/notes.md"):
+    ...         Path(folder, name).parent.mkdir(exist_ok=True)
+    ...         Path(folder, name).touch()
+    ...     found = find_recordings(folder)
+    >>> {name: [recording.path.name for recording in recordings] for name, recordings in found.items()}
+    {'left': ['a.npy', 'b.npz'], 'right': ['a.npy']}
+    """
+    folder = Path(folder)
+    if not folder.exists():
+        raise FileNotFoundError(f"no folder {folder}; expected one with a folder of recordings for each class")
+    if not folder.is_dir():
+        raise NotADirectoryError(f"{folder} is a file; expected a folder with a folder of recordings for each class")
+    if part is not None and (folder / part).is_dir() and (_folders(folder / part) or _sessions(folder / part)):
+        folder = folder / part
+    if sessions := _sessions(folder):
+        return _parts(folder, sessions, part)
+    classes = _folders(folder)
+    if not classes:
+        raise ValueError(
+            f"{folder}: no class folders; expected {folder.name}/<class name>/<recording>, or sessions "
+            f"{folder.name}/NAME.* with tables NAME{TABLE}; recordings in {', '.join(sorted(READERS))}"
+        )
+    return {
+        c.name: [LabelledRecording(p) for p in sorted(c.iterdir()) if is_recording(p) and not p.is_dir()]
+        for c in classes
+    }
+
+
+def has_part(folder: Path, part: str) -> bool:
+    """Whether some of a data set's recordings are set aside for "Test", as a folder or by a list."""
+    return (folder / part).is_dir() or (folder / LISTS.get(part, part)).is_file()
+
+
+def is_recording(path: Path) -> bool:
+    """Whether `open_recording` knows the suffix, and the file is neither hidden nor a table of labels."""
+    return path.suffix.lower() in READERS and not path.name.startswith(".") and not path.name.endswith(TABLE)
+
+
+def _folders(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+
+
+def _sessions(folder: Path) -> dict[Path, Path]:
+    """Recording -> its table."""
+    tables = {path.name.removesuffix(TABLE): path for path in folder.glob(f"*{TABLE}") if path.is_file()}
+    recordings = [path for path in sorted(folder.iterdir()) if path.stem in tables and is_recording(path)]
+    return {path: tables[path.stem] for path in recordings}
+
+
+def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dict[str, list[LabelledRecording]]:
+    """The parts of the sessions, by class."""
+    listed = folder / LISTS.get(part or "", "")
+    if part in LISTS and listed.is_file():
+        wanted = set(listed.read_text(encoding="utf-8").split())
+        missing = sorted(wanted - {path.name for path in sessions})
+        if missing:
+            raise ValueError(f"{listed} names {missing[0]}, which is not there, or has no table")
+        sessions = {path: table for path, table in sessions.items() if path.name in wanted}
+    names = {}
+    if (folder / NAMES_FILE).is_file():
+        columns = {"label": ("label", "class"), "name": ("gesture", "name")}
+        names = {row["label"]: row["name"] for row in _rows(folder / NAMES_FILE, columns)}
+    found: dict[str, list[LabelledRecording]] = {}
+    for path, table in sessions.items():
+        for number, row in enumerate(_rows(table, COLUMNS), start=2):
+            try:
+                between = int(row["start"]), int(row["end"])
+            except ValueError:
+                between = 0, 0
+            if not 0 <= between[0] < between[1] or not row["class"]:
+                got = ", ".join(row.values())
+                raise ValueError(f"{table}: line {number}: expected a class, and whole start < end in us, got {got}")
+            found.setdefault(names.get(row["class"], row["class"]), []).append(LabelledRecording(path, between))
+    return dict(sorted(found.items(), key=lambda item: item[0].zfill(9) if item[0].isdigit() else item[0]))
+
+
+def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[dict[str, str]]:
+    """The rows of a CSV file, with these columns, each of which may have one of several names."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = csv.DictReader(file, skipinitialspace=True)
+            given = {name.strip(): name for name in rows.fieldnames or () if name}
+            found = {column: next((n for n in names if n in given), None) for column, names in columns.items()}
+            lacking = [" or ".join(columns[column]) for column, name in found.items() if name is None]
+            if lacking:
+                raise ValueError(f"{path}: expected a column {lacking[0]}, got {', '.join(given) or 'none'}")
+            return [{c: (row[given[n or ""]] or "").strip() for c, n in found.items()} for row in rows]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not a CSV file: {error}") from None

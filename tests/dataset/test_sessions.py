@@ -1,0 +1,123 @@
+"""Sessions: long recordings, and tables of which part shows which class. They are cut as if each part were a file."""
+
+import json
+
+import numpy as np
+import pytest
+from dataset.gestures import bar, write
+from made import random_model
+
+from async_tnt import Model, TNTConfig
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.labelled_recordings import find_recordings
+from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.training.data import dataset_data
+
+HEADER = "class,startTime_usec,endTime_usec\n"
+PART_US = 150_000
+
+
+def part(kind, seed, k):
+    """The k-th part of a session, at its times."""
+    return bar(kind, seed, duration_us=100_000, start_us=5_000_000 + k * PART_US)
+
+
+def write_session(folder, name, kinds, seed=0, header=HEADER, numbers=None):
+    """Parts one after another, with half of the last 50 ms of each not labelled."""
+    parts = [part(kind, seed + k, k) for k, kind in enumerate(kinds)]
+    write(folder / f"{name}.npz", np.concatenate(parts))
+    rows = [
+        f"{(numbers or {}).get(kind, kind)},{5_000_000 + k * PART_US},{5_000_000 + k * PART_US + 80_000}\n"
+        for k, kind in enumerate(kinds)
+    ]
+    (folder / f"{name}_labels.csv").write_text(header + "".join(rows))
+
+
+def cut(events):
+    return events[events["t"] < events["t"][0] + 80_000]
+
+
+@pytest.fixture
+def sessions(tmp_path):
+    folder = tmp_path / "sessions"
+    folder.mkdir()
+    for k, name in enumerate(("user01_lab", "user02_lab", "user02_led")):
+        write_session(folder, name, ("flat", "upright", "flat"), seed=10 * k)
+    return folder
+
+
+def test_the_events_between_two_times(tmp_path):
+    write_session(tmp_path, "a", ("flat", "upright"))
+    recording = open_recording(tmp_path / "a.npz", between_us=(5_150_000, 5_230_000), packet_events=100)
+    np.testing.assert_array_equal(recording.read(), cut(part("upright", 1, 1)))
+    assert recording.n_events == len(recording.read()) == sum(map(len, recording)) and recording.duration_us < 80_000
+
+
+def test_training_sees_the_parts_and_keeps_sessions_together(sessions):
+    data = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3)
+    assert data.classes == ("flat", "upright") and data.record["classes"] == {"flat": 6, "upright": 3}
+    recordings = data.training.recordings
+    assert "user01_lab.npz[5150000:5230000]" in recordings.names
+    r = recordings.names.index("user01_lab.npz[5150000:5230000]")
+    assert recordings.offsets[r + 1] - recordings.offsets[r] == len(cut(part("upright", 1, 1)))
+    assert data.record["source"] == "recordings of own classes, held out by session"
+    sides = [{recordings.names[r][:10] for r in windows.recording} for windows in (data.training, data.validation)]
+    assert len(sides[1]) == 1 and not sides[0] & sides[1]
+    by_user = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3, groups=r"user\d+")
+    assert len({recordings.names[r][:6] for r in by_user.validation.recording}) == 1
+
+
+def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_path, program):
+    random = random_model(TNTConfig(sensor=(128, 128), window_us=60_000), classes=2, seed=3)
+    model = Model(random.config, random.weights, ("flat", "upright")).save(tmp_path / "m.safetensors")
+    for s, name in enumerate(("user01_lab", "user02_lab", "user02_led")):
+        for k, kind in enumerate(("flat", "upright", "flat")):
+            write(tmp_path / "files" / kind / f"{name}{k}.npz", cut(part(kind, 10 * s + k, k)))
+    reports = []
+    for folder in (sessions, tmp_path / "files"):
+        code, out, err = program("evaluate", model, folder, "--json", "--out", tmp_path / f"{folder.name}.jsonl")
+        report = json.loads(out)
+        assert code == 0 and report["recordings"] == 9, err
+        reports.append({name: value for name, value in report.items() if "second" not in name})
+    assert reports[0] == reports[1]
+    code, out, _ = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
+    assert code == 0 and json.loads(out)["seconds"] is None  # resumed: nothing left to do
+
+
+def test_the_files_of_dvs128_gesture(tmp_path):
+    """Numbers with names in a table of their own, and lists of the sessions to train and to test on."""
+    for name in ("user01_lab", "user02_lab"):
+        write_session(tmp_path, name, ("flat", "upright"), numbers={"flat": 2, "upright": 10})
+    assert list(find_recordings(tmp_path)) == ["2", "10"]
+    (tmp_path / "gesture_mapping.csv").write_text("gesture,label\nhand_clapping,2\nair_guitar,10\n")
+    (tmp_path / "trials_to_train.txt").write_text("user01_lab.npz\n")
+    (tmp_path / "trials_to_test.txt").write_text("user02_lab.npz\n\n")
+    found = find_recordings(tmp_path, "Test")
+    assert {name: [one.name for one in some] for name, some in found.items()} == {
+        "air_guitar": ["user02_lab.npz[5150000:5230000]"],
+        "hand_clapping": ["user02_lab.npz[5000000:5080000]"],
+    }
+    data = dataset_data(tmp_path, TNTConfig(), pixels=PixelSelection(), validation=0, test=True)
+    assert [name[:6] for name in data.training.recordings.names] == ["user01"] * 2
+    assert [name[:6] for name in data.tests["test"][0].recordings.names] == ["user02"] * 2
+    (tmp_path / "trials_to_test.txt").write_text("user02_lab.npz user07.npz")
+    with pytest.raises(ValueError, match=r"trials_to_test.txt names user07.npz, which is not there, or has no table"):
+        find_recordings(tmp_path, "Test")
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("class,begin,end\n", "expected a column start or start_us or startTime_usec, got class, begin, end"),
+        ("", "expected a column class or label, got none"),
+        (HEADER + "1,5,9\n1,9,5\n", "line 3: expected a class, and whole start < end in us, got 1, 9, 5"),
+        (HEADER + "1,5\n", "line 2: expected a class, .*, got 1, 5, "),
+        (HEADER + ",5,6\n", "line 2: expected a class, .*, got , 5, 6"),
+        ("label, start, end\nwave, 1.5, 3\n", "line 2: expected a class, .*, got wave, 1.5, 3"),
+    ],
+)
+def test_tables_that_cannot_be_read_are_named(tmp_path, table, message):
+    write_session(tmp_path, "a", ("flat",))
+    (tmp_path / "a_labels.csv").write_text(table)
+    with pytest.raises(ValueError, match=f"a_labels.csv: {message}"):
+        find_recordings(tmp_path)
