@@ -17,8 +17,9 @@ from async_tnt.archive.scores import Scores
 from async_tnt.cli.data_options import command_words, data_folder
 from async_tnt.cli.options import size_of
 from async_tnt.cli.output import complain, one_line
+from async_tnt.cli.train_choice import Choice, questions_of
 from async_tnt.cli.train_motions import other_motions
-from async_tnt.cli.train_options import add_arguments, check_options, pixels_of
+from async_tnt.cli.train_options import LANDMARK, NETWORK, T_MAX, add_arguments, check_options, pixels_of
 from async_tnt.config import TNTConfig
 from async_tnt.files import check_folder, check_writable, write_text
 from async_tnt.networks.loading import load_model
@@ -26,6 +27,7 @@ from async_tnt.networks.model import Model
 from async_tnt.progress import progress
 from async_tnt.sources.labelled_recordings import has_part
 from async_tnt.training.augment import Augmentation
+from async_tnt.training.choice import Candidate
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
 from async_tnt.training.run_folder import (
@@ -82,7 +84,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     config = _config(args) if start is None else start.config
     BatchVolumes(config)  # refuses windows that cannot be trained on, before any data is read
     if start is None:
-        check_network(args.network, config)
+        check_network(args.network or NETWORK, config)
     read = _read_dataset if args.dataset is not None else _read_digits
     data, settings, sources = read(args, config, start, run_folder)
     config = data.config
@@ -113,7 +115,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     summary: dict[str, Any] = {
         "data": data.record,
         "command": _command(args),
-        "network": args.network if start is None else "that of the model it started from",
+        "network": settings.network if start is None else "that of the model it started from",
         "seed": args.seed,
         "epochs": n_trained,
         "iterations": int(result.history[-1]["iterations"]),
@@ -169,8 +171,13 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
 
 def _config(args: argparse.Namespace) -> TNTConfig:
     """The volume that the options describe; its sensor is replaced by that of the recordings."""
-    names = ("bins", "t_max", "landmark", "polarity", "transform", "remove_flow")
-    config = TNTConfig(**{name: getattr(args, name) for name in names}, representation=args.representation or "volume")
+    names = ("bins", "polarity", "transform", "remove_flow")
+    config = TNTConfig(
+        **{name: getattr(args, name) for name in names},
+        landmark=args.landmark or LANDMARK,
+        t_max=T_MAX if args.t_max is None else args.t_max,
+        representation=args.representation or "volume",
+    )
     grid = size_of(args.grid) if args.grid else config.grid
     return config.replace(grid=grid, window_us=args.window_us or config.window_us)
 
@@ -184,20 +191,28 @@ def _read_dataset(
     pixels = pixels_of(args, start)
     validation = 0.2 if args.validation is None else args.validation
     given = {"seed": args.seed, "learning_rate": args.rate, "precision": args.precision}
-    given |= {"iterations": args.iterations, "network": args.network}
+    given |= {"iterations": args.iterations, "network": args.network or NETWORK}
+    questions = questions_of(args)
     known = given | {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
     if args.patience is not None:
         known["patience"] = args.patience or None
     TrainSettings(**known)  # refuses a value out of its range before the data is read
-    volume = {name: value for name, value in config.to_dict().items() if name != "sensor"}
-    if pixels.sensor is not None and not pixels.crop:
-        volume["sensor"] = pixels.sensor
     sources: dict[str, Any] = {
         "recordings": file_sizes(args.dataset, "Train"),
         "validation": validation,
         "groups": args.groups,
         "pixels": pixels.record,
     }
+    choice = None
+    if questions:
+        choice = Choice(run_folder, {"sources": sources, "settings": known, "volume": config.to_dict()})
+        if choice.chosen is not None:
+            config, known["network"] = choice.chosen.config, choice.chosen.network
+    volume = {name: value for name, value in config.to_dict().items() if name != "sensor"}
+    if pixels.sensor is not None and not pixels.crop:
+        volume["sensor"] = pixels.sensor
+    if args.window_us is None and start is None:
+        del volume["window_us"]
     check_run(run_folder, volume, known, sources)
     data = dataset_data(
         args.dataset,
@@ -207,24 +222,32 @@ def _read_dataset(
         classes=None if start is None else start.classes,
         validation=validation,
         groups=args.groups,
+        fit_window=args.window_us is None and start is None,
         test=args.test,
         seed=args.seed,
         progress=progress,
     )
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         print(line, file=sys.stderr)
-    settings = settings_for(
-        data.config,
-        len(data.training),
-        len(data.validation),
-        epochs=args.epochs,
-        batch=args.batch,
-        patience=args.patience,
-        augmentation=_augmentation(args),
-        resynthesized=args.motions == "resynthesized",
-        **given,
-    )
-    return data, settings, {**sources, "used": list(data.training.recordings.names)}
+
+    def settings_of(candidate: Candidate, steps: int | None = None) -> TrainSettings:
+        return settings_for(
+            candidate.config,
+            len(data.training),
+            len(data.validation),
+            epochs=args.epochs,
+            batch=args.batch,
+            patience=args.patience if steps is None else 0,
+            augmentation=_augmentation(args),
+            resynthesized=args.motions == "resynthesized",
+            **given | {"iterations": steps or args.iterations, "network": candidate.network},
+        )
+
+    candidate = Candidate(data.config, given["network"])
+    if choice is not None:
+        candidate = choice.chosen or choice.make(data, candidate, questions, settings_of)
+        data = replace(data, config=candidate.config, record={**data.record, "choice": choice.trials})
+    return data, settings_of(candidate), {**sources, "used": list(data.training.recordings.names)}
 
 
 def _read_digits(
@@ -242,7 +265,7 @@ def _read_digits(
         augmentation=None if changes is None else Augmentation(**changes),
         precision=args.precision,
         patience=args.patience or None,
-        network=args.network,
+        network=args.network or NETWORK,
     )
     check_run(run_folder, config.to_dict(), asdict(settings))
     if args.smoke:

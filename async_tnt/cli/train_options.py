@@ -20,7 +20,9 @@ from async_tnt.training.augment import Augmentation
 DESCRIPTION = """\
 Train a classifier on volumes of events: the thesis' network, others that suit small machines, or your own (--network).
 
-With DATASET, on your own classes: a folder with one folder of recordings for each class, named like the class, from
+With DATASET, on your own classes. What no option gives is chosen first: a few volumes (--transform, --polarity), grids
+and networks are trained for a short time each, compared on the held-out recordings, and listed; the best is trained.
+--quick leaves that out. DATASET is a folder with one folder of recordings for each class, named like the class, from
 any camera and in any format that `async-tnt run` reads. Windows follow each other from each recording's first event; a
 shorter recording is one partial window. Every epoch shows each class equally often, however many recordings it has.
 Training stops when the loss on the held-out recordings no longer falls, and the model of the best epoch is kept. Beside
@@ -48,6 +50,9 @@ examples:
   async-tnt train --nmnist N-MNIST --saccades 1 --landmark regressor --translate 4 --t-max 2 --iterations 60000
   async-tnt run --model mine.safetensors my.bin     use it
 """
+
+
+LANDMARK, T_MAX, NETWORK = "running", 3.0, "thesis"  # where nothing is chosen
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -157,14 +162,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     volume.add_argument(
         "--landmark",
         choices=LANDMARKS,
-        default="running",
         help="the point events are normalized about; `window` and `regressor` (a second network, trained jointly) "
         "cost a replay at each decision (default: running)",
     )
     volume.add_argument(
         "--t-max",
         type=float,
-        default=3.0,
         metavar="T",
         help="TNT time at the window's end: a smaller one shrinks late events less, but loses more of the early ones "
         "at the border (default: 3)",
@@ -195,8 +198,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     learning = parser.add_argument_group("training")
     learning.add_argument(
+        "--quick",
+        action="store_true",
+        help="with DATASET: leave the choice out, and take the defaults for what no option gives",
+    )
+    learning.add_argument(
         "--network",
-        default="thesis",
         metavar="NAME",
         help="thesis: two convolutions, two dense layers; conv4: four with batch norm; residual; separable: few "
         "multiplications; or FILE.py:FUNCTION, your own: called with channels, (width, height) and the number of "
@@ -306,14 +313,14 @@ def check_options(args: argparse.Namespace) -> None:
         raise ValueError(f"{', '.join(given)} must come with --motions resynthesized")
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
-    names = ("grid", "window_us", "representation", "transform", "polarity", "bins")
+    names = ("grid", "window_us", "representation", "transform", "landmark", "t_max", "polarity", "bins")
     given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name) is not None]
     if args.start_from and given:
         raise ValueError(f"{', '.join(given)} must come without --start-from: the volume is that model's")
-    if args.start_from and args.network != "thesis":
+    if args.start_from and args.network is not None:
         raise ValueError("--network must come without --start-from: the network is that model's")
     if args.dataset is None:
-        needs_folder = ("groups", "sensor", "grid", "window_us", "roi", "crop", "mask")
+        needs_folder = ("quick", "groups", "sensor", "grid", "window_us", "roi", "crop", "mask")
         given = [f"--{name.replace('_', '-')}" for name in needs_folder if getattr(args, name)]
         if given:
             raise ValueError(f"{', '.join(given)} must come with DATASET, a folder of class folders")

@@ -63,6 +63,7 @@ def dataset_data(
     classes: tuple[str, ...] | None = None,
     validation: float = 0.2,
     groups: str | None = None,
+    fit_window: bool = False,
     test: bool = False,
     seed: int = 0,
     progress: Callable[..., Bar] = no_progress,
@@ -76,12 +77,18 @@ def dataset_data(
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
     groups : a regular expression, see `groups_by_pattern`; by default the file `groups.csv` in the folder, or else
         blocks of neighbours where recordings are numbered.
+    fit_window : where no recording is as long as a window, windows become as long as the longest one.
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
     """
     dataset = read_dataset(folder, pixels=pixels, sensor_source=sensor_source, classes=classes, progress=progress)
     config = config.replace(sensor=dataset.sensor)
     recordings, labels = dataset.recordings, dataset.recordings.labels
+    notes = _notes(dataset, "the recordings")
+    longest_us = int(recordings.t[recordings.offsets[1:] - 1].max()) + 1
+    if fit_window and longest_us < config.window_us:
+        config = config.replace(window_us=-(-longest_us // 1000) * 1000)
+        notes.append(f"windows of {config.window_us} us, as no recording is longer")
     together, grouping = _groups(folder, recordings, groups)
     learned, held_out = hold_out_groups(labels, together, validation, np.random.default_rng(seed))
 
@@ -99,7 +106,6 @@ def dataset_data(
     }
     if pixels.leaves_out:
         record["pixels"] = {**pixels.record, "camera": list(dataset.camera), **dataset.left_out_events}
-    notes = _notes(dataset, "the recordings")
     notes.append("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()))
     notes.append(f"held out by {grouping}: {len({together[r] for r in held_out})} of {len(set(together))}")
     single = [name for k, name in enumerate(dataset.classes) if counts[name] and k not in labels[held_out]]

@@ -21,7 +21,7 @@ def trained(gestures, tmp_path_factory):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
     folder = tmp_path_factory.mktemp("trained")
     out = folder / "gestures.safetensors"
-    words = ("--epochs", "6", "--batch", "8", "--patience", "0", "--test")
+    words = ("--quick", "--epochs", "6", "--batch", "8", "--patience", "0", "--test")
     assert main(["train", str(gestures), "--out", str(out), "--run", str(folder / "run"), *words]) == 0
     return out
 
@@ -33,7 +33,7 @@ def train(program, tmp_path):
 
     def run(dataset, *words, name="m"):
         out = tmp_path / f"{name}.safetensors"
-        quick = ("--epochs", 1, "--batch", 8, "--patience", 0)
+        quick = ("--quick", "--epochs", 1, "--batch", 8, "--patience", 0)
         code, _, err = program("train", dataset, "--out", out, "--run", tmp_path / f"run {name}", *quick, *words)
         return code, err, out
 

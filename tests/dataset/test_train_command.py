@@ -110,7 +110,7 @@ def test_ctrl_c_keeps_the_finished_epochs(gestures, train, monkeypatch):
 def test_a_killed_training_resumes_to_the_same_model(tmp_path, monkeypatch, program):
     """Killed as soon as there is a checkpoint on the disk."""
     write_set(tmp_path / "set", {"upright": 4, "flat": 4})
-    words = ["train", str(tmp_path / "set"), "--out", "m.safetensors", "--epochs", "20", "--patience", "0"]
+    words = ["train", str(tmp_path / "set"), "--quick", "--out", "m.safetensors", "--epochs", "20", "--patience", "0"]
     for name in ("whole", "cut"):
         (tmp_path / name).mkdir()
     with started("-m", "async_tnt.cli", *words, cwd=tmp_path / "cut"):

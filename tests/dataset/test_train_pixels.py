@@ -20,7 +20,7 @@ from async_tnt.cli import main
 
 SIZE, CAMERA, CORNER = (64, 64), (120, 90), (30, 10)
 HOT = np.array([(5, 60), (60, 3)])
-QUICK = ("--epochs", "1", "--batch", "8", "--patience", "0")
+QUICK = ("--quick", "--epochs", "1", "--batch", "8", "--patience", "0")
 LARGE = ("--roi", "30,10,64,64", "--crop", "--mask", "large.npy")
 
 

@@ -1,0 +1,108 @@
+"""The choice of volume and network in `async-tnt train DATASET`: what is asked, tried, shown and kept."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from async_tnt.config import TNTConfig
+from async_tnt.files import write_text
+from async_tnt.progress import progress
+from async_tnt.training.choice import STEPS, Candidate, Questions, Trial, choose
+from async_tnt.training.data import TrainingData
+from async_tnt.training.settings import TrainSettings
+
+FILE = "choice.json"
+VOLUME_OPTIONS = ("representation", "transform", "landmark", "t_max", "bins")
+
+
+def questions_of(args: argparse.Namespace) -> Questions:
+    """What the options leave open."""
+    if args.quick or args.start_from or args.motions == "resynthesized" or args.validation == 0:
+        return Questions(False, False, False, False)
+    return Questions(
+        transform=not args.remove_flow and all(getattr(args, name) is None for name in VOLUME_OPTIONS),
+        polarity=args.polarity is None and args.representation in (None, "volume"),
+        grid=args.grid is None,
+        network=args.network is None,
+    )
+
+
+class Choice:
+    """Of one run: made once, then kept in its folder.
+
+    Parameters
+    ----------
+    run_folder : of the run.
+    depends_on : what it follows from: recordings and options.
+    """
+
+    def __init__(self, run_folder: Path, depends_on: Mapping[str, Any]) -> None:
+        self._file = run_folder / FILE
+        self._key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:12]
+        self._folder = run_folder / f"choice-{self._key}"
+        self.trials: list[dict[str, Any]] = []
+        self.chosen: Candidate | None = None
+        try:
+            found = json.loads(self._file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return
+        except ValueError as error:
+            raise ValueError(f"{self._file}: damaged ({error}); delete it to choose again") from None
+        if found.get("key") == self._key:
+            self.trials = found["trials"]
+            self.chosen = Candidate(TNTConfig.from_dict(found["config"]), found["network"])
+
+    def make(
+        self,
+        data: TrainingData,
+        start: Candidate,
+        questions: Questions,
+        settings_of: Callable[[Candidate, int], TrainSettings],
+    ) -> Candidate:
+        """Try the candidates, which resumes like any training, and keep the result."""
+        print(f"trying volumes and networks, {STEPS} steps each (--quick leaves that out)", file=sys.stderr)
+
+        def try_out(candidate: Candidate) -> Trial | None:
+            return _try_out(candidate, data, settings_of(candidate, STEPS), self._folder)
+
+        trials = choose(start, questions, try_out)
+        self.trials = [trial.to_dict() for trial in trials]
+        self.chosen = best = trials[-1].candidate
+        print(f"chosen: {best}", file=sys.stderr)
+        kept = {"key": self._key, "trials": self.trials, "config": best.config.to_dict(), "network": best.network}
+        write_text(self._file, json.dumps(kept, indent=1))
+        shutil.rmtree(self._folder, ignore_errors=True)
+        return best
+
+
+def _try_out(candidate: Candidate, data: TrainingData, settings: TrainSettings, folder: Path) -> Trial | None:
+    from async_tnt.training.loop import train
+    from async_tnt.training.pipeline import check_network
+
+    try:
+        check_network(candidate.network, candidate.config)
+    except ValueError as error:
+        print(f"  {candidate}: left out: {error}", file=sys.stderr)
+        return None
+    started = time.monotonic()
+    result = train(
+        candidate.config,
+        data.training,
+        data.validation,
+        settings,
+        folder / hashlib.sha256(str(candidate).encode()).hexdigest()[:12],
+        classes=data.classes,
+        progress=progress,
+    )
+    row = result.history[-1]
+    seconds = time.monotonic() - started
+    print(f"  {candidate!s:<44} {row['per_window']:.4f} held out  ({seconds:.0f} s)", file=sys.stderr)
+    return Trial(candidate, row["per_window"], row["validation_loss"])

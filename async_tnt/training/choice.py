@@ -1,0 +1,119 @@
+"""What to train where nothing is asked for: a few volumes and networks, each for a short time, compared on the held-out
+windows, one question after another.
+
+    volume    the event volume as it is, or TNT about the running centroid; signed, split or unsigned
+    grid      a fine and a coarse one of the sensor's shape
+    network   thesis, conv4, residual
+
+What was asked for is not a question. The winner of one question goes into the next one. All is drawn from the seed:
+the same data and options give the same choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from async_tnt.config import POLARITIES, TNTConfig
+from async_tnt.sources.sensor import Sensor, format_size
+
+STEPS = 400
+"""Of the optimizer, for each candidate."""
+SIDES = 60, 34
+"""The longer side of a grid, fine and coarse."""
+NETWORKS = "thesis", "conv4", "residual"
+VOLUMES: dict[str, dict[str, Any]] = {
+    "none": {"transform": "none", "landmark": "center"},
+    "tnt": {"transform": "tnt", "landmark": "running"},
+}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    config: TNTConfig
+    network: str
+
+    def __str__(self) -> str:
+        volume = "raw" if self.config.transform == "none" else f"TNT, {self.config.landmark}"
+        return f"{volume}, {self.config.polarity}, {format_size(self.config.grid)}, {self.network}"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How well a candidate did: accuracy on the held-out windows (the more the better), and their loss."""
+
+    candidate: Candidate
+    accuracy: float
+    loss: float
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"tried": str(self.candidate), "accuracy": self.accuracy, "loss": self.loss}
+
+
+@dataclass(frozen=True)
+class Questions:
+    """What is to be chosen."""
+
+    transform: bool = True
+    polarity: bool = True
+    grid: bool = True
+    network: bool = True
+
+    def __bool__(self) -> bool:
+        return any(asdict(self).values())
+
+
+def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate], Trial | None]) -> list[Trial]:
+    """All trials, from the worst to the best.
+
+    Parameters
+    ----------
+    start : answers what is not a question; its grid is replaced by the fine one, if that is.
+    try_out : None if the candidate cannot be trained on this data.
+
+    Raises
+    ------
+    ValueError : no candidate can be trained.
+    """
+    if questions.grid:
+        start = Candidate(start.config.replace(grid=next(grids(start.config.sensor))), start.network)
+    tried: dict[Candidate, Trial | None] = {}
+    best: Trial | None = None
+    for question in (_volumes, _grids, _networks):
+        for candidate in question(start if best is None else best.candidate, questions):
+            if candidate not in tried:
+                tried[candidate] = try_out(candidate)
+        trials = [trial for trial in tried.values() if trial is not None]
+        if not trials:
+            raise ValueError("none of the volumes and networks can be trained on these windows; see --quick")
+        trials.sort(key=lambda trial: (trial.accuracy, -trial.loss))  # of equals, the later one is last
+        best = trials[-1]
+    return trials
+
+
+def grids(sensor: Sensor) -> Iterator[Sensor]:
+    """A fine grid, and a coarse one, in the shape of the sensor; small sensors have one grid, their own pixels."""
+    longest = max(sensor)
+    if longest <= SIDES[1] + 6:
+        yield sensor
+        return
+    for side in (min(SIDES[0], longest), SIDES[1]):
+        yield max(8, round(sensor[0] * side / longest)), max(8, round(sensor[1] * side / longest))
+
+
+def _volumes(best: Candidate, questions: Questions) -> Iterator[Candidate]:
+    changes: list[Mapping[str, Any]] = list(VOLUMES.values()) if questions.transform else [{}]
+    for volume in changes:
+        for polarity in POLARITIES if questions.polarity else (best.config.polarity,):
+            yield Candidate(best.config.replace(**volume, polarity=polarity), best.network)
+
+
+def _grids(best: Candidate, questions: Questions) -> Iterator[Candidate]:
+    for grid in grids(best.config.sensor) if questions.grid else (best.config.grid,):
+        yield Candidate(best.config.replace(grid=grid), best.network)
+
+
+def _networks(best: Candidate, questions: Questions) -> Iterator[Candidate]:
+    for network in NETWORKS if questions.network else (best.network,):
+        yield Candidate(best.config, network)
