@@ -259,7 +259,7 @@ def test_the_command(classes, tmp_path, program):
     assert code == 2 and "holds a run with other motions" in err
     words[words.index("--run") + 1] = tmp_path / "recorded"
     plain = [word for word in words if word not in ("--motions", "resynthesized", "--variations", 2, "--workers", 1)]
-        plain.append("--quick")
+    plain.append("--quick")
     assert program(*plain)[0] == 0
     code, _, err = program(*words)
     assert code == 2 and "holds a run with other motions" in err
