@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.entry_points import ENTRY_POINTS
-from async_tnt.kernels.jit import can_be_cached, is_cached
+from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
 from async_tnt.networks.model import Model
 from async_tnt.process import available_cores
 
@@ -30,6 +30,7 @@ OTHER_CLASSIFIERS = {"cells_to_float32", "softmax"}
 EVENT_TRIGGERS = {"advance_triggers", "why_due"}
 # What another process compiles meanwhile: about half of the work, and nothing of it is part of the other half.
 OTHER_HALF = CLASSIFIER | REGRESSOR | {"cells_to_float32"}
+_ahead = threading.Lock()
 
 
 def warmup(model: Model | TNTConfig | None = None) -> float:
@@ -57,13 +58,14 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     return compile_kernels(kernels)
 
 
-def compile_for(config: TNTConfig, *, compiled: bool, late: str, by_event: bool) -> float:
+def compile_for(config: TNTConfig, *, compiled: bool, regressor: bool, late: str, by_event: bool) -> float:
     """`warmup` for a Processor whose settings will not change: what it calls, and nothing else.
 
     Parameters
     ----------
     config : TNTConfig.
     compiled : whether a CompiledClassifier decides.
+    regressor : whether a CompiledRegressor finds the landmark.
     late : see `Processor`.
     by_event : whether a trigger looks at every event.
     """
@@ -72,7 +74,7 @@ def compile_for(config: TNTConfig, *, compiled: bool, late: str, by_event: bool)
         kernels |= LATE
     if config.needs_replay:
         kernels |= REPLAY
-    if config.needs_regressor and compiled:
+    if regressor:
         kernels |= REGRESSOR
     if by_event:
         kernels |= EVENT_TRIGGERS
@@ -87,6 +89,12 @@ def compile_kernels(names: Iterable[str]) -> float:
     missing = {name for name in names if not _is_compiled(name)}
     if not missing:
         return 0.0
+    with _ahead:  # of two threads the second one waits, and finds all or most of it done
+        _compile_missing(missing)
+    return time.perf_counter() - started
+
+
+def _compile_missing(missing: Iterable[str]) -> None:
     patience_s = PATIENCE_S if sys.stderr.isatty() else PATIENCE_OF_LOGS_S
     notice = threading.Timer(patience_s, _explain_wait)
     notice.daemon = True
@@ -100,17 +108,15 @@ def compile_kernels(names: Iterable[str]) -> float:
         _compile(wanted)  # what the child has compiled is loaded
     finally:
         notice.cancel()
-    return time.perf_counter() - started
 
 
 def _compile(names: Iterable[str]) -> None:
     collecting = gc.isenabled()
-    gc.disable()  # a tenth of the time, and Numba makes no garbage in the meantime
     try:
+        gc.disable()  # a tenth of the time, and Numba makes no garbage in the meantime
         for name in names:
             if not _is_compiled(name):
-                kernel, types = ENTRY_POINTS[name]
-                kernel.compile(types)
+                compile_for_types(*ENTRY_POINTS[name])
     finally:
         if collecting:
             gc.enable()
@@ -124,7 +130,8 @@ def _is_compiled(name: str) -> bool:
 def _start_child(names: list[str]) -> subprocess.Popen[bytes] | None:
     """Start a process that fills the cache with these kernels; None where that would not pay."""
     kernel, types = ENTRY_POINTS["absorb"]
-    worthwhile = "classify_cells" in names and can_be_cached(kernel) and available_cores() > 1
+    is_python = bool(sys.executable) and not getattr(sys, "frozen", False)
+    worthwhile = "classify_cells" in names and can_be_cached(kernel) and available_cores() > 1 and is_python
     if not worthwhile or is_cached(kernel, types) or is_cached(*ENTRY_POINTS["classify_cells"]):
         return None
     # it ends without a word on Ctrl-C, which a terminal sends to it, too

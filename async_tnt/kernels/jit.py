@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from numba import config, njit
+from numba.core.compiler_lock import global_compiler_lock
 
 BOUNDS_CHECKED = bool(getattr(config, "BOUNDSCHECK", None))  # NUMBA_BOUNDSCHECK=1: Numba tests every index
 
@@ -55,9 +56,17 @@ def compile_only(kernel: Any, *types: Any) -> None:
         kernel.disable_compile()
 
 
+def compile_for_types(kernel: Any, types: tuple[Any, ...]) -> None:
+    """Compile a kernel for these argument types, unless that has been done, by `compile_only` perhaps."""
+    with _compiling:
+        if types not in kernel.overloads:
+            kernel.compile(types)
+
+
 def is_cached(kernel: Any, types: tuple[Any, ...]) -> bool:
     """Whether an earlier process left this kernel on disk, or this one has compiled it."""
-    return types in kernel.overloads or kernel._cache.load_overload(types, kernel.targetctx) is not None
+    with global_compiler_lock:  # loading changes what another thread may be compiling with
+        return types in kernel.overloads or kernel._cache.load_overload(types, kernel.targetctx) is not None
 
 
 def can_be_cached(kernel: Any) -> bool:

@@ -55,7 +55,8 @@ before = compiled() - missed
 stream_all(TNTConfig(landmark="window"), classifier=lambda volume: [0.0])
 """,
     "a_processor_is_made": """
-streams = [(model, {}) for model in MODELS.values()] + [(TNTConfig(), {"classifier": lambda volume: [0.0]})]
+other = {"classifier": lambda volume: [0.0], "classes": ("a",)}
+streams = [*((model, {}) for model in MODELS.values()), (TNTConfig(), other), (MODELS["regressor"], other)]
 processors = [Processor(model, **networks, **settings) for model, networks in streams for settings in TRIGGERS]
 before = compiled()
 for processor in processors:
