@@ -10,10 +10,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 from async_tnt.config import TNTConfig
 from async_tnt.kernels.entry_points import ENTRY_POINTS
 from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
+from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.process import available_cores
 
@@ -58,23 +60,23 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
     return compile_kernels(kernels)
 
 
-def compile_for(config: TNTConfig, *, compiled: bool, regressor: bool, late: str, by_event: bool) -> float:
+def compile_for(config: TNTConfig, classifier: Any, regressor: Any, *, late: str, by_event: bool) -> float:
     """`warmup` for a Processor whose settings will not change: what it calls, and nothing else.
 
     Parameters
     ----------
     config : TNTConfig.
-    compiled : whether a CompiledClassifier decides.
-    regressor : whether a CompiledRegressor finds the landmark.
+    classifier, regressor : what decides, and what finds the landmark or None; other code than ours is not compiled.
     late : see `Processor`.
     by_event : whether a trigger looks at every event.
     """
+    compiled = type(classifier) is CompiledClassifier
     kernels = EVENTS | (CLASSIFIER if compiled else OTHER_CLASSIFIERS)
     if late != "accept":
         kernels |= LATE
     if config.needs_replay:
         kernels |= REPLAY
-    if regressor:
+    if type(regressor) is CompiledRegressor:
         kernels |= REGRESSOR
     if by_event:
         kernels |= EVENT_TRIGGERS

@@ -23,7 +23,6 @@ from async_tnt.events import Columns, EventDecoder
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
-from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.replay_buffer import Regressor
 from async_tnt.triggers import LeakyIntegrator, Triggers
@@ -97,13 +96,7 @@ class Processor:
         self._start_us = start_us = None if start_us is None else checked_time("start_us", start_us)
         self._triggers = Triggers()
         self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
-        compile_for(
-            self.config,
-            compiled=self._classifier.is_compiled,
-            regressor=type(regressor) is CompiledRegressor,
-            late=late,
-            by_event=self._triggers.by_event,
-        )
+        compile_for(self.config, classifier, regressor, late=late, by_event=self._triggers.by_event)
         self._decoder = EventDecoder(self.config.sensor, late)
         self._new_windows = partial(WindowScheduler, self.config, hop_us, start_us, replay_events, regressor)
         self._windows = self._new_windows()

@@ -51,7 +51,6 @@ class WindowClassifier:
     Attributes
     ----------
     classes : class names; if none were given, "0", "1", ... after the first answer.
-    is_compiled : whether a CompiledClassifier decides.
     decides_in_stretches : whether `decide_stretch` can be called.
     """
 
@@ -75,8 +74,7 @@ class WindowClassifier:
             shape = compiled.shape
             raise ValueError(f"`classifier` must take volumes of shape {self._config.shape}, got one for {shape}")
         self._classifier, self._compiled = classifier, compiled
-        self.is_compiled = compiled is not None
-        self.decides_in_stretches = self.is_compiled and not self._config.needs_replay
+        self.decides_in_stretches = compiled is not None and not self._config.needs_replay
 
     def decide(
         self, volume: TNTVolume, trigger: str, complete: bool = False, confidence: float | None = None
