@@ -8,13 +8,14 @@ from __future__ import annotations
 import threading
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from async_tnt.archive.early import COLUMNS as EARLY
+from async_tnt.archive.early import early_fields
 from async_tnt.archive.job import Job, Task, sha256_of
-from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine, choose_engine
 from async_tnt.networks.model import UncheckedModelWarning
@@ -41,7 +42,7 @@ _COLUMNS: dict[str, dict[str, Any]] = {
         "probabilities": ["double"],
         "window_start_us": ["int64"],
         "window_probabilities": [["double"]],
-        "decided_at": [["int64"]],
+        **EARLY,
         "decisions": "int64",
         "events": "int64",
         "late": "int64",
@@ -63,7 +64,6 @@ COLUMNS = {kind: {"recording": "string", **columns, **_OF_FILE} for kind, column
 With an `error`, only `recording`, `class` and the last four have values.
 """
 TIMED = "seconds"
-N_MOMENTS = 10
 
 
 def run_recording(task: Task) -> Record:
@@ -93,9 +93,9 @@ def run_recording(task: Task) -> Record:
 
 
 def evaluate_recording(task: Task) -> Record:
-    """What is decided in each window of one labelled recording, at each of `moments`.
+    """What is decided in each window of one labelled recording, early and at its end.
 
-    The job's Processor must decide at the first of `moments` and its multiples. Errors are those of `run_recording`.
+    The job's Processor must decide as often as `early.every_us` says. Errors are those of `run_recording`.
     """
 
     def fields_of(decisions: list[Decision], engine: Engine) -> Record:
@@ -107,13 +107,12 @@ def evaluate_recording(task: Task) -> Record:
         del windows[-1]  # after the last window
         probabilities = np.array([window[-1].probabilities for window in windows])  # (W, K), of whole windows
         mean = probabilities.mean(axis=0)
-        after_us = moments(engine.config)
         return {
             "label": engine.classes[int(mean.argmax())],
             "probabilities": mean.tolist(),
             "window_start_us": [window[0].window_start_us for window in windows],
             "window_probabilities": probabilities.tolist(),
-            "decided_at": [decided_at(window, after_us) for window in windows],
+            **early_fields(windows, engine.config),
             "decisions": len(decisions),
         }
 
@@ -148,31 +147,6 @@ def _record(task: Task, fields: Record, error: str | None, seconds: float | None
         record["class"] = task.label
     about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.settings}
     return {**record, **about_file, TIMED: seconds}
-
-
-def moments(config: TNTConfig) -> list[int]:
-    """The tenths of a window, in microseconds since its start; at the last one it ends. There are none where windows
-    have a number of events, and no duration of their own.
-
-    Examples
-    --------
-    >>> moments(TNTConfig())[:3], moments(TNTConfig())[-1]
-    ([10500, 21000, 31500], 105000)
-    """
-    if config.window_events is not None:
-        return []
-    window_us = config.window_us
-    every_us = max(1, window_us // N_MOMENTS)
-    return [*(every_us * k for k in range(1, N_MOMENTS)), window_us]
-
-
-def decided_at(window: Sequence[Decision], after_us: Sequence[int]) -> list[int]:
-    """The class decided at each moment, by the newest decision on events before it alone; -1 if there is none.
-
-    If a moment has no decision of its own, no events have come since the previous one, whose decision still holds.
-    """
-    start_us = window[0].window_start_us
-    return [next((d.index for d in reversed(window) if d.time_us - start_us < moment), -1) for moment in after_us]
 
 
 _kept = threading.local()  # a Processor has one stream; workers of a cluster may have several threads

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from async_tnt.archive.collect import Progress
+from async_tnt.archive.early import early_report, every_us
 from async_tnt.archive.job import job_of, task_of
-from async_tnt.archive.records import TIMED, Record, evaluate_recording, moments
+from async_tnt.archive.records import TIMED, Record, evaluate_recording
 from async_tnt.archive.scores import score_recordings
 from async_tnt.cli.archive_options import add_archive
 from async_tnt.cli.archives import Interrupted, archive_executor, stream_archive
@@ -74,8 +75,7 @@ def main(args: argparse.Namespace) -> int:
     pixels = selector_of(args, model)
     recordings, labels = labelled_recordings(args.dataset, model)
     engine = Engine("compiled", model, model.classes)
-    every_us = next(iter(moments(model.config)), None)
-    job = job_of("evaluate", args.model, engine, pixels.selection, every_us=every_us)
+    job = job_of("evaluate", args.model, engine, pixels.selection, every_us=every_us(model.config))
     tasks = [
         task_of(
             one.name_as(one.path.relative_to(args.dataset).as_posix()),
@@ -104,10 +104,10 @@ def main(args: argparse.Namespace) -> int:
         report["pixels"] = pixels.selection.about
     if args.picture is not None:
         from async_tnt.views.figure_confusion import write_confusion
+        from async_tnt.views.figure_early import early_panels
 
         title = f"{args.dataset.name}: {report['accuracy']:.1%} of {len(good)} recordings right"
-        course = [(m["time_us"], m["accuracy"], m["decided"]) for m in report["accuracy_against_time"]] or None
-        write_confusion(np.array(report["confusion"]), model.classes, args.picture, title, course)
+        write_confusion(np.array(report["confusion"]), model.classes, args.picture, title, early_panels(report))
     if args.json:
         print(json.dumps(report))
     else:
@@ -151,20 +151,11 @@ def report_of(model: Model, records: list[Record], labels: list[int], skipped: l
     them all.
     """
     scores = score_recordings(model.classes, labels, [np.array(record["window_probabilities"]) for record in records])
-    decided = np.concatenate([record["decided_at"] for record in records])  # (windows, moments)
-    truth = np.repeat(labels, [len(record["decided_at"]) for record in records])
     timed = [record for record in records if record[TIMED]]
     seconds = sum(record[TIMED] for record in timed)
     return {
         **scores.to_dict(),
-        "accuracy_against_time": [
-            {
-                "time_us": moment,
-                "accuracy": float((decided[:, k] == truth).mean()),
-                "decided": float((decided[:, k] >= 0).mean()),
-            }
-            for k, moment in enumerate(moments(model.config))
-        ],
+        **early_report(records, labels, model.config),
         "decisions": sum(record["decisions"] for record in records),
         "events": sum(record["events"] for record in records),
         "late": sum(record["late"] for record in records),
@@ -193,6 +184,20 @@ def text_of(report: dict[str, Any]) -> str:
         lines += ["", f"{'ms into the window':<24} {'right':>6} {'decided':>11}"]
     for moment in report["accuracy_against_time"]:
         lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>6.3f} {moment['decided']:>11.3f}")
+    if report["accuracy_against_events"]:
+        lines += ["", f"{'events into the window':<24} {'right':>6} {'decided':>11}  windows with as many"]
+    for count in report["accuracy_against_events"]:
+        lines.append(f"{count['events']:<24} {count['accuracy']:>6.3f} {count['decided']:>11.3f}  {count['reached']:.3f}")
+    if report["confidence"]:
+        lines += ["", f"{'first decision at':<24} {'right':>6} {'decided':>11}  ms: median, 90 %"]
+    for level in report["confidence"]:
+        if level["accuracy"] is None:
+            lines.append(f"{level['level']:<24} {'-':>6} {level['decided']:>11.3f}")
+        else:
+            ms = f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}"
+            lines.append(f"{level['level']:<24} {level['accuracy']:>6.3f} {level['decided']:>11.3f}  {ms}")
+    if report["calibration_error"] is not None:
+        lines += ["", f"probabilities differ from the share right by {report['calibration_error']:.3f} in the mean"]
     if report["seconds"] is None:
         lines += ["", "all streamed by an earlier run"]
     else:

@@ -1,17 +1,15 @@
-"""A picture of a confusion matrix and of the accuracy against time."""
+"""A picture of a confusion matrix, and panels beside it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from async_tnt.views.figure_style import (
-    GREY,
     OFF,
-    PALE,
     SMALL,
     TEXT,
     axes_at,
@@ -30,16 +28,16 @@ if TYPE_CHECKING:
 MOST_NUMBERED = 25  # with more classes, numbers in the cells would be too small to read
 LONGEST_NAME = 24
 CELL, LEAST = 0.42, 2.2  # inches
-COURSE_WIDTH, COURSE_MARGIN = 3.0, 0.75
+PANEL_WIDTH, PANEL_MARGIN = 3.0, 0.75
 
-Course = Sequence[tuple[float, float, float]]
-"""(microseconds since a window's start, share of windows right, share of windows decided at all) at each moment."""
+Panel = Callable[["Axes"], None]
+"""Draws on its axes."""
 
 
 def draw_confusion(
-    confusion: np.ndarray, classes: Sequence[str], title: str = "", course: Course | None = None
+    confusion: np.ndarray, classes: Sequence[str], title: str = "", panels: Sequence[Panel] = ()
 ) -> Figure:
-    """Draw a confusion matrix and, next to it, accuracy against time.
+    """Draw a confusion matrix and, next to it, panels.
 
     A cell's colour is its share of its row, so that rare classes are as visible as common ones; its number is the
     count.
@@ -49,7 +47,7 @@ def draw_confusion(
     confusion : integers, shape (K, K), by true class (row) and decided class (column).
     classes : K names.
     title : one line above.
-    course : accuracy against time; None leaves it out.
+    panels : from left to right, as high as the matrix.
 
     Raises
     ------
@@ -67,8 +65,7 @@ def draw_confusion(
     margin = 0.6 + 0.075 * longest
     width, height = side + margin + 1.1, side + margin + 0.5
     matrix_width = width
-    if course is not None:
-        width += COURSE_MARGIN + COURSE_WIDTH
+    width += len(panels) * (PANEL_MARGIN + PANEL_WIDTH)
     width = max(width, 0.085 * len(title) + 0.4)
     figure = new_figure(height, width)
     write_at(figure, width / 2, 0.25, title, ha="center")
@@ -85,19 +82,10 @@ def draw_confusion(
     bar = axes_at(figure, margin + side + 0.15, top, 0.12, side)
     figure.colorbar(image, cax=bar, ticks=[0, 0.5, 1], format=lambda share, _: f"{share:.0%}")
     bar.tick_params(labelsize=SMALL)
-    if course is not None:
-        _draw_course(axes_at(figure, matrix_width + COURSE_MARGIN - 0.25, top, COURSE_WIDTH, side), course)
+    for k, panel in enumerate(panels):
+        left = matrix_width + PANEL_MARGIN - 0.25 + k * (PANEL_MARGIN + PANEL_WIDTH)
+        panel(axes_at(figure, left, top, PANEL_WIDTH, side))
     return figure
-
-
-def _draw_course(axes: Axes, course: Course) -> None:
-    us, right, decided = np.array(course).T
-    axes.plot(us / 1e3, right, color=OFF, marker="o", markersize=3.5, label="right")
-    axes.plot(us / 1e3, decided, color=GREY, linestyle=(0, (3, 2)), label="with events")
-    axes.set(xlim=(0, None), ylim=(0, 1.03), xlabel="ms into the window", ylabel="windows")
-    axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
-    axes.grid(color=PALE, linewidth=0.5)
-    axes.legend(loc="lower right")
 
 
 def write_confusion(
@@ -105,11 +93,11 @@ def write_confusion(
     classes: Sequence[str],
     path: Path,
     title: str = "",
-    course: Course | None = None,
+    panels: Sequence[Panel] = (),
     *,
     dpi: int = 150,
 ) -> Path:
     """`draw_confusion` into a file, .png, .svg or .pdf; replaced atomically if it exists. Returns its path."""
     with styled():
-        save(draw_confusion(confusion, classes, title, course), path, dpi)
+        save(draw_confusion(confusion, classes, title, panels), path, dpi)
     return path

@@ -12,7 +12,7 @@ import pytest
 from processes import started
 from waiting import until
 
-from async_tnt.archive.records import decided_at
+from async_tnt.archive.early import decision_at
 from async_tnt.sources.files.recording import open_recording
 
 TIMES = {"seconds", "decisions_per_second", "events_per_second"}
@@ -112,8 +112,9 @@ def test_late_events_are_counted_and_reported(samples, tmp_path, program):
 def test_a_moment_knows_the_events_before_it_and_no_others():
     """A decision at an event exactly at a moment is known only at the next one."""
     times = [0, 10, 20, 29]
-    window = [SimpleNamespace(window_start_us=5, time_us=5 + t, index=k) for k, t in enumerate(times)]
-    assert decided_at(window, [0, 1, 10, 11, 20, 30]) == [-1, 0, 0, 1, 1, 3]
+    window = [SimpleNamespace(window_start_us=5, time_us=5 + t) for t in times]
+    expected = [None, window[0], window[0], window[1], window[1], window[3]]
+    assert [decision_at(window, moment) for moment in (0, 1, 10, 11, 20, 30)] == expected
 
 
 def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):

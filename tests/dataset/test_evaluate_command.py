@@ -17,7 +17,7 @@ CLASSES = ("flat", "slanted", "upright")
 def model():
     """A random network whose decisions vary."""
     made = random_model(TNTConfig(sensor=(128, 128), window_us=60_000), classes=3, seed=3)
-    weights = {name: w * (40 if name == "fc2.weight" else 1) for name, w in made.weights.items()}
+    weights = {name: w * (60 if name == "fc2.weight" else 1) for name, w in made.weights.items()}
     return Model(made.config, weights, CLASSES)
 
 
@@ -84,6 +84,66 @@ def test_the_numbers_are_those_of_an_independent_count(model, saved, dataset, pr
     assert report["decisions_per_second"] == pytest.approx(report["decisions"] / report["seconds"])
 
 
+def decisions_by_hand(model, dataset):
+    """(label, decisions): of each window, at each fiftieth of it that brought events."""
+    for path in sorted(dataset.glob("Test/*/*")):
+        events = open_recording(path).read()
+        since = events["t"] - events["t"][0]
+        for window in np.unique(since // 60_000):
+            start_us = int(events["t"][0] + 60_000 * window)
+            inside = events[since // 60_000 == window]
+            processor = Processor(model, start_us=start_us)
+            decisions, n = [], 0
+            for k in range(50):
+                until = int(np.searchsorted(inside["t"], start_us + 1_200 * (k + 1)))
+                processor.push(inside[n:until])
+                if until > n:
+                    decisions.append(processor.fire())
+                n = until
+            yield CLASSES.index(path.parent.name), decisions
+
+
+def test_early_decisions_are_those_of_an_independent_count(model, saved, dataset, program):
+    report = json.loads(program("evaluate", saved, dataset, "--json")[1])
+    windows = list(decisions_by_hand(model, dataset))
+    rows = report["accuracy_against_events"]
+    assert [row["events"] for row in rows] == [10, 20, 50, 100, 200, 500, 1000, 2000]  # none has 2,000
+    for row in rows:
+        some = [(label, [d for d in window if d.events <= row["events"]]) for label, window in windows]
+        assert row["decided"] == pytest.approx(np.mean([bool(found) for _, found in some]))
+        assert row["accuracy"] == pytest.approx(np.mean([bool(f) and f[-1].index == label for label, f in some]))
+        assert row["reached"] == pytest.approx(np.mean([window[-1].events >= row["events"] for _, window in windows]))
+    assert 0 < rows[0]["reached"] and rows[-1]["reached"] == 0
+    assert [row["level"] for row in report["confidence"]] == [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99]
+    for row in report["confidence"]:
+        first = [(label, next((d for d in window if d.probability >= row["level"]), None)) for label, window in windows]
+        sure = [(label, d) for label, d in first if d is not None]
+        assert row["decided"] == pytest.approx(len(sure) / len(windows))
+        if not sure:
+            assert row["accuracy"] is None and row["median_ms"] is None and row["p90_ms"] is None
+            continue
+        assert row["accuracy"] == pytest.approx(np.mean([d.index == label for label, d in sure]))
+        ms = [(d.time_us - d.window_start_us) / 1e3 for _, d in sure]
+        assert (row["median_ms"], row["p90_ms"]) == pytest.approx((np.median(ms), np.quantile(ms, 0.9)))
+    decided = [row["decided"] for row in report["confidence"]]
+    assert decided[0] == 1 and decided[2] > 0 and decided[-1] == 0
+    at_tenths = [
+        (d.probability, d.index == label)
+        for label, window in windows
+        for moment in range(6_000, 66_000, 6_000)
+        for d in [d for d in window if d.time_us - d.window_start_us < moment][-1:]
+    ]
+    assert sum(row["decisions"] for row in report["calibration"]) == len(at_tenths)
+    error = 0.0
+    for row in report["calibration"]:
+        tenth = int(row["probability"] * 10)
+        some = [(p, right) for p, right in at_tenths if min(int(p * 10), 9) == tenth]
+        mean, share = np.mean([p for p, _ in some]), np.mean([right for _, right in some])
+        assert (row["decisions"], row["probability"], row["accuracy"]) == pytest.approx((len(some), mean, share))
+        error += len(some) / len(at_tenths) * abs(mean - share)
+    assert report["calibration_error"] == pytest.approx(error) and error > 0
+
+
 def test_windows_that_begin_at_the_same_moment_are_counted_apart(model, program, tmp_path):
     of_events = Model(model.config.replace(window_events=10), model.weights, CLASSES)
     events = bar("flat", 0)[:200]
@@ -98,7 +158,8 @@ def test_windows_of_events_have_no_accuracy_against_time(model, dataset, program
     of_events = Model(model.config.replace(window_events=700), model.weights, CLASSES)
     words = "evaluate", of_events.save(tmp_path / "m.safetensors"), dataset
     report = json.loads(program(*words, "--json")[1])
-    assert (report["windows"], report["decisions"], report["accuracy_against_time"]) == (33, 33, [])  # of 1,500 events
+    assert (report["windows"], report["decisions"]) == (33, 33)  # of 1,500 events
+    assert all(report[name] == [] for name in ("accuracy_against_time", "accuracy_against_events", "confidence"))
     code, printed, err = program(*words, "--picture", tmp_path / "c.png")
     assert (code, err) == (0, "") and "33 windows" in printed and "ms into the window" not in printed
 
@@ -116,6 +177,24 @@ def test_the_text_names_classes_and_times_and_the_picture_is_drawn(saved, datase
     np.testing.assert_allclose(axes.images[0].get_array(), [[0.9, 0.1], [0, 1]])  # shares of the row
     assert [text.get_text() for text in axes.texts] == ["90", "10", "2"]
     assert (axes.get_ylabel(), axes.get_xlabel()) == ("true", "decided")
+
+
+def test_panels_show_the_reports_numbers(saved, dataset, program):
+    pytest.importorskip("matplotlib", reason="--picture needs matplotlib (extra `plot`)")
+    from async_tnt.views.figure_confusion import draw_confusion
+    from async_tnt.views.figure_early import early_panels
+
+    report = json.loads(program("evaluate", saved, dataset, "--json")[1])
+    figure = draw_confusion(np.array(report["confusion"]), CLASSES, panels=early_panels(report))
+    time, events, levels = figure.axes[2:]
+    for axes, rows, at in ((time, "accuracy_against_time", "time_us"), (events, "accuracy_against_events", "events")):
+        np.testing.assert_allclose(axes.lines[0].get_ydata(), [row["accuracy"] for row in report[rows]])
+        np.testing.assert_allclose(axes.lines[1].get_ydata(), [row["decided"] for row in report[rows]])
+        scale = 1e3 if at == "time_us" else 1
+        np.testing.assert_allclose(axes.lines[0].get_xdata(), [row[at] / scale for row in report[rows]])
+    reached = [row for row in report["confidence"] if row["decided"]]
+    np.testing.assert_allclose(levels.lines[0].get_ydata(), [row["accuracy"] for row in reached])
+    np.testing.assert_allclose(levels.lines[0].get_xdata(), [row["median_ms"] for row in reached])
 
 
 def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, program):

@@ -1,0 +1,176 @@
+"""What is decided early in a window: against time, against the number of events, and at a level of confidence.
+
+Decisions are made at every fiftieth of a window, and at its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from async_tnt.config import TNTConfig
+from async_tnt.decision import Decision
+
+N_MOMENTS = 10
+PER_MOMENT = 5
+EVENT_COUNTS = tuple(k * 10**power for power in range(1, 6) for k in (1, 2, 5))
+LEVELS = 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99
+BINS = 10
+"""Of probability, for the calibration."""
+COLUMNS: Mapping[str, Any] = {
+    "decided_at": [["int64"]],
+    "probability_at": [["double"]],
+    "decided_by": [["int64"]],
+    "window_events": ["int64"],
+    "confident": [["int64"]],
+    "confident_us": [["int64"]],
+}
+"""Field of `early_fields` -> its type, see `records.COLUMNS`."""
+
+
+def every_us(config: TNTConfig) -> int | None:
+    """How often to decide; None where windows have a number of events, and no duration of their own."""
+    return None if config.window_events is not None else max(1, config.window_us // (N_MOMENTS * PER_MOMENT))
+
+
+def moments(config: TNTConfig) -> list[int]:
+    """The tenths of a window, in microseconds since its start; at the last one it ends. None for windows of events.
+
+    Examples
+    --------
+    >>> moments(TNTConfig())[:3], moments(TNTConfig())[-1]
+    ([10500, 21000, 31500], 105000)
+    """
+    step_us = every_us(config)
+    return [] if step_us is None else [*(PER_MOMENT * step_us * k for k in range(1, N_MOMENTS)), config.window_us]
+
+
+def early_fields(windows: Sequence[Sequence[Decision]], config: TNTConfig) -> dict[str, list[Any]]:
+    """Of each window's decisions, what the tables below need; -1 stands for no decision.
+
+    Returns
+    -------
+    decided_at, probability_at : class and its probability at each of `moments`.
+    decided_by : class after at most as many events as each of `EVENT_COUNTS`.
+    window_events : events in the window.
+    confident, confident_us : for each of `LEVELS`, class and time since the window's start of the first decision that
+        reaches it.
+    """
+    fields: dict[str, list[Any]] = {name: [] for name in COLUMNS}
+    after_us = moments(config)
+    for window in windows:
+        at = [decision_at(window, moment) for moment in after_us]
+        fields["decided_at"].append([-1 if d is None else d.index for d in at])
+        fields["probability_at"].append([-1.0 if d is None else float(d.probability) for d in at])
+        by = [_last(d for d in window if d.events <= count) for count in EVENT_COUNTS]
+        fields["decided_by"].append([-1 if d is None else d.index for d in by])
+        fields["window_events"].append(window[-1].events)
+        first = [next((d for d in window if d.probability >= level), None) for level in LEVELS]
+        fields["confident"].append([-1 if d is None else d.index for d in first])
+        fields["confident_us"].append([-1 if d is None else d.time_us - d.window_start_us for d in first])
+    return fields
+
+
+def decision_at(window: Sequence[Decision], moment_us: int) -> Decision | None:
+    """The newest decision on events before a moment alone.
+
+    If a moment has no decision of its own, no events have come since the previous one, whose decision still holds.
+    """
+    return _last(d for d in window if d.time_us - d.window_start_us < moment_us)
+
+
+def _last(decisions: Iterable[Decision]) -> Decision | None:
+    found = None
+    for found in decisions:
+        pass
+    return found
+
+
+def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], config: TNTConfig) -> dict[str, Any]:
+    """Tables over all windows of records with the fields of `early_fields`; empty lists for windows of events.
+
+    Parameters
+    ----------
+    labels : the class of each record.
+
+    Returns
+    -------
+    accuracy_against_time : share of windows right, and decided at all, at each of `moments`.
+    accuracy_against_events : the same after at most so many events, and the share of windows that have as many; up to
+        the first count that no window reaches.
+    confidence : for each of `LEVELS`, how many windows reach it, how many of these are right, and when: median and
+        90th percentile, in milliseconds since the window's start.
+    calibration : at all moments together, decisions by their probability: how many, their mean, the share right.
+    calibration_error : the mean difference of the last two, weighted by how many: 0 where .9 means .9.
+    """
+    truth = np.repeat(labels, [len(record["decided_at"]) for record in records])
+    columns = {name: np.concatenate([np.array(record[name]) for record in records]) for name in COLUMNS}
+
+    def right_and_decided(decided: np.ndarray) -> dict[str, float]:
+        return {"accuracy": float((decided == truth).mean()), "decided": float((decided >= 0).mean())}
+
+    after_us = moments(config)
+    if not after_us:
+        return {
+            "accuracy_against_time": [],
+            "accuracy_against_events": [],
+            "confidence": [],
+            "calibration": [],
+            "calibration_error": None,
+        }
+    against_time = [{"time_us": us, **right_and_decided(columns["decided_at"][:, k])} for k, us in enumerate(after_us)]
+    against_events = []
+    for k, count in enumerate(EVENT_COUNTS):
+        reached = float((columns["window_events"] >= count).mean())
+        against_events.append({"events": count, **right_and_decided(columns["decided_by"][:, k]), "reached": reached})
+        if not reached:
+            break
+    confidence = []
+    for k, level in enumerate(LEVELS):
+        sure = columns["confident"][:, k] >= 0
+        row = {"level": level, "decided": float(sure.mean()), "accuracy": None, "median_ms": None, "p90_ms": None}
+        if sure.any():
+            ms = columns["confident_us"][sure, k] / 1e3
+            row["accuracy"] = float((columns["confident"][sure, k] == truth[sure]).mean())
+            row["median_ms"], row["p90_ms"] = (float(np.quantile(ms, share)) for share in (0.5, 0.9))
+        confidence.append(row)
+    made = columns["decided_at"] >= 0
+    probability, right = columns["probability_at"][made], (columns["decided_at"] == truth[:, np.newaxis])[made]
+    bins, error = calibration_of(probability, right)
+    return {
+        "accuracy_against_time": against_time,
+        "accuracy_against_events": against_events,
+        "confidence": confidence,
+        "calibration": bins,
+        "calibration_error": error,
+    }
+
+
+def calibration_of(probability: np.ndarray, right: np.ndarray) -> tuple[list[dict[str, Any]], float]:
+    """Decisions in `BINS` of probability, without empty ones, and the expected calibration error.
+
+    Parameters
+    ----------
+    probability : float64, shape (N,), of the decided class. right : bool, shape (N,).
+
+    References
+    ----------
+    Guo, Pleiss, Sun, Weinberger 2017, arXiv:1706.04599, equation 3.
+
+    Examples
+    --------
+    >>> bins, error = calibration_of(np.array([0.95, 0.95, 0.75, 0.75]), np.array([True, True, True, False]))
+    >>> [(row["decisions"], row["accuracy"]) for row in bins], round(error, 3)
+    ([(2, 0.5), (2, 1.0)], 0.15)
+    """
+    place = np.minimum((probability * BINS).astype(np.int64), BINS - 1)
+    rows = []
+    error = 0.0
+    for k in np.unique(place):
+        some = place == k
+        mean, accuracy = float(probability[some].mean()), float(right[some].mean())
+        rows.append({"decisions": int(some.sum()), "probability": mean, "accuracy": accuracy})
+        error += float(some.mean()) * abs(mean - accuracy)
+    return rows, error
