@@ -79,6 +79,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from async_tnt.training.evaluation import evaluate
     from async_tnt.training.loop import train
     from async_tnt.training.pipeline import check_network, pipeline_of
+    from async_tnt.training.temperature import calibrated
 
     start = load_model(args.start_from) if args.start_from else None
     config = _config(args) if start is None else start.config
@@ -128,16 +129,18 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     if start is not None:
         names = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
         summary["started_from"] = {name: start.record[name] for name in names if name in start.record}
-    pipeline = pipeline_of(model)
     times_ms = tuple(config.window_us * k / 1e4 for k in range(1, 11))
     if args.dataset is None:
         times_ms = tuple(float(ms) for ms in range(10, 101, 10))
     scores = None
     if len(data.validation):
         print("evaluating on the held-out recordings", file=sys.stderr)
-        found = evaluate(pipeline, data.validation, times_ms=times_ms)
-        summary["validation"] = found.to_dict()
+        found = evaluate(pipeline_of(model), data.validation, times_ms=times_ms)
+        model, temperature = calibrated(model, found.temperature)
+        found = found.at_temperature(temperature)
+        summary |= {"validation": found.to_dict(), "temperature": round(temperature, 5)}
         scores = Scores(data.classes, found.recording_confusion, found.confusion)
+    pipeline = pipeline_of(model)
     if motions is not None and len(motions.validation):
         moved = evaluate(pipeline, motions.validation, times_ms=times_ms).to_dict()
         summary["validation_motions"] = {name: moved[name] for name in moved if "recording" not in name}
@@ -230,6 +233,8 @@ def _read_dataset(
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         print(line, file=sys.stderr)
 
+    augmentation = _augmentation(args)
+
     def settings_of(candidate: Candidate, steps: int | None = None) -> TrainSettings:
         return settings_for(
             candidate.config,
@@ -238,12 +243,12 @@ def _read_dataset(
             epochs=args.epochs,
             batch=args.batch,
             patience=args.patience if steps is None else 0,
-            augmentation=_augmentation(args),
+            augmentation=None if augmentation is None else {**augmentation, "mirror": candidate.mirror},
             resynthesized=args.motions == "resynthesized",
             **given | {"iterations": steps or args.iterations, "network": candidate.network},
         )
 
-    candidate = Candidate(data.config, given["network"])
+    candidate = Candidate(data.config, given["network"], bool(args.mirror))
     if choice is not None:
         candidate = choice.chosen or choice.make(data, candidate, questions, settings_of)
         data = replace(data, config=candidate.config, record={**data.record, "choice": choice.trials})
@@ -289,7 +294,10 @@ def _read_digits(
 
 def _augmentation(args: argparse.Namespace) -> dict[str, Any] | None:
     """The options' fields of `Augmentation`."""
-    return None if args.no_augmentation else {"translate_px": args.translate, "partial": args.partial}
+    if args.no_augmentation:
+        return None
+    given = {"translate_px": args.translate, "partial": args.partial, "scatter": args.nothing, "mirror": args.mirror}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:

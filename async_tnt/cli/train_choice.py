@@ -9,6 +9,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,13 @@ VOLUME_OPTIONS = ("representation", "transform", "landmark", "t_max", "bins")
 def questions_of(args: argparse.Namespace) -> Questions:
     """What the options leave open."""
     if args.quick or args.start_from or args.motions == "resynthesized" or args.validation == 0:
-        return Questions(False, False, False, False)
+        return Questions(False, False, False, False, False)
     return Questions(
         transform=not args.remove_flow and all(getattr(args, name) is None for name in VOLUME_OPTIONS),
         polarity=args.polarity is None and args.representation in (None, "volume"),
         grid=args.grid is None,
         network=args.network is None,
+        mirror=args.mirror is None and not args.no_augmentation,
     )
 
 
@@ -58,7 +60,7 @@ class Choice:
             raise ValueError(f"{self._file}: damaged ({error}); delete it to choose again") from None
         if found.get("key") == self._key:
             self.trials = found["trials"]
-            self.chosen = Candidate(TNTConfig.from_dict(found["config"]), found["network"])
+            self.chosen = Candidate(TNTConfig.from_dict(found["config"]), found["network"], found["mirror"])
 
     def make(
         self,
@@ -77,7 +79,7 @@ class Choice:
         self.trials = [trial.to_dict() for trial in trials]
         self.chosen = best = trials[-1].candidate
         print(f"chosen: {best}", file=sys.stderr)
-        kept = {"key": self._key, "trials": self.trials, "config": best.config.to_dict(), "network": best.network}
+        kept = {"key": self._key, "trials": self.trials, **asdict(best), "config": best.config.to_dict()}
         write_text(self._file, json.dumps(kept, indent=1))
         shutil.rmtree(self._folder, ignore_errors=True)
         return best

@@ -16,6 +16,7 @@ from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.pixel_selector import PixelSelector
 from async_tnt.sources.sensor import format_size
 from async_tnt.training.augment import Augmentation
+from async_tnt.training.settings import STREAMED
 
 DESCRIPTION = """\
 Train a classifier on volumes of events: the thesis' network, others that suit small machines, or your own (--network).
@@ -261,10 +262,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     learning.add_argument(
         "--partial",
         type=float,
-        default=Augmentation.partial,
         metavar="SHARE",
         help="of the windows, those that end early, at a random moment: more of them make early decisions better "
-        "(default: %(default)s)",
+        f"(default: {Augmentation.partial:g}; with DATASET {STREAMED['partial']:g})",
+    )
+    learning.add_argument(
+        "--nothing",
+        type=float,
+        metavar="SHARE",
+        help="of the windows, those whose events are put anywhere on the sensor, so that no class is decided with "
+        f"confidence where nothing is there (default: {Augmentation.scatter:g}; with DATASET {STREAMED['scatter']:g})",
+    )
+    learning.add_argument(
+        "--mirror",
+        action=argparse.BooleanOptionalAction,
+        help="also show windows mirrored from left to right; not where a class would become another one (default: "
+        "no; with DATASET what does better)",
     )
     learning.add_argument("--no-augmentation", action="store_true", help="train on the windows as they are")
     learning.add_argument(

@@ -7,7 +7,7 @@ Arguments that both kernels take:
     columns  t, x, y, p of all recordings, end to end.
     windows  first, last : int64, (N,). Each window's recording: its events `first <= i < last`.
              start_us, limit_us : int64, (N,). Each window.
-             matrix, keep, seed : how its events are moved and thinned, see `augment.Draws`.
+             matrix, keep, seed, scatter : how its events are moved and thinned, see `augment.Draws`.
 """
 
 import numpy as np
@@ -126,15 +126,18 @@ def _select_events(ints, scratch, columns, windows, window):
     """One window's events, moved and thinned, into the scratch columns; returns how many."""
     scratch_t, scratch_x, scratch_y, scratch_p = scratch
     t, x, y, p = columns
-    firsts, lasts, starts_us, limits_us, matrices, keeps, seeds = windows
+    firsts, lasts, starts_us, limits_us, matrices, keeps, seeds, scatters = windows
     last, limit_us = lasts[window], limits_us[window]
-    matrix, keep, seed = matrices[window], keeps[window], seeds[window]
+    matrix, keep, seed, scatter = matrices[window], keeps[window], seeds[window], scatters[window]
     i = firsts[window] + np.searchsorted(t[firsts[window] : last], starts_us[window])
     n = 0
     while i < last and t[i] < limit_us:
         if keep >= 1.0 or _uniform(seed, i) < keep:
             x_moved = np.floor(matrix[0, 0] * x[i] + matrix[0, 1] * y[i] + matrix[0, 2] + 0.5)
             y_moved = np.floor(matrix[1, 0] * x[i] + matrix[1, 1] * y[i] + matrix[1, 2] + 0.5)
+            if scatter:
+                x_moved = np.floor(_uniform(~seed, 2 * i) * ints[S.SENSOR_W])
+                y_moved = np.floor(_uniform(~seed, 2 * i + 1) * ints[S.SENSOR_H])
             if 0 <= x_moved < ints[S.SENSOR_W] and 0 <= y_moved < ints[S.SENSOR_H]:
                 scratch_t[n] = t[i]
                 scratch_x[n] = np.uint16(x_moved)

@@ -1,12 +1,13 @@
 """Augmentation of events: every epoch changes every window at random. All of it is our choice.
 
-A window is moved in time and on the sensor, thinned, and sometimes cut short:
+A window is moved in time and on the sensor, thinned, and sometimes mirrored, cut short, or made to show nothing:
 
     start      a live stream's windows start at its first event, some milliseconds into N-MNIST's saccade;
                TNT magnifies what happens near the start, so the network must not rely on it
-    position   (x', y') = A (x - c) + c + shift      A = rotation * shear * scale
+    position   (x', y') = A (x - c) + c + shift      A = rotation * shear * scale * mirror
     thinning   each event is kept with a probability that is drawn per window
     partial    the window ends early, as training for decisions before its end
+    scatter    each event gets a position anywhere on the sensor: nothing is there, but as many events as ever
 
 After a rotation, positions are not whole pixels. Rounding them would leave stripes in the volume, so augmented events
 are on a sensor `FINE` times finer (see `fineness`) with the same corners; as the grid is mapped from corner to corner,
@@ -35,7 +36,8 @@ class Draws:
     until_us : int64, (N,). Events at or after this time since the window's start are dropped.
     matrix : float64, (N, 2, 3). (x', y') = matrix @ (x, y, 1), rounded, in pixels of `sensor`.
     keep : float64, (N,). Probability that an event is kept.
-    seed : uint64, (N,). Decides which events are kept.
+    seed : uint64, (N,). Decides which events are kept, and where they are scattered.
+    scatter : bool, (N,). Events are put anywhere on `sensor` instead.
     sensor : (width, height) of the augmented events' sensor; events beyond it are dropped.
     """
 
@@ -44,6 +46,7 @@ class Draws:
     matrix: np.ndarray
     keep: np.ndarray
     seed: np.ndarray
+    scatter: np.ndarray
     sensor: tuple[int, int]
 
 
@@ -68,6 +71,7 @@ def unchanged(n: int, config: TNTConfig, until_us: int | None = None) -> Draws:
         matrix,
         np.ones(n),
         np.zeros(n, np.uint64),
+        np.zeros(n, bool),
         config.sensor,
     )
 
@@ -86,6 +90,8 @@ class Augmentation:
     shear : shift of x, as a fraction of y.
     drop : fraction of the events that is dropped.
     partial : fraction of windows that end early, but not before `partial_from_ms`.
+    mirror : half of the windows are mirrored from left to right.
+    scatter : fraction of windows whose events are put anywhere on the sensor. They belong to no class.
     """
 
     start_ms: float = 5.0
@@ -97,11 +103,13 @@ class Augmentation:
     drop: float = 0.3
     partial: float = 0.2
     partial_from_ms: float = 15.0
+    mirror: bool = False
+    scatter: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            limit = 1.0 if name in ("scale", "drop", "partial") else np.inf
+            limit = 1.0 if name in ("scale", "drop", "partial", "mirror", "scatter") else np.inf
             if not 0 <= value <= limit:
                 raise ValueError(f"`{name}` must be in [0, {limit}], got {value}")
 
@@ -137,14 +145,16 @@ class Augmentation:
         until_us = np.rint(rng.uniform(shortest, config.window_us, n)).astype(np.int64)
         until_us[rng.random(n) >= self.partial] = config.window_us
         seed = rng.integers(0, 1 << 63, n, dtype=np.uint64)
+        side = np.where(rng.random(n) < 0.5, -1.0, 1.0) if self.mirror else np.ones(n)
+        scatter = rng.random(n) < self.scatter if self.scatter else np.zeros(n, bool)
 
         cos, sin = scale * np.cos(angle), scale * np.sin(angle)
         matrix = np.empty((n, 2, 3))
-        matrix[:, 0, 0], matrix[:, 0, 1] = cos, cos * shear - sin
-        matrix[:, 1, 0], matrix[:, 1, 1] = sin, sin * shear + cos
+        matrix[:, 0, 0], matrix[:, 0, 1] = cos * side, cos * shear - sin
+        matrix[:, 1, 0], matrix[:, 1, 1] = sin * side, sin * shear + cos
         center = (np.array(config.sensor) - 1) / 2
         matrix[:, :, 2] = center + shift - matrix[:, :, :2] @ center
         # an image of times takes an event between pixels for one of all of them
         fine = 1 if config.representation in TIME_IMAGES else fineness(config.sensor)
         sensor = ((config.sensor[0] - 1) * fine + 1, (config.sensor[1] - 1) * fine + 1)
-        return Draws(start_us, until_us, fine * matrix, keep, seed, sensor)
+        return Draws(start_us, until_us, fine * matrix, keep, seed, scatter, sensor)

@@ -98,7 +98,7 @@ class BatchVolumes:
             self._state(draws.sensor),
             self._scratch,
             (recordings.t, recordings.x, recordings.y, recordings.p),
-            (first, last, start_us, limit_us, draws.matrix, draws.keep, draws.seed),
+            (first, last, start_us, limit_us, draws.matrix, draws.keep, draws.seed, draws.scatter),
         )
 
     def _to_sensor(self, landmarks: np.ndarray | None, n: int, draws: Draws) -> np.ndarray:

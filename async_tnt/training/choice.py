@@ -4,6 +4,7 @@ windows, one question after another.
     volume    the event volume as it is, or TNT about the running centroid; signed, split or unsigned
     grid      a fine and a coarse one of the sensor's shape
     network   thesis, conv4, residual
+    mirror    windows as they are, or half of them mirrored
 
 What was asked for is not a question. The winner of one question goes into the next one. All is drawn from the seed:
 the same data and options give the same choice.
@@ -12,7 +13,7 @@ the same data and options give the same choice.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from async_tnt.config import POLARITIES, TNTConfig
@@ -33,10 +34,12 @@ VOLUMES: dict[str, dict[str, Any]] = {
 class Candidate:
     config: TNTConfig
     network: str
+    mirror: bool = False
 
     def __str__(self) -> str:
         volume = "raw" if self.config.transform == "none" else f"TNT, {self.config.landmark}"
-        return f"{volume}, {self.config.polarity}, {format_size(self.config.grid)}, {self.network}"
+        mirrored = ", mirrored" if self.mirror else ""
+        return f"{volume}, {self.config.polarity}, {format_size(self.config.grid)}, {self.network}{mirrored}"
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class Questions:
     polarity: bool = True
     grid: bool = True
     network: bool = True
+    mirror: bool = True
 
     def __bool__(self) -> bool:
         return any(asdict(self).values())
@@ -77,10 +81,10 @@ def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate]
     ValueError : no candidate can be trained.
     """
     if questions.grid:
-        start = Candidate(start.config.replace(grid=next(grids(start.config.sensor))), start.network)
+        start = replace(start, config=start.config.replace(grid=next(grids(start.config.sensor))))
     tried: dict[Candidate, Trial | None] = {}
     best: Trial | None = None
-    for question in (_volumes, _grids, _networks):
+    for question in (_volumes, _grids, _networks, _mirrors):
         for candidate in question(start if best is None else best.candidate, questions):
             if candidate not in tried:
                 tried[candidate] = try_out(candidate)
@@ -106,14 +110,19 @@ def _volumes(best: Candidate, questions: Questions) -> Iterator[Candidate]:
     changes: list[Mapping[str, Any]] = list(VOLUMES.values()) if questions.transform else [{}]
     for volume in changes:
         for polarity in POLARITIES if questions.polarity else (best.config.polarity,):
-            yield Candidate(best.config.replace(**volume, polarity=polarity), best.network)
+            yield replace(best, config=best.config.replace(**volume, polarity=polarity))
 
 
 def _grids(best: Candidate, questions: Questions) -> Iterator[Candidate]:
     for grid in grids(best.config.sensor) if questions.grid else (best.config.grid,):
-        yield Candidate(best.config.replace(grid=grid), best.network)
+        yield replace(best, config=best.config.replace(grid=grid))
 
 
 def _networks(best: Candidate, questions: Questions) -> Iterator[Candidate]:
     for network in NETWORKS if questions.network else (best.network,):
-        yield Candidate(best.config, network)
+        yield replace(best, network=network)
+
+
+def _mirrors(best: Candidate, questions: Questions) -> Iterator[Candidate]:
+    for mirror in (False, True) if questions.mirror else (best.mirror,):
+        yield replace(best, mirror=mirror)

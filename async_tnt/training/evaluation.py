@@ -1,35 +1,58 @@
-"""How well a network classifies windows: by window, by recording, and against time."""
+"""How well a network classifies windows: by window, by recording, against time, and whether it knows how well."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 
+from async_tnt.archive.early import calibration_of
 from async_tnt.archive.scores import share_right
 from async_tnt.training.augment import unchanged
 from async_tnt.training.pipeline import Pipeline
+from async_tnt.training.temperature import fit_temperature, softened
 from async_tnt.training.windows import Windows
 
 BATCH = 256
+SURE = 0.9
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What `evaluate` found.
+    """What `evaluate` found: the probabilities of N windows' classes at moments, and what follows from them.
 
     Parameters
     ----------
-    against_time : milliseconds since the window's start -> share of windows that are right by then.
-    confusion : (n_classes, n_classes), windows by true class (row) and decided class (column).
-    recording_confusion : the same of recordings, each decided by the mean of its windows' probabilities.
+    windows : the N windows.
+    times_ms : M moments, in milliseconds since a window's start.
+    early : float64, shape (M, N, n_classes). Probabilities at these moments.
+    complete : float64, shape (N, n_classes). At the windows' ends.
+    nothing : the same, the events scattered over the sensor.
     """
 
-    against_time: dict[float, float]
-    confusion: np.ndarray
-    recording_confusion: np.ndarray
+    windows: Windows
+    times_ms: tuple[float, ...]
+    early: np.ndarray
+    complete: np.ndarray
+    nothing: np.ndarray
+
+    @property
+    def against_time(self) -> dict[float, float]:
+        """Moment -> share of windows that are right by then."""
+        right = (self.early.argmax(2) == self.windows.labels).mean(1)
+        return dict(zip(self.times_ms, right.tolist(), strict=True))
+
+    @property
+    def confusion(self) -> np.ndarray:
+        """(n_classes, n_classes): windows by true class (row) and decided class (column)."""
+        return _confusion(self.windows.labels, self.complete)
+
+    @property
+    def recording_confusion(self) -> np.ndarray:
+        """The same of recordings, each decided by the mean of its windows' probabilities."""
+        return confusion_by_recording(self.complete, self.windows)
 
     @property
     def per_window(self) -> float:
@@ -42,12 +65,31 @@ class Evaluation:
         return share_right(self.recording_confusion)
 
     @property
-    def n_windows(self) -> int:
-        return int(self.confusion.sum())
+    def calibration_error(self) -> float:
+        """Expected difference between a decision's probability and the share right, over all moments together."""
+        probabilities, labels = self._everywhere
+        return calibration_of(probabilities.max(1), probabilities.argmax(1) == labels)[1]
 
     @property
-    def n_recordings(self) -> int:
-        return int(self.recording_confusion.sum())
+    def sure_of_nothing(self) -> float:
+        """Share of windows with a class of probability `SURE` where nothing is shown."""
+        return float((self.nothing.max(1) >= SURE).mean())
+
+    @property
+    def temperature(self) -> float:
+        """What the logits should be divided by, see `fit_temperature`: for all moments together."""
+        return fit_temperature(*self._everywhere)
+
+    def at_temperature(self, temperature: float) -> Evaluation:
+        """The same with all logits divided by `temperature`."""
+        early, complete, nothing = (softened(p, temperature) for p in (self.early, self.complete, self.nothing))
+        return replace(self, early=early, complete=complete, nothing=nothing)
+
+    @property
+    def _everywhere(self) -> tuple[np.ndarray, np.ndarray]:
+        """Probabilities at all moments and the ends, and their labels."""
+        moments = np.concatenate([self.early, self.complete[np.newaxis]])
+        return moments.reshape(-1, moments.shape[2]), np.tile(self.windows.labels, len(moments))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -55,18 +97,23 @@ class Evaluation:
             "per_window": round(self.per_window, 5),
             "per_recording": round(self.per_recording, 5),
             "against_time_ms": {f"{ms:g}": round(a, 5) for ms, a in self.against_time.items()},
+            "calibration_error": round(self.calibration_error, 5),
+            "sure_of_nothing": round(self.sure_of_nothing, 5),
             "confusion": self.confusion.tolist(),
-            "windows": self.n_windows,
-            "recordings": self.n_recordings,
+            "windows": int(self.confusion.sum()),
+            "recordings": int(self.recording_confusion.sum()),
         }
 
 
-def class_probabilities(pipeline: Pipeline, windows: Windows, *, until_us: int | None = None) -> np.ndarray:
+def class_probabilities(
+    pipeline: Pipeline, windows: Windows, *, until_us: int | np.ndarray | None = None, scatter: bool = False
+) -> np.ndarray:
     """Probability of each class for each window: float64, shape (N, n_classes).
 
     Parameters
     ----------
-    until_us : only the events of each window's first `until_us` microseconds; all by default.
+    until_us : only the events of each window's first `until_us` microseconds, int or (N,); all by default.
+    scatter : put the events anywhere on the sensor, so that nothing is there.
     """
     if len(windows) == 0:
         raise ValueError("`windows` must hold at least one window, got none")
@@ -76,7 +123,13 @@ def class_probabilities(pipeline: Pipeline, windows: Windows, *, until_us: int |
     with torch.no_grad():
         for first in range(0, len(windows), BATCH):
             some = windows[first : first + BATCH]
-            logits = pipeline(some, None if until_us is None else unchanged(len(some), pipeline.config, until_us))
+            draws = unchanged(len(some), pipeline.config)
+            if until_us is not None:
+                draws.until_us[:] = until_us if np.ndim(until_us) == 0 else until_us[first : first + BATCH]
+            if scatter:
+                draws.scatter[:] = True
+                draws.seed[:] = np.arange(first, first + len(some))
+            logits = pipeline(some, draws)
             parts.append(torch.softmax(logits.double(), dim=1).cpu().numpy())
     pipeline.train(was_training)
     return np.concatenate(parts)
@@ -104,10 +157,9 @@ def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...
     times_ms : milliseconds since the window's start. A window without any event by then is decided from the empty
         volume.
     """
-    labels = windows.labels
     complete = class_probabilities(pipeline, windows)
-    against_time = {}
-    for ms in times_ms:
-        early = class_probabilities(pipeline, windows, until_us=round(1e3 * ms))
-        against_time[float(ms)] = float((early.argmax(1) == labels).mean())
-    return Evaluation(against_time, _confusion(labels, complete), confusion_by_recording(complete, windows))
+    early = np.empty((len(times_ms), *complete.shape))
+    for k, ms in enumerate(times_ms):
+        early[k] = class_probabilities(pipeline, windows, until_us=round(1e3 * ms))
+    nothing = class_probabilities(pipeline, windows, scatter=True)
+    return Evaluation(windows, tuple(map(float, times_ms)), early, complete, nothing)

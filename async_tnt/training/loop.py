@@ -115,12 +115,12 @@ def train(
             if settings.patience is not None and epochs_since_best(history) >= settings.patience:
                 break
             pipeline.train()
-            total_loss, n_right, n_seen = 0.0, 0, 0
+            total_loss, n_right, n_of_a_class, n_seen = 0.0, 0, 0, 0
             n_steps = min(steps, n_iterations - epoch * steps)
             batches = batches_of(config, training, settings, epoch, motions)
             for step, (windows, draws) in enumerate(islice(batches, n_steps)):
                 _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
-                target = torch.from_numpy(windows.labels).to(device)
+                target = _targets(windows.labels, draws, len(classes)).to(device)
                 with torch.autocast(device, torch.bfloat16, enabled=settings.precision == "bfloat16"):
                     logits = pipeline(windows, draws)
                 loss = F.cross_entropy(logits, target, label_smoothing=settings.label_smoothing)
@@ -128,7 +128,9 @@ def train(
                 loss.backward()
                 optimizer.step()
                 total_loss += loss.item() * len(windows)
-                n_right += int((logits.argmax(1) == target).sum())
+                of_a_class = target.amax(1) == 1.0
+                n_right += int((logits.argmax(1) == target.argmax(1))[of_a_class].sum())
+                n_of_a_class += int(of_a_class.sum())
                 n_seen += len(windows)
                 bar.update(title=f"epoch {epoch + 1}/{n_epochs}")
             del windows, draws, batches  # the events of an epoch, before those of the next are read
@@ -137,12 +139,12 @@ def train(
                     "epoch": epoch + 1,
                     "iterations": epoch * steps + n_steps,
                     "loss": total_loss / n_seen,
-                    "training": n_right / n_seen,
-                    **_validate(pipeline, validation, balance=settings.balance),
+                    "training": n_right / max(1, n_of_a_class),
+                    **_validate(pipeline, validation, settings),
                 }
             )
             if motions is not None:
-                moved = _validate(pipeline, motions.validation, balance=settings.balance)
+                moved = _validate(pipeline, motions.validation, settings)
                 of_windows = {name: value for name, value in moved.items() if name != "per_recording"}
                 history[-1] |= {f"motions_{name}": value for name, value in of_windows.items()}
             if _is_best(history, by_loss=settings.patience is not None):
@@ -217,21 +219,38 @@ def _is_best(history: list[dict[str, float]], *, by_loss: bool) -> bool:
     return right[-1] >= max(right)
 
 
-def _validate(pipeline: Pipeline, windows: Windows, *, balance: bool) -> dict[str, float]:
+def _targets(labels: np.ndarray, draws: Draws | None, n_classes: int) -> torch.Tensor:
+    """(N, n_classes): all on the class; the same on all classes where nothing is shown (Hendrycks, Mazeika, Dietterich
+    2019, arXiv:1812.04606), so that no class is decided with confidence."""
+    targets = np.eye(n_classes, dtype=np.float32)[labels]
+    if draws is not None:
+        targets[draws.scatter] = 1.0 / n_classes
+    return torch.from_numpy(targets)
+
+
+def _validate(pipeline: Pipeline, windows: Windows, settings: TrainSettings) -> dict[str, float]:
+    """Accuracy at the windows' ends; the loss there and, for as many of them as in training, at a tenth of each."""
     if len(windows) == 0:
         return {}
     probabilities = class_probabilities(pipeline, windows)
-    per_window = float((probabilities.argmax(1) == windows.labels).mean())
-    log_likelihood = np.log(probabilities[np.arange(len(windows)), windows.labels] + 1e-12)
-    if balance:  # with 95 windows of one class and 5 of another, the 5 would hardly count
-        loss = -float(np.mean([log_likelihood[windows.labels == label].mean() for label in np.unique(windows.labels)]))
-    else:
-        loss = -float(log_likelihood.mean())
+    loss = _loss(probabilities, windows.labels, balance=settings.balance)
+    partial = 0.0 if settings.augmentation is None else settings.augmentation.partial
+    if partial:
+        until_us = (1 + np.arange(len(windows)) % 10) * pipeline.config.window_us // 10
+        early = class_probabilities(pipeline, windows, until_us=until_us)
+        loss += partial * (_loss(early, windows.labels, balance=settings.balance) - loss)
     return {
-        "per_window": per_window,
+        "per_window": float((probabilities.argmax(1) == windows.labels).mean()),
         "per_recording": share_right(confusion_by_recording(probabilities, windows)),
         "validation_loss": loss,
     }
+
+
+def _loss(probabilities: np.ndarray, labels: np.ndarray, *, balance: bool) -> float:
+    log_likelihood = np.log(probabilities[np.arange(len(labels)), labels] + 1e-12)
+    if balance:  # with 95 windows of one class and 5 of another, the 5 would hardly count
+        return -float(np.mean([log_likelihood[labels == label].mean() for label in np.unique(labels)]))
+    return -float(log_likelihood.mean())
 
 
 def _optimizer(pipeline: Pipeline, settings: TrainSettings) -> torch.optim.Optimizer:

@@ -12,6 +12,8 @@ from async_tnt.config import TNTConfig
 from async_tnt.training.augment import Augmentation
 
 PRECISIONS = ("float32", "bfloat16")
+STREAMED = MappingProxyType({"partial": 0.9, "scatter": 0.1})
+"""Fields of `Augmentation` for a data set by default: right at any moment of a stream, also when nothing is there."""
 MIN_STEPS, MIN_STEPS_MOVED = 1_500, 6_000
 """Optimizer steps on a small data set by default, unless patience ends the training earlier; more with other motions,
 which take longer to learn."""
@@ -95,7 +97,8 @@ def settings_for(
     ----------
     n_windows, n_held_out : windows to train on, and held out.
     patience : 0 trains to the end.
-    augmentation : fields of `Augmentation` whose values differ from `Augmentation.for_sensor`; None: as recorded.
+    augmentation : fields of `Augmentation` whose values differ from `Augmentation.for_sensor` and `STREAMED`; None: as
+        recorded.
     resynthesized : whether the windows are also shown in other motions.
     settings : others of `TrainSettings`.
     """
@@ -109,7 +112,7 @@ def settings_for(
         epochs=epochs,
         batch=batch,
         patience=patience or None,
-        augmentation=None if augmentation is None else Augmentation.for_sensor(config, **augmentation),
+        augmentation=None if augmentation is None else Augmentation.for_sensor(config, **{**STREAMED, **augmentation}),
         balance=True,
         **settings,
     )

@@ -38,29 +38,31 @@ def test_one_question_after_another_the_winner_goes_on():
             + 2 * (config.transform == "none")
             + (config.grid == (34, 28)) / 2
             + (candidate.network == "residual") / 4
+            + candidate.mirror / 8
         )
 
     names, best = tried_in(start, ALL, score)
-    assert best == "raw, split, 34x28, residual"
+    assert best == "raw, split, 34x28, residual, mirrored"
     assert names[:3] == [f"raw, {polarity}, 60x50, thesis" for polarity in ("signed", "unsigned", "split")]
     assert names[3:6] == [f"TNT, running, {polarity}, 60x50, thesis" for polarity in ("signed", "unsigned", "split")]
-    assert names[6:] == ["raw, split, 34x28, thesis", "raw, split, 34x28, conv4", best]
+    assert names[6:9] == [f"raw, split, 34x28, {network}" for network in ("thesis", "conv4", "residual")]
+    assert names[9:] == [best]
 
 
 def test_what_was_asked_for_is_not_a_question():
     start = Candidate(TNTConfig(sensor=(120, 100), landmark="center", polarity="unsigned", grid=(20, 20)), "mine.py:f")
-    names, _ = tried_in(start, Questions(polarity=True, transform=False, grid=False, network=False), lambda c: 0.5)
+    names, _ = tried_in(start, Questions(False, True, False, False, False), lambda c: 0.5)
     assert names == [f"TNT, center, {p}, 20x20, mine.py:f" for p in ("signed", "unsigned", "split")]
-    assert tried_in(start, Questions(False, False, True, False), lambda c: c.config.grid == (60, 50))[1].endswith(
+    assert tried_in(start, Questions(False, False, True, False, False), lambda c: c.config.grid == (60, 50))[1].endswith(
         "unsigned, 60x50, mine.py:f"
     )
-    assert not Questions(False, False, False, False) and ALL
+    assert not Questions(False, False, False, False, False) and ALL
 
 
 def test_what_cannot_be_trained_is_left_out():
     start = Candidate(TNTConfig(sensor=(34, 34)), "thesis")
     names, best = tried_in(start, ALL, lambda c: None if c.network == "conv4" or c.config.transform == "none" else 1.0)
-    assert best.startswith("TNT") and len(names) == 8
+    assert best.startswith("TNT") and len(names) == 9
     with pytest.raises(ValueError, match="none of the volumes and networks can be trained"):
         tried_in(start, ALL, lambda c: None)
 

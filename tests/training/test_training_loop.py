@@ -183,7 +183,7 @@ def test_evaluation_by_hand():
     found = evaluate(pipeline, make_windows(recordings, 105_000), times_ms=(10, 100))
     assert found.per_window == pytest.approx(5 / 6)
     np.testing.assert_array_equal(found.confusion, [[3, 0], [1, 2]])
-    assert (found.n_windows, found.n_recordings) == (6, 2)
+    assert (found.to_dict()["windows"], found.to_dict()["recordings"]) == (6, 2)
     assert found.per_recording == 0.5  # mean of .731, .731, .0001 for class 1 is below a half
     assert found.against_time == {10.0: 0.5, 100.0: pytest.approx(5 / 6)}  # nothing yet: class 0
     assert found.to_dict()["against_time_ms"] == {"10": 0.5, "100": 0.83333}

@@ -101,6 +101,8 @@ def test_a_moved_start_takes_in_the_neighbouring_windows_events():
         ({"rotation_deg": 90.0}, (23.0, 20.0)),  # x to the right, y downwards: from x towards y
         ({"scale": 0.5}, (21.75, 6.75)),
         ({"shear": 0.5}, (16.75, 10.0)),
+        ({"mirror": True, "shift_px": 2.0}, (33 - 20 + 2.0, 12.0)),
+        ({"mirror": True, "rotation_deg": 90.0}, (23.0, 33 - 20.0)),
         ({"scale": 0.5, "rotation_deg": 90.0, "shear": 0.5}, (26.25, 16.875)),  # (3.5, -6.5), (.25, -6.5), (6.5, .25)
     ],
     ids=str,
@@ -118,7 +120,7 @@ def test_the_largest_changes_by_hand(changes, place):
             return np.full(shape, high - 1, dtype)
 
         def random(self, n):
-            return np.ones(n)
+            return np.full(n, 0.4)
 
     config = TNTConfig(transform="none")
     windows = make_windows(Recordings.from_events([events_of([50_000], [20], [10], [1])], [0]), config.window_us)
@@ -140,17 +142,40 @@ def test_thinning_keeps_the_drawn_share():
     np.testing.assert_allclose(n_kept / n_all, [0.0, 0.25, 0.7], atol=0.015)  # 4 sd of 19,000 events
 
 
+def test_scattered_events_are_anywhere_and_otherwise_the_same():
+    config = TNTConfig(transform="none", polarity="split", sensor=(50, 40))
+    windows = random_windows(config, 1, 60_000)
+    windows.recordings.x[:] = 20
+    windows.recordings.y[:] = 10
+    draws = unchanged(3, config)
+    draws.scatter[:] = False, True, True
+    draws.seed[:] = 1, 2, 2
+    still, first, second = BatchVolumes(config)(windows, draws).astype(np.float64)
+    by_bin = [BatchVolumes(config)(windows)[1].sum((1, 2)), first.sum((1, 2))]
+    np.testing.assert_allclose(*by_bin, rtol=1e-4)  # in time and polarity
+    assert np.count_nonzero(still.sum(0)) <= 4 and not np.array_equal(first, second)
+    along_x, along_y = first.sum((0, 1)), first.sum((0, 2))
+    for along, side in ((along_x, 50), (along_y, 40)):
+        cell = np.arange(len(along))
+        n, mean = along.sum(), (along * cell).sum() / along.sum()
+        spread = np.sqrt((along * (cell - mean) ** 2).sum() / n)
+        assert mean == pytest.approx((len(along) - 1) / 2, abs=0.3) and side > 30
+        assert spread == pytest.approx(len(along) / np.sqrt(12), rel=0.03)  # of the uniform distribution
+
+
 def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
-    config, augmentation = TNTConfig(), Augmentation(partial=0.25, translate_px=4)
+    config, augmentation = TNTConfig(), Augmentation(partial=0.25, translate_px=4, mirror=True, scatter=0.1)
     draws, again, other = (augmentation.draw(4_000, config, RNG(seed)) for seed in (1, 1, 2))
-    for name in ("start_us", "until_us", "matrix", "keep", "seed"):
+    for name in ("start_us", "until_us", "matrix", "keep", "seed", "scatter"):
         np.testing.assert_array_equal(getattr(draws, name), getattr(again, name))
         assert not np.array_equal(getattr(draws, name), getattr(other, name))
     assert -5_000 <= draws.start_us.min() < -4_900 and 4_900 < draws.start_us.max() <= 5_000
     assert 0.7 <= draws.keep.min() < 0.71 and 0.99 < draws.keep.max() <= 1.0
     assert draws.until_us.min() >= 15_000
     assert (draws.until_us < config.window_us).mean() == pytest.approx(0.25, abs=0.03)
-    gain = np.linalg.det(draws.matrix[:, :, :2]) / FINE**2  # scale^2: rotation and shear keep areas
+    assert draws.scatter.mean() == pytest.approx(0.1, abs=0.02)
+    assert (draws.matrix[:, 0, 0] < 0).mean() == pytest.approx(0.5, abs=0.03)
+    gain = -np.sign(draws.matrix[:, 0, 0]) * -np.linalg.det(draws.matrix[:, :, :2]) / FINE**2  # scale^2: rotation and shear keep areas
     assert 0.81 <= gain.min() < 0.83 and 1.19 < gain.max() <= 1.21
     with pytest.raises(ValueError, match=r"`drop` must be in \[0, 1.0\], got 1.5"):
         Augmentation(drop=1.5)

@@ -1,0 +1,147 @@
+"""A trained model's probabilities: what they say on held-out windows, and where nothing is there."""
+
+import numpy as np
+import pytest
+from made import events_of, random_model
+
+torch = pytest.importorskip("torch")
+
+from async_tnt.config import TNTConfig  # noqa: E402
+from async_tnt.networks.compiled import CompiledClassifier  # noqa: E402
+from async_tnt.processor import Processor  # noqa: E402
+from async_tnt.training.augment import Augmentation  # noqa: E402
+from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
+from async_tnt.training.loop import train  # noqa: E402
+from async_tnt.training.pipeline import pipeline_of  # noqa: E402
+from async_tnt.training.settings import TrainSettings  # noqa: E402
+from async_tnt.training.temperature import calibrated, fit_temperature, softened  # noqa: E402
+from async_tnt.training.windows import Recordings, make_windows  # noqa: E402
+
+CONFIG = TNTConfig(transform="none", landmark="center", bins=3, window_us=100_000)
+
+
+def shapes(n, seed):
+    """A spot, and a ring that fills the sensor, with a few stray events."""
+    rng = np.random.default_rng(seed)
+    recordings = []
+    for k in range(n):
+        n_shape, n_stray = rng.integers(150, 400), rng.integers(0, 60)
+        radius, angle = (13.0 if k % 2 else 4.0) + rng.normal(0, 1.5, n_shape), rng.uniform(0, 2 * np.pi, n_shape)
+        x, y = radius * np.cos(angle) + rng.integers(14, 20), radius * np.sin(angle) + rng.integers(14, 20)
+        x, y = (np.concatenate([np.clip(axis, 0, 33), rng.integers(0, 34, n_stray)]).astype(int) for axis in (x, y))
+        t = np.sort(rng.integers(0, 100_000, n_shape + n_stray))
+        recordings.append(events_of(t, x, y, rng.integers(0, 2, n_shape + n_stray)))
+    return make_windows(Recordings.from_events(recordings, np.arange(n) % 2), CONFIG.window_us)
+
+
+def noise(kind, rng):
+    """Windows in which nothing is there; none of these kinds is trained on."""
+    n = int(rng.integers(150, 450))
+    t, p = np.sort(rng.integers(0, 100_000, n)), rng.integers(0, 2, n)
+    if kind == "flicker":  # of the light: everything at once, ON and OFF in turns
+        t = np.sort(rng.integers(0, 10, n) * 10_000 + rng.integers(0, 1_000, n))
+        p = t // 10_000 % 2
+    elif kind == "one polarity":  # leak events are ON
+        p = np.ones(n, int)
+    elif kind == "pairs":  # neighbouring pixels react together
+        x, y = (rng.integers(0, 33, n // 2).repeat(2) for _ in "xy")
+        x[1::2] += 1
+        return events_of(t[: len(x)], x, y, p[: len(x)])
+    return events_of(t, rng.integers(0, 34, n), rng.integers(0, 34, n), p)
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    """Trained with and without windows that show nothing."""
+    made = {}
+    for scatter in (0.0, 0.2):
+        settings = TrainSettings(epochs=6, batch=16, augmentation=Augmentation(scatter=scatter))
+        folder = tmp_path_factory.mktemp("run")
+        made[scatter] = train(CONFIG, shapes(400, 0), shapes(60, 1), settings, folder, classes=("spot", "ring")).last
+    return made
+
+
+def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
+    rng = np.random.default_rng(3)
+    sure = {}
+    for scatter, model in models.items():
+        assert evaluate(pipeline_of(model), shapes(60, 2)).per_window >= 0.95
+        model, _ = calibrated(model, evaluate(pipeline_of(model), shapes(60, 1)).temperature)
+        for kind in ("steady", "flicker", "one polarity", "pairs"):
+            decisions = []
+            for _ in range(40):
+                processor = Processor(model, start_us=0)
+                processor.push(noise(kind, rng))
+                decisions.append(processor.fire().probability >= 0.9)
+            sure[kind, scatter] = np.mean(decisions)
+    assert all(share <= 0.05 for (_, scatter), share in sure.items() if scatter), sure
+    assert np.mean([share for (_, scatter), share in sure.items() if not scatter]) > 0.3, sure
+
+
+def test_what_shows_nothing_is_counted_in_no_class(tmp_path):
+    """With all windows scattered, the loss is that of an answer which says nothing, and no accuracy is claimed."""
+    settings = TrainSettings(epochs=2, batch=16, augmentation=Augmentation(scatter=1.0), label_smoothing=0.0)
+    row = train(CONFIG, shapes(64, 0), shapes(8, 1), settings, tmp_path, classes=("spot", "ring")).history[-1]
+    assert row["loss"] == pytest.approx(np.log(2), abs=0.01) and row["training"] == 0.0
+
+
+def test_the_validation_loss_is_that_of_training(tmp_path):
+    """As many windows end early as in training; a third of them is seen as half of the loss by hand."""
+    windows, held_out = shapes(32, 0), shapes(20, 1)
+    losses = {}
+    for partial in (0.0, 0.25, 1.0):
+        settings = TrainSettings(epochs=1, batch=32, learning_rate=1e-12, augmentation=Augmentation(partial=partial))
+        result = train(CONFIG, windows, held_out, settings, tmp_path / str(partial), classes=("spot", "ring"))
+        losses[partial] = result.history[-1]["validation_loss"]
+    assert losses[0.25] == pytest.approx(0.75 * losses[0.0] + 0.25 * losses[1.0])
+    found = evaluate(pipeline_of(result.last), held_out, times_ms=tuple(range(10, 101, 10)))
+    at = np.arange(20)
+    by_hand = -np.log(found.early[at % 10, at, held_out.labels]).mean()
+    assert losses[1.0] == pytest.approx(by_hand, rel=1e-5) and losses[1.0] != pytest.approx(losses[0.0], rel=1e-3)
+
+
+def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
+    rng = np.random.default_rng(0)
+    truth = rng.dirichlet((1, 1, 1), 40_000)
+    labels = (rng.random(40_000)[:, None] > truth.cumsum(1)).sum(1)
+    told = softened(truth, 1 / 2.5)  # far too sure
+    temperature = fit_temperature(told, labels)
+    assert temperature == pytest.approx(2.5, rel=0.05)
+    windows = make_windows(Recordings.from_events([events_of([5], [1], [1], [1])] * 2, [0, 1]), 100_000)
+
+    def evaluation(probabilities):
+        found = Evaluation(windows, (), np.empty((0, *told.shape)), probabilities, probabilities)
+        object.__setattr__(found, "windows", type("Many", (), {"labels": labels}))
+        return found
+
+    assert evaluation(told).calibration_error > 0.15
+    assert evaluation(told).at_temperature(temperature).calibration_error < 0.01
+    assert evaluation(told).sure_of_nothing > evaluation(told).at_temperature(temperature).sure_of_nothing
+    assert fit_temperature(softened(truth, 4), labels) == pytest.approx(1 / 4, rel=0.05)
+
+
+def test_few_windows_that_are_all_right_give_no_certainty():
+    probabilities, labels = np.array([[0.7, 0.3], [0.2, 0.8]]), np.array([0, 1])
+    softer = softened(probabilities, fit_temperature(probabilities, labels))
+    assert 0.7 < softer.max(1).mean() < 0.8  # (2 + 1) of (2 + 2)
+
+
+def test_a_calibrated_model_decides_the_same(models):
+    model = models[0.0]
+    calibrated_model, temperature = calibrated(model, 2.5)
+    assert temperature == 2.5 and calibrated_model.classes == model.classes
+    volumes = np.random.default_rng(0).normal(size=(50, *model.config.shape)).astype(np.float32)
+    for volume in volumes:
+        logits, softer = (np.array(CompiledClassifier(m)(volume)) for m in (model, calibrated_model))
+        np.testing.assert_allclose(softer, logits / 2.5, rtol=1e-5, atol=1e-5)
+
+
+def test_a_network_that_does_not_end_in_a_layer_with_weights_stays_as_it_is():
+    from torch import nn
+
+    from async_tnt import Model
+
+    net = nn.Sequential(nn.Conv2d(3, 2, 3), nn.AdaptiveAvgPool2d(1), nn.Flatten())
+    model = Model.from_torch(net, CONFIG, classes=("a", "b"))
+    assert calibrated(model, 3.0) == (model, 1.0)
+    assert calibrated(random_model(CONFIG), 3.0)[1] == 3.0
