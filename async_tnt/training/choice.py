@@ -1,7 +1,7 @@
 """What to train where nothing is asked for: a few volumes and networks, each for a short time, compared on the held-out
 windows, one question after another.
 
-    volume    the event volume as it is, or TNT about the running centroid; signed, split or unsigned
+    volume    the event volume as it is, TNT about the running centroid, or the count image; signed, split or unsigned
     grid      a fine and a coarse one of the sensor's shape
     network   thesis, conv4, residual
     mirror    windows as they are, or half of them mirrored
@@ -27,6 +27,7 @@ NETWORKS = "thesis", "conv4", "residual"
 VOLUMES: dict[str, dict[str, Any]] = {
     "none": {"transform": "none", "landmark": "center"},
     "tnt": {"transform": "tnt", "landmark": "running"},
+    "count": {"representation": "count", "bins": 1, "transform": "none", "landmark": "center"},
 }
 
 
@@ -38,6 +39,8 @@ class Candidate:
 
     def __str__(self) -> str:
         volume = "raw" if self.config.transform == "none" else f"TNT, {self.config.landmark}"
+        if self.config.representation != "volume":
+            volume = self.config.representation
         mirrored = ", mirrored" if self.mirror else ""
         return f"{volume}, {self.config.polarity}, {format_size(self.config.grid)}, {self.network}{mirrored}"
 
