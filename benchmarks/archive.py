@@ -28,9 +28,10 @@ from script_options import script_parser, write_outputs
 from async_tnt import load_model, warmup
 from async_tnt.archive.collect import Progress, collect_to_file
 from async_tnt.archive.dask_executor import DaskExecutor
+from async_tnt.archive.early import every_us
 from async_tnt.archive.executor import Executor, executor_of
 from async_tnt.archive.job import Task, job_of, task_of
-from async_tnt.archive.records import evaluate_recording, moments
+from async_tnt.archive.records import evaluate_recording
 from async_tnt.checking.timing import machine
 from async_tnt.engines import choose_engine
 from async_tnt.progress import progress
@@ -55,7 +56,7 @@ def make_archive(folder: Path, n: int, length: int) -> None:
 def tasks_of(folder: Path, n: int | None) -> list[Task]:
     """Tasks of the folder's recordings, or of the first `n` of them, the classes in turn."""
     engine = choose_engine("digits")
-    job = job_of("evaluate", "digits", engine, every_us=moments(engine.config)[0])
+    job = job_of("evaluate", "digits", engine, every_us=every_us(engine.config))
     found = find_recordings(folder, "Test").items()
     labelled = sorted((one.path.name, name, one.path) for name, recordings in found for one in recordings)
     return [task_of(path.relative_to(folder).as_posix(), path, job, name) for _, name, path in labelled[:n]]

@@ -82,10 +82,10 @@ def decision_at(window: Sequence[Decision], moment_us: int) -> Decision | None:
 
 
 def _last(decisions: Iterable[Decision]) -> Decision | None:
-    found = None
-    for found in decisions:
-        pass
-    return found
+    newest = None
+    for decision in decisions:
+        newest = decision
+    return newest
 
 
 def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], config: TNTConfig) -> dict[str, Any]:

@@ -187,7 +187,9 @@ def text_of(report: dict[str, Any]) -> str:
     if report["accuracy_against_events"]:
         lines += ["", f"{'events into the window':<24} {'right':>6} {'decided':>11}  windows with as many"]
     for count in report["accuracy_against_events"]:
-        lines.append(f"{count['events']:<24} {count['accuracy']:>6.3f} {count['decided']:>11.3f}  {count['reached']:.3f}")
+        lines.append(
+            f"{count['events']:<24} {count['accuracy']:>6.3f} {count['decided']:>11.3f}  {count['reached']:.3f}"
+        )
     if report["confidence"]:
         lines += ["", f"{'first decision at':<24} {'right':>6} {'decided':>11}  ms: median, 90 %"]
     for level in report["confidence"]:

@@ -228,6 +228,7 @@ def _read_dataset(
         fit_window=args.window_us is None and start is None,
         test=args.test,
         seed=args.seed,
+        store=next(folder for folder in run_folder.absolute().parents if folder.is_dir()),
         progress=progress,
     )
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from async_tnt.training.evaluation import Evaluation, evaluate
     from async_tnt.training.loop import TrainResult, train
     from async_tnt.training.pipeline import pipeline_of
+    from async_tnt.training.recordings import Recordings
     from async_tnt.training.settings import TrainSettings, settings_for
-    from async_tnt.training.windows import Recordings, Windows, make_windows, split_recordings
+    from async_tnt.training.windows import Windows, make_windows, split_recordings
 
 if not TYPE_CHECKING:
     from async_tnt.lazy_names import lazy_names
@@ -31,6 +32,7 @@ if not TYPE_CHECKING:
             "loop": "TrainResult train",
             "pipeline": "pipeline_of",
             "settings": "TrainSettings settings_for",
-            "windows": "Recordings Windows make_windows split_recordings",
+            "recordings": "Recordings",
+            "windows": "Windows make_windows split_recordings",
         },
     )

@@ -22,7 +22,8 @@ from async_tnt.training.groups import (
     groups_by_table,
     hold_out_groups,
 )
-from async_tnt.training.windows import CLASSES, Recordings, Windows, make_windows, split_recordings
+from async_tnt.training.recordings import Recordings
+from async_tnt.training.windows import CLASSES, Windows, make_windows, split_recordings
 
 SACCADES = (1, 2, 3)
 
@@ -66,6 +67,7 @@ def dataset_data(
     fit_window: bool = False,
     test: bool = False,
     seed: int = 0,
+    store: Path | None = None,
     progress: Callable[..., Bar] = no_progress,
 ) -> TrainingData:
     """A folder of class folders, split by groups of recordings. Windows start at each recording's first event.
@@ -80,8 +82,11 @@ def dataset_data(
     fit_window : where no recording is as long as a window, windows become as long as the longest one.
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
+    store : a folder for the events, see `read_dataset`.
     """
-    dataset = read_dataset(folder, pixels=pixels, sensor_source=sensor_source, classes=classes, progress=progress)
+    dataset = read_dataset(
+        folder, pixels=pixels, sensor_source=sensor_source, classes=classes, store=store, progress=progress
+    )
     config = config.replace(sensor=dataset.sensor)
     recordings, labels = dataset.recordings, dataset.recordings.labels
     notes = _notes(dataset, "the recordings")
@@ -119,6 +124,7 @@ def dataset_data(
             pixels=replace(pixels, sensor=dataset.camera),
             sensor_source="the recordings to train on",
             classes=dataset.classes,
+            store=store,
             progress=progress,
         )
         tests["test"] = (windows_of(testing), {"left_out": list(testing.left_out)})

@@ -1,10 +1,10 @@
-"""A folder with a folder of recordings for each class -> recordings in memory, of one sensor."""
+"""A folder with a folder of recordings for each class -> labelled recordings of one sensor."""
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from async_tnt.sources.labelled_recordings import LabelledRecording, find_record
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.sources.sensor import Sensor, format_size
-from async_tnt.training.windows import Recordings
+from async_tnt.training.recordings import Recordings, RecordingsWriter
 
 MAX_US = 1 << 31  # what a column of int32 holds
 
@@ -52,6 +52,7 @@ def read_dataset(
     pixels: PixelSelection | None = None,
     sensor_source: str = "--sensor",
     classes: tuple[str, ...] | None = None,
+    store: Path | None = None,
     progress: Callable[..., Bar] = no_progress,
 ) -> Dataset:
     """Read the recordings that `find_recordings` finds.
@@ -70,6 +71,7 @@ def read_dataset(
         times count from the first event that is left.
     sensor_source : where `pixels.sensor` comes from, for messages.
     classes : the class names that may occur; by default the folders there are, at least two.
+    store : a folder for the events, see `RecordingsWriter`; None: in memory.
 
     Raises
     ------
@@ -84,12 +86,12 @@ def read_dataset(
     names = tuple(found) if classes is None else classes
     labelled = [(label, one) for label, name in enumerate(names) for one in found.get(name, [])]
     camera, source = pixels.sensor, sensor_source
-    recordings: list[_Recording] = []
-    n_selected = 0
-    with progress(len(labelled), "reading") as bar:
+    waiting: list[_Recording] = []  # until the sensor is known
+    with RecordingsWriter(store) as writer, progress(len(labelled), "reading") as bar:
+        selection = _Selection(writer)
         for label, which in labelled:
             one = _Recording.read(which, label, pixels.sensor)
-            recordings.append(one)
+            waiting.append(one)
             if camera is None:
                 camera, source = one.sensor, one.name
             elif one.sensor not in (None, camera):
@@ -97,43 +99,37 @@ def read_dataset(
                     f"{folder}: all recordings must be of one sensor, got {format_size(camera)} ({source}) and "
                     f"{format_size(one.sensor)} ({one.name})"
                 )
-            if camera is not None:  # now, so that what the network will not see takes no memory
+            if camera is not None:
                 keep = _filter(pixels, camera)
-                for waiting in recordings[n_selected:]:
-                    waiting.select(keep, camera)
-                n_selected = len(recordings)
+                for known in waiting:
+                    known.select(keep, camera)
+                    selection.add(known)
+                waiting.clear()
             bar.update()
-    _leave_out_copies(recordings)
-    kept = [one for one in recordings if one.events is not None]
-    empty = [name for label, name in enumerate(names) if label not in {one.label for one in kept}]
-    if empty and (classes is None or not kept):  # of given classes, some may have no recordings
-        out = [one.left_out.removesuffix(".") for one in recordings if names[one.label] in empty]
+        if camera is None and any(one.events is not None for one in waiting):
+            x, y = (max(int(one.events[axis].max()) for one in waiting if one.events is not None) for axis in "xy")
+            raise ValueError(
+                f"{folder}: no recording states its sensor; give --sensor WxH (the events need at least "
+                f"{x + 1}x{y + 1})"
+            )
+        for one in waiting:
+            selection.add(one)
+        recordings = writer.finish()
+    empty = [name for label, name in enumerate(names) if label not in recordings.labels]
+    if empty and (classes is None or not len(recordings)):  # of given classes, some may have no recordings
+        out = [line.removesuffix(".") for label, line in selection.left_out if names[label] in empty]
         raise ValueError(
             f"{folder}: no recording of class {', '.join(empty)} is left; record some, or remove the folder "
             f"(left out: {out[0]}{f'; and {len(out) - 1} more' if len(out) > 1 else ''})"
         )
-    if camera is None:
-        x, y = (max(int(one.events[axis].max()) for one in kept if one.events is not None) for axis in "xy")
-        raise ValueError(
-            f"{folder}: no recording states its sensor; give --sensor WxH (the events need at least {x + 1}x{y + 1})"
-        )
+    assert camera is not None  # as there are recordings
     left_out_events = {}
     if pixels.roi is not None:
-        left_out_events["left_out_outside"] = sum(one.n_outside for one in kept)
+        left_out_events["left_out_outside"] = selection.n_outside
     if pixels.mask is not None:
-        left_out_events["left_out_masked"] = sum(one.n_masked for one in kept)
-    return Dataset(
-        Recordings.from_events(
-            (one.events for one in kept if one.events is not None),
-            [one.label for one in kept],
-            [one.name for one in kept],
-        ),
-        names,
-        camera,
-        pixels.region or camera,
-        tuple(one.left_out for one in recordings if one.left_out),
-        left_out_events,
-    )
+        left_out_events["left_out_masked"] = selection.n_masked
+    left_out = tuple(line for _, line in selection.left_out)
+    return Dataset(recordings, names, camera, pixels.region or camera, left_out, left_out_events)
 
 
 def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
@@ -221,6 +217,48 @@ class _Recording:
         self.events = seen
 
 
+class _Selection:
+    """The recordings that are kept, and why others are not.
+
+    Left out are those that look the same to the network as an earlier one of their class; the same recording in two
+    classes is refused.
+    """
+
+    def __init__(self, writer: RecordingsWriter) -> None:
+        self._writer = writer
+        self.left_out: list[tuple[int, str]] = []
+        """Label and reason."""
+        self.n_outside = self.n_masked = 0
+        self._recorded: dict[bytes, tuple[int, str]] = {}
+        self._seen: dict[tuple[int, bytes], tuple[bytes, str]] = {}
+
+    def add(self, one: _Recording) -> None:
+        """Keep a recording, or not.
+
+        Raises
+        ------
+        ValueError : it is also in another class.
+        """
+        if one.events is not None:
+            label, name = self._recorded.setdefault(one.fingerprint, (one.label, one.name))
+            if label != one.label:
+                raise ValueError(
+                    f"{name} and {one.name} hold the same events but are in two classes; remove the wrong one"
+                )
+            mine = one.fingerprint, one.name
+            twin = self._seen.setdefault((label, fingerprint(one.events)), mine)
+            if twin is not mine:
+                where = "" if twin[0] == one.fingerprint else " at the selected pixels"
+                one.leave_out(f"{one.name}: the same events as {twin[1]}{where}")
+        if one.events is None:
+            self.left_out.append((one.label, one.left_out))
+            return
+        self._writer.add(one.events, one.label, one.name)
+        self.n_outside += one.n_outside
+        self.n_masked += one.n_masked
+        one.events = None  # they are in the writer
+
+
 def from_first_event(events: np.ndarray) -> np.ndarray:
     """Times from the first event on, in order, without older events. The times of `events` are changed in place."""
     if len(events) == 0:
@@ -267,24 +305,6 @@ def _check_classes(
             f"{folder}: no recordings in the class folder {', '.join(without)}; expected files in "
             f"{', '.join(sorted(READERS))} there, or remove the folder"
         )
-
-
-def _leave_out_copies(recordings: Iterable[_Recording]) -> None:
-    """Leave out recordings that look the same to the network; refuse the same recording in two classes."""
-    recorded: dict[bytes, _Recording] = {}
-    seen: dict[tuple[int, bytes], _Recording] = {}
-    for one in recordings:
-        if one.events is None:
-            continue
-        twin = recorded.setdefault(one.fingerprint, one)
-        if twin.label != one.label:
-            raise ValueError(
-                f"{twin.name} and {one.name} hold the same events but are in two classes; remove the wrong one"
-            )
-        twin = seen.setdefault((one.label, fingerprint(one.events)), one)
-        if twin is not one:
-            where = "" if twin.fingerprint == one.fingerprint else " at the selected pixels"
-            one.leave_out(f"{one.name}: the same events as {twin.name}{where}")
 
 
 def _message(error: Exception, file: LabelledRecording) -> str:

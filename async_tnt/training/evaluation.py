@@ -125,7 +125,7 @@ def class_probabilities(
             some = windows[first : first + BATCH]
             draws = unchanged(len(some), pipeline.config)
             if until_us is not None:
-                draws.until_us[:] = until_us if np.ndim(until_us) == 0 else until_us[first : first + BATCH]
+                draws.until_us[:] = np.broadcast_to(until_us, len(windows))[first : first + BATCH]
             if scatter:
                 draws.scatter[:] = True
                 draws.seed[:] = np.arange(first, first + len(some))

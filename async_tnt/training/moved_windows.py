@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt.simulation.shards import open_shard
-from async_tnt.training.windows import COLUMNS, Recordings, Windows
+from async_tnt.training.recordings import Recordings
+from async_tnt.training.windows import COLUMNS, Windows
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ import numpy as np
 
 from async_tnt.simulation.moving_mnist import open_set
 from async_tnt.training.digits import read_nmnist_folder
-from async_tnt.training.windows import COLUMNS, Recordings, Windows, make_windows, split_recordings
+from async_tnt.training.recordings import Recordings
+from async_tnt.training.windows import COLUMNS, Windows, make_windows, split_recordings
 
 WINDOW_US = 105_000
 OFFICIAL = (60_000, 10_000)

@@ -1,82 +1,20 @@
-"""Labelled recordings in memory, and windows of them.
+"""Windows on labelled recordings.
 
-Thousands of recordings are held as four long columns with offsets. A window does not copy its events: it is a recording
-and a start. So augmentation can move its start into the neighbouring window, as the windows of a live stream start at
-the stream's first event.
+A window does not copy its events: it is a recording and a start. So augmentation can move its start into the
+neighbouring window, as the windows of a live stream start at the stream's first event.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from async_tnt.training.recordings import COLUMNS, Recordings
+
 CLASSES = tuple("0123456789")
-COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
 DURATION_US = 315_000
 """Three saccades of 105 ms; the few later events of an N-MNIST recording are left out."""
-
-
-@dataclass(frozen=True)
-class Recordings:
-    """R recordings, one after the other.
-
-    Parameters
-    ----------
-    t : int32, shape (E,), microseconds since the recording's start, never decreasing within a recording.
-    x, y : uint16, shape (E,). p : uint8, shape (E,), 0 or 1.
-    offsets : int64, shape (R + 1,). Recording r has the events `offsets[r] <= i < offsets[r + 1]`.
-    labels : int64, shape (R,).
-    names : R names, such as file paths relative to their folder.
-    """
-
-    t: np.ndarray
-    x: np.ndarray
-    y: np.ndarray
-    p: np.ndarray
-    offsets: np.ndarray
-    labels: np.ndarray
-    names: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-    def __add__(self, other: Recordings) -> Recordings:
-        return Recordings(
-            np.concatenate([self.t, other.t]),
-            np.concatenate([self.x, other.x]),
-            np.concatenate([self.y, other.y]),
-            np.concatenate([self.p, other.p]),
-            np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]]),
-            np.concatenate([self.labels, other.labels]),
-            self.names + other.names,
-        )
-
-    @classmethod
-    def from_events(
-        cls, events: Iterable[np.ndarray], labels: Sequence[int] | np.ndarray, names: Sequence[str] | None = None
-    ) -> Recordings:
-        """From structured arrays with fields t, x, y, p.
-
-        Raises
-        ------
-        ValueError : times decrease or do not fit 31 bits (36 minutes), or the lengths differ.
-        """
-        names = tuple(str(i) for i in range(len(labels))) if names is None else tuple(names)
-        if len(labels) != len(names):
-            raise ValueError(f"`labels` must have one per recording, got {len(labels)} for {len(names)}")
-        parts: dict[str, list[np.ndarray]] = {name: [np.empty(0, COLUMNS[name])] for name in COLUMNS}
-        sizes = [0]
-        for name, recording in zip(names, events, strict=True):
-            t = recording["t"]
-            if len(t) and not (t[0] >= 0 and t[-1] < 1 << 31 and (np.diff(t) >= 0).all()):
-                raise ValueError(f"{name}: times must be in order and in [0, 2**31) us, got {t[0]} to {t[-1]}")
-            for field, dtype in COLUMNS.items():
-                parts[field].append(recording[field].astype(dtype))
-            sizes.append(len(t))
-        t, x, y, p = (np.concatenate(parts[field]) for field in COLUMNS)
-        return cls(t, x, y, p, np.cumsum(sizes, dtype=np.int64), np.asarray(labels, np.int64), names)
 
 
 @dataclass(frozen=True)

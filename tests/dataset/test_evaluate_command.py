@@ -113,7 +113,7 @@ def test_early_decisions_are_those_of_an_independent_count(model, saved, dataset
         assert row["decided"] == pytest.approx(np.mean([bool(found) for _, found in some]))
         assert row["accuracy"] == pytest.approx(np.mean([bool(f) and f[-1].index == label for label, f in some]))
         assert row["reached"] == pytest.approx(np.mean([window[-1].events >= row["events"] for _, window in windows]))
-    assert 0 < rows[0]["reached"] and rows[-1]["reached"] == 0
+    assert rows[0]["reached"] > 0 and rows[-1]["reached"] == 0
     assert [row["level"] for row in report["confidence"]] == [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99]
     for row in report["confidence"]:
         first = [(label, next((d for d in window if d.probability >= row["level"]), None)) for label, window in windows]

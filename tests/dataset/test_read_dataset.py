@@ -1,5 +1,6 @@
 """Class folders -> recordings of one sensor: what they state, what is left out, and what is an error."""
 
+import mmap
 import re
 
 import numpy as np
@@ -11,6 +12,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 from async_tnt.training.dataset import read_dataset
+from async_tnt.training.recordings import RecordingsWriter
 
 SIZE = (64, 64)
 EVERYTHING = PixelSelection()
@@ -112,6 +114,25 @@ def test_what_cannot_be_read_is_left_out_by_name(tmp_path):
     for line, start in zip(dataset.left_out, expected, strict=True):
         assert line.startswith(start) and str(tmp_path) not in line  # a model may be given away
     assert np.bincount(dataset.recordings.labels).tolist() == [4, 4]
+
+
+def test_events_in_a_folder_are_the_same_as_in_memory(tmp_path):
+    """They are mapped from files without names, which nothing has to remove."""
+    folder = write_64(tmp_path / "set", {"upright": 4, "flat": 4})
+    store = tmp_path / "store"
+    store.mkdir()
+    mapped, held = read_dataset(folder, store=store).recordings, read_dataset(folder).recordings
+    for name in ("t", "x", "y", "p", "offsets", "labels"):
+        ours, theirs = getattr(mapped, name), getattr(held, name)
+        np.testing.assert_array_equal(ours, theirs)
+        assert type(ours) is np.ndarray and ours.dtype == theirs.dtype
+    assert mapped.names == held.names and not list(store.iterdir())
+    base = mapped.t
+    while isinstance(base, np.ndarray):
+        base = base.base
+    assert isinstance(base, mmap.mmap)
+    with RecordingsWriter(store) as writer:
+        assert len(writer.finish()) == 0  # an empty file cannot be mapped
 
 
 def test_windows_counts_and_the_held_out(tmp_path):

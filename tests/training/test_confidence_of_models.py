@@ -13,9 +13,10 @@ from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
 from async_tnt.training.loop import train  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
+from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
 from async_tnt.training.temperature import calibrated, fit_temperature, softened  # noqa: E402
-from async_tnt.training.windows import Recordings, make_windows  # noqa: E402
+from async_tnt.training.windows import make_windows  # noqa: E402
 
 CONFIG = TNTConfig(transform="none", landmark="center", bins=3, window_us=100_000)
 

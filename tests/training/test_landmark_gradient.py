@@ -13,7 +13,8 @@ from async_tnt.networks.torch_modules import torch_regressor  # noqa: E402
 from async_tnt.training.augment import FINE, Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export, pipeline_of  # noqa: E402
-from async_tnt.training.windows import Recordings, make_windows  # noqa: E402
+from async_tnt.training.recordings import Recordings  # noqa: E402
+from async_tnt.training.windows import make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="regressor", t_max=2.0)
 LANDMARKS = np.array([[15.2, 17.9], [3.1, 30.2], [16.5, 16.5]])

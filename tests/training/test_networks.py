@@ -14,7 +14,8 @@ from async_tnt.networks.loading import load_model  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.networks import NETWORKS, SMALLEST, build_network, landmark_network  # noqa: E402
 from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export  # noqa: E402
-from async_tnt.training.windows import Recordings, make_windows  # noqa: E402
+from async_tnt.training.recordings import Recordings  # noqa: E402
+from async_tnt.training.windows import make_windows  # noqa: E402
 
 CONFIG = TNTConfig(sensor=(20, 18), grid=(20, 18), bins=3)
 OWN = """

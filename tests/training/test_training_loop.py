@@ -18,9 +18,10 @@ from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
 from async_tnt.training.loop import balanced_order, batches_of, train  # noqa: E402
 from async_tnt.training.pipeline import Pipeline, export, input_scale, new_pipeline  # noqa: E402
+from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
 from async_tnt.training.settings import TrainSettings  # noqa: E402
-from async_tnt.training.windows import CLASSES, Recordings, Windows, make_windows  # noqa: E402
+from async_tnt.training.windows import CLASSES, Windows, make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
 ONE_EPOCH = TrainSettings(epochs=1, batch=16)

@@ -13,9 +13,10 @@ from async_tnt import EVENT_DTYPE, TNTConfig, load_model
 from async_tnt.simulation.shards import open_shard
 from async_tnt.training.loop import batches_of, epochs_since_best, train
 from async_tnt.training.motion_examples import motion_examples
+from async_tnt.training.recordings import Recordings
 from async_tnt.training.resynthesis import MotionSettings, resynthesize
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.windows import Recordings, Windows
+from async_tnt.training.windows import Windows
 
 CONFIG = TNTConfig(transform="none", landmark="center")
 SETTINGS = MotionSettings(variations=2)

@@ -9,7 +9,8 @@ from made import events_of, random_events
 from async_tnt.config import TNTConfig
 from async_tnt.training.augment import FINE, Augmentation, unchanged
 from async_tnt.training.batches import BatchVolumes
-from async_tnt.training.windows import Recordings, make_windows
+from async_tnt.training.recordings import Recordings
+from async_tnt.training.windows import make_windows
 from async_tnt.volume import TNTVolume
 
 NOTHING = Augmentation(start_ms=0, shift_px=0, rotation_deg=0, scale=0, shear=0, drop=0, partial=0)
@@ -175,7 +176,8 @@ def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
     assert (draws.until_us < config.window_us).mean() == pytest.approx(0.25, abs=0.03)
     assert draws.scatter.mean() == pytest.approx(0.1, abs=0.02)
     assert (draws.matrix[:, 0, 0] < 0).mean() == pytest.approx(0.5, abs=0.03)
-    gain = -np.sign(draws.matrix[:, 0, 0]) * -np.linalg.det(draws.matrix[:, :, :2]) / FINE**2  # scale^2: rotation and shear keep areas
+    mirrored = np.sign(draws.matrix[:, 0, 0])
+    gain = mirrored * np.linalg.det(draws.matrix[:, :, :2]) / FINE**2  # scale^2: rotation and shear keep areas
     assert 0.81 <= gain.min() < 0.83 and 1.19 < gain.max() <= 1.21
     with pytest.raises(ValueError, match=r"`drop` must be in \[0, 1.0\], got 1.5"):
         Augmentation(drop=1.5)

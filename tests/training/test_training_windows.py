@@ -8,7 +8,8 @@ from made import events_of
 from small_sets import idx_bytes
 
 from async_tnt.training.digits import FIRST_INDEX, read_nmnist_folder, simulate_recordings
-from async_tnt.training.windows import Recordings, make_windows, split_recordings
+from async_tnt.training.recordings import Recordings
+from async_tnt.training.windows import make_windows, split_recordings
 
 
 def recording(times_us):

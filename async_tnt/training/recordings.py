@@ -1,0 +1,129 @@
+"""Labelled recordings as four long columns with offsets, in memory or mapped from files.
+
+Mapped columns are read page by page, when a window needs them: the operating system keeps what fits, so that a data set
+may be larger than the memory.
+"""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """R recordings, one after the other.
+
+    Parameters
+    ----------
+    t : int32, shape (E,), microseconds since the recording's start, never decreasing within a recording.
+    x, y : uint16, shape (E,). p : uint8, shape (E,), 0 or 1.
+    offsets : int64, shape (R + 1,). Recording r has the events `offsets[r] <= i < offsets[r + 1]`.
+    labels : int64, shape (R,).
+    names : R names, such as file paths relative to their folder.
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    p: np.ndarray
+    offsets: np.ndarray
+    labels: np.ndarray
+    names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def __add__(self, other: Recordings) -> Recordings:
+        return Recordings(
+            np.concatenate([self.t, other.t]),
+            np.concatenate([self.x, other.x]),
+            np.concatenate([self.y, other.y]),
+            np.concatenate([self.p, other.p]),
+            np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]]),
+            np.concatenate([self.labels, other.labels]),
+            self.names + other.names,
+        )
+
+    @classmethod
+    def from_events(
+        cls, events: Iterable[np.ndarray], labels: Sequence[int] | np.ndarray, names: Sequence[str] | None = None
+    ) -> Recordings:
+        """From structured arrays with fields t, x, y, p.
+
+        Raises
+        ------
+        ValueError : see `RecordingsWriter.add`, or the lengths differ.
+        """
+        names = tuple(str(i) for i in range(len(labels))) if names is None else tuple(names)
+        if len(labels) != len(names):
+            raise ValueError(f"`labels` must have one per recording, got {len(labels)} for {len(names)}")
+        with RecordingsWriter() as writer:
+            for recording, label, name in zip(events, labels, names, strict=True):
+                writer.add(recording, int(label), name)
+            return writer.finish()
+
+
+class RecordingsWriter:
+    """Appends recordings, one at a time, to the columns of `Recordings`. A context manager.
+
+    Parameters
+    ----------
+    folder : for the columns, which are then mapped into memory: 9 bytes an event. Their files have no names, so they
+        are gone with the program, however it ends. None: in memory.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._files: dict[str, Any] = {
+            name: io.BytesIO() if folder is None else tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
+            for name in COLUMNS
+        }
+        self._offsets = [0]
+        self._labels: list[int] = []
+        self._names: list[str] = []
+
+    def __enter__(self) -> RecordingsWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for file in self._files.values():
+            if not isinstance(file, io.BytesIO):  # which may hold the columns
+                file.close()
+
+    def add(self, events: np.ndarray, label: int, name: str) -> None:
+        """Append a recording: a structured array with fields t, x, y, p.
+
+        Raises
+        ------
+        ValueError : times decrease or do not fit 31 bits (36 minutes).
+        """
+        t = events["t"]
+        if len(t) and not (t[0] >= 0 and t[-1] < 1 << 31 and (np.diff(t) >= 0).all()):
+            raise ValueError(f"{name}: times must be in order and in [0, 2**31) us, got {t[0]} to {t[-1]}")
+        for field, dtype in COLUMNS.items():
+            self._files[field].write(events[field].astype(dtype).tobytes())
+        self._offsets.append(self._offsets[-1] + len(t))
+        self._labels.append(label)
+        self._names.append(name)
+
+    def finish(self) -> Recordings:
+        """All recordings that were added; ends the writer. What is mapped stays when the files are closed."""
+        columns = {name: self._column(file, COLUMNS[name]) for name, file in self._files.items()}
+        offsets = np.array(self._offsets, np.int64)
+        return Recordings(**columns, offsets=offsets, labels=np.array(self._labels, np.int64), names=tuple(self._names))
+
+    def _column(self, file: Any, dtype: type) -> np.ndarray:
+        n = self._offsets[-1]
+        if isinstance(file, io.BytesIO):
+            return np.frombuffer(file.getbuffer(), dtype)
+        file.flush()
+        # writable, as the kernels are compiled for it; asarray: an array like any other
+        return np.asarray(np.memmap(file, dtype, "r+", shape=n)) if n else np.empty(0, dtype)
