@@ -12,9 +12,9 @@ from async_tnt.checks import check_number, is_whole
 LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
 TRANSFORMS = ("tnt", "none")
-IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1}  # channels of one polarity
+IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1}  # channels of one polarity
 REPRESENTATIONS = ("volume", *IMAGE_BINS)
-TIME_IMAGES = ("count_time", "mean_time")
+TIME_IMAGES = ("count_time", "mean_time", "time_surface")
 BINS = 9
 MAX_SIDE = 1 << 15
 WINDOW_US = 105_000
@@ -49,8 +49,9 @@ class TNTConfig:
     transform : `tnt`, or `none` for the plain event volume; by default `tnt` for a volume and `none` for an image.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
     representation : `volume`, the event volume; or an image: `count` (events per pixel), `count_time` (the same, and
-        the time of the newest, as a fraction of the window), `mean_time` (the mean time). An image has these channels
-        once, or with `split` polarity for ON and then for OFF. Images of times take no transform, and no `signed`.
+        the time of the newest, as a fraction of the window), `mean_time` (the mean time), `time_surface` (exp(-age /
+        tau) of the newest event at the window's end, tau half a window). An image has these channels once, or with
+        `split` polarity for ON and then for OFF. Images of times take no transform, and no `signed`.
 
     Raises
     ------

@@ -66,9 +66,8 @@ def new_state(config: TNTConfig) -> np.ndarray:
     modes = {"running": S.MODE_RUNNING, "line": S.MODE_LINE}
     mode = S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes.get(config.landmark, S.MODE_FIXED)
     ints[S.MODE] = S.MODE_RAW if raw else mode
-    ints[S.COMBINE] = {"count_time": S.COMBINE_NEWEST, "mean_time": S.COMBINE_MEAN}.get(
-        config.representation, S.COMBINE_SUM
-    )
+    combine = {"count_time": S.COMBINE_NEWEST, "mean_time": S.COMBINE_MEAN, "time_surface": S.COMBINE_SURFACE}
+    ints[S.COMBINE] = combine.get(config.representation, S.COMBINE_SUM)
     ints[S.HOP_US] = config.window_us
     ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
     ints[S.ROW] = 2 * (width + 1)

@@ -37,6 +37,7 @@ KINDS = {
     "image of mean times": CONFIG.replace(
         representation="mean_time", bins=None, transform="none", polarity="unsigned", grid=(30, 24)
     ),
+    "time surface": CONFIG.replace(representation="time_surface", bins=None, transform="none", polarity="split"),
     "no transform": CONFIG.replace(transform="none", polarity="split"),
     "one bin, large": CONFIG.replace(sensor=(300, 200), grid=(300, 200), bins=1),
 }

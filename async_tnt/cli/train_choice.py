@@ -106,5 +106,5 @@ def _try_out(candidate: Candidate, data: TrainingData, settings: TrainSettings, 
     )
     row = result.history[-1]
     seconds = time.monotonic() - started
-    print(f"  {candidate!s:<44} {row['per_window']:.4f} held out  ({seconds:.0f} s)", file=sys.stderr)
-    return Trial(candidate, row["per_window"], row["validation_loss"])
+    print(f"  {candidate!s:<44} {row['per_moment']:.4f} held out  ({seconds:.0f} s)", file=sys.stderr)
+    return Trial(candidate, row["per_moment"], row["validation_loss"])

@@ -23,6 +23,7 @@ Grid.__doc__ = (
 )
 
 WEIGHT_TOLERANCE = 1e-9
+SURFACE_DECAY = 2.0  # windows per tau
 BORDER_TOLERANCE = 1e-9  # pixels; rounding must not drop an event that lies exactly on the border
 
 
@@ -119,6 +120,11 @@ def combine_time(buffer, corner, row, y_frac, x_frac, f, combine):
 
         newest   count += w,  time = max(time, f)
         mean     count += w,  mean += (f - mean) w / count
+        surface  count += w,  surface = max(surface, exp(SURFACE_DECAY (f - 1)))
+
+    The surface is that at the window's end. At an earlier time it is the same but for one factor for all cells, which
+    depends on nothing but the time; so no cell changes but where events come. Lagorce, Orchard, Galluppi, Shi, Benosman
+    2017, doi:10.1109/TPAMI.2016.2574707, equation 3.
 
     A weight below WEIGHT_TOLERANCE is the rounding of a place on the next cell, and is none.
     """
@@ -133,6 +139,9 @@ def combine_time(buffer, corner, row, y_frac, x_frac, f, combine):
         if combine == S.COMBINE_NEWEST:
             buffer[cell] += w
             buffer[cell + np.uint64(1)] = max(buffer[cell + np.uint64(1)], f)
+            continue
+        buffer[cell + np.uint64(1)] += w
+        if combine == S.COMBINE_SURFACE:
+            buffer[cell] = max(buffer[cell], np.exp(SURFACE_DECAY * (f - 1.0)))
         else:
-            buffer[cell + np.uint64(1)] += w
             buffer[cell] += (f - buffer[cell]) * w / buffer[cell + np.uint64(1)]

@@ -97,6 +97,7 @@ MODE_LINE_FLOW_REMOVED = 4
 COMBINE_SUM = 0  # the volume, or an image of counts: add its weights to (lower, upper)
 COMBINE_NEWEST = 1  # (count, time of the newest event)
 COMBINE_MEAN = 2  # (mean time, count)
+COMBINE_SURFACE = 3  # (surface of the newest event, count)
 
 NO_BIN = 1 << 30
 NEVER_US = 1 << 62

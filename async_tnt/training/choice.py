@@ -47,7 +47,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Trial:
-    """How well a candidate did: accuracy on the held-out windows (the more the better), and their loss."""
+    """How well a candidate did: share of held-out windows right at any moment (the more the better), and the loss."""
 
     candidate: Candidate
     accuracy: float

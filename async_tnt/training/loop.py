@@ -145,8 +145,7 @@ def train(
             )
             if motions is not None:
                 moved = _validate(pipeline, motions.validation, settings)
-                of_windows = {name: value for name, value in moved.items() if name != "per_recording"}
-                history[-1] |= {f"motions_{name}": value for name, value in of_windows.items()}
+                history[-1] |= {f"motions_{name}": moved[name] for name in moved if name != "per_recording"}
             if _is_best(history, by_loss=settings.patience is not None):
                 best_epoch = epoch + 1
                 best = {name: w.detach().clone() for name, w in pipeline.state_dict().items()}
@@ -229,19 +228,23 @@ def _targets(labels: np.ndarray, draws: Draws | None, n_classes: int) -> torch.T
 
 
 def _validate(pipeline: Pipeline, windows: Windows, settings: TrainSettings) -> dict[str, float]:
-    """Accuracy at the windows' ends; the loss there and, for as many of them as in training, at a tenth of each."""
+    """Accuracy at the windows' ends. The loss, and the share that is right at any moment, are those at the ends and,
+    for as many windows as in training, at a tenth of each."""
     if len(windows) == 0:
         return {}
     probabilities = class_probabilities(pipeline, windows)
     loss = _loss(probabilities, windows.labels, balance=settings.balance)
+    per_window = per_moment = float((probabilities.argmax(1) == windows.labels).mean())
     partial = 0.0 if settings.augmentation is None else settings.augmentation.partial
     if partial:
         until_us = (1 + np.arange(len(windows)) % 10) * pipeline.config.window_us // 10
         early = class_probabilities(pipeline, windows, until_us=until_us)
         loss += partial * (_loss(early, windows.labels, balance=settings.balance) - loss)
+        per_moment += partial * (float((early.argmax(1) == windows.labels).mean()) - per_moment)
     return {
-        "per_window": float((probabilities.argmax(1) == windows.labels).mean()),
+        "per_window": per_window,
         "per_recording": share_right(confusion_by_recording(probabilities, windows)),
+        "per_moment": per_moment,
         "validation_loss": loss,
     }
 

@@ -103,13 +103,15 @@ def time_image(
 
         w_i = k(y - y_i) k(x - x_i)         k(a) = max(0, 1 - |a|), places in grid pixels
         N[y, x] = sum_i w_i                 T[y, x] = max {f_i : w_i > 0}          M[y, x] = sum_i w_i f_i / N[y, x]
+        S[y, x] = max {exp(-(1 - f_i) window / tau) : w_i > 0}                     tau = window / 2
 
     Where there are no events, all are 0. A weight below WEIGHT_TOLERANCE counts as 0: it is the rounding of a place.
 
     Parameters
     ----------
     t, x, y, p, start_us, window_us, sensor, grid, dtype : as for `event_volume`.
-    representation : "count_time": the channels N and T; "mean_time": the channel M.
+    representation : "count_time": the channels N and T; "mean_time": the channel M; "time_surface": S, at
+        the window's end.
     polarity : "unsigned", or "split": the channels of the ON events, then those of the OFF events.
 
     Returns
@@ -118,7 +120,8 @@ def time_image(
 
     References
     ----------
-    Zhu et al. 2018, arXiv:1802.06898, for N and T; Mitrokhin et al. 2018, arXiv:1803.04523, for M.
+    Zhu et al. 2018, arXiv:1802.06898, for N and T; Mitrokhin et al. 2018, arXiv:1803.04523, for M; Lagorce et
+    al. 2017, doi:10.1109/TPAMI.2016.2574707, for S.
 
     Example
     -------
@@ -126,8 +129,10 @@ def time_image(
     >>> time_image([0, 2, 4], [1, 1, 0], [0, 0, 1], [1, 0, 1], representation="mean_time", **at).tolist()
     [[[0.0, 0.125], [0.5, 0.0]]]
     """
-    if representation not in ("count_time", "mean_time"):
-        raise ValueError(f"`representation` must be 'count_time' or 'mean_time', got {representation!r}")
+    if representation not in ("count_time", "mean_time", "time_surface"):
+        raise ValueError(
+            f"`representation` must be 'count_time', 'mean_time' or 'time_surface', got {representation!r}"
+        )
     check_polarity(polarity)
     if polarity == "signed":
         raise ValueError("`polarity` must be 'split' or 'unsigned': times have no sign, got 'signed'")
@@ -149,7 +154,8 @@ def time_image(
                         newest[row, column] = max(newest[row, column], time)
                         total[row, column] += w * time
         mean = torch.where(count > 0, total / torch.where(count > 0, count, 1.0), 0.0)
-        channels += [count, newest] if representation == "count_time" else [mean]
+        surface = torch.where(count > 0, torch.exp(-2 * (1 - newest)), 0.0)
+        channels += {"count_time": [count, newest], "mean_time": [mean], "time_surface": [surface]}[representation]
     return torch.stack(channels).to(dtype)
 
 

@@ -15,7 +15,7 @@ from .transform import tnt_coordinates
 from .volume import check_bins, event_volume, tnt_volume
 from .window import Column, check_polarity, check_size, until_newest
 
-REPRESENTATIONS = ("volume", "count", "count_time", "mean_time")
+REPRESENTATIONS = ("volume", "count", "count_time", "mean_time", "time_surface")
 
 
 class Classifier(nn.Module):

@@ -60,7 +60,7 @@ WRONG = [
     (
         {"representation": "image"},
         ValueError,
-        "`representation` must be one of volume, count, count_time, mean_time, got 'image'",
+        "`representation` must be one of volume, count, count_time, mean_time, time_surface, got 'image'",
     ),
     (
         {"representation": "count_time", "bins": 9},

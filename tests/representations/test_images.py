@@ -120,6 +120,10 @@ def test_the_images_of_a_configuration_by_hand():
     assert np.array_equal(n_on, on) and np.array_equal(n_off, off)
     assert t_on.tolist() == [[0, 0, 0], [0, 0, 0.5]] and t_off.tolist() == [[0, 0, 0.75], [0, 0, 0]]
     assert image_of(events, representation="mean_time", **settings)[1].tolist() == [[0, 0, 0.5], [0, 0, 0]]
+    on, off = image_of(events, representation="time_surface", **settings)  # ages: 1, half and a quarter of the window
+    newest_on, newest_off = np.exp([-2.0, -1.0]), np.exp(-0.5)
+    np.testing.assert_allclose(on, [[0, 0, 0], [newest_on[0], 0, newest_on[1]]], rtol=1e-6)
+    np.testing.assert_allclose(off, [[0, 0, newest_off], [0, 0, 0]], rtol=1e-6)
 
 
 def test_on_a_larger_grid_an_event_is_shared_by_the_cells_around_it():

@@ -21,6 +21,7 @@ CASES = [
     (SMALL.replace(transform="none", polarity="split"), {"every_us": 90}),
     (SMALL.replace(window_events=40), {"every_events": 7}),
     (SMALL.replace(representation="mean_time"), {"every_us": 90}),
+    (SMALL.replace(representation="time_surface"), {"every_us": 90}),
     (SMALL.replace(representation="count_time", polarity="unsigned", window_events=60), {}),
 ]
 of_all_cases = pytest.mark.parametrize("case", range(len(CASES)))

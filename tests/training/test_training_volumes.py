@@ -45,6 +45,7 @@ def streamed(config, windows, k, until_us):
         {"representation": "count", "landmark": "line"},
         {"representation": "count_time", "transform": "none", "polarity": "split", "sensor": (64, 40)},
         {"representation": "mean_time", "transform": "none", "polarity": "unsigned"},
+        {"representation": "time_surface", "transform": "none"},
     ],
     ids=lambda changes: "-".join(map(str, changes.values())),
 )
@@ -63,7 +64,7 @@ def test_windows_of_events_are_refused():
         BatchVolumes(TNTConfig(window_events=50))
 
 
-@pytest.mark.parametrize("representation", ["count_time", "mean_time"])
+@pytest.mark.parametrize("representation", ["count_time", "mean_time", "time_surface"])
 def test_augmented_images_of_times_take_as_many_cells_as_the_streams(representation):
     """Between pixels, an event would give its time to four cells instead of one."""
     config = TNTConfig(representation=representation)
