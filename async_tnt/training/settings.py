@@ -13,7 +13,9 @@ from async_tnt.training.augment import Augmentation
 
 PRECISIONS = ("float32", "bfloat16")
 STREAMED = MappingProxyType({"partial": 0.9, "scatter": 0.1})
-"""Fields of `Augmentation` for a data set by default: right at any moment of a stream, also when nothing is there."""
+EARLIEST = 0.05  # of the window
+"""Of `Augmentation` for a data set by default: right at any moment of a stream from there on, also when nothing is
+there."""
 MIN_STEPS, MIN_STEPS_MOVED = 1_500, 6_000
 """Optimizer steps on a small data set by default, unless patience ends the training earlier; more with other motions,
 which take longer to learn."""
@@ -112,7 +114,12 @@ def settings_for(
         epochs=epochs,
         batch=batch,
         patience=patience or None,
-        augmentation=None if augmentation is None else Augmentation.for_sensor(config, **{**STREAMED, **augmentation}),
+        augmentation=None if augmentation is None else _augmentation(config, augmentation),
         balance=True,
         **settings,
     )
+
+
+def _augmentation(config: TNTConfig, changes: Mapping[str, Any]) -> Augmentation:
+    earliest_ms = EARLIEST * config.window_us / 1e3
+    return Augmentation.for_sensor(config, **{"partial_from_ms": earliest_ms, **STREAMED, **changes})

@@ -158,7 +158,7 @@ def test_an_interrupted_choice_goes_on_and_ends_with_the_same_model(tmp_path, pr
                 assert program(*words, "--out", out, "--run", run)[0] == 130
             assert list(run.glob("choice-*/*/checkpoint.pt"))
         code, _, err = program(*words, "--out", out, "--run", run)
-        assert code == 0 and "2 of" not in err and not list(run.glob("choice-*")), err
+        assert code == 0 and not list(run.glob("choice-*")), err
         models.append(load_model(out))
     assert models[0].weights.keys() == models[1].weights.keys()
     for name, w in models[0].weights.items():
