@@ -153,3 +153,24 @@ def test_four_networks_are_compared_and_drawn(tmp_path, capsys):
         assert {"incremental", "dense", "torch"} <= row["network"]["1"]["in_blocks"]["us"].keys()
     assert report["networks"]["conv4"]["touched"]["whole"]["multiplications"] == pytest.approx(12.3e6, rel=0.02)
     assert (tmp_path / "i.png").stat().st_size > 10_000
+
+
+# -- cars.py ---------------------------------------------------------------------------------------------
+
+
+def test_recipes_are_trained_and_tested_and_others_keep_their_entry(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+    cars = load_benchmark("cars")
+    monkeypatch.setattr(cars, "RECIPES", {"bare": ""})
+    file = tmp_path / "cars.json"
+    file.write_text('{"recipes": {"other": {"kept": true}}}')
+    assert cars.main(["--quick", "--json", str(file)]) == 0
+    found = json.loads(file.read_text(encoding="utf-8"))["recipes"]
+    assert found["other"] == {"kept": True} and found["bare"]["command"].endswith("--epochs 1 --quick")
+    (test,) = found["bare"]["tests"]
+    assert test["recordings"] == 18 and list(test["against_time_ms"])[::3] == ["5", "20", "35", "50"]
+    assert found["bare"]["every_event"]["a_second"] > 0 and found["bare"]["networks"][0]["network"] == "thesis"
+    printed = capsys.readouterr().out
+    assert f"{test['against_time_ms']['50']:.4f} ± 0.0000" in printed and "decisions a second" in printed
+    with pytest.raises(SystemExit):
+        cars.main([])
