@@ -8,37 +8,27 @@ import platform
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from async_tnt.archive.scores import Scores
-from async_tnt.cli.data_options import command_words, data_folder
-from async_tnt.cli.options import size_of
+from async_tnt.cli.data_options import command_words
 from async_tnt.cli.output import complain, one_line
-from async_tnt.cli.train_choice import Choice, questions_of
+from async_tnt.cli.train_data import config_of, of_dataset, of_digits
 from async_tnt.cli.train_motions import other_motions
-from async_tnt.cli.train_options import LANDMARK, NETWORK, T_MAX, add_arguments, check_options, pixels_of
-from async_tnt.config import TNTConfig
+from async_tnt.cli.train_options import NETWORK, add_arguments, check_options
 from async_tnt.files import check_folder, check_writable, write_text
 from async_tnt.networks.loading import load_model
-from async_tnt.networks.model import Model
 from async_tnt.progress import progress
-from async_tnt.sources.labelled_recordings import has_part
-from async_tnt.training.augment import Augmentation
-from async_tnt.training.choice import Candidate
-from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
-from async_tnt.training.dataset import file_sizes
 from async_tnt.training.run_folder import (
     BEST,
     CURVES,
     LAST,
     RUN_FILES,
-    check_run,
     plot_curves,
 )
-from async_tnt.training.settings import TrainSettings, settings_for
 
 __all__ = ["add_arguments", "main"]
 
@@ -82,11 +72,11 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     from async_tnt.training.temperature import calibrated
 
     start = load_model(args.start_from) if args.start_from else None
-    config = _config(args) if start is None else start.config
+    config = config_of(args) if start is None else start.config
     BatchVolumes(config)  # refuses windows that cannot be trained on, before any data is read
     if start is None:
         check_network(args.network or NETWORK, config)
-    read = _read_dataset if args.dataset is not None else _read_digits
+    read = of_dataset if args.dataset is not None else of_digits
     data, settings, sources = read(args, config, start, run_folder)
     config = data.config
     print(f"{len(data.training)} windows to train on, {len(data.validation)} held out", file=sys.stderr)
@@ -170,135 +160,6 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         print(f"left out: {line}", file=sys.stderr)
     _print_summary(summary, args, written)
     return 0
-
-
-def _config(args: argparse.Namespace) -> TNTConfig:
-    """The volume that the options describe; its sensor is replaced by that of the recordings."""
-    names = ("bins", "polarity", "transform", "remove_flow")
-    config = TNTConfig(
-        **{name: getattr(args, name) for name in names},
-        landmark=args.landmark or LANDMARK,
-        t_max=T_MAX if args.t_max is None else args.t_max,
-        representation=args.representation or "volume",
-    )
-    grid = size_of(args.grid) if args.grid else config.grid
-    return config.replace(grid=grid, window_us=args.window_us or config.window_us)
-
-
-def _read_dataset(
-    args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
-) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
-    """DATASET, how to train on it, and what `check_run` compares; checks the run folder before reading the data."""
-    if args.test and not has_part(args.dataset, "Test"):
-        raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
-    pixels = pixels_of(args, start)
-    validation = 0.2 if args.validation is None else args.validation
-    given = {"seed": args.seed, "learning_rate": args.rate, "precision": args.precision}
-    given |= {"iterations": args.iterations, "network": args.network or NETWORK}
-    questions = questions_of(args)
-    known = given | {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
-    if args.patience is not None:
-        known["patience"] = args.patience or None
-    TrainSettings(**known)  # refuses a value out of its range before the data is read
-    sources: dict[str, Any] = {
-        "recordings": file_sizes(args.dataset, "Train"),
-        "validation": validation,
-        "groups": args.groups,
-        "pixels": pixels.record,
-    }
-    choice = None
-    if questions:
-        choice = Choice(run_folder, {"sources": sources, "settings": known, "volume": config.to_dict()})
-        if choice.chosen is not None:
-            config, known["network"] = choice.chosen.config, choice.chosen.network
-    volume = {name: value for name, value in config.to_dict().items() if name != "sensor"}
-    if pixels.sensor is not None and not pixels.crop:
-        volume["sensor"] = pixels.sensor
-    if args.window_us is None and start is None:
-        del volume["window_us"]
-    check_run(run_folder, volume, known, sources)
-    data = dataset_data(
-        args.dataset,
-        config,
-        pixels=pixels,
-        sensor_source="--sensor" if args.sensor else "--start-from",
-        classes=None if start is None else start.classes,
-        validation=validation,
-        groups=args.groups,
-        fit_window=args.window_us is None and start is None,
-        test=args.test,
-        seed=args.seed,
-        store=next(folder for folder in run_folder.absolute().parents if folder.is_dir()),
-        progress=progress,
-    )
-    for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
-        print(line, file=sys.stderr)
-
-    augmentation = _augmentation(args)
-
-    def settings_of(candidate: Candidate, steps: int | None = None) -> TrainSettings:
-        return settings_for(
-            candidate.config,
-            len(data.training),
-            len(data.validation),
-            epochs=args.epochs,
-            batch=args.batch,
-            patience=args.patience if steps is None else 0,
-            augmentation=None if augmentation is None else {**augmentation, "mirror": candidate.mirror},
-            resynthesized=args.motions == "resynthesized",
-            **given | {"iterations": steps or args.iterations, "network": candidate.network},
-        )
-
-    candidate = Candidate(data.config, given["network"], bool(args.mirror))
-    if choice is not None:
-        candidate = choice.chosen or choice.make(data, candidate, questions, settings_of)
-        data = replace(data, config=candidate.config, record={**data.record, "choice": choice.trials})
-    return data, settings_of(candidate), {**sources, "used": list(data.training.recordings.names)}
-
-
-def _read_digits(
-    args: argparse.Namespace, config: TNTConfig, start: Model | None, run_folder: Path
-) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
-    """N-MNIST or the bundled samples, in the same way."""
-    epochs = 20 if args.epochs is None else args.epochs
-    changes = _augmentation(args)
-    settings = TrainSettings(
-        epochs=min(epochs, 2) if args.smoke else epochs,
-        iterations=None if args.smoke else args.iterations,
-        batch=64 if args.batch is None else args.batch,
-        learning_rate=args.rate,
-        seed=args.seed,
-        augmentation=None if changes is None else Augmentation(**changes),
-        precision=args.precision,
-        patience=args.patience or None,
-        network=args.network or NETWORK,
-    )
-    check_run(run_folder, config.to_dict(), asdict(settings))
-    if args.smoke:
-        return sample_data(config), settings, {}
-    alternative = "DATASET, a folder with a folder of recordings for each class, or "
-    nmnist = data_folder(args.nmnist, "nmnist", "--nmnist", alternative=alternative)
-    data = nmnist_data(
-        nmnist,
-        config,
-        mnist=data_folder(args.mnist, "mnist", "--mnist") if args.simulated else None,
-        simulated=args.simulated,
-        saccades=args.saccades,
-        validation=0.1 if args.validation is None else args.validation,
-        test=args.test,
-        seed=args.seed,
-        skip_damaged=args.skip_damaged,
-        progress=progress,
-    )
-    return data, settings, {}
-
-
-def _augmentation(args: argparse.Namespace) -> dict[str, Any] | None:
-    """The options' fields of `Augmentation`."""
-    if args.no_augmentation:
-        return None
-    given = {"translate_px": args.translate, "partial": args.partial, "scatter": args.nothing, "mirror": args.mirror}
-    return {name: value for name, value in given.items() if value is not None}
 
 
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:

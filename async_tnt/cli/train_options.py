@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 from async_tnt.cli.data_options import add_folder, add_precision
 from async_tnt.cli.options import positive_int, size_text
-from async_tnt.cli.pixel_options import add_selection, selection_of
+from async_tnt.cli.pixel_options import add_selection
 from async_tnt.config import LANDMARKS, POLARITIES, REPRESENTATIONS, TRANSFORMS
-from async_tnt.networks.model import Model
 from async_tnt.process import available_cores
-from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.pixel_selector import PixelSelector
-from async_tnt.sources.sensor import format_size
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.settings import STREAMED
 
@@ -344,22 +339,3 @@ def check_options(args: argparse.Namespace) -> None:
     given += ["--saccades"] if args.saccades != [1, 2, 3] else []
     if given:
         raise ValueError(f"{', '.join(given)} must come without DATASET: train on one or the other")
-
-
-def pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
-    """Which pixels of DATASET to train on; refuses others than those of `start`, a model to continue from."""
-    pixels = selection_of(args)
-    if pixels.region is not None and min(pixels.region) < 2:
-        raise ValueError(
-            "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
-            f"got {format_size(pixels.region)}"
-        )
-    if start is None:
-        return pixels
-    sensor = start.config.sensor
-    if not pixels.crop and pixels.sensor not in (None, sensor):
-        raise ValueError(
-            f"--sensor must be that of --start-from, {format_size(sensor)}, got {format_size(pixels.sensor)}"
-        )
-    PixelSelector(pixels, sensor)  # refuses a region or a mask that does not fit the model
-    return pixels if pixels.crop else replace(pixels, sensor=sensor)

@@ -14,6 +14,7 @@ from async_tnt.networks.loading import load_model
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.cli import train as command
+from async_tnt.cli import train_data
 from async_tnt.progress import Bar
 from async_tnt.training import evaluation
 
@@ -53,7 +54,7 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
     assert code == 0 and err.count(line) == 2 and err.splitlines()[-1].startswith(line)  # when read, and at the end
     (folder / "flat" / "silent.npz").unlink()  # the run is the same
     assert train(folder)[0] == 0
-    monkeypatch.setattr(command, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
+    monkeypatch.setattr(train_data, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
     run = tmp_path / "run m"
 
     def refused(*words):
