@@ -5,10 +5,12 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 from page_parts import percent, results, short, table
 
 from async_tnt import load_model
 
+CARS_MS = "10", "20", "30", "50", "100"
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
 
 
@@ -129,6 +131,31 @@ def unseen_objects() -> str:
     return table(["trained on motions", *(f"tested in {test}" for test in tests)], rows)
 
 
+def cars() -> str:
+    """N-CARS' test part against time: mean over the networks, and their standard deviation."""
+    rows = []
+    for found in results("cars")["recipes"].values():
+        courses = [test["against_time_ms"] for test in found["tests"]]
+        shares = [[course[ms] for course in courses] for ms in CARS_MS]
+        cells = [f"{np.mean(values):.3f} ± {np.std(values):.3f}".replace("0.", ".") for values in shares]
+        options = found["command"].partition("--sensor 120x100")[2].strip()
+        rate = found["every_event"]["a_second"]
+        rows.append([f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"])
+    times = [f"{ms} ms" for ms in CARS_MS]
+    return table(["other options", "networks", *times, "decisions a second, one after every event"], rows)
+
+
+def cars_confidence() -> str:
+    """What a level of confidence costs and buys on N-CARS: means over the networks of the first recipe."""
+    tests = next(iter(results("cars")["recipes"].values()))["tests"]
+    rows = []
+    for levels in zip(*(test["confidence"] for test in tests), strict=True):
+        means = [np.mean([level[name] for level in levels]) for name in ("decided", "accuracy", "median_ms", "p90_ms")]
+        shares = [percent(float(share)) for share in means[:2]]
+        rows.append([f"{levels[0]['level']:g}", *shares, *(f"{ms:.0f}" for ms in means[2:])])
+    return table(["confidence", "windows that reach it", "right of these", "median ms", "90 % by, ms"], rows)
+
+
 def _record() -> dict[str, Any]:
     return dict(load_model("digits").record)
 
@@ -225,6 +252,8 @@ TABLES = (
     digits_confusion,
     digits_tried,
     digits_tried_motions,
+    cars,
+    cars_confidence,
     unseen_objects,
     edges,
     polarity,
