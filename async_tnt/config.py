@@ -12,9 +12,10 @@ from async_tnt.checks import check_number, is_whole
 LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
 TRANSFORMS = ("tnt", "none")
-IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1}  # channels of one polarity
+IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1, "hats": 49}  # channels of one polarity
 REPRESENTATIONS = ("volume", *IMAGE_BINS)
 TIME_IMAGES = ("count_time", "mean_time", "time_surface")
+UNTRANSFORMED = (*TIME_IMAGES, "hats")
 BINS = 9
 MAX_SIDE = 1 << 15
 WINDOW_US = 105_000
@@ -50,8 +51,9 @@ class TNTConfig:
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
     representation : `volume`, the event volume; or an image: `count` (events per pixel), `count_time` (the same, and
         the time of the newest, as a fraction of the window), `mean_time` (the mean time), `time_surface` (exp(-age /
-        tau) of the newest event at the window's end, tau half a window). An image has these channels once, or with
-        `split` polarity for ON and then for OFF. Images of times take no transform, and no `signed`.
+        tau) of the newest event at the window's end, tau half a window); or `hats`, histograms of averaged time
+        surfaces, 49 bins for each cell of the grid. These have their channels once, or with `split` polarity for ON and
+        then for OFF. Images of times and histograms take no transform, and no `signed`.
 
     Raises
     ------
@@ -131,10 +133,15 @@ class TNTConfig:
         if self.bins != IMAGE_BINS.get(self.representation, self.bins):
             needed = IMAGE_BINS[self.representation]
             raise ValueError(f"`bins` must be {needed} with representation={self.representation!r}, got {self.bins}")
-        if self.representation in TIME_IMAGES and (self.transform != "none" or self.polarity == "signed"):
+        if self.representation in UNTRANSFORMED and (self.transform != "none" or self.polarity == "signed"):
             raise ValueError(
                 f'representation={self.representation!r} needs transform="none" and polarity "split" or "unsigned", '
                 f"got transform={self.transform!r}, polarity={self.polarity!r}"
+            )
+        if self.representation == "hats" and (self.grid[0] > self.sensor[0] or self.grid[1] > self.sensor[1]):
+            raise ValueError(
+                "`grid` must have no more cells than the sensor has pixels with representation='hats', "
+                f"got {self.grid} on {self.sensor}"
             )
         cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1)
         if cells >= MAX_CELLS:

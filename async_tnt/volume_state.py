@@ -7,6 +7,7 @@ writes. Only cells that are not zero are saved.
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     plane = 2 * (width + 1) * (height + 1)
     n_cells = config.channels * plane
     log_size = 1 << (max(S.BLOCK, n_cells // S.NUMBERS_PER_LOGGED) - 1).bit_length()
-    buffer = np.zeros(S.CELLS + n_cells + log_size)
+    buffer = np.zeros(S.CELLS + n_cells + log_size + _n_memory(config))
     ints = buffer.view(np.int64)
     raw = config.transform == "none"
     set_duration(buffer, config, config.window_us)
@@ -67,6 +68,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     mode = S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes.get(config.landmark, S.MODE_FIXED)
     ints[S.MODE] = S.MODE_RAW if raw else mode
     combine = {"count_time": S.COMBINE_NEWEST, "mean_time": S.COMBINE_MEAN, "time_surface": S.COMBINE_SURFACE}
+    combine["hats"] = S.COMBINE_HISTOGRAM
     ints[S.COMBINE] = combine.get(config.representation, S.COMBINE_SUM)
     ints[S.HOP_US] = config.window_us
     ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
@@ -76,7 +78,16 @@ def new_state(config: TNTConfig) -> np.ndarray:
     ints[S.LOG] = S.CELLS + n_cells
     ints[S.BIN_LO], ints[S.BIN_HI] = S.NO_BIN, -1
     ints[S.LOG_SIZE] = log_size
+    ints[S.MEMORY] = S.CELLS + n_cells + log_size if _n_memory(config) else 0
     return buffer
+
+
+def _n_memory(config: TNTConfig) -> int:
+    """Numbers that histograms remember: events by polarity and pixel, events by cell, sums by bin and cell."""
+    if config.representation != "hats":
+        return 0
+    n_polarities, n_cells = config.channels // config.bins, math.prod(config.grid)
+    return n_polarities * math.prod(config.sensor) + (1 + config.channels) * n_cells
 
 
 def set_duration(buffer: np.ndarray, config: TNTConfig, window_us: int) -> None:
@@ -93,7 +104,8 @@ def save_window(buffer: np.ndarray, with_cells: bool) -> Arrays:
     """The open window of a volume and its counts, all numbers by their bits."""
     ints = buffer.view(np.int64)
     places = np.flatnonzero(ints[S.CELLS : ints[S.LOG]]) if with_cells else np.empty(0, np.int64)
-    return {"slots": ints[list(SLOTS.values())], "places": places, "cells": buffer[S.CELLS + places]}
+    arrays = {"slots": ints[list(SLOTS.values())], "places": places, "cells": buffer[S.CELLS + places]}
+    return arrays | ({"memory": buffer[ints[S.MEMORY] :].copy()} if with_cells and ints[S.MEMORY] else {})
 
 
 def restore_counts(buffer: np.ndarray, arrays: Arrays) -> None:
@@ -141,6 +153,11 @@ def restore_window(buffer: np.ndarray, arrays: Arrays, config: TNTConfig) -> Non
         times, counts = pairs[of_time::2], pairs[1 - of_time :: 2]
         if np.any((counts < 0) | (times < 0) | (times > 1) | ((counts == 0) & (times != 0))):
             raise ValueError("its cells are not counts and times of such a window")
+    if config.representation == "hats" and not config.needs_replay:
+        memory = checked_array(arrays, "memory", np.float64, (_n_memory(config),))
+        if not (np.all(memory >= 0) and np.all(memory <= float(n) ** 2) and np.all(memory % 1 == 0)):
+            raise ValueError("its memory is not that of histograms of such a window")
+        buffer[ints[S.MEMORY] :] = memory
     _set(buffer, slots, "start_us", "n", "sum_x", "sum_y", "sum_t", "newest_us", "c_xf", "c_yf", "c_ff")
     ints[S.LIMIT_US] = start_us + window_us
     buffer[S.CELLS + places] = cells

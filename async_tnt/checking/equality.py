@@ -24,7 +24,7 @@ from async_tnt.checking.reference import (
     reference_volume,
     reference_windows,
 )
-from async_tnt.config import LANDMARKS, TIME_IMAGES, TNTConfig
+from async_tnt.config import LANDMARKS, UNTRANSFORMED, TNTConfig
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.networks.torch_modules import landmark_function
@@ -68,8 +68,8 @@ class Comparison:
 
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
     """A configuration with every landmark (`regressor` where it has one), with the flow removed, and without the
-    transform; an image of times has only the last."""
-    if base.representation in TIME_IMAGES:
+    transform; images of times and histograms have only the last."""
+    if base.representation in UNTRANSFORMED:
         return {"no transform": base}
     tnt = base.replace(transform="tnt", remove_flow=False)
     landmarks = [name for name in LANDMARKS if name != "regressor" or base.needs_regressor]

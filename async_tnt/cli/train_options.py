@@ -150,7 +150,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--representation",
         choices=REPRESENTATIONS,
         help="the event volume, or an image: events per pixel, with the time of the newest, the mean time, a time "
-        "surface (default: volume)",
+        "surface, or HATS (default: volume)",
     )
     volume.add_argument(
         "--transform", choices=TRANSFORMS, help="tnt, or none: the plain event volume (default: tnt; none for an image)"

@@ -33,6 +33,8 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
                 buffer[place + 3] = 0.0
         for k in range(first, first + ints[S.N_READ]):  # now that all cells are zero
             _copy_around(buffer, ints, ints[k], array)
+    if ints[S.MEMORY]:
+        buffer[ints[S.MEMORY] :] = 0.0
     ints[S.N_LOG] = 0
     ints[S.EPOCH] = epoch
     _note_read(ints)

@@ -2,10 +2,11 @@
 
 Nothing here imports anything of `async_tnt`, or shares code with it: the two are compared with each other.
 Start with `volume.py` (the event volume), then `transform.py` and `landmarks.py` (the Temporal
-Normalization Transform), then `networks.py`. Independent of these: `images.py`, `motion.py`, `saccades.py`,
+Normalization Transform), then `networks.py`. Independent of these: `images.py`, `hats.py`, `motion.py`, `saccades.py`,
 `moving_image.py`.
 """
 
+from .hats import hats
 from .images import count_image, count_timestamp_image, time_image
 from .landmarks import fitted_flow, landmark
 from .layers import LayerNetwork, heatmap_centroid
@@ -27,6 +28,7 @@ __all__ = [
     "event_volume",
     "find_pauses",
     "fitted_flow",
+    "hats",
     "heatmap_centroid",
     "landmark",
     "move_by_flow",

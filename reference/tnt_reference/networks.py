@@ -9,13 +9,14 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from .hats import hats
 from .images import time_image
 from .landmarks import LANDMARKS
 from .transform import tnt_coordinates
 from .volume import check_bins, event_volume, tnt_volume
 from .window import Column, check_polarity, check_size, until_newest
 
-REPRESENTATIONS = ("volume", "count", "count_time", "mean_time", "time_surface")
+REPRESENTATIONS = ("volume", "count", "count_time", "mean_time", "time_surface", "hats")
 
 
 class Classifier(nn.Module):
@@ -222,7 +223,7 @@ class Pipeline(nn.Module):
         )
 
     def raw_volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """(C, H, W): the untransformed event volume of one window, or its image of times."""
+        """(C, H, W): the untransformed event volume of one window, its image of times, or its histograms."""
         settings: dict[str, Any] = {
             "start_us": start_us,
             "window_us": self.duration_us(t, start_us),
@@ -233,6 +234,8 @@ class Pipeline(nn.Module):
         }
         if self.representation in ("volume", "count"):
             return event_volume(t, x, y, p, bins=self.bins, **settings)
+        if self.representation == "hats":
+            return hats(t, x, y, p, **settings)
         return time_image(t, x, y, p, representation=self.representation, **settings)
 
     @property

@@ -22,6 +22,7 @@ CASES = [
     (SMALL.replace(window_events=40), {"every_events": 7}),
     (SMALL.replace(representation="mean_time"), {"every_us": 90}),
     (SMALL.replace(representation="time_surface"), {"every_us": 90}),
+    (SMALL.replace(representation="hats", polarity="unsigned", grid=(4, 4)), {"every_us": 90}),
     (SMALL.replace(representation="count_time", polarity="unsigned", window_events=60), {}),
 ]
 of_all_cases = pytest.mark.parametrize("case", range(len(CASES)))

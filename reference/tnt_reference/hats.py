@@ -1,0 +1,76 @@
+"""HATS: histograms of averaged time surfaces."""
+
+from __future__ import annotations
+
+import torch
+
+from .window import Column, check_polarity, check_size, signs, window_events
+
+RADIUS = 3
+
+
+def hats(
+    t: Column,
+    x: Column,
+    y: Column,
+    p: Column,
+    *,
+    start_us: int,
+    window_us: int,
+    sensor: tuple[int, int],
+    grid: tuple[int, int],
+    polarity: str = "split",
+    dtype: torch.dtype = torch.float32,
+) -> torch.Tensor:
+    """For each cell of a grid, where its pixels' earlier events lie about an event, on average.
+
+        T_i(z)  = #{j < i : x_j = x_i + z, p_j = p_i, j and i in the same cell}       z in {-3..3}^2
+        h(z, p) = 1 / |C| sum_{i in C, p_i = p} T_i(z)                                |C| events in the cell, of both p
+
+    Parameters
+    ----------
+    t, x, y, p, start_us, window_us, sensor, dtype : as for `event_volume`. j < i is the order of the columns.
+    grid : (width, height) in cells; pixel x lies in column floor(x width / sensor width).
+    polarity : "unsigned": p_j and p_i do not matter; "split": the bins of the ON events, then those of the OFF events.
+
+    Returns
+    -------
+    Tensor (49 or 98, H, W) of `dtype`, indexed [7 (z_y + 3) + z_x + 3, y, x].
+
+    References
+    ----------
+    Sironi et al. 2018, arXiv:1803.07913, equations 5 to 8, without the decay exp(-(t_i - t_j) / tau), whose tau is ten
+    thousand windows there.
+
+    Example
+    -------
+    >>> at = dict(start_us=0, window_us=8, sensor=(4, 4), grid=(2, 2), polarity="unsigned")
+    >>> h = hats([0, 1, 2], [0, 1, 1], [0, 0, 0], [1, 1, 1], **at)
+    >>> [(z // 7 - 3, z % 7 - 3, round(float(h[z, 0, 0]), 3)) for z in h[:, 0, 0].nonzero()[:, 0].tolist()]
+    [(0, -1, 0.667), (0, 0, 0.333)]
+    """
+    check_polarity(polarity)
+    if polarity == "signed":
+        raise ValueError("`polarity` must be 'split' or 'unsigned': histograms have no sign, got 'signed'")
+    check_size("sensor", sensor)
+    columns, rows = check_size("grid", grid)
+    events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
+    polarities = 1 if polarity == "unsigned" else 2
+    of = (signs(p, len(events.dt)) < 0).long() * (polarities - 1)
+    side = 2 * RADIUS + 1
+    total = torch.zeros(polarities, side, side, rows, columns, dtype=torch.float64)
+    size = torch.zeros(rows, columns, dtype=torch.float64)
+    earlier: list[tuple[int, int, int]] = []
+    for inside, (u, v), q in zip(events.inside.tolist(), events.pixels.long().tolist(), of.tolist(), strict=True):
+        if not inside:
+            continue
+        cell = v * rows // sensor[1], u * columns // sensor[0]
+        for other_u, other_v, other_q in earlier:
+            dx, dy = other_u - u, other_v - v
+            same = (other_v * rows // sensor[1], other_u * columns // sensor[0]) == cell
+            if same and other_q == q and max(abs(dx), abs(dy)) <= RADIUS:
+                total[(q, dy + RADIUS, dx + RADIUS, *cell)] += 1
+        size[cell] += 1
+        earlier.append((u, v, q))
+    mean = total / torch.where(size > 0, size, 1.0)
+    return mean.reshape(polarities * side * side, rows, columns).to(dtype)
