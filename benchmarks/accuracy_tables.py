@@ -10,6 +10,15 @@ from page_parts import percent, results, short, table
 
 from async_tnt import load_model
 
+REPRESENTATIONS = {
+    "volume": "event volume",
+    **{name: f"TNT, `{name}`" for name in ("center", "running", "line", "window", "regressor")},
+    "count": "count image",
+    "count_time": "counts and newest times",
+    "mean_time": "mean times",
+    "time_surface": "time surface",
+    "hats": "HATS, 12x10 cells",
+}
 CARS_MS = "10", "20", "30", "50", "100"
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
 
@@ -134,7 +143,9 @@ def unseen_objects() -> str:
 def cars() -> str:
     """N-CARS' test part against time: mean over the networks, and their standard deviation."""
     rows = []
-    for found in results("cars")["recipes"].values():
+    for name, found in results("cars")["recipes"].items():
+        if name.startswith("equal_"):
+            continue
         courses = [test["against_time_ms"] for test in found["tests"]]
         shares = [[course[ms] for course in courses] for ms in CARS_MS]
         cells = [f"{np.mean(values):.3f} ± {np.std(values):.3f}".replace("0.", ".") for values in shares]
@@ -145,9 +156,24 @@ def cars() -> str:
     return table(["other options", "networks", *times, "decisions a second, one after every event"], rows)
 
 
+def representations() -> str:
+    """N-CARS with each representation: the same network and steps, mean over the networks and standard deviation."""
+    rows = []
+    for name, found in results("cars")["recipes"].items():
+        if not name.startswith("equal_"):
+            continue
+        courses = [test["against_time_ms"] for test in found["tests"]]
+        shares = [[course[ms] for course in courses] for ms in CARS_MS]
+        cells = [f"{np.mean(values):.3f} ± {np.std(values):.3f}".replace("0.", ".") for values in shares]
+        cost = [short(found["event_ns"]["median"]), short(found["every_event"]["us"]["median"])]
+        rows.append([REPRESENTATIONS[name.removeprefix("equal_")], str(len(courses)), *cells, *cost])
+    times = [f"{ms} ms" for ms in CARS_MS]
+    return table(["representation", "networks", *times, "ns an event", "us a decision after every event"], rows)
+
+
 def cars_confidence() -> str:
     """What a level of confidence costs and buys on N-CARS: means over the networks of the first recipe."""
-    tests = next(iter(results("cars")["recipes"].values()))["tests"]
+    tests = results("cars")["recipes"]["tuned"]["tests"]
     rows = []
     for levels in zip(*(test["confidence"] for test in tests), strict=True):
         means = [np.mean([level[name] for level in levels]) for name in ("decided", "accuracy", "median_ms", "p90_ms")]
@@ -254,6 +280,7 @@ TABLES = (
     digits_tried_motions,
     cars,
     cars_confidence,
+    representations,
     unseen_objects,
     edges,
     polarity,

@@ -22,15 +22,28 @@ from script_options import script_parser, write_outputs
 from unseen_motions import command
 
 from async_tnt.checking.bench_every_event import bench_every_event
-from async_tnt.checking.timing import machine
+from async_tnt.checking.timing import interleave, machine, spread, work_clock
 from async_tnt.networks.loading import load_model
 from async_tnt.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.sensor import format_size
+from async_tnt.volume import TNTVolume
 
 TRAIN, TEST = "n-cars_train", "n-cars_test"
 TUNED = "--grid 60x50 --network residual --mirror --epochs 30 --patience 0 --validation 0.05"
-RECIPES = {"count": f"--representation count --polarity split {TUNED}", "bare": ""}
+EQUAL = "--network residual --mirror --epochs 10 --patience 0 --validation 0.05 --polarity split"
+VOLUMES = {
+    "volume": "--transform none",
+    **{landmark: f"--landmark {landmark}" for landmark in ("center", "running", "line", "window", "regressor")},
+}
+IMAGES = "count", "count_time", "mean_time", "time_surface"
+RECIPES = {
+    "tuned": f"--representation count --polarity split {TUNED}",
+    "bare": "",
+    **{f"equal_{name}": f"{options} --grid 60x50 {EQUAL}" for name, options in VOLUMES.items()},
+    **{f"equal_{name}": f"--representation {name} --grid 60x50 {EQUAL}" for name in IMAGES},
+    "equal_hats": f"--representation hats --grid 12x10 {EQUAL}",
+}
 SHOWN_MS = "10", "20", "30", "50", "100"
 TIMED = 12  # recordings of the test part
 QUICK = "--epochs 1 --quick"
@@ -57,7 +70,7 @@ def measure(n_cars: Path, out: Path, recipes: Sequence[str], seeds: int, sensor:
                 "command": f"async-tnt train {TRAIN} {options}",
                 "networks": [_about(path) for path in models],
                 "tests": [_tested(path, n_cars / TEST) for path in models],
-                "every_event": _every_event(models[0], n_cars / TEST),
+                **_costs(models[0], n_cars / TEST),
             }
     return {"recipes": found, "machine": machine("torch")}
 
@@ -82,14 +95,29 @@ def _tested(path: Path, test: Path) -> dict[str, Any]:
     return {"against_time_ms": against_time, **{name: report[name] for name in names}}
 
 
-def _every_event(path: Path, test: Path) -> dict[str, Any]:
-    """Decisions a second after every event of some test recordings."""
+def _costs(path: Path, test: Path) -> dict[str, Any]:
+    """On some test recordings: nanoseconds an event in the volume, and a decision after every event."""
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
     some = [open_recording(file, sensor=model.config.sensor).read() for file in files[:: -(-len(files) // TIMED)]]
     for events in some:
         events["t"] -= events["t"][0]
-    return bench_every_event(model, {}, some, rounds=2 * len(some))["ours"]
+    volume = TNTVolume(model.config)
+
+    def absorbed() -> float:
+        nanoseconds = 0.0
+        for events in some:
+            volume.open(0)
+            started = work_clock()
+            volume.update(events)
+            nanoseconds += 1e9 * (work_clock() - started)
+        return nanoseconds / sum(map(len, some))
+
+    per_event = interleave({"ours": absorbed}, 20)["ours"]
+    return {
+        "event_ns": spread(per_event),
+        "every_event": bench_every_event(model, {}, some, rounds=2 * len(some))["ours"],
+    }
 
 
 def lines(report: dict[str, Any]) -> list[str]:
