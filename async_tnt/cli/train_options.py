@@ -21,9 +21,8 @@ and networks are trained for a short time each, compared on the held-out recordi
 --quick leaves that out. DATASET is a folder with one folder of recordings for each class, named like the class, from
 any camera and in any format that `async-tnt run` reads. Windows follow each other from each recording's first event; a
 shorter recording is one partial window. Every epoch shows each class equally often, however many recordings it has.
-Training stops when the loss on the held-out recordings no longer falls, and the model of the best epoch is kept. Beside
-the model (m.safetensors) it writes m.json, m.confusion.png and m.curves.png, with the accuracy on held-out recordings.
-With --roi and --mask it learns from some of the camera's pixels, which the model's record names.
+Beside the model (m.safetensors) it writes m.json, m.confusion.png and m.curves.png, with the accuracy on held-out
+recordings. With --roi and --mask it learns from some of the camera's pixels, which the model's record names.
 
 With --nmnist, on N-MNIST's digits and, with --simulated, on recordings simulated from MNIST's images.
 
@@ -216,8 +215,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--patience",
         type=int,
         metavar="N",
-        help="stop when the validation loss has not fallen for this many epochs; 0: never (default: 0; with DATASET a "
-        "fifth of the epochs)",
+        help="stop when the validation loss has not fallen for this many epochs; 0: never (default: 0; with other "
+        "motions of DATASET a fifth of the epochs)",
     )
     learning.add_argument(
         "--iterations",

@@ -94,7 +94,7 @@ def dataset_data(
     if fit_window and longest_us < config.window_us:
         config = config.replace(window_us=-(-longest_us // 1000) * 1000)
         notes.append(f"windows of {config.window_us} us, as no recording is longer")
-    together, grouping = _groups(folder, recordings, groups, validation)
+    together, grouping = _groups(folder, recordings, groups)
     learned, held_out = hold_out_groups(labels, together, validation, np.random.default_rng(seed))
 
     def windows_of(of: Dataset, which: np.ndarray | None = None) -> Windows:
@@ -144,13 +144,13 @@ def dataset_data(
     )
 
 
-def _groups(folder: Path, recordings: Recordings, pattern: str | None, share: float) -> tuple[list[str], str]:
+def _groups(folder: Path, recordings: Recordings, pattern: str | None) -> tuple[list[str], str]:
     """The group of each recording, and what groups are."""
     if pattern is not None:
         return groups_by_pattern(recordings.names, pattern), f"group ({pattern})"
     if (folder / GROUPS_FILE).exists():
         return groups_by_table(recordings.names, folder / GROUPS_FILE), f"group ({GROUPS_FILE})"
-    blocks = groups_by_number(recordings.names, recordings.labels, share)
+    blocks = groups_by_number(recordings.names, recordings.labels)
     if blocks is not None:
         return blocks, "blocks of neighbouring numbers"
     files = [file_of(name) for name in recordings.names]

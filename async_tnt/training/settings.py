@@ -98,7 +98,7 @@ def settings_for(
     Parameters
     ----------
     n_windows, n_held_out : windows to train on, and held out.
-    patience : 0 trains to the end.
+    patience : 0 trains to the end, where the learning rate is 0. The default, but for other motions.
     augmentation : fields of `Augmentation` whose values differ from `Augmentation.for_sensor` and `STREAMED`; None: as
         recorded.
     resynthesized : whether the windows are also shown in other motions.
@@ -109,7 +109,7 @@ def settings_for(
         steps = MIN_STEPS_MOVED if resynthesized else MIN_STEPS
         epochs = max(20, math.ceil(steps / max(1, math.ceil(n_windows / max(batch, 1)))))
     if patience is None:
-        patience = max(5, epochs // 5) if n_held_out else 0
+        patience = max(5, epochs // 5) if n_held_out and resynthesized else 0
     return TrainSettings(
         epochs=epochs,
         batch=batch,

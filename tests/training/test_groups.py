@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from async_tnt.training.groups import (
+    BLOCKS,
     groups_by_number,
     groups_by_pattern,
     groups_by_table,
@@ -43,25 +44,15 @@ def test_a_table_names_files_alone_or_with_their_class(tmp_path):
 def test_numbered_recordings_are_grouped_in_blocks_of_neighbours():
     names = [f"car/obj_{99 - k}_td.dat" for k in range(100)]
     names += ["road/7.npy", "road/30.npy", "road/8.npy"]
-    groups = groups_by_number(names, np.array([0] * 100 + [1] * 3), 0.05)
+    groups = groups_by_number(names, np.array([0] * 100 + [1] * 3))
     of = dict(zip(names, groups, strict=True))
-    assert len(set(groups)) == 20 + 3
+    assert len(set(groups)) == BLOCKS + 3
     for k in range(0, 100, 5):
         assert len({of[f"car/obj_{i}_td.dat"] for i in range(k, k + 5)}) == 1
-    assert groups_by_number(["a/left.npy", "a/right.npy"], np.zeros(2, int), 0.2) is None
-    assert groups_by_number(["a/one.npy", "b/1.npy"], np.arange(2), 0.2) is None
-    two = groups_by_number([f"a/user{u}_{k}.npy" for k in range(20) for u in (10, 9)], np.zeros(40, int), 0.05)
+    assert groups_by_number(["a/left.npy", "a/right.npy"], np.zeros(2, int)) is None
+    assert groups_by_number(["a/one.npy", "b/1.npy"], np.arange(2)) is None
+    two = groups_by_number([f"a/user{u}_{k}.npy" for k in range(20) for u in (10, 9)], np.zeros(40, int))
     assert [two[2 * k] == two[2 * k + 2] for k in range(4)] == [True, False, True, False]  # by user, then by number
-
-
-@given(st.integers(1, 60), st.floats(0.01, 0.6), st.integers(0, 9))
-def test_of_numbered_recordings_one_block_is_held_out(n, share, seed):
-    labels, names = np.zeros(n, int), [f"a/{k}.npy" for k in range(n)]
-    groups = groups_by_number(names, labels, share)
-    held_out = hold_out_groups(labels, groups, share, np.random.default_rng(seed))[1]
-    if len(set(groups)) > 1:  # else there would be none to train on
-        wanted = max(1, round(share * n))
-        assert wanted <= len(held_out) < 2 * wanted and np.all(np.diff(held_out) == 1)
 
 
 @given(
