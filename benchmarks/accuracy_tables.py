@@ -10,15 +10,6 @@ from page_parts import percent, results, short, table
 
 from async_tnt import load_model
 
-REPRESENTATIONS = {
-    "volume": "event volume",
-    **{name: f"TNT, `{name}`" for name in ("center", "running", "line", "window", "regressor")},
-    "count": "count image",
-    "count_time": "counts and newest times",
-    "mean_time": "mean times",
-    "time_surface": "time surface",
-    "hats": "HATS, 12x10 cells",
-}
 CARS_MS = "10", "20", "30", "50", "100"
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
 
@@ -156,19 +147,15 @@ def cars() -> str:
     return table(["other options", "networks", *times, "decisions a second, one after every event"], rows)
 
 
-def representations() -> str:
-    """N-CARS with each representation: the same network and steps, mean over the networks and standard deviation."""
-    rows = []
-    for name, found in results("cars")["recipes"].items():
-        if not name.startswith("equal_"):
-            continue
-        courses = [test["against_time_ms"] for test in found["tests"]]
-        shares = [[course[ms] for course in courses] for ms in CARS_MS]
-        cells = [f"{np.mean(values):.3f} ± {np.std(values):.3f}".replace("0.", ".") for values in shares]
-        cost = [short(found["event_ns"]["median"]), short(found["every_event"]["us"]["median"])]
-        rows.append([REPRESENTATIONS[name.removeprefix("equal_")], str(len(courses)), *cells, *cost])
-    times = [f"{ms} ms" for ms in CARS_MS]
-    return table(["representation", "networks", *times, "ns an event", "us a decision after every event"], rows)
+def cars_in_short() -> str:
+    found = results("cars")["recipes"]["tuned"]
+    tests = found["tests"]
+    at = {ms: f"{np.mean([test['against_time_ms'][ms] for test in tests]):.3f}"[1:] for ms in CARS_MS}
+    rate = found["every_event"]["a_second"]
+    return (
+        f"N-CARS' official test part, cars or background, {len(tests)} networks: {at['10']} after 10 ms, {at['30']} "
+        f"after 30 ms, {at['100']} after 100 ms, at {rate:,.0f} decisions a second, one after every event."
+    )
 
 
 def cars_confidence() -> str:
@@ -280,7 +267,7 @@ TABLES = (
     digits_tried_motions,
     cars,
     cars_confidence,
-    representations,
+    cars_in_short,
     unseen_objects,
     edges,
     polarity,

@@ -1,6 +1,6 @@
 """Cars and background, N-CARS: accuracy against time on its official test part, with several networks each.
 
-    python benchmarks/cars.py N-CARS [--seeds N] [--recipes NAME ...] [--out FOLDER] [--json FILE]
+    python benchmarks/cars.py N-CARS [--seeds N] [--recipes NAME ...] [--out FOLDER] [--json FILE] [--picture FILE]
 
 N-CARS is a folder with n-cars_train and n-cars_test. Each recipe is one command, `async-tnt train`. Finished trainings
 in FOLDER are kept, interrupted ones resume, and recipes that are not named keep their entry in FILE. The test part is
@@ -17,8 +17,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from draw_cars import draw
 from made_objects import SENSOR, write
-from script_options import script_parser, write_outputs
+from script_options import run_script, script_parser
 from unseen_motions import command
 
 from async_tnt.checking.bench_every_event import bench_every_event
@@ -134,21 +135,23 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 def main(argv: list[str] | None = None) -> int:
     """Train, test, print and write."""
-    parser = script_parser(__doc__, "a made set of two classes and one epoch")
+    parser = script_parser(__doc__, "a made set and one epoch", draws=True)
     parser.add_argument("n_cars", nargs="?", type=Path, metavar="N-CARS", help="not with --quick")
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
     parser.add_argument("--recipes", nargs="+", choices=RECIPES, default=list(RECIPES), help="default: all")
     parser.add_argument("--out", type=Path, default=Path("cars"), metavar="FOLDER", help="models (default: cars)")
     args = parser.parse_args(argv)
-    if (args.n_cars is None) != args.quick:
-        parser.error("give the folder N-CARS, or --quick")
-    report = _quick() if args.quick else measure(args.n_cars, args.out, args.recipes, args.seeds, "120x100")
-    print("\n".join(lines(report)))
-    if args.json and args.json.exists():
-        before = json.loads(args.json.read_text(encoding="utf-8"))["recipes"]
-        report["recipes"] = before | report["recipes"]
-    write_outputs(args, report)
-    return 0
+    if [args.n_cars is not None, args.quick, args.source is not None].count(True) != 1:
+        parser.error("give the folder N-CARS, --quick, or --from")
+
+    def measured(quick: bool) -> dict[str, Any]:
+        report = _quick() if quick else measure(args.n_cars, args.out, args.recipes, args.seeds, "120x100")
+        if args.json and args.json.exists():
+            before = json.loads(args.json.read_text(encoding="utf-8"))["recipes"]
+            report["recipes"] = before | report["recipes"]
+        return report
+
+    return run_script(parser, argv, measured, lines, draw)
 
 
 def _quick() -> dict[str, Any]:

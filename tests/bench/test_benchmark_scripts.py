@@ -163,10 +163,12 @@ def test_recipes_are_trained_and_tested_and_others_keep_their_entry(tmp_path, mo
     cars = load_benchmark("cars")
     monkeypatch.setattr(cars, "RECIPES", {"bare": ""})
     file = tmp_path / "cars.json"
-    file.write_text('{"recipes": {"other": {"kept": true}}}')
+    recorded = json.loads((FOLDER / "results" / "cars.json").read_text(encoding="utf-8"))
+    file.write_text(json.dumps(recorded))
     assert cars.main(["--quick", "--json", str(file)]) == 0
     found = json.loads(file.read_text(encoding="utf-8"))["recipes"]
-    assert found["other"] == {"kept": True} and found["bare"]["command"].endswith("--epochs 1 --quick")
+    assert found["tuned"] == recorded["recipes"]["tuned"]
+    assert found["bare"]["command"].endswith("--epochs 1 --quick")
     (test,) = found["bare"]["tests"]
     assert test["recordings"] == 18 and list(test["against_time_ms"])[::3] == ["5", "20", "35", "50"]
     assert found["bare"]["every_event"]["a_second"] > 0 and found["bare"]["networks"][0]["network"] == "thesis"
