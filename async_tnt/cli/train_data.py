@@ -153,7 +153,7 @@ def _augmentation(args: argparse.Namespace) -> dict[str, Any] | None:
     """The options' fields of `Augmentation`."""
     if args.no_augmentation:
         return None
-    given = {"translate_px": args.translate, "partial": args.partial, "scatter": args.nothing, "mirror": args.mirror}
+    given = {"translate_px": args.translate, "partial": args.partial, "nothing": args.nothing, "mirror": args.mirror}
     return {name: value for name, value in given.items() if value is not None}
 
 

@@ -265,7 +265,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="SHARE",
         help="of the windows, those whose events are put anywhere on the sensor, so that no class is decided with "
-        f"confidence where nothing is there (default: {Augmentation.scatter:g}; with DATASET {STREAMED['scatter']:g})",
+        f"confidence where nothing is there (default: {Augmentation.nothing:g}; with DATASET {STREAMED['nothing']:g})",
     )
     learning.add_argument(
         "--mirror",

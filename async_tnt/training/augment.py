@@ -7,7 +7,7 @@ A window is moved in time and on the sensor, thinned, and sometimes mirrored, cu
     position   (x', y') = A (x - c) + c + shift      A = rotation * shear * scale * mirror
     thinning   each event is kept with a probability that is drawn per window
     partial    the window ends early, as training for decisions before its end
-    scatter    each event gets a position anywhere on the sensor: nothing is there, but as many events as ever
+    nothing    each event gets a position anywhere on the sensor: nothing is there, but as many events as ever
 
 After a rotation, positions are not whole pixels. Rounding them would leave stripes in the volume, so augmented events
 are on a sensor `FINE` times finer (see `fineness`) with the same corners; as the grid is mapped from corner to corner,
@@ -91,7 +91,7 @@ class Augmentation:
     drop : fraction of the events that is dropped.
     partial : fraction of windows that end early, but not before `partial_from_ms`.
     mirror : half of the windows are mirrored from left to right.
-    scatter : fraction of windows whose events are put anywhere on the sensor. They belong to no class.
+    nothing : fraction of windows whose events are put anywhere on the sensor. They belong to no class.
     """
 
     start_ms: float = 5.0
@@ -104,12 +104,12 @@ class Augmentation:
     partial: float = 0.2
     partial_from_ms: float = 15.0
     mirror: bool = False
-    scatter: float = 0.0
+    nothing: float = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            limit = 1.0 if name in ("scale", "drop", "partial", "mirror", "scatter") else np.inf
+            limit = 1.0 if name in ("scale", "drop", "partial", "mirror", "nothing") else np.inf
             if not 0 <= value <= limit:
                 raise ValueError(f"`{name}` must be in [0, {limit}], got {value}")
 
@@ -146,7 +146,7 @@ class Augmentation:
         until_us[rng.random(n) >= self.partial] = config.window_us
         seed = rng.integers(0, 1 << 63, n, dtype=np.uint64)
         side = np.where(rng.random(n) < 0.5, -1.0, 1.0) if self.mirror else np.ones(n)
-        scatter = rng.random(n) < self.scatter if self.scatter else np.zeros(n, bool)
+        scatter = rng.random(n) < self.nothing if self.nothing else np.zeros(n, bool)
 
         cos, sin = scale * np.cos(angle), scale * np.sin(angle)
         matrix = np.empty((n, 2, 3))

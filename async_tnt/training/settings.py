@@ -12,7 +12,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.training.augment import Augmentation
 
 PRECISIONS = ("float32", "bfloat16")
-STREAMED = MappingProxyType({"partial": 0.9, "scatter": 0.1})
+STREAMED = MappingProxyType({"partial": 0.9, "nothing": 0.1})
 EARLIEST = 0.05  # of the window
 """Of `Augmentation` for a data set by default: right at any moment of a stream from there on, also when nothing is
 there."""

@@ -55,17 +55,17 @@ def noise(kind, rng):
 def models(tmp_path_factory):
     """Trained with and without windows that show nothing."""
     made = {}
-    for scatter in (0.0, 0.2):
-        settings = TrainSettings(epochs=6, batch=16, augmentation=Augmentation(scatter=scatter))
+    for nothing in (0.0, 0.2):
+        settings = TrainSettings(epochs=6, batch=16, augmentation=Augmentation(nothing=nothing))
         folder = tmp_path_factory.mktemp("run")
-        made[scatter] = train(CONFIG, shapes(400, 0), shapes(60, 1), settings, folder, classes=("spot", "ring")).last
+        made[nothing] = train(CONFIG, shapes(400, 0), shapes(60, 1), settings, folder, classes=("spot", "ring")).last
     return made
 
 
 def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
     rng = np.random.default_rng(3)
     sure = {}
-    for scatter, model in models.items():
+    for nothing, model in models.items():
         assert evaluate(pipeline_of(model), shapes(60, 2)).per_window >= 0.95
         model, _ = calibrated(model, evaluate(pipeline_of(model), shapes(60, 1)).temperature)
         for kind in ("steady", "flicker", "one polarity", "pairs"):
@@ -74,14 +74,14 @@ def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
                 processor = Processor(model, start_us=0)
                 processor.push(noise(kind, rng))
                 decisions.append(processor.fire().probability >= 0.9)
-            sure[kind, scatter] = np.mean(decisions)
-    assert all(share <= 0.05 for (_, scatter), share in sure.items() if scatter), sure
-    assert np.mean([share for (_, scatter), share in sure.items() if not scatter]) > 0.3, sure
+            sure[kind, nothing] = np.mean(decisions)
+    assert all(share <= 0.05 for (_, nothing), share in sure.items() if nothing), sure
+    assert np.mean([share for (_, nothing), share in sure.items() if not nothing]) > 0.3, sure
 
 
 def test_what_shows_nothing_is_counted_in_no_class(tmp_path):
     """With all windows scattered, the loss is that of an answer which says nothing, and no accuracy is claimed."""
-    settings = TrainSettings(epochs=2, batch=16, augmentation=Augmentation(scatter=1.0), label_smoothing=0.0)
+    settings = TrainSettings(epochs=2, batch=16, augmentation=Augmentation(nothing=1.0), label_smoothing=0.0)
     row = train(CONFIG, shapes(64, 0), shapes(8, 1), settings, tmp_path, classes=("spot", "ring")).history[-1]
     assert row["loss"] == pytest.approx(np.log(2), abs=0.01) and row["training"] == 0.0
 

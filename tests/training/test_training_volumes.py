@@ -167,7 +167,7 @@ def test_scattered_events_are_anywhere_and_otherwise_the_same():
 
 
 def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
-    config, augmentation = TNTConfig(), Augmentation(partial=0.25, translate_px=4, mirror=True, scatter=0.1)
+    config, augmentation = TNTConfig(), Augmentation(partial=0.25, translate_px=4, mirror=True, nothing=0.1)
     draws, again, other = (augmentation.draw(4_000, config, RNG(seed)) for seed in (1, 1, 2))
     for name in ("start_us", "until_us", "matrix", "keep", "seed", "scatter"):
         np.testing.assert_array_equal(getattr(draws, name), getattr(again, name))
