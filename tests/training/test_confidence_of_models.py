@@ -14,7 +14,7 @@ from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
 from async_tnt.training.loop import train  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
-from async_tnt.training.settings import TrainSettings  # noqa: E402
+from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
 from async_tnt.training.temperature import calibrated, fit_temperature, softened  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 
@@ -146,3 +146,13 @@ def test_a_network_that_does_not_end_in_a_layer_with_weights_stays_as_it_is():
     model = Model.from_torch(net, CONFIG, classes=("a", "b"))
     assert calibrated(model, 3.0) == (model, 1.0)
     assert calibrated(random_model(CONFIG), 3.0)[1] == 3.0
+
+
+def test_a_data_set_is_trained_to_be_right_at_any_moment_unless_asked_otherwise():
+    config = CONFIG.replace(window_us=50_000)
+    default = settings_for(config, 1000, 100).augmentation
+    assert (default.partial, default.nothing, default.partial_from_ms, default.mirror) == (0.9, 0.1, 2.5, False)
+    assert settings_for(config, 1000, 100).patience is None  # to the end
+    asked = settings_for(config, 1000, 100, augmentation={"partial": 0.0, "nothing": 0.5, "mirror": True}).augmentation
+    assert (asked.partial, asked.nothing, asked.mirror) == (0.0, 0.5, True)
+    assert settings_for(config, 1000, 100, augmentation=None).augmentation is None
