@@ -17,10 +17,10 @@ from async_tnt.training.dataset import Dataset, read_dataset
 from async_tnt.training.digits import read_nmnist_folder, read_samples, simulate_recordings
 from async_tnt.training.groups import (
     GROUPS_FILE,
-    groups_by_number,
     groups_by_pattern,
     groups_by_table,
     hold_out_groups,
+    hold_out_last,
 )
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import CLASSES, Windows, make_windows, split_recordings
@@ -78,7 +78,7 @@ def dataset_data(
     pixels, sensor_source, classes : as for `read_dataset`.
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
     groups : a regular expression, see `groups_by_pattern`; by default the file `groups.csv` in the folder, or else
-        blocks of neighbours where recordings are numbered.
+        by number: the last recordings of each class.
     fit_window : where no recording is as long as a window, windows become as long as the longest one.
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
@@ -94,15 +94,14 @@ def dataset_data(
     if fit_window and longest_us < config.window_us:
         config = config.replace(window_us=-(-longest_us // 1000) * 1000)
         notes.append(f"windows of {config.window_us} us, as no recording is longer")
-    together, grouping = _groups(folder, recordings, groups)
-    learned, held_out = hold_out_groups(labels, together, validation, np.random.default_rng(seed))
+    learned, held_out, how, counted = _split(folder, recordings, groups, validation, seed)
 
     def windows_of(of: Dataset, which: np.ndarray | None = None) -> Windows:
         return make_windows(of.recordings, config.window_us, which=which, first_event=True, duration_us=None)
 
     counts = {name: int((labels == k).sum()) for k, name in enumerate(dataset.classes)}
     record: dict[str, Any] = {
-        "source": f"recordings of own classes, held out by {grouping}",
+        "source": f"recordings of own classes, held out by {how}",
         "classes": counts,
         "sensor": list(dataset.sensor),
         "real_recordings": len(learned),
@@ -112,7 +111,7 @@ def dataset_data(
     if pixels.leaves_out:
         record["pixels"] = {**pixels.record, "camera": list(dataset.camera), **dataset.left_out_events}
     notes.append("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()))
-    notes.append(f"held out by {grouping}: {len({together[r] for r in held_out})} of {len(set(together))}")
+    notes.append(f"held out by {how}: {counted}")
     single = [name for k, name in enumerate(dataset.classes) if counts[name] and k not in labels[held_out]]
     if single and validation:
         notes.append(f"not held out, as there is only one recording, or one group of them: {', '.join(single)}")
@@ -144,17 +143,23 @@ def dataset_data(
     )
 
 
-def _groups(folder: Path, recordings: Recordings, pattern: str | None) -> tuple[list[str], str]:
-    """The group of each recording, and what groups are."""
+def _split(
+    folder: Path, recordings: Recordings, pattern: str | None, share: float, seed: int
+) -> tuple[np.ndarray, np.ndarray, str, str]:
+    """Which recordings to train on and which to hold out; by what, and how many."""
+    names, labels = recordings.names, recordings.labels
+    files = [file_of(name) for name in names]
     if pattern is not None:
-        return groups_by_pattern(recordings.names, pattern), f"group ({pattern})"
-    if (folder / GROUPS_FILE).exists():
-        return groups_by_table(recordings.names, folder / GROUPS_FILE), f"group ({GROUPS_FILE})"
-    blocks = groups_by_number(recordings.names, recordings.labels)
-    if blocks is not None:
-        return blocks, "blocks of neighbouring numbers"
-    files = [file_of(name) for name in recordings.names]
-    return files, "recording" if files == list(recordings.names) else "session"
+        together, how = groups_by_pattern(names, pattern), f"group ({pattern})"
+    elif (folder / GROUPS_FILE).exists():
+        together, how = groups_by_table(names, folder / GROUPS_FILE), f"group ({GROUPS_FILE})"
+    else:
+        last = hold_out_last(names, labels, share)
+        if last is not None:
+            return *last, "number, the last ones", f"{len(last[1])} of {len(labels)} recordings"
+        together, how = files, "recording" if files == list(names) else "session"
+    learned, held_out = hold_out_groups(labels, together, share, np.random.default_rng(seed))
+    return learned, held_out, how, f"{len({together[r] for r in held_out})} of {len(set(together))}"
 
 
 def nmnist_data(

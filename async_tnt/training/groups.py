@@ -17,7 +17,6 @@ import numpy as np
 from async_tnt.sources.labelled_recordings import file_of
 
 GROUPS_FILE = "groups.csv"
-BLOCKS = 20  # of a class whose recordings are numbered
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
@@ -70,16 +69,21 @@ def _first_in(table: Mapping[str, str], names: Sequence[str]) -> str | None:
     return next((table[name] for name in names if name in table), None)
 
 
-def groups_by_number(names: Sequence[str], labels: np.ndarray) -> list[str] | None:
-    """Blocks of neighbours, at most `BLOCKS` of each class; None where names are not numbered.
+def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Hold out the last recordings of each class by number; None where recordings are not numbered.
 
-    They are if those of a class differ in numbers only; several numbers count from left to right. What leaks are the
-    neighbours at the ends of blocks. Larger blocks would leak less, but then a single one decides: of N-CARS, a fifth
-    is recognized at .63 or at .93, by which it is. Parts of sessions are not numbered.
+    They are if those of a class differ in numbers only; several numbers count from left to right. Parts of sessions are
+    not. New recordings come after the old ones, so the last numbers tell most of them; all that leaks are the
+    neighbours at one place.
+
+    Returns
+    -------
+    train, held_out : as `hold_out_groups`.
     """
-    groups = list(names)
+    _check_share(share)
     if any(file_of(name) != name for name in names):
         return None
+    held_out = np.zeros(len(labels), bool)
     for label in np.unique(labels):
         members = np.flatnonzero(labels == label).tolist()
         texts = {re.sub(r"\d+", "0", PurePosixPath(names[r]).stem) for r in members}
@@ -87,10 +91,9 @@ def groups_by_number(names: Sequence[str], labels: np.ndarray) -> list[str] | No
             return None
         numbers = [[int(number) for number in re.findall(r"\d+", PurePosixPath(names[r]).stem)] for r in members]
         ordered = [r for _, r in sorted(zip(numbers, members, strict=True))]
-        for k, block in enumerate(np.array_split(ordered, min(BLOCKS, len(ordered)))):
-            for r in block:
-                groups[r] = f"{label}, block {k}"
-    return groups
+        wanted = max(1, round(share * len(ordered))) if share else 0
+        held_out[ordered[max(1, len(ordered) - wanted) :]] = True
+    return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
 def hold_out_groups(
@@ -108,8 +111,7 @@ def hold_out_groups(
     train, held_out : int64 indices, increasing. Each class keeps a recording to train on: one that has a single group
         is not held out.
     """
-    if not 0 <= share < 1:
-        raise ValueError(f"the share that is held out must be in [0, 1), got {share}")
+    _check_share(share)
     of = np.unique(np.asarray(groups), return_inverse=True)[1]
     order = rng.permutation(of.max(initial=-1) + 1)
     left = np.bincount(labels)
@@ -125,3 +127,8 @@ def hold_out_groups(
                 held_out |= members
                 left = left - counts
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
+
+
+def _check_share(share: float) -> None:
+    if not 0 <= share < 1:
+        raise ValueError(f"the share that is held out must be in [0, 1), got {share}")

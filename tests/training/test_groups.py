@@ -6,11 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from async_tnt.training.groups import (
-    BLOCKS,
-    groups_by_number,
     groups_by_pattern,
     groups_by_table,
     hold_out_groups,
+    hold_out_last,
 )
 
 
@@ -41,18 +40,23 @@ def test_a_table_names_files_alone_or_with_their_class(tmp_path):
         groups_by_table([], path)
 
 
-def test_numbered_recordings_are_grouped_in_blocks_of_neighbours():
+def test_of_numbered_recordings_the_last_are_held_out():
     names = [f"car/obj_{99 - k}_td.dat" for k in range(100)]
-    names += ["road/7.npy", "road/30.npy", "road/8.npy"]
-    groups = groups_by_number(names, np.array([0] * 100 + [1] * 3))
-    of = dict(zip(names, groups, strict=True))
-    assert len(set(groups)) == BLOCKS + 3
-    for k in range(0, 100, 5):
-        assert len({of[f"car/obj_{i}_td.dat"] for i in range(k, k + 5)}) == 1
-    assert groups_by_number(["a/left.npy", "a/right.npy"], np.zeros(2, int)) is None
-    assert groups_by_number(["a/one.npy", "b/1.npy"], np.arange(2)) is None
-    two = groups_by_number([f"a/user{u}_{k}.npy" for k in range(20) for u in (10, 9)], np.zeros(40, int))
-    assert [two[2 * k] == two[2 * k + 2] for k in range(4)] == [True, False, True, False]  # by user, then by number
+    names += ["road/7.npy", "road/30.npy", "road/8.npy", "sky/1.npy"]
+    labels = np.array([0] * 100 + [1] * 3 + [2])
+    train, held_out = hold_out_last(names, labels, 0.2)
+    assert sorted([*train, *held_out]) == list(range(104))
+    expected = {f"car/obj_{k}_td.dat" for k in range(80, 100)} | {"road/30.npy"}  # at least one, if there are two
+    assert {names[r] for r in held_out} == expected
+    assert len(hold_out_last(names, labels, 0)[1]) == 0
+    assert hold_out_last(["a/left.npy", "a/right.npy"], np.zeros(2, int), 0.2) is None
+    assert hold_out_last(["a/one.npy", "b/1.npy"], np.arange(2), 0.2) is None
+    users = [f"a/user{u}_{k}.npy" for k in range(20) for u in (10, 9)]  # by user, then by number
+    assert {users[r] for r in hold_out_last(users, np.zeros(40, int), 0.1)[1]} == {
+        f"a/user10_{k}.npy" for k in range(16, 20)
+    }
+    with pytest.raises(ValueError, match=r"must be in \[0, 1\), got 1"):
+        hold_out_last(names, labels, 1)
 
 
 @given(
