@@ -92,6 +92,25 @@ def unseen_motion() -> str:
     )
 
 
+def learning_curve() -> str:
+    """Accuracy against the number of recordings."""
+    n_all = results("table")["data"]["training_recordings"]
+    rows = []
+    for name in ("raw", "running"):
+        for row in [row for row in ROWS if row.startswith(f"{name}-translated-")] + [f"{name}-translated"]:
+            cells = [short(_accuracies()[row][column]["mean"]) for column in ("1/all", "1/others", "1/sim")]
+            rows.append([ROWS[f"{name}-translated"].title, f"{ROWS[row].recordings or n_all:,}", *cells])
+    return table(["", "recordings", "1/all", "1/others", "1/sim"], rows)
+
+
+def images() -> str:
+    return markdown_table(_accuracies(), "images")
+
+
+def thesis_rows() -> str:
+    return markdown_table(_accuracies(), "thesis")
+
+
 def resynthesis() -> str:
     return markdown_table(_with_resynthesis(), "motions")
 
@@ -133,6 +152,9 @@ TABLES = (
     comparison,
     conclusions,
     unseen_motion,
+    learning_curve,
+    images,
+    thesis_rows,
     resynthesis,
     resynthesis_worst,
     resynthesis_match,
