@@ -208,7 +208,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--epochs",
         type=int,
         metavar="N",
-        help="passes over the training windows (default: 20; with DATASET at least 20, and 1500 steps, or 6000 with "
+        help="passes over the training windows (default: 20; with DATASET at least 30, and 1500 steps, or 6000 with "
         "other motions)",
     )
     learning.add_argument(

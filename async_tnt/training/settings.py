@@ -107,7 +107,7 @@ def settings_for(
     batch = min(64, max(8, n_windows // 32)) if batch is None else batch
     if epochs is None:
         steps = MIN_STEPS_MOVED if resynthesized else MIN_STEPS
-        epochs = max(20, math.ceil(steps / max(1, math.ceil(n_windows / max(batch, 1)))))
+        epochs = max(30, math.ceil(steps / max(1, math.ceil(n_windows / max(batch, 1)))))
     if patience is None:
         patience = max(5, epochs // 5) if n_held_out and resynthesized else 0
     return TrainSettings(

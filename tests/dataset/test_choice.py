@@ -43,10 +43,10 @@ def test_one_question_after_another_the_winner_goes_on():
 
     names, best = tried_in(start, ALL, score)
     assert best == "raw, split, 34x28, residual, mirrored"
-    assert names[:3] == [f"raw, {polarity}, 60x50, thesis" for polarity in ("signed", "unsigned", "split")]
-    assert names[3:6] == [f"TNT, running, {polarity}, 60x50, thesis" for polarity in ("signed", "unsigned", "split")]
-    assert names[6:9] == [f"count, {polarity}, 60x50, thesis" for polarity in ("signed", "unsigned", "split")]
-    assert names[9:12] == [f"raw, split, 34x28, {network}" for network in ("thesis", "conv4", "residual")]
+    assert names[:3] == [f"raw, {polarity}, 60x50, residual" for polarity in ("signed", "unsigned", "split")]
+    assert names[3:6] == [f"TNT, running, {polarity}, 60x50, residual" for polarity in ("signed", "unsigned", "split")]
+    assert names[6:9] == [f"count, {polarity}, 60x50, residual" for polarity in ("signed", "unsigned", "split")]
+    assert names[9:12] == [f"raw, split, 34x28, {network}" for network in ("residual", "thesis", "conv4")]
     assert names[12:] == [best]
 
 
@@ -63,6 +63,9 @@ def test_what_cannot_be_trained_is_left_out():
     start = Candidate(TNTConfig(sensor=(34, 34)), "thesis")
     names, best = tried_in(start, ALL, lambda c: None if c.network == "conv4" or c.config.transform == "none" else 1.0)
     assert best.startswith("TNT") and len(names) == 12
+    assert tried_in(start, ALL, lambda c: float(c.network == "thesis") or None)[1].startswith(
+        "raw, signed, 34x34, thesis"
+    )
     with pytest.raises(ValueError, match="none of the volumes and networks can be trained"):
         tried_in(start, ALL, lambda c: None)
 
