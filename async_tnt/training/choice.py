@@ -78,7 +78,7 @@ def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate]
     Parameters
     ----------
     start : answers what is not a question; its grid is replaced by the fine one, and its network by the first of
-        `NETWORKS`, if these are.
+        `NETWORKS` that can be trained, if these are.
     try_out : None if the candidate cannot be trained on this data.
 
     Raises
@@ -87,18 +87,24 @@ def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate]
     """
     if questions.grid:
         start = replace(start, config=start.config.replace(grid=next(grids(start.config.sensor))))
-    if questions.network:
-        start = replace(start, network=NETWORKS[0])
     tried: dict[Candidate, Trial | None] = {}
-    trials: list[Trial] = []
-    for question in (_volumes, _grids, _networks, _mirrors):
-        for candidate in question(trials[-1].candidate if trials else start, questions):
+
+    def ask(candidates: Iterator[Candidate]) -> list[Trial]:
+        """All trials so far, with these; of equals, the later one is last."""
+        for candidate in candidates:
             if candidate not in tried:
                 tried[candidate] = try_out(candidate)
-        trials = [trial for trial in tried.values() if trial is not None]
-        trials.sort(key=lambda trial: (trial.accuracy, -trial.loss))  # of equals, the later one is last
-    if not trials:
+        made = [trial for trial in tried.values() if trial is not None]
+        return sorted(made, key=lambda trial: (trial.accuracy, -trial.loss))
+
+    for network in NETWORKS if questions.network else (start.network,):
+        trials = ask(_volumes(replace(start, network=network), questions))
+        if trials:
+            break
+    else:
         raise ValueError("none of the volumes and networks can be trained on these windows; see --quick")
+    for question in (_grids, _networks, _mirrors):
+        trials = ask(question(trials[-1].candidate, questions))
     return trials
 
 
