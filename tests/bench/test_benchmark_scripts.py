@@ -155,17 +155,16 @@ def test_four_networks_are_compared_and_drawn(tmp_path, capsys):
     assert (tmp_path / "i.png").stat().st_size > 10_000
 
 
-# -- cars.py ---------------------------------------------------------------------------------------------
+# -- datasets.py -----------------------------------------------------------------------------------------
 
 
-def test_recipes_are_trained_and_tested_and_others_keep_their_entry(tmp_path, monkeypatch, capsys):
+def test_recipes_are_trained_and_tested_and_others_keep_their_entry(tmp_path, capsys):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
-    cars = load_benchmark("cars")
-    monkeypatch.setattr(cars, "RECIPES", {"bare": ""})
+    datasets = load_benchmark("datasets")
     file = tmp_path / "cars.json"
     recorded = json.loads((FOLDER / "results" / "cars.json").read_text(encoding="utf-8"))
     file.write_text(json.dumps(recorded))
-    assert cars.main(["--quick", "--json", str(file)]) == 0
+    assert datasets.main(["--quick", "--json", str(file)]) == 0
     found = json.loads(file.read_text(encoding="utf-8"))["recipes"]
     assert found["tuned"] == recorded["recipes"]["tuned"]
     assert found["bare"]["command"].endswith("--epochs 1 --quick")
@@ -175,4 +174,7 @@ def test_recipes_are_trained_and_tested_and_others_keep_their_entry(tmp_path, mo
     printed = capsys.readouterr().out
     assert f"{test['against_time_ms']['50']:.4f} ± 0.0000" in printed and "decisions a second" in printed
     with pytest.raises(SystemExit):
-        cars.main([])
+        datasets.main([])
+    with pytest.raises(SystemExit):
+        datasets.main(["poker", str(tmp_path), "--recipes", "tuned"])
+    assert "poker has the recipes bare, got 'tuned'" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The picture of `cars.py`: how soon, and after how few events, cars are told from background."""
+"""The picture of `datasets.py`: how soon, and after how few events, the networks of one recipe are right."""
 
 from __future__ import annotations
 
@@ -8,25 +8,24 @@ import numpy as np
 
 from async_tnt.views.figure_style import GREY, OFF, ON, PALE, axes_at, headline, new_figure, note
 
-OTHERS = {"HOTS": 0.624, "HATS": 0.902, "AsyNet, AEGNN": 0.945}  # at 100 ms, see docs/results.md
-RECIPE = "tuned"
 HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 3.35
 
 
 def draw(report: dict[str, Any]) -> Any:
     """Accuracy against time, against the number of events, and against what a confidence costs."""
-    tests = report["recipes"][RECIPE]["tests"]
+    tests = next(iter(report["recipes"].values()))["tests"]
+    end_ms = max(float(ms) for ms in tests[0]["against_time_ms"])
     figure = new_figure(HEIGHT)
-    headline(figure, f"N-CARS' test part, {len(tests)} networks")
+    headline(figure, f"{report['title']}, test part, {len(tests)} networks")
     time, events, levels = (axes_at(figure, LEFT + STEP * k, TOP, 2.75, SIDE) for k in range(3))
     for k, test in enumerate(tests):
         look = {"color": OFF, "linewidth": 1, "alpha": 0.6, "label": "each network" if not k else None}
         time.plot([float(ms) for ms in test["against_time_ms"]], list(test["against_time_ms"].values()), **look)
         rows = [row for row in test["accuracy_against_events"] if row["reached"]]
         events.plot([row["events"] for row in rows], [row["accuracy"] for row in rows], **look)
-    for name, share in OTHERS.items():
-        time.plot(100, share, marker="o", markersize=4, color=ON, clip_on=False)
-        note(time, name, (100, share), (-6, -3 if share < 0.94 else 3), ha="right", color=ON)
+    for name, share in report["others"].items():
+        time.plot(end_ms, share, marker="o", markersize=4, color=ON, clip_on=False)
+        note(time, name, (end_ms, share), (-6, -3 if share < 0.94 else 3), ha="right", color=ON)
     found = [[test["confidence"][k] for test in tests] for k in range(len(tests[0]["confidence"]))]
     ms = [np.mean([row["median_ms"] for row in rows]) for rows in found]
     for name, colour, words in (("accuracy", OFF, "right of these"), ("decided", GREY, "windows that reach it")):
@@ -34,7 +33,7 @@ def draw(report: dict[str, Any]) -> Any:
     for rows, x in zip(found, ms, strict=True):
         if rows[0]["level"] >= 0.9:
             note(levels, f"{rows[0]['level']:g}", (x, np.mean([row["accuracy"] for row in rows])), (3, -11))
-    time.set(xlabel="ms since the first event", ylabel="right", xlim=(0, 102))
+    time.set(xlabel="ms since the first event", ylabel="right", xlim=(0, 1.02 * end_ms))
     events.set(xlabel="events", xscale="log")
     events.xaxis.set_major_formatter(lambda count, _: f"{count:,.0f}")
     levels.set(xlabel="median ms until a confidence is reached", xlim=(0, None))

@@ -1,0 +1,209 @@
+"""The field's data sets: accuracy against time on their test parts, by the bare command and by other recipes.
+
+    python benchmarks/datasets.py {cars,nmnist,poker} FOLDER [--seeds N] [--recipes NAME ...] [--out FOLDER]
+                                  [--json FILE] [--picture FILE]
+
+FOLDER is the data set as it is distributed, unpacked. A recipe is one command, `async-tnt train`; `bare` has no option
+but the sensor's size. Finished trainings in --out are kept, interrupted ones resume, and recipes that are not named
+keep their entry in FILE. The test part is read when all networks of a recipe are trained.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from draw_datasets import draw
+from made_objects import SENSOR, write
+from script_options import run_script, script_parser
+from unseen_motions import command
+
+from async_tnt.checking.bench_every_event import bench_every_event
+from async_tnt.checking.timing import interleave, machine, spread, work_clock
+from async_tnt.networks.loading import load_model
+from async_tnt.progress import progress
+from async_tnt.sources import open_recording
+from async_tnt.sources.sensor import format_size
+from async_tnt.volume import TNTVolume
+
+TUNED = "--grid 60x50 --network residual --mirror --epochs 30 --patience 0 --validation 0.05"
+EQUAL = "--network residual --mirror --epochs 10 --patience 0 --validation 0.05 --polarity split"
+VOLUMES = {
+    "volume": "--transform none",
+    **{landmark: f"--landmark {landmark}" for landmark in ("center", "running", "line", "window", "regressor")},
+}
+IMAGES = "count", "count_time", "mean_time", "time_surface"
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A data set's parts, and how they are trained on.
+
+    Parameters
+    ----------
+    train, test : names in its folder; `train` is what the command is given.
+    options : of every recipe.
+    shown_ms : the times that are printed.
+    recipes : name -> further options; the first one is drawn.
+    others : who -> accuracy of complete recordings, as published.
+    """
+
+    title: str
+    train: str
+    test: str
+    options: str = ""
+    shown_ms: tuple[str, ...] = ("10", "20", "30", "50", "100")
+    recipes: Mapping[str, str] = field(default_factory=lambda: {"bare": ""})
+    others: Mapping[str, float] = field(default_factory=dict)
+
+
+DATA_SETS = {
+    "cars": DataSet(
+        "N-CARS",
+        "n-cars_train",
+        "n-cars_test",
+        "--sensor 120x100",
+        recipes={
+            "tuned": f"--representation count --polarity split {TUNED}",
+            "bare": "",
+            **{f"equal_{name}": f"{options} --grid 60x50 {EQUAL}" for name, options in VOLUMES.items()},
+            **{f"equal_{name}": f"--representation {name} --grid 60x50 {EQUAL}" for name in IMAGES},
+            "equal_hats": f"--representation hats --grid 12x10 {EQUAL}",
+        },
+        others={"HOTS": 0.624, "HATS": 0.902, "AsyNet, AEGNN": 0.945},  # see docs/results.md
+    ),
+    "nmnist": DataSet("N-MNIST", "Train", "Test"),
+    "poker": DataSet("POKER-DVS", "pips_train", "pips_test", "--sensor 35x35", ("3", "9", "15", "30")),
+}
+TIMED = 12  # recordings of the test part
+QUICK = DataSet("made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1 --quick", ("5", "50"))
+"""A made set and one epoch."""
+
+
+def measure(data: DataSet, folder: Path, out: Path, recipes: Sequence[str], seeds: int) -> dict[str, Any]:
+    """Train and test each recipe, with each seed."""
+    found = {}
+    with progress(len(recipes) * seeds, "training") as bar:
+        for name in recipes:
+            options = f"{data.options} {data.recipes[name]}".strip()
+            models = []
+            for seed in range(seeds):
+                models.append(out / f"{name}{seed}.safetensors")
+                words = [*options.split(), "--seed", seed, "--out", models[-1], "--run", out / "runs" / f"{name}{seed}"]
+                command("train", folder / data.train, *words, "--json")
+                bar.update()
+            found[name] = {
+                "command": f"async-tnt train {data.train} {options}".strip(),
+                "networks": [_about(path) for path in models],
+                "tests": [_tested(path, folder / data.test) for path in models],
+                **_costs(models[0], folder / data.test),
+            }
+    about = {"title": data.title, "shown_ms": data.shown_ms, "others": data.others}
+    return {**about, "recipes": found, "machine": machine("torch")}
+
+
+def _about(path: Path) -> dict[str, Any]:
+    model = load_model(str(path))
+    trials = model.record["data"].get("choice", [])
+    return {
+        "network": model.record["network"],
+        "weights": sum(w.size for w in model.weights.values()),
+        "trained_on": model.record["data"]["real_recordings"],
+        "chosen": trials[-1]["tried"] if trials else None,
+        "temperature": model.record.get("temperature"),
+        "sure_of_nothing": model.record["validation"]["sure_of_nothing"],
+    }
+
+
+def _tested(path: Path, test: Path) -> dict[str, Any]:
+    report = command("evaluate", path, test, "--json")
+    counts = ("accuracy", "recordings", "window_accuracy", "windows")
+    names = (*counts, "calibration_error", "accuracy_against_events", "confidence")
+    against_time = {f"{row['time_us'] / 1e3:g}": row["accuracy"] for row in report["accuracy_against_time"]}
+    return {"against_time_ms": against_time, **{name: report[name] for name in names}}
+
+
+def _costs(path: Path, test: Path) -> dict[str, Any]:
+    """Of some recordings' first windows: nanoseconds an event in the volume, and a decision after every event."""
+    model = load_model(str(path))
+    files = sorted(file for file in test.glob("*/*") if file.is_file())
+    some = [open_recording(file, sensor=model.config.sensor).read() for file in files[:: -(-len(files) // TIMED)]]
+    for k, events in enumerate(some):
+        events["t"] -= events["t"][0]
+        some[k] = events[events["t"] < model.config.window_us]
+    volume = TNTVolume(model.config)
+
+    def absorbed() -> float:
+        nanoseconds = 0.0
+        for events in some:
+            volume.open(0)
+            started = work_clock()
+            volume.update(events)
+            nanoseconds += 1e9 * (work_clock() - started)
+        return nanoseconds / sum(map(len, some))
+
+    per_event = interleave({"ours": absorbed}, 20)["ours"]
+    return {
+        "event_ns": spread(per_event),
+        "every_event": bench_every_event(model, {}, some, rounds=2 * len(some))["ours"],
+    }
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """For people."""
+    printed = [f"{'':10}" + "".join(f"{ms + ' ms':>18}" for ms in report["shown_ms"])]
+    for name, found in report["recipes"].items():
+        courses = [test["against_time_ms"] for test in found["tests"]]
+        values = [[course[ms] for course in courses if ms in course] for ms in report["shown_ms"]]
+        cells = [f"{np.mean(v):.4f} ± {np.std(v):.4f}" if v else "-" for v in values]
+        printed.append(f"{name:10}" + "".join(f"{cell:>18}" for cell in cells))
+        printed.append(f"{'':10}{found['every_event']['a_second']:,.0f} decisions a second, one after every event")
+    return printed
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Train, test, print and write."""
+    parser = script_parser(__doc__, "a made set and one epoch", draws=True)
+    parser.add_argument("name", nargs="?", choices=DATA_SETS, help="the data set; not with --quick or --from")
+    parser.add_argument("folder", nargs="?", type=Path, metavar="FOLDER", help="where it lies")
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
+    parser.add_argument("--recipes", nargs="+", metavar="NAME", help="default: all of the data set")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="models (default: the data set's name)")
+    args = parser.parse_args(argv)
+    if [args.folder is not None, args.quick, args.source is not None].count(True) != 1:
+        parser.error("give a data set and its folder, --quick, or --from")
+    known = DATA_SETS[args.name].recipes if args.folder else {}
+    for name in args.recipes or ():
+        if args.folder and name not in known:
+            parser.error(f"{args.name} has the recipes {', '.join(known)}, got {name!r}")
+
+    def measured(quick: bool) -> dict[str, Any]:
+        if quick:
+            report = _quick()
+        else:
+            recipes = args.recipes or list(known)
+            report = measure(DATA_SETS[args.name], args.folder, args.out or Path(args.name), recipes, args.seeds)
+        if args.json and args.json.exists():
+            before = json.loads(args.json.read_text(encoding="utf-8"))["recipes"]
+            report["recipes"] = before | report["recipes"]
+        return report
+
+    return run_script(parser, argv, measured, lines, draw)
+
+
+def _quick() -> dict[str, Any]:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for part, n, seed in ((QUICK.train, 6, 0), (QUICK.test, 3, 1)):
+            write(folder / part, n, (0.0,), seed)
+        return measure(QUICK, folder, folder, list(QUICK.recipes), 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
