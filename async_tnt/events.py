@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import NumbaError
 
+from async_tnt.checked_tensors import Arrays, checked_array
 from async_tnt.event_forms import NAMES, named_columns
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.records import (
@@ -84,13 +85,18 @@ class EventDecoder:
         self.newest_us = -1
         self.n_dropped = 0
 
-    def restore(self, newest_us: int, n_dropped: int) -> None:
-        """Continue from a decoder that had these numbers.
+    def save(self) -> Arrays:
+        """What it remembers, as arrays for `restore`."""
+        return {"door": np.array((self.newest_us, self.n_dropped), np.int64)}  # named so in older states
+
+    def restore(self, arrays: Arrays) -> None:
+        """Continue from a decoder with this `save`.
 
         Raises
         ------
-        ValueError : no decoder can have had them.
+        ValueError : no decoder can have had these numbers.
         """
+        newest_us, n_dropped = checked_array(arrays, "door", np.int64, (2,)).tolist()
         if not (-1 <= newest_us < MAX_TIME_US and 0 <= n_dropped < MAX_TIME_US):
             raise ValueError(f"its newest event cannot be at {newest_us} us, after {n_dropped} dropped ones")
         self.newest_us, self.n_dropped = newest_us, n_dropped

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checked_tensors import checked_array, read_state, state_bytes, with_prefix, without_prefix
+from async_tnt.checked_tensors import read_state, state_bytes, with_prefix, without_prefix
 from async_tnt.checks import checked_time
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
@@ -334,10 +334,7 @@ class Processor:
     def save_state(self) -> bytes:
         """The state of the stream: open windows, counts and triggers, but not the classifier. Another processor with
         the same configuration and settings, in any process, continues from it bit for bit (`restore_state`)."""
-        arrays = self._windows.save() | with_prefix("triggers", self._triggers.save())
-        arrays["door"] = np.array(
-            (self._decoder.newest_us, self._decoder.n_dropped), np.int64
-        )  # the decoder's name here
+        arrays = self._windows.save() | with_prefix("triggers", self._triggers.save()) | self._decoder.save()
         return state_bytes(arrays, {"fixed": self._fixed, "triggers": self._triggers.settings()})
 
     def restore_state(self, state: bytes) -> None:
@@ -352,8 +349,7 @@ class Processor:
         try:
             windows.restore(arrays)
             triggers.restore(without_prefix("triggers", arrays), about.get("triggers"))
-            newest_us, n_dropped = checked_array(arrays, "door", np.int64, (2,)).tolist()
-            self._decoder.restore(newest_us, n_dropped)  # last: it changes this processor
+            self._decoder.restore(arrays)  # last: it changes this processor
         except (TypeError, ValueError) as error:
             raise ValueError(f"`state` cannot be restored here: {error}") from None
         self._windows, self._triggers = windows, triggers

@@ -103,6 +103,23 @@ def learning_curve() -> str:
     return table(["", "recordings", "1/all", "1/others", "1/sim"], rows)
 
 
+def simulated_sets() -> str:
+    """Accuracy on other simulated sets."""
+    found = results("table_sets")
+    rows = []
+    for name, parameters in found["data"]["simulated"].items():
+        cells = [short(columns[f"all/{name}"]["mean"]) for columns in found["table"].values()]
+        rows.append([_set_title(parameters), *cells])
+    return table(["tested on motions", *(ROWS[row].title for row in found["table"])], rows)
+
+
+def _set_title(parameters: dict[str, Any]) -> str:
+    kind = str(parameters["kind"])
+    light = "dark on bright" if parameters["simulator"]["scene"]["dark_on_bright"] else "bright on dark"
+    speed, where = kind.split("-")[0], "from the centre" if kind.endswith("from-centre") else "through the centre"
+    return f"{speed}, {where}, {light}"
+
+
 def images() -> str:
     return markdown_table(_accuracies(), "images")
 
@@ -153,6 +170,7 @@ TABLES = (
     conclusions,
     unseen_motion,
     learning_curve,
+    simulated_sets,
     images,
     thesis_rows,
     resynthesis,

@@ -45,7 +45,14 @@ INPUTS = {
     "regressor": TNTConfig(landmark="regressor", t_max=T_MAX),
     "line": TNTConfig(landmark="line", remove_flow=True, t_max=T_MAX),
 }
-IMAGES = {"count": "image of counts", "count_time": "of counts and newest times", "mean_time": "of mean times"}
+IMAGES = {
+    "count": "image of counts",
+    "count_time": "of counts and newest times",
+    "mean_time": "of mean times",
+    "time_surface": "time surface",
+    "hats": "HATS, 8x8 cells",
+}
+HATS_GRID = (8, 8)
 TITLES = {"raw": "raw", **{name: f"`{name}`" for name in INPUTS if name != "raw"}}
 
 COLUMNS = {
@@ -171,6 +178,8 @@ def _learning() -> Iterator[Row]:
 def _images() -> Iterator[Row]:
     for representation, title in IMAGES.items():
         config = TNTConfig(representation=representation, transform="none", landmark="center", polarity="split")
+        if representation == "hats":
+            config = config.replace(grid=HATS_GRID)
         augmentation = replace(THINNED, translate_px=TRANSLATE_PX)
         yield Row(f"{representation}-translated", "images", f"{title}, translated", config, augmentation)
 
