@@ -1,8 +1,8 @@
 """Reads a MATLAB file (`.mat`) up to version 7 with SciPy, in the process of `child_process.py`; `hdf5.py` reads 7.3.
 
 Events are vectors of equal length named x, y, t (or ts) and p (or pol), as ASL-DVS has them, or fields of one
-structure, as the AER functions for MATLAB have them. They may be doubles, as MATLAB's numbers are, if they are whole. Other
-variables are not read.
+structure, as the AER functions for MATLAB have them. They may be doubles, as MATLAB's numbers are, if they are whole.
+Other variables are not read.
 """
 
 from __future__ import annotations
