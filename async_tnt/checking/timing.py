@@ -67,7 +67,6 @@ def latency(values: np.ndarray) -> dict[str, float]:
 def no_collector() -> Iterator[None]:
     """Without Python's garbage collector, which runs at random; its state is restored afterwards."""
     was_enabled = gc.isenabled()
-    gc.collect()
     gc.disable()
     try:
         yield
