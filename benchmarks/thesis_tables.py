@@ -82,13 +82,12 @@ def unseen_motion() -> str:
     n_seeds = len(_accuracies()["raw-translated"]["1/all"]["seeds"])
     of = {name: short(columns["1/all"]["mean"]) for name, columns in _accuracies().items() if "1/all" in columns}
     return (
-        f"Trained on one saccade and tested on all three, at t_max 2, with windows moved by up to 4 px in training, "
-        f"over {n_seeds} seeds, the accuracy is {of['raw-translated']} untransformed and "
-        f"{of['running-translated']} with `running`; without "
-        f"the sign of polarity {of['raw-unsigned-translated']}, {of['running-unsigned-translated']}, and "
-        f"{of['line-unsigned-translated']} with `line` and its flow removed. Guessing in the other two saccades gives "
-        f"{short((0.99 + 2 * GUESS) / 3)}; [re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions "
-        f"{of['raw-motions']}, untransformed."
+        f"Trained on the first saccade, tested on all three ({n_seeds} seeds, t_max 2, windows moved by up to 4 px in "
+        f"training). With the sign of polarity: untransformed {of['raw-translated']}, `running` "
+        f"{of['running-translated']}. Without it: untransformed {of['raw-unsigned-translated']}, `running` "
+        f"{of['running-unsigned-translated']}, `line` with its flow removed {of['line-unsigned-translated']}. "
+        f"A network that guesses in the other two saccades has {short((0.99 + 2 * GUESS) / 3)}. "
+        f"[Re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions, untransformed: {of['raw-motions']}."
     )
 
 

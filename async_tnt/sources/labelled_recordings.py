@@ -142,7 +142,7 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
         sessions = {path: table for path, table in sessions.items() if path.name in wanted}
     names = {}
     if (folder / NAMES_FILE).is_file():
-        columns = {"label": ("label", "class"), "name": ("gesture", "name")}
+        columns = {"label": ("label", "class"), "name": ("action", "gesture", "name")}
         names = {row["label"]: row["name"] for row in _rows(folder / NAMES_FILE, columns)}
     found: dict[str, list[LabelledRecording]] = {}
     for path, table in sessions.items():

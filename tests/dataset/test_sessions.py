@@ -89,7 +89,7 @@ def test_the_files_of_dvs128_gesture(tmp_path):
     for name in ("user01_lab", "user02_lab"):
         write_session(tmp_path, name, ("flat", "upright"), numbers={"flat": 2, "upright": 10})
     assert list(find_recordings(tmp_path)) == ["2", "10"]
-    (tmp_path / "gesture_mapping.csv").write_text("gesture,label\nhand_clapping,2\nair_guitar,10\n")
+    (tmp_path / "gesture_mapping.csv").write_text("action,label\nhand_clapping,2\nair_guitar,10\n")
     (tmp_path / "trials_to_train.txt").write_text("user01_lab.npz\n")
     (tmp_path / "trials_to_test.txt").write_text("user02_lab.npz\n\n")
     found = find_recordings(tmp_path, "Test")
