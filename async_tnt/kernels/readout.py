@@ -19,7 +19,8 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     ints = buffer.view(np.int64)
     first = ints[S.LOG]
     n_log = ints[S.N_LOG]
-    if n_log > ints[S.LOG_SIZE] or n_log * S.NUMBERS_PER_EMPTIED > first - S.CELLS:
+    # where there is a memory, all of it is emptied anyway, and the log names every second bin only
+    if ints[S.MEMORY] or n_log > ints[S.LOG_SIZE] or n_log * S.NUMBERS_PER_EMPTIED > first - S.CELLS:
         for i in range(S.CELLS, first):
             buffer[i] = 0.0
         array[:] = 0.0

@@ -123,14 +123,14 @@ def run_network(
         if before["tested_on"].get(column) == what:
             columns[column] = before["columns"][column]
             continue
-        n_right, n = {}, {}
-        for motion, windows in _tests(column.split("/")[1], data, simulated):
-            n[motion] = len(windows)
-            n_right[motion] = int(_right(pipeline, windows).sum())
+        right: dict[str, list[np.ndarray]] = {}
+        for motion, windows in _tests(column.split("/")[1], data, simulated):  # a motion may come in several parts
+            right.setdefault(motion, []).append(_right(pipeline, windows))
+        of_motion = {motion: np.concatenate(parts) for motion, parts in right.items()}
         columns[column] = {
-            "accuracy": sum(n_right.values()) / sum(n.values()),
-            "windows": sum(n.values()),
-            "per_motion": {motion: n_right[motion] / n[motion] for motion in n},
+            "accuracy": float(np.concatenate(list(of_motion.values())).mean()),
+            "windows": sum(map(len, of_motion.values())),
+            "per_motion": {motion: float(of_one.mean()) for motion, of_one in of_motion.items()},
         }
     result = {
         "row": run.row,
