@@ -9,6 +9,7 @@ import numpy as np
 from page_parts import percent, results, short, table
 
 from async_tnt import load_model
+from async_tnt.training.table import cell, summary
 
 CARS_MS = "10", "20", "30", "50", "100"
 WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
@@ -139,7 +140,7 @@ def cars() -> str:
             continue
         courses = [test["against_time_ms"] for test in found["tests"]]
         shares = [[course[ms] for course in courses] for ms in CARS_MS]
-        cells = [f"{np.mean(values):.3f} ± {np.std(values):.3f}".replace("0.", ".") for values in shares]
+        cells = [cell(summary(values)) for values in shares]
         options = found["command"].partition("--sensor 120x100")[2].strip()
         rate = found["every_event"]["a_second"]
         rows.append([f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"])
@@ -164,6 +165,8 @@ def cars_confidence() -> str:
     tests = results("cars")["recipes"]["tuned"]["tests"]
     rows = []
     for levels in zip(*(test["confidence"] for test in tests), strict=True):
+        if any(level["median_ms"] is None for level in levels):  # that no window reaches
+            continue
         means = [np.mean([level[name] for level in levels]) for name in ("decided", "accuracy", "median_ms", "p90_ms")]
         shares = [percent(float(share)) for share in means[:2]]
         rows.append([f"{levels[0]['level']:g}", *shares, *(f"{ms:.0f}" for ms in means[2:])])

@@ -18,7 +18,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
 from draw_datasets import draw
 from made_objects import SENSOR, write
 from script_options import run_script, script_parser
@@ -30,6 +29,7 @@ from async_tnt.networks.loading import load_model
 from async_tnt.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.sensor import format_size
+from async_tnt.training.table import cell, summary
 from async_tnt.volume import TNTVolume
 
 TUNED = "--grid 60x50 --network residual --mirror --epochs 30 --patience 0 --validation 0.05"
@@ -76,7 +76,7 @@ DATA_SETS = {
             **{f"equal_{name}": f"--representation {name} --grid 60x50 {EQUAL}" for name in IMAGES},
             "equal_hats": f"--representation hats --grid 12x10 {EQUAL}",
         },
-        others={"HOTS": 0.624, "HATS": 0.902, "AsyNet, AEGNN": 0.945},  # see docs/results.md
+        others={"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # see docs/results.md
     ),
     "nmnist": DataSet("N-MNIST", "Train", "Test"),
     "poker": DataSet("POKER-DVS", "pips_train", "pips_test", "--sensor 35x35", ("3", "9", "15", "30")),
@@ -103,9 +103,15 @@ def measure(data: DataSet, folder: Path, out: Path, recipes: Sequence[str], seed
                 "networks": [_about(path) for path in models],
                 "tests": [_tested(path, folder / data.test) for path in models],
                 **_costs(models[0], folder / data.test),
+                "machine": machine("torch"),
             }
-    about = {"title": data.title, "shown_ms": data.shown_ms, "others": data.others}
-    return {**about, "recipes": found, "machine": machine("torch")}
+    return {"title": data.title, "shown_ms": data.shown_ms, "others": data.others, "recipes": found}
+
+
+def with_earlier(report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:
+    """A report, and the recipes of an earlier one that it does not have, in the order given."""
+    recipes = before["recipes"] | report["recipes"]
+    return {**report, "recipes": {name: recipes[name] for name in order if name in recipes}}
 
 
 def _about(path: Path) -> dict[str, Any]:
@@ -161,7 +167,7 @@ def lines(report: dict[str, Any]) -> list[str]:
     for name, found in report["recipes"].items():
         courses = [test["against_time_ms"] for test in found["tests"]]
         values = [[course[ms] for course in courses if ms in course] for ms in report["shown_ms"]]
-        cells = [f"{np.mean(v):.4f} ± {np.std(v):.4f}" if v else "-" for v in values]
+        cells = [cell(summary(v) if v else None) for v in values]
         printed.append(f"{name:10}" + "".join(f"{cell:>18}" for cell in cells))
         printed.append(f"{'':10}{found['every_event']['a_second']:,.0f} decisions a second, one after every event")
     return printed
@@ -185,13 +191,11 @@ def main(argv: list[str] | None = None) -> int:
 
     def measured(quick: bool) -> dict[str, Any]:
         if quick:
-            report = _quick()
-        else:
-            recipes = args.recipes or list(known)
-            report = measure(DATA_SETS[args.name], args.folder, args.out or Path(args.name), recipes, args.seeds)
+            return _quick()
+        recipes = args.recipes or list(known)
+        report = measure(DATA_SETS[args.name], args.folder, args.out or Path(args.name), recipes, args.seeds)
         if args.json and args.json.exists():
-            before = json.loads(args.json.read_text(encoding="utf-8"))["recipes"]
-            report["recipes"] = before | report["recipes"]
+            report = with_earlier(report, json.loads(args.json.read_text(encoding="utf-8")), list(known))
         return report
 
     return run_script(parser, argv, measured, lines, draw)

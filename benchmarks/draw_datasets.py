@@ -26,7 +26,8 @@ def draw(report: dict[str, Any]) -> Any:
     for name, share in report["others"].items():
         time.plot(end_ms, share, marker="o", markersize=4, color=ON, clip_on=False)
         note(time, name, (end_ms, share), (-6, -3 if share < 0.94 else 3), ha="right", color=ON)
-    found = [[test["confidence"][k] for test in tests] for k in range(len(tests[0]["confidence"]))]
+    found = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
+    found = [rows for rows in found if all(row["median_ms"] is not None for row in rows)]  # that windows reach
     ms = [np.mean([row["median_ms"] for row in rows]) for rows in found]
     for name, colour, words in (("accuracy", OFF, "right of these"), ("decided", GREY, "windows that reach it")):
         levels.plot(ms, [np.mean([row[name] for row in rows]) for rows in found], "o-", color=colour, ms=3, label=words)

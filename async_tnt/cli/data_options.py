@@ -60,10 +60,11 @@ def command_words(
         value = getattr(args, action.dest)
         if action.type is Path or value == action.default or action.dest in leave_out:
             continue
-        if action.dest == "start_from":
+        if action.dest in ("start_from", "network"):
             value = Path(value).name
         text = " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-        words.append(action.option_strings[0] if value is True else f"{action.option_strings[0]} {text}")
+        name = action.option_strings[-1 if value is False else 0]  # --mirror, --no-mirror
+        words.append(name if isinstance(value, bool) else f"{name} {text}")
     return " ".join(words)
 
 

@@ -106,7 +106,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     summary: dict[str, Any] = {
         "data": data.record,
         "command": _command(args),
-        "network": settings.network if start is None else "that of the model it started from",
+        "network": Path(settings.network).name if start is None else "that of the model it started from",
         "seed": args.seed,
         "epochs": n_trained,
         "iterations": int(result.history[-1]["iterations"]),

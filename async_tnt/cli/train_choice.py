@@ -18,6 +18,7 @@ from async_tnt.files import write_text
 from async_tnt.progress import progress
 from async_tnt.training.choice import STEPS, Candidate, Questions, Trial, choose
 from async_tnt.training.data import TrainingData
+from async_tnt.training.run_folder import has_checkpoint
 from async_tnt.training.settings import TrainSettings
 
 FILE = "choice.json"
@@ -43,13 +44,17 @@ class Choice:
     Parameters
     ----------
     run_folder : of the run.
-    depends_on : what it follows from: recordings and options.
+    depends_on : the options that it follows from.
+    recordings : name -> bytes. Once the training has begun, `check_run` compares them.
     """
 
-    def __init__(self, run_folder: Path, depends_on: Mapping[str, Any]) -> None:
-        self._file = run_folder / FILE
-        self._key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:12]
-        self._folder = run_folder / f"choice-{self._key}"
+    def __init__(self, run_folder: Path, depends_on: Mapping[str, Any], recordings: Mapping[str, int]) -> None:
+        self._run_folder, self._file = run_folder, run_folder / FILE
+        self._key, self._recordings = (
+            hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:12]
+            for what in (depends_on, recordings)
+        )
+        self._folder = run_folder / f"choice-{self._key}-{self._recordings}"
         self.trials: list[dict[str, Any]] = []
         self.chosen: Candidate | None = None
         try:
@@ -58,7 +63,8 @@ class Choice:
             return
         except ValueError as error:
             raise ValueError(f"{self._file}: damaged ({error}); delete it to choose again") from None
-        if found.get("key") == self._key:
+        same_recordings = has_checkpoint(run_folder) or found.get("recordings") == self._recordings
+        if found.get("key") == self._key and same_recordings:
             self.trials = found["trials"]
             self.chosen = Candidate(TNTConfig.from_dict(found["config"]), found["network"], found["mirror"])
 
@@ -79,9 +85,11 @@ class Choice:
         self.trials = [trial.to_dict() for trial in trials]
         self.chosen = best = trials[-1].candidate
         print(f"chosen: {best}", file=sys.stderr)
-        kept = {"key": self._key, "trials": self.trials, **asdict(best), "config": best.config.to_dict()}
+        kept: dict[str, Any] = {"key": self._key, "recordings": self._recordings, "trials": self.trials}
+        kept |= {**asdict(best), "config": best.config.to_dict()}
         write_text(self._file, json.dumps(kept, indent=1))
-        shutil.rmtree(self._folder, ignore_errors=True)
+        for folder in self._run_folder.glob("choice-*"):  # also of earlier options
+            shutil.rmtree(folder, ignore_errors=True)
         return best
 
 

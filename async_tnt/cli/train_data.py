@@ -24,7 +24,7 @@ from async_tnt.training.augment import Augmentation
 from async_tnt.training.choice import Candidate
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
-from async_tnt.training.run_folder import check_run
+from async_tnt.training.run_folder import check_run, has_checkpoint, other_run
 from async_tnt.training.settings import TrainSettings, settings_for
 
 
@@ -38,6 +38,8 @@ def config_of(args: argparse.Namespace) -> TNTConfig:
         representation=args.representation or "volume",
     )
     grid = size_of(args.grid) if args.grid else config.grid
+    if args.dataset is not None:  # whose sensor is not known yet; HATS need no fewer pixels than cells
+        config = config.replace(sensor=(max(config.sensor[0], grid[0]), max(config.sensor[1], grid[1])))
     return config.replace(grid=grid, window_us=args.window_us or config.window_us)
 
 
@@ -62,11 +64,17 @@ def of_dataset(
         "groups": args.groups,
         "pixels": pixels.record,
     }
+    augmentation = _augmentation(args)
     choice = None
     if questions:
-        choice = Choice(run_folder, {"sources": sources, "settings": known, "volume": config.to_dict()})
+        depends_on = {"settings": known, "volume": config.to_dict(), "augmentation": augmentation}
+        depends_on |= {"questions": asdict(questions), **sources, "recordings": None}
+        choice = Choice(run_folder, depends_on, sources["recordings"])
         if choice.chosen is not None:
             config, known["network"] = choice.chosen.config, choice.chosen.network
+        elif has_checkpoint(run_folder):
+            check_run(run_folder, {}, {}, sources)  # names recordings that differ
+            raise other_run(run_folder, "options")
     volume = {name: value for name, value in config.to_dict().items() if name != "sensor"}
     if pixels.sensor is not None and not pixels.crop:
         volume["sensor"] = pixels.sensor
@@ -84,13 +92,11 @@ def of_dataset(
         fit_window=args.window_us is None and start is None,
         test=args.test,
         seed=args.seed,
-        store=next(folder for folder in run_folder.absolute().parents if folder.is_dir()),
+        store=next(folder for folder in (run_folder.absolute(), *run_folder.absolute().parents) if folder.is_dir()),
         progress=progress,
     )
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
         print(line, file=sys.stderr)
-
-    augmentation = _augmentation(args)
 
     def settings_of(candidate: Candidate, steps: int | None = None) -> TrainSettings:
         return settings_for(
@@ -106,7 +112,9 @@ def of_dataset(
         )
 
     candidate = Candidate(data.config, given["network"], bool(args.mirror))
-    if choice is not None:
+    if choice is not None and len(data.validation) == 0:
+        print("no recording is held out to compare volumes and networks on: the defaults are taken", file=sys.stderr)
+    elif choice is not None:
         candidate = choice.chosen or choice.make(data, candidate, questions, settings_of)
         data = replace(data, config=candidate.config, record={**data.record, "choice": choice.trials})
     return data, settings_of(candidate), {**sources, "used": list(data.training.recordings.names)}

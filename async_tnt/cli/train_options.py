@@ -27,8 +27,9 @@ recordings. With --roi and --mask it learns from some of the camera's pixels, wh
 With --nmnist, on N-MNIST's digits and, with --simulated, on recordings simulated from MNIST's images.
 
 Each epoch shifts, rotates and thins every window at random, so no two epochs are alike. Some of the real recordings are
-held out, and used only to measure accuracy after each epoch. Checkpoints go into the run folder: stop with Ctrl-C, give
-the same command again, and the training resumes and ends with exactly the same weights.
+held out: they choose volume and network, calibrate the probabilities, and tell the accuracy after each epoch.
+Checkpoints go into the run folder: stop with Ctrl-C, give the same command again, and the training resumes and ends
+with exactly the same weights.
 """
 EPILOG = """\
 examples:

@@ -14,7 +14,7 @@ from async_tnt.progress import Bar, no_progress
 from async_tnt.sources.labelled_recordings import file_of
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.dataset import Dataset, read_dataset
-from async_tnt.training.digits import read_nmnist_folder, read_samples, simulate_recordings
+from async_tnt.training.digits import read_nmnist_folder, read_samples, recording_numbers, simulate_recordings
 from async_tnt.training.groups import (
     GROUPS_FILE,
     groups_by_pattern,
@@ -23,7 +23,7 @@ from async_tnt.training.groups import (
     hold_out_last,
 )
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.windows import CLASSES, Windows, make_windows, split_recordings
+from async_tnt.training.windows import CLASSES, Windows, make_windows, saccade, split_recordings
 
 SACCADES = (1, 2, 3)
 
@@ -194,7 +194,8 @@ def nmnist_data(
     n_real = len(recordings)
     learned, held_out = split_recordings(recordings, validation, np.random.default_rng(seed))
     if mnist is not None and simulated:
-        recordings += simulate_recordings(mnist, simulated, seed, progress=progress)
+        unseen = [n - 1 for n in recording_numbers(recordings.names[i] for i in held_out)]
+        recordings += simulate_recordings(mnist, simulated, seed, leave_out=unseen, progress=progress)
         learned = np.concatenate([learned, np.arange(n_real, len(recordings))])
     record = {
         "source": "N-MNIST recordings (Train), held out by recording"
@@ -208,7 +209,7 @@ def nmnist_data(
 
     def windows_of(which: np.ndarray) -> Windows:
         windows = make_windows(recordings, config.window_us, which=which)
-        return windows[np.isin(windows.start_us // config.window_us + 1, list(saccades))]
+        return windows[np.isin(saccade(windows) + 1, list(saccades))]
 
     tests: dict[str, tuple[Windows, dict[str, Any]]] = {}
     if test:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,8 @@ from async_tnt.training.recordings import Recordings
 FIRST_INDEX = 5_000
 """Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000, some of which are
 held out for validation; the bundled samples show images 2,000 to 2,100."""
+OFFICIAL = 60_000, 10_000
+"""Recordings of N-MNIST's Train and Test. Number n of Train shows image n of MNIST's training set, index n - 1."""
 LAYOUT = "expected N-MNIST's layout, Train/<digit>/*.bin and Test/<digit>/*.bin"
 
 
@@ -69,11 +71,20 @@ def read_nmnist_folder(
 
 
 def simulate_recordings(
-    mnist_folder: str | os.PathLike[str], n: int, seed: int, *, progress: Callable[..., Bar] = no_progress
+    mnist_folder: str | os.PathLike[str],
+    n: int,
+    seed: int,
+    *,
+    leave_out: Collection[int] = (),
+    progress: Callable[..., Bar] = no_progress,
 ) -> Recordings:
     """Simulate `n` recordings of different MNIST training images, drawn from index `FIRST_INDEX` on.
 
     Each has its own random generator, seeded by (seed, index of the image).
+
+    Parameters
+    ----------
+    leave_out : indices of images that are not drawn.
 
     Raises
     ------
@@ -81,16 +92,22 @@ def simulate_recordings(
     OSError : no such files.
     """
     images, labels = load_mnist(mnist_folder, "train")
-    n_images = max(0, len(images) - FIRST_INDEX)
-    if not 0 <= n <= n_images:
-        raise ValueError(f"the number of simulated recordings must be in [0, {n_images}], got {n}")
-    indices = FIRST_INDEX + np.random.default_rng(seed).permutation(n_images)[:n]
+    drawn = FIRST_INDEX + np.random.default_rng(seed).permutation(max(0, len(images) - FIRST_INDEX))
+    drawn = drawn[~np.isin(drawn, list(leave_out))]
+    if not 0 <= n <= len(drawn):
+        raise ValueError(f"the number of simulated recordings must be in [0, {len(drawn)}], got {n}")
+    indices = drawn[:n]
     events = []
     with progress(n, "simulating") as bar:
         for i in indices:
             events.append(simulate_digit(images[i], np.random.default_rng((seed, int(i)))))
             bar.update()
     return Recordings.from_events(events, labels[indices], [f"simulated {i}" for i in indices])
+
+
+def recording_numbers(names: Iterable[str]) -> list[int]:
+    """Of N-MNIST recordings' names, those that have one: `3/00001.bin` is number 1."""
+    return [int(stem) for stem in (Path(name).stem for name in names) if stem.isdigit()]
 
 
 def read_samples() -> Recordings:

@@ -107,14 +107,18 @@ def train(
         optimizer.load_state_dict(state["optimizer"])
         history, best, best_epoch = state["history"], state["best"], state["best_epoch"]
 
-    steps = math.ceil(len(training) / settings.batch)
+    steps = settings.n_steps(len(training))
     n_iterations = settings.n_iterations(len(training))
     n_epochs = settings.n_epochs(len(training))
-    with progress(n_iterations, "training", done=len(history) * steps) as bar:
+    with (
+        torch.random.fork_rng(devices=[]),
+        progress(n_iterations, "training", done=len(history) * steps) as bar,
+    ):
         for epoch in range(len(history), n_epochs):
             if settings.patience is not None and epochs_since_best(history) >= settings.patience:
                 break
             pipeline.train()
+            torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])  # of dropout
             total_loss, n_right, n_of_a_class, n_seen = 0.0, 0, 0, 0
             n_steps = min(steps, n_iterations - epoch * steps)
             batches = batches_of(config, training, settings, epoch, motions)
@@ -229,20 +233,22 @@ def _targets(labels: np.ndarray, draws: Draws | None, n_classes: int) -> torch.T
 
 def _validate(pipeline: Pipeline, windows: Windows, settings: TrainSettings) -> dict[str, float]:
     """Accuracy at the windows' ends. The loss, and the share that is right at any moment, are those at the ends and,
-    for as many windows as in training, at a tenth of each."""
+    for as many windows as in training, at a tenth of each; with `balance`, means over classes."""
     if len(windows) == 0:
         return {}
     probabilities = class_probabilities(pipeline, windows)
     loss = _loss(probabilities, windows.labels, balance=settings.balance)
-    per_window = per_moment = float((probabilities.argmax(1) == windows.labels).mean())
+    right = probabilities.argmax(1) == windows.labels
+    per_moment = _mean(right, windows.labels, balance=settings.balance)
     partial = 0.0 if settings.augmentation is None else settings.augmentation.partial
     if partial:
         until_us = (1 + np.arange(len(windows)) % 10) * pipeline.config.window_us // 10
         early = class_probabilities(pipeline, windows, until_us=until_us)
         loss += partial * (_loss(early, windows.labels, balance=settings.balance) - loss)
-        per_moment += partial * (float((early.argmax(1) == windows.labels).mean()) - per_moment)
+        right_early = _mean(early.argmax(1) == windows.labels, windows.labels, balance=settings.balance)
+        per_moment += partial * (right_early - per_moment)
     return {
-        "per_window": per_window,
+        "per_window": float(right.mean()),
         "per_recording": share_right(confusion_by_recording(probabilities, windows)),
         "per_moment": per_moment,
         "validation_loss": loss,
@@ -250,10 +256,13 @@ def _validate(pipeline: Pipeline, windows: Windows, settings: TrainSettings) -> 
 
 
 def _loss(probabilities: np.ndarray, labels: np.ndarray, *, balance: bool) -> float:
-    log_likelihood = np.log(probabilities[np.arange(len(labels)), labels] + 1e-12)
+    return -_mean(np.log(probabilities[np.arange(len(labels)), labels] + 1e-12), labels, balance=balance)
+
+
+def _mean(values: np.ndarray, labels: np.ndarray, *, balance: bool) -> float:
     if balance:  # with 95 windows of one class and 5 of another, the 5 would hardly count
-        return -float(np.mean([log_likelihood[labels == label].mean() for label in np.unique(labels)]))
-    return -float(log_likelihood.mean())
+        return float(np.mean([values[labels == label].mean() for label in np.unique(labels)]))
+    return float(values.mean())
 
 
 def _optimizer(pipeline: Pipeline, settings: TrainSettings) -> torch.optim.Optimizer:

@@ -134,7 +134,11 @@ def check_network(name: str, config: TNTConfig) -> None:
     ValueError : what is wrong with it.
     """
     try:
-        Model.from_torch(build_network(name, config.channels, config.grid, 2), config.replace(landmark="center"), "ab")
+        Model.from_torch(
+            build_network(name, config.channels, config.grid, 2),
+            config.replace(landmark="center", remove_flow=False),
+            "ab",
+        )
     except NotImplementedError as error:
         raise ValueError(f"--network {name}: {error}") from None
 
@@ -158,8 +162,9 @@ def input_scale(config: TNTConfig, windows: Windows, n: int = 512) -> float:
     it even on held-out digits of the training motions.
     """
     some = windows[np.unique(np.linspace(0, len(windows) - 1, min(n, len(windows))).astype(np.int64))]
-    mean_square = float(np.square(BatchVolumes(config)(some), dtype=np.float64).mean())
-    return 1.0 / np.sqrt(max(mean_square, 1e-12))
+    volumes = BatchVolumes(config)  # one after another: together they may be large
+    mean_square = np.mean([np.square(volumes(some[k : k + 1]), dtype=np.float64).mean() for k in range(len(some))])
+    return float(1.0 / np.sqrt(max(mean_square, 1e-12)))
 
 
 def export(pipeline: Pipeline, classes: tuple[str, ...], record: Mapping[str, Any]) -> Model:

@@ -40,6 +40,11 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     write_text(run_folder / HISTORY, text)
 
 
+def has_checkpoint(run_folder: Path) -> bool:
+    """Whether a training has begun there."""
+    return (run_folder / CHECKPOINT).exists()
+
+
 def load_checkpoint(run_folder: Path, identity: str) -> dict[str, Any] | None:
     """The state that `save_checkpoint` wrote into the folder; None if there is none yet.
 
@@ -77,9 +82,15 @@ def identity_of(
             "data": windows_checksum(training, validation),
             "classes": classes,
             **({} if motions is None else {"motions": asdict(motions)}),
+            **({"network_file": network_checksum(settings.network)} if ":" in settings.network else {}),
             "start": 0 if start is None else zlib.crc32(b"".join(w.tobytes() for w in start.weights.values())),
         }
     )
+
+
+def network_checksum(network: str) -> int:
+    """Of the file of an own network, "module.py:build"."""
+    return zlib.crc32(Path(network.rsplit(":", 1)[0]).read_bytes())
 
 
 def windows_checksum(training: Windows, validation: Windows) -> int:

@@ -72,13 +72,18 @@ class TrainSettings:
         if not 0 <= self.label_smoothing < 1:
             raise ValueError(f"`label_smoothing` must be in [0, 1), got {self.label_smoothing}")
 
+    def n_steps(self, n_windows: int) -> int:
+        """Steps of an epoch. A last batch of a single window is left out: batch norm needs two."""
+        n_full, n_rest = divmod(n_windows, self.batch)
+        return max(1, n_full + (n_rest > 1))
+
     def n_epochs(self, n_windows: int) -> int:
         """Passes over `n_windows` training windows; the last one may be cut short."""
-        return math.ceil(self.n_iterations(n_windows) / math.ceil(n_windows / self.batch))
+        return math.ceil(self.n_iterations(n_windows) / self.n_steps(n_windows))
 
     def n_iterations(self, n_windows: int) -> int:
         """All steps, for `n_windows` training windows."""
-        return self.iterations or self.epochs * math.ceil(n_windows / self.batch)
+        return self.iterations or self.epochs * self.n_steps(n_windows)
 
 
 def settings_for(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from async_tnt.training.table_rows import COLUMNS, DIFFERENCES, GROUPS, ROWS, THESIS
 
 T_975 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
-"""Student's t, 97.5 %, with 1 to 9 degrees of freedom; 1.96 for more would be too small by less than 14 %."""
+"""Student's t, 97.5 %, with 1 to 9 degrees of freedom; for more, the last one, which is a little too wide."""
 
 
 def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
@@ -39,17 +39,18 @@ def aggregate(runs: Iterable[dict[str, Any]]) -> dict[str, Any]:
             seeds = {str(seed): part["accuracy"] for seed, part in found.items()}
             some = next(iter(found.values()))
             table.setdefault(row, {})[column] = {
-                **_summary(list(seeds.values())),
+                **summary(list(seeds.values())),
                 "seeds": seeds,
                 "windows": some["windows"],
                 "per_motion": {
-                    m: _summary([part["per_motion"][m] for part in found.values()]) for m in some["per_motion"]
+                    m: summary([part["per_motion"][m] for part in found.values()]) for m in some["per_motion"]
                 },
             }
     return table
 
 
-def _summary(values: list[float]) -> dict[str, float | None]:
+def summary(values: Sequence[float]) -> dict[str, float | None]:
+    """Mean and sample deviation (n - 1), for `cell`."""
     return {"mean": float(np.mean(values)), "deviation": float(np.std(values, ddof=1)) if len(values) > 1 else None}
 
 

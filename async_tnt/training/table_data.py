@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 
 from async_tnt.simulation.moving_mnist import open_set
-from async_tnt.training.digits import read_nmnist_folder
+from async_tnt.training.digits import OFFICIAL, read_nmnist_folder, recording_numbers
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.windows import COLUMNS, Windows, make_windows, split_recordings
+from async_tnt.training.windows import COLUMNS, SACCADE_US, Windows, make_windows, saccade, split_recordings
 
-WINDOW_US = 105_000
-OFFICIAL = (60_000, 10_000)
 CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
 """The one saccade of each digit in `confounded`."""
 VALIDATION_SEED = 0  # the same digits are held out, or left out, in every row and for every seed
@@ -75,9 +73,9 @@ class RealFolder:
         learned, held_out = split_recordings(train, self.validation, np.random.default_rng(VALIDATION_SEED))
         official = (len(train), len(test)) == OFFICIAL
         return RealData(
-            make_windows(train, WINDOW_US, which=learned),
-            make_windows(train, WINDOW_US, which=held_out),
-            make_windows(test, WINDOW_US),
+            make_windows(train, SACCADE_US, which=learned),
+            make_windows(train, SACCADE_US, which=held_out),
+            make_windows(test, SACCADE_US),
             shown_test_images(train.names),
             {
                 "training_recordings": len(learned),
@@ -94,13 +92,8 @@ def shown_test_images(names: Sequence[str]) -> np.ndarray:
     Number n of the official Train shows image n of MNIST's training set. Where a set is split differently, official
     test recording n is numbered 60,000 + n; it shows image n of MNIST's test set, index n - 1.
     """
-    numbers = [int(stem) for stem in (Path(name).stem for name in names) if stem.isdigit()]
-    return np.unique([n - OFFICIAL[0] - 1 for n in numbers if OFFICIAL[0] < n <= sum(OFFICIAL)]).astype(np.int64)
-
-
-def saccade(windows: Windows) -> np.ndarray:
-    """Which saccade of its recording each window is: 0, 1 or 2."""
-    return windows.start_us // WINDOW_US
+    numbers = np.array(recording_numbers(names), np.int64)
+    return np.unique(numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]) - OFFICIAL[0] - 1
 
 
 def trained_on(windows: Windows, name: str) -> Windows:
@@ -155,5 +148,5 @@ def simulated_windows(folder: Path, seen_images: np.ndarray) -> Iterator[tuple[s
         unseen = np.flatnonzero(~np.isin(shard.image, seen_images))
         yield (
             shard.metadata["motion"]["name"],
-            make_windows(recordings, WINDOW_US, which=unseen, duration_us=WINDOW_US),
+            make_windows(recordings, SACCADE_US, which=unseen, duration_us=SACCADE_US),
         )

@@ -74,10 +74,12 @@ def softened(probabilities: np.ndarray, temperature: float) -> np.ndarray:
 def calibrated(model: Model, temperature: float) -> tuple[Model, float]:
     """The model with its logits divided by `temperature`, and that temperature.
 
-    A network that ends in neither a dense layer nor a convolution stays as it is: 1.
+    A network that ends in neither a dense layer nor a convolution, or whose last layer shares its weights with another,
+    stays as it is: 1.
     """
-    last = model.layers[CLASSIFIER][-1]
-    if last["op"] not in ("dense", "conv"):
+    *others, last = model.layers[CLASSIFIER]
+    shared = {name for layer in others for name in layer.get("weights", {}).values()}
+    if last["op"] not in ("dense", "conv") or shared & {*last["weights"].values()}:
         return model, 1.0
     scaled = {name: model.weights[name] / np.float32(temperature) for name in last["weights"].values()}
     return replace(model, weights={**model.weights, **scaled}), temperature

@@ -13,8 +13,9 @@ import numpy as np
 from async_tnt.training.recordings import COLUMNS, Recordings
 
 CLASSES = tuple("0123456789")
-DURATION_US = 315_000
-"""Three saccades of 105 ms; the few later events of an N-MNIST recording are left out."""
+SACCADE_US = 105_000
+DURATION_US = 3 * SACCADE_US
+"""Of an N-MNIST recording; its few later events are left out."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,11 @@ class Windows:
         bounds = np.clip(self.start_us[i] + np.array([from_us, until_us]), 0, np.iinfo(t.dtype).max)
         start, stop = first + np.searchsorted(t[first:last], bounds.astype(t.dtype))  # of its type: else t is copied
         return slice(int(start), int(stop))
+
+
+def saccade(windows: Windows) -> np.ndarray:
+    """In which saccade of its N-MNIST recording each window starts: 0, 1 or 2."""
+    return windows.start_us // SACCADE_US
 
 
 def split_recordings(

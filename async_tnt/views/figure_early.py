@@ -44,8 +44,8 @@ def _draw_levels(axes: Axes, levels: Sequence[Mapping[str, Any]]) -> None:
     axes.plot(ms, [row["decided"] for row in reached], color=GREY, linestyle=DASHED, label="windows that reach it")
     for row, x in zip(reached, ms, strict=True):
         note(axes, f"{row['level']:g}", (x, row["accuracy"]), (2, -11))
-    _look(axes, xlabel="median ms until a confidence is reached")
     axes.margins(x=0.12)
+    _look(axes, xlabel="median ms until a confidence is reached")
 
 
 def _look(axes: Axes, **settings: Any) -> None:

@@ -52,15 +52,18 @@ class LayerNetwork(nn.Module):
 
 def _padded(layer: Mapping[str, Any], x: torch.Tensor, value: float = 0.0) -> torch.Tensor:
     top, left, bottom, right = layer["padding"]
-    return F.pad(x, (left, right, top, bottom), value=value)
+    return F.pad(x, (left, right, top, bottom), value=value) if any(layer["padding"]) else x
 
 
 def _conv(layer: Mapping[str, Any], weights: dict[str, torch.Tensor], x: torch.Tensor) -> torch.Tensor:
+    top, left, bottom, right = layer["padding"]
+    symmetric = (top, left) == (bottom, right)  # torch pads these by itself, without a copy
     return F.conv2d(
-        _padded(layer, x),
+        x if symmetric else _padded(layer, x),
         weights["weight"],
         weights.get("bias"),
         stride=layer["stride"],
+        padding=(top, left) if symmetric else 0,
         dilation=layer["dilation"],
         groups=layer["groups"],
     )

@@ -161,18 +161,24 @@ def test_four_networks_are_compared_and_drawn(tmp_path, capsys):
 def test_recipes_are_trained_and_tested_and_others_keep_their_entry(tmp_path, capsys):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
     datasets = load_benchmark("datasets")
-    file = tmp_path / "cars.json"
+    file = tmp_path / "made.json"
+    assert datasets.main(["--quick", "--json", str(file), "--picture", str(tmp_path / "made.png")]) == 0
+    report = json.loads(file.read_text(encoding="utf-8"))
+    found = report["recipes"]
     recorded = json.loads((FOLDER / "results" / "cars.json").read_text(encoding="utf-8"))
-    file.write_text(json.dumps(recorded))
-    assert datasets.main(["--quick", "--json", str(file)]) == 0
-    found = json.loads(file.read_text(encoding="utf-8"))["recipes"]
-    assert found["tuned"] == recorded["recipes"]["tuned"]
+    merged = datasets.with_earlier(report, recorded, list(datasets.DATA_SETS["cars"].recipes))["recipes"]
+    assert list(merged)[:2] == ["tuned", "bare"]
+    assert (merged["tuned"], merged["bare"]) == (recorded["recipes"]["tuned"], found["bare"])
     assert found["bare"]["command"].endswith("--epochs 1 --quick")
     (test,) = found["bare"]["tests"]
     assert test["recordings"] == 18 and list(test["against_time_ms"])[::3] == ["5", "20", "35", "50"]
     assert found["bare"]["every_event"]["a_second"] > 0 and found["bare"]["networks"][0]["network"] == "thesis"
     printed = capsys.readouterr().out
-    assert f"{test['against_time_ms']['50']:.4f} ± 0.0000" in printed and "decisions a second" in printed
+    assert (
+        f"{test['against_time_ms']['50']:.3f}".replace("0.", ".") in printed
+        and (tmp_path / "made.png").exists()
+        and "decisions a second" in printed
+    )
     with pytest.raises(SystemExit):
         datasets.main([])
     with pytest.raises(SystemExit):

@@ -165,6 +165,14 @@ def test_an_interrupted_choice_goes_on_and_ends_with_the_same_model(tmp_path, pr
     assert models[0].weights.keys() == models[1].weights.keys()
     for name, w in models[0].weights.items():
         np.testing.assert_array_equal(w, models[1].weights[name])
+    others = (["--polarity", "unsigned"], ["--partial", 0.5], ["--landmark", "running"], ["--quick"])
+    for other in others:  # one that is chosen or trained otherwise is another run
+        code, _, err = program(*words, *other, "--out", out, "--run", tmp_path / "run False")
+        assert code == 2 and "holds a run with other" in err, other
+    (folder / "a" / "a00.npy").rename(folder / "a" / "new.npy")
+    code, _, err = program(*words, "--out", out, "--run", tmp_path / "run False")
+    assert code == 2 and "recordings (a/new.npy is new" in err
+    (folder / "a" / "new.npy").rename(folder / "a" / "a00.npy")
     damaged = tmp_path / "run True" / "choice.json"
     assert [trial["tried"] for trial in json.loads(damaged.read_text())["trials"]] == [
         trial["tried"] for trial in models[0].record["data"]["choice"]
@@ -172,6 +180,26 @@ def test_an_interrupted_choice_goes_on_and_ends_with_the_same_model(tmp_path, pr
     damaged.write_text("{")
     code, _, err = program(*words, "--out", out, "--run", run)
     assert code == 2 and "choice.json: damaged" in err and err.count("\n") == 1
+
+
+def test_where_nothing_is_held_out_the_defaults_are_taken(tmp_path, program):
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+    rng = np.random.default_rng(0)
+    for label in "ab":
+        write(tmp_path / "set" / label / "one.npy", spot(rng, 7, 12, None))
+    words = ("--sensor", "24x24", "--epochs", 1, "--out", tmp_path / "m.safetensors", "--run", tmp_path / "run")
+    code, _, err = program("train", tmp_path / "set", *words)
+    assert code == 0 and "the defaults are taken" in err and "chosen" not in err
+
+
+def test_hats_may_have_more_cells_than_the_default_sensor_has_pixels(tmp_path, program):
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+    rng = np.random.default_rng(0)
+    for label in "ab":
+        write(tmp_path / "set" / label / "one.npy", spot(rng, 7, 12, None))
+    words = ("--sensor", "64x64", "--grid", "40x40", "--quick", "--epochs", 1, "--out", tmp_path / "m.safetensors")
+    code, _, err = program("train", tmp_path / "set", "--representation", "hats", *words, "--run", tmp_path / "run")
+    assert code == 0 and load_model(tmp_path / "m.safetensors").config.grid == (40, 40), err
 
 
 def interrupt_at_second():

@@ -146,6 +146,10 @@ def test_a_network_that_does_not_end_in_a_layer_with_weights_stays_as_it_is():
     model = Model.from_torch(net, CONFIG, classes=("a", "b"))
     assert calibrated(model, 3.0) == (model, 1.0)
     assert calibrated(random_model(CONFIG), 3.0)[1] == 3.0
+    twice = nn.Linear(3, 3)
+    net = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), twice, nn.ReLU(), twice)  # scaled in the middle, too
+    model = Model.from_torch(net, CONFIG, classes=("a", "b", "c"))
+    assert calibrated(model, 3.0) == (model, 1.0)
 
 
 def test_a_data_set_is_trained_to_be_right_at_any_moment_unless_asked_otherwise():

@@ -1,5 +1,7 @@
 """The networks that can be trained, or one's own: what training ends with computes, compiled, what torch computed."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from async_tnt import CompiledClassifier, TNTConfig  # noqa: E402
 from async_tnt.networks.loading import load_model  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.networks import NETWORKS, SMALLEST, build_network, landmark_network  # noqa: E402
-from async_tnt.training.pipeline import export, new_pipeline, pipeline_before_export  # noqa: E402
+from async_tnt.training.pipeline import check_network, export, new_pipeline, pipeline_before_export  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 
@@ -90,6 +92,10 @@ def test_the_first_two_are_the_references_with_the_same_initial_weights():
         torch.testing.assert_close(made[0](volume), made[1](volume))
 
 
+def test_a_volume_without_its_flow_can_be_trained_on():
+    check_network("thesis", CONFIG.replace(landmark="line", remove_flow=True))
+
+
 @pytest.mark.parametrize("name", NETWORKS)
 def test_the_smallest_grid(name):
     side = SMALLEST[name]
@@ -143,7 +149,14 @@ def test_training_one_from_the_command(own, tmp_path, program):
     words = ["--network", f"{own}:normed", "--out", out, "--run", tmp_path / "run"]
     assert program("train", "--smoke", *words)[0] == 0
     model = load_model(out)
-    assert model.record["network"] == f"{own}:normed"
+    assert model.record["network"] == "mine.py:normed" and str(own) not in json.dumps(model.record)
+    own_again = own.with_name("again.py")
+    own_again.write_text(OWN)
+    again = ["--network", f"{own_again}:normed", "--out", out, "--run", tmp_path / "again"]
+    assert program("train", "--smoke", *again)[0] == 0
+    own_again.write_text(OWN + "# another network, perhaps\n")
+    code, _, err = program("train", "--smoke", *again)
+    assert code == 2 and "holds a run with other network_file" in err
     assert [layer["op"] for layer in model.layers["classifier"]][:2] == ["batch_norm", "batch_norm"]
     code, printed, _ = program("check", "--model", out)
     assert code == 0 and "stream and batch are equal" in printed

@@ -93,6 +93,27 @@ def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_pat
         assert np.abs(whole.last.weights["regressor.heatmap.weight"]).max() > 0  # it starts from zero
 
 
+OWN = """
+from torch import nn
+
+def build(channels, grid, n_classes):
+    layers = [nn.Conv2d(channels, 4, 3), nn.AdaptiveAvgPool2d(1), nn.BatchNorm2d(4), nn.Dropout(0.5), nn.Flatten()]
+    return nn.Sequential(*layers, nn.Linear(4, n_classes))
+"""
+
+
+def test_dropout_is_drawn_from_the_seed_and_an_epoch_may_end_in_a_single_window(windows, tmp_path):
+    (tmp_path / "mine.py").write_text(OWN)
+    for seed in (0, 1):
+        settings = TrainSettings(epochs=2, batch=23, seed=seed, network=f"{tmp_path / 'mine.py'}:build")
+        assert settings.n_steps(24) == 1 and settings.n_steps(25) == 2 and settings.n_steps(1) == 1
+        state = torch.get_rng_state()
+        one = train(CONFIG, windows, windows[:6], settings, tmp_path / f"one {seed}")
+        assert torch.equal(torch.get_rng_state(), state)
+        torch.rand(3)
+        assert_equal(train(CONFIG, windows, windows[:6], settings, tmp_path / f"two {seed}").last, one.last)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

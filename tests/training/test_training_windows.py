@@ -7,7 +7,7 @@ import pytest
 from made import events_of
 from small_sets import idx_bytes
 
-from async_tnt.training.digits import FIRST_INDEX, read_nmnist_folder, simulate_recordings
+from async_tnt.training.digits import FIRST_INDEX, read_nmnist_folder, recording_numbers, simulate_recordings
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import make_windows, split_recordings
 
@@ -74,3 +74,5 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
     assert recordings.names[:2] == fewer.names and not np.array_equal(fewer.t, other.t)
     with pytest.raises(ValueError, match=r"must be in \[0, 4\], got 5"):
         simulate_recordings(tmp_path, 5, 0)
+    held_out = [n - 1 for n in recording_numbers([f"1/{FIRST_INDEX + 2:05d}.bin", "1/other.bin"])]
+    np.testing.assert_array_equal(simulate_recordings(tmp_path, 3, 0, leave_out=held_out).labels.sum(), 1 + 3 + 4)
