@@ -145,7 +145,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"processes that re-synthesize (default: all cores, here {available_cores()})",
     )
-    volume = parser.add_argument_group("volume (what the network sees)")
+    volume = parser.add_argument_group(
+        "volume (what the network sees)",
+        "With DATASET, representation, transform, polarity, grid, --network and --mirror are chosen where no option "
+        "gives them; the defaults below are those of --quick and of --nmnist.",
+    )
     volume.add_argument(
         "--representation",
         choices=REPRESENTATIONS,
