@@ -6,8 +6,8 @@ Six classes, each a pair of dark shapes in two greys on a sensor of 64x48 pixels
 (`made_objects.py`). All training recordings move to the right; they are tested moving to the right, and in seven other
 directions. The two commands differ by one option, and nothing was tuned:
 
-    async-tnt train OBJECTS --sensor 64x48 --window-us 50000
-    async-tnt train OBJECTS --sensor 64x48 --window-us 50000 --motions resynthesized
+    async-tnt train OBJECTS --quick --sensor 64x48 --window-us 50000
+    async-tnt train OBJECTS --quick --sensor 64x48 --window-us 50000 --motions resynthesized
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def measure(seeds: int, n_train: int, n_test: int, extra: tuple[str, ...] = ()) 
             for mode in MODES:
                 model = folder / f"{mode}{seed}.safetensors"
                 size = f"{SENSOR[0]}x{SENSOR[1]}"
-                words = ["train", objects, "--sensor", size, "--window-us", WINDOW_US, "--motions", mode]
+                words = ["train", objects, "--quick", "--sensor", size, "--window-us", WINDOW_US, "--motions", mode]
                 words += ["--seed", seed, "--out", model, "--run", folder / f"{mode}{seed}", "--json", *extra]
                 summary = command(*words)
                 records.append(summary.get("motions"))
