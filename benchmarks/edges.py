@@ -22,7 +22,7 @@ from script_options import script_parser, write_outputs
 from async_tnt.checking.timing import machine
 from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.progress import progress
-from async_tnt.representations import split_saccades
+from async_tnt.representations import segment
 from async_tnt.simulation.comparison import recordings_by_image
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.simulation.scene import render
@@ -74,7 +74,7 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
             steepness = np.linalg.norm(slope, axis=-1)
             edges = steepness > LEAST_GRADIENT
             expected, signed, unsigned = [], [], []
-            for v, events in zip(towards, split_saccades(read_nmnist(found[i])), strict=False):
+            for v, events in zip(towards, segment(read_nmnist(found[i]), ENDS_US[1:]), strict=False):
                 sign, count = moved_back(events)
                 change = -slope @ v
                 cosine = np.abs(change[edges]) / steepness[edges]

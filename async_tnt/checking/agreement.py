@@ -32,7 +32,7 @@ class Agreement:
     plain_logits: Comparison = field(default_factory=lambda: Comparison("logits", "", math.inf))
     """The same differences, absolute, for the report."""
     n_differ: int = 0
-    """Windows of another class."""
+    """Windows of another class, but for ties within the bound."""
     landmarks: Comparison = field(default_factory=lambda: Comparison("landmark, px", "", REGRESSED_LANDMARK_BOUND))
     """Empty if the model has no landmark network."""
 
@@ -64,7 +64,9 @@ def compare_engines(model: Model, classifier: Classifier, regressor: Regressor |
                 difference = float(np.abs(ours - theirs).max())
                 agreement.plain_logits.add(difference)
                 agreement.logits.add(difference / max(1.0, float(np.abs(ours).max())))
-                agreement.n_differ += int(ours.argmax() != theirs.argmax())
+                second, first = np.sort(theirs)[-2:] if theirs.size > 1 else (-np.inf, theirs[0])
+                is_tie = first - second <= 2 * LOGIT_BOUND * max(1.0, float(np.abs(ours).max()))
+                agreement.n_differ += int(ours.argmax() != theirs.argmax() and not is_tie)
             if compiled_regressor is not None and regressor is not None:
                 for _, volume in closed_volumes(events, raw, 0, None):
                     distance = np.abs(np.subtract(compiled_regressor(volume), regressor(volume))).max()

@@ -43,14 +43,14 @@ def bench_every_event(
 
     Raises
     ------
-    WorkDiffers : they do not make the same decisions.
+    WorkDiffers : they do not make the same decisions in the first recording.
     """
     cut = [events[:n_events] for events in recordings]
     packets = [[events[first : first + PACKET].copy() for first in range(0, len(events), PACKET)] for events in cut]
     processors = {"ours": Processor(model, every_events=1, start_us=0)}
     for name, network in networks.items():
         processors[name] = Processor(model, classifier=_as_callable(network), every_events=1, start_us=0)
-    _check_same({name: processor.push(packets[0][0]) + processor.finish() for name, processor in processors.items()})
+    _check_same({name: _decisions(processor, packets[0]) for name, processor in processors.items()})
     us = interleave({name: _through(processor, packets) for name, processor in processors.items()}, rounds)
     return {
         name: {
@@ -60,6 +60,10 @@ def bench_every_event(
         }
         for name, values in us.items()
     }
+
+
+def _decisions(processor: Processor, packets: list[np.ndarray]) -> list[Decision]:
+    return [decision for packet in packets for decision in processor.push(packet)] + processor.finish()
 
 
 def _as_callable(network: Network) -> Network:

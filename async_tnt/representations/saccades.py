@@ -33,7 +33,7 @@ def segment(events: Any, cuts_us: Sequence[int]) -> list[np.ndarray]:
 
     Returns
     -------
-    list of K + 1 structured arrays of `async_tnt.EVENT_DTYPE`, copies.
+    list of K + 1 structured arrays of `async_tnt.EVENT_DTYPE`, copied from the input.
 
     Raises
     ------

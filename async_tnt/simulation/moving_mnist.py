@@ -13,6 +13,7 @@ import dataclasses
 import hashlib
 import itertools
 import os
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,8 @@ from async_tnt.simulation.set_manifest import MovingMnist, other_parameters, rea
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
 from async_tnt.version import __version__
+
+ABANDONED_S = 3600  # no shard takes that long to write
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ def build(
     ----------
     mnist_folder : folder with MNIST's IDX files. out_folder : made if missing.
     split : "train" or "test". digits : how many images, from the first on; all by default.
-    kind : of motion: "constant" (30 motions), "bell" (30) or "nmnist" (1).
+    kind : of motion: "constant", "bell", "constant-from-centre", "bell-from-centre" (30 motions) or "nmnist" (1).
     workers : processes; one per core by default. A script with more than one needs `if __name__ == "__main__":`.
     scene, pixels, frame_us, sensor : as in `simulate_digit`.
 
@@ -133,8 +136,10 @@ def build(
     ):
         for n_recordings in results:
             bar.update(n_recordings)
-    for part in folder.glob("*.safetensors.*.part"):  # of processes that were killed
-        part.unlink(missing_ok=True)
+    for part in folder.glob("*.safetensors.*.part"):  # of processes that were killed; others may be at work here
+        with contextlib.suppress(FileNotFoundError):
+            if part.stat().st_mtime < time.time() - ABANDONED_S:
+                part.unlink()
     return made
 
 
@@ -160,7 +165,7 @@ def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) 
         raise ValueError(
             f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: async-tnt simulate "
             f"--mnist MNIST --out {folder} --split {p['split']} --motions {p['kind']} --digits {p['digits']} "
-            f"--seed {p['seed']}{bright}"
+            f"--seed {p['seed']}{bright}, or by `build` with the parameters in set.json"
         )
     return dataclasses.replace(made, missing=missing)
 

@@ -38,7 +38,7 @@ def describe(
     cuts_us: Sequence[int] = SACCADE_CUTS_US,
     directions_deg: ArrayLike | None = None,
 ) -> dict[str, float]:
-    """Describe recordings by a handful of numbers, each a mean over saccades, then over recordings.
+    """Describe recordings by a handful of numbers, over all their saccades.
 
     A saccade is the time between two consecutive cuts. An active pixel has an event in the saccade.
     Same-pixel intervals are those between consecutive events of one pixel, of either polarity, in one

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.simulation.shards import open_shard
+from async_tnt.training.augment import Augmentation
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import COLUMNS, Windows
 
@@ -70,9 +71,8 @@ class Motions:
     def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
         """The windows `order` as an epoch shows them: under another motion, or as they were recorded."""
         is_moved = self.found[order] & (rng.random(len(order)) >= self.settings.recorded)
-        recorded = self.training[order[~is_moved]].cut(
-            self.window_us, self.window_us // 10
-        )  # augmentation moves its start
+        margin_us = max(self.window_us // 10, round(1e3 * Augmentation().start_ms))  # augmentation moves their starts
+        recorded = self.training[order[~is_moved]].cut(self.window_us, margin_us)
         moved = read_shards(self.shards[epoch % self.settings.variations], self.training.labels)
         recording, start_us = np.zeros((2, len(order)), np.int64)
         recording[~is_moved], start_us[~is_moved] = recorded.recording, recorded.start_us

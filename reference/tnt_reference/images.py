@@ -165,7 +165,8 @@ def events_at(
     """Channel, row, column (int64) and window fraction (float64) of all N events, checked; four of (N,)."""
     check_size("sensor", sensor)
     events = window_events(t, x, y, start_us=start_us, window_us=window_us, sensor=sensor)
-    if events.pixels.is_floating_point():
+    if len(events.dt) and events.pixels.is_floating_point():
         raise TypeError("`x` and `y` must be whole pixels: an image counts events per pixel, and does not splat them")
     channel = (signs(p, len(events.dt)) < 0).long()  # (N,)
-    return channel, events.pixels[:, 1], events.pixels[:, 0], window_fraction(events.dt, window_us)
+    column, row = events.pixels.long().unbind(1)
+    return channel, row, column, window_fraction(events.dt, window_us)

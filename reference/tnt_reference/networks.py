@@ -12,6 +12,7 @@ from torch.nn import functional as F
 from .hats import hats
 from .images import time_image
 from .landmarks import LANDMARKS
+from .layers import heatmap_centroid
 from .transform import tnt_coordinates
 from .volume import check_bins, event_volume, tnt_volume
 from .window import Column, check_polarity, check_size, until_newest
@@ -102,13 +103,7 @@ class LandmarkRegressor(nn.Module):
         a = F.relu(self.conv1(volume))  # (..., n_filters, H, W), as are the next two
         a = F.relu(self.conv2(a))
         a = F.relu(self.conv3(a))
-        exponent = self.heatmap(a)[..., 0, :, :].double()  # (..., H, W)
-        # A common factor does not change the centroid: make the largest cell 1, so that exp cannot overflow.
-        h = torch.exp(exponent - exponent.detach().amax(dim=(-2, -1), keepdim=True))  # (..., H, W)
-        x, y = (torch.arange(side, dtype=torch.float64, device=h.device) for side in self.grid)  # (W,), (H,)
-        l_x = (h.sum(dim=-2) * x).sum(-1) / h.sum(dim=(-2, -1))  # (...)
-        l_y = (h.sum(dim=-1) * y).sum(-1) / h.sum(dim=(-2, -1))  # (...)
-        return torch.stack([l_x, l_y], dim=-1)
+        return heatmap_centroid(self.heatmap(a))
 
 
 class Pipeline(nn.Module):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import pytest
@@ -22,7 +21,7 @@ def test_the_pages_show_the_results(capsys):
 def test_recorded_results_name_the_processor_and_no_path():
     for path in (FOLDER / "results").glob("*.json"):
         text = path.read_text(encoding="utf-8")
-        assert json.loads(text)["machine"]["cpu"], path
+        assert '"cpu": "' in text, path
         assert not re.search("/home/|/tmp/|/root/", text), path
 
 

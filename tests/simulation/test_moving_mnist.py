@@ -1,6 +1,7 @@
 """The set: every recording is what its seed says, however the work was shared out, cut or interrupted."""
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -67,8 +68,12 @@ def test_what_is_there_is_kept_and_what_is_missing_or_damaged_is_made(mnist, mad
     cut.write_bytes(cut.read_bytes()[:-1])
     flipped.write_bytes(flipped.read_bytes()[:-1] + bytes([flipped.read_bytes()[-1] ^ 0xFF]))
     (copied / f"{missing.name}.123.part").write_bytes(b"left by a killed process")
+    os.utime(copied / f"{missing.name}.123.part", (0, 0))
     times = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
+    being_written = copied / f"{missing.name}.456.part"
+    being_written.write_bytes(b"by another process")
     build(mnist, copied, **QUICK)
+    being_written.unlink()
     assert files_of(copied) == files_of(made.folder)
     kept = {path.name for path in copied.iterdir() if times.get(path.name) == path.stat().st_mtime_ns}
     assert kept == set(times) - {missing.name, cut.name, flipped.name, f"{missing.name}.123.part"}
