@@ -80,7 +80,7 @@ class Counts:
     @property
     def lost(self) -> int:
         """Events dropped for any other reason."""
-        return self.received - self.kept - self.moved_off
+        return self.dropped_late + self.dropped_unstored + self.dropped_decided
 
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))

@@ -43,6 +43,7 @@ class LeakyIntegrator:
             check_number(name, value)
             if not value > 0 or (value == math.inf and name != "leak_us"):
                 raise ValueError(f"`{name}` must be a positive number, got {value}")
+            object.__setattr__(self, name, float(value))  # for JSON
 
 
 class Triggers:
@@ -104,7 +105,8 @@ class Triggers:
         """Set the next moment of `every_us`: the first after `now_us` in a window that starts at `start_us`."""
         self.next_due_us = NEVER_US
         if self.every_us is not None:
-            self.next_due_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
+            due_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
+            self.next_due_us = min(due_us, NEVER_US)
 
     def save(self) -> Arrays:
         """What they remember, as arrays for `restore`, without the settings."""

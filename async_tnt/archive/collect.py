@@ -77,7 +77,7 @@ def collect_to_file(
     """Do what is not done yet, write the result file, and return its records in order of the recordings' names.
 
     Records have `seconds` if this run measured it; the file has none. A recording is done again if its record has an
-    error, or if its size or time of change differs.
+    error, or if its size, time of change or class differs.
 
     Parameters
     ----------
@@ -98,7 +98,9 @@ def collect_to_file(
     seconds: dict[str, float] = {}
     with ResultFile(out, job, restart=restart) as file:
         to_do = [
-            task for task in wanted.values() if file.versions.get(task.recording) != (task.bytes, task.modified_ns)
+            task
+            for task in wanted.values()
+            if file.versions.get(task.recording) != (task.bytes, task.modified_ns, task.label)
         ]
         others = [name for name in file.versions if name not in wanted]
         existing = [name for name in others if not is_gone(name)]

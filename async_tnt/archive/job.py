@@ -113,10 +113,11 @@ def task_of(
 
 
 def sha256_of(engine: Engine, path: str) -> str:
-    """Of what the decisions depend on: configuration, classes and weights; of an .onnx model, its files."""
+    """Of what the decisions depend on: configuration, classes, layers and weights; of an .onnx model, its files."""
     sha256 = hashlib.sha256()
     if isinstance(engine.model, Model):
-        sha256.update(json.dumps([engine.config.to_dict(), list(engine.classes)], sort_keys=True).encode())
+        about = [engine.config.to_dict(), list(engine.classes), engine.model.layers]
+        sha256.update(json.dumps(about, sort_keys=True).encode())
         for name, weights in sorted(engine.model.weights.items()):
             sha256.update(f"{name} {weights.shape} {weights.dtype}".encode())
             sha256.update(weights.tobytes())

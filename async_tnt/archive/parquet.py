@@ -50,7 +50,7 @@ def write_parquet(path: Path, job: Job, records: Iterable[Record]) -> None:
     """Write records, with no more than a row group of them in memory."""
     pa = import_pyarrow()
     schema = schema_of(job)
-    with pa.parquet.ParquetWriter(path, schema, compression="zstd") as writer:
+    with pa.parquet.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
         group: list[Record] = []
         items = 0
         for record in records:
@@ -84,8 +84,8 @@ def read_parquet(path: Path) -> Iterator[Record]:
     """The rows, one by one."""
     pa = import_pyarrow()
     try:
-        with pa.parquet.ParquetFile(path) as file:
+        with pa.parquet.ParquetFile(path, page_checksum_verification=True) as file:
             for group in range(file.num_row_groups):
                 yield from file.read_row_group(group).to_pylist()
-    except pa.ArrowException as error:
+    except (pa.ArrowException, OSError) as error:
         raise ValueError(not_ours(path, f" that can be read ({error})")) from None

@@ -187,7 +187,8 @@ def decisions_of(task: Task, processor: Processor, pixels: PixelSelector) -> tup
 
     Raises
     ------
-    ValueError, TypeError, OSError : the recording is damaged, anywhere; of another sensor; or without events.
+    ValueError, TypeError, OSError : the recording is damaged, anywhere, or in a part's case before its end; of another
+        sensor; or without events.
     """
     before = pixels.counts
     recording, sensor = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)

@@ -86,8 +86,9 @@ class ResultFile:
         former = out.with_name(out.name + ".partial")
         if former.exists():
             raise ValueError(f"{former} was left by an earlier version, which cannot be resumed: delete it")
-        self.versions: dict[str, tuple[int, int] | None] = {}
-        """Recording -> (bytes, modified_ns) of the file that its record is of; None where that has an error."""
+        self.versions: dict[str, tuple[int, int, str | None] | None] = {}
+        """Recording -> (bytes, modified_ns) of the file that its record is of, and the class that it was compared with;
+        None where that has an error."""
         self._out, self._job = out, job
         self._path = lines_path(out)
         self._is_kept = self._path == out and out.exists()  # also with no lines in it
@@ -199,8 +200,8 @@ class ResultFile:
         return self._lines.read(length)
 
 
-def _version_of(record: Record) -> tuple[int, int] | None:
-    return None if record["error"] is not None else (record["bytes"], record["modified_ns"])
+def _version_of(record: Record) -> tuple[int, int, str | None] | None:
+    return None if record["error"] is not None else (record["bytes"], record["modified_ns"], record.get("class"))
 
 
 def _read_lines(out: Path) -> Iterator[Any]:

@@ -89,11 +89,6 @@ class Simd:
         kind, name = ir.FunctionType(VECTOR, [VECTOR] * 3), f"llvm.fma.v{LANES}f32"
         return self.builder.call(cgutils.get_or_insert_function(self.builder.module, kind, name), [a, b, c])
 
-    def relu(self, value: ir.Value) -> ir.Value:
-        """max(value, 0); nan stays nan."""
-        negative = self.builder.fcmp_ordered("<", value, ZERO)
-        return self.builder.select(negative, ZERO, value)
-
     def loop(self, n: ir.Value, sums: list, body: Callable[[ir.Value, list], list]) -> list:
         """for k in range(n): sums = body(k, sums)        sums: a list of registers; n is at least 1."""
         builder = self.builder

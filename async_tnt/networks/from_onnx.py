@@ -194,7 +194,8 @@ def _affine(made: _Conversion, node: _Node, *, is_sum: bool) -> None:
 
 def _add(made: _Conversion, node: _Node) -> None:
     if any(name in made.constants for name in node.inputs):
-        _expect(len(node.inputs) == 2, "a sum of more than one input and a constant")
+        constants = sum(name in made.constants for name in node.inputs)
+        _expect((len(node.inputs), constants) == (2, 1), "a sum other than of one map and a constant, or of maps,")
         _affine(made, node, is_sum=True)
     else:
         made.add(node, "add", node.inputs)
@@ -216,7 +217,11 @@ def _leaky_relu(made: _Conversion, node: _Node) -> None:
 def _prelu(made: _Conversion, node: _Node) -> None:
     slope = made.constant(node, 1)
     assert slope is not None
-    _expect(slope.size == max((1, *slope.shape)), f"a slope of shape {slope.shape}")
+    sides = slope.shape  # (C, 1, 1): ONNX would apply (n,) along the last axis
+    while sides[:1] == (1,):
+        sides = sides[1:]
+    channels, *others = made.shape(node.inputs[0])
+    _expect(slope.size == 1 or sides == (channels, *[1] * len(others)), f"a slope of shape {slope.shape}")
     made.add(node, "prelu", node.inputs[:1], weights={"slope": made.tensor(node.inputs[1], slope.reshape(-1))})
 
 
@@ -237,6 +242,7 @@ def _max_pool(made: _Conversion, node: _Node) -> None:
 def _average_pool(made: _Conversion, node: _Node) -> None:
     window = _window(node, node.get("kernel_shape"))
     _expect(not node.get("ceil_mode", 0), "ceil_mode")
+    _expect(list(node.get("dilations", [1, 1])) == [1, 1], "dilation")
     _expect(node.get("count_include_pad", 0) == 1 or not any(window["padding"]), "padding without count_include_pad")
     made.add(node, "average_pool", node.inputs[:1], **window)
 

@@ -110,7 +110,7 @@ def _load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | No
         raise ImportError(f"ONNX networks are read by onnx: pip install '.[onnx]' ({error})") from None
     content = path.read_bytes()
     try:
-        proto = onnx.load_from_string(content)
+        proto = onnx.load(path)  # and weights in files beside it
         onnx.checker.check_model(proto)
         metadata = {entry.key: entry.value for entry in proto.metadata_props}
         exported = read_metadata(metadata)

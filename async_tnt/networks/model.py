@@ -15,7 +15,7 @@ from async_tnt.checked_tensors import checksum, tensor_bytes
 from async_tnt.checks import plain_array
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
-from async_tnt.networks.from_torch import layers_from_torch
+from async_tnt.networks.from_torch import check_conversion, layers_from_torch
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
 from async_tnt.networks.thesis import thesis_network
 
@@ -73,6 +73,8 @@ class Model:
             object.__setattr__(self, "network", thesis_network(self.config))
         if not self.classes:
             raise ValueError("`classes` must hold at least one name")
+        if len(set(self.classes)) < len(self.classes):
+            raise ValueError(f"`classes` must have different names, got {reprlib.repr(self.classes)}")
         _check_network(self.layers, weights, self.config, len(self.classes))
 
     @classmethod
@@ -96,7 +98,8 @@ class Model:
 
         Raises
         ------
-        NotImplementedError : names the first operation that has no compiled form.
+        NotImplementedError : names the first operation that has no compiled form; or the module computes what a trace
+            does not show.
         ValueError, TypeError : see Model.
 
         Examples
@@ -115,7 +118,11 @@ class Model:
             if part is not None:
                 network[name], tensors = layers_from_torch(part, prefix="" if name == CLASSIFIER else f"{name}.")
                 weights |= tensors
-        return cls(config, weights, tuple(classes), record or {}, network)
+        model = cls(config, weights, tuple(classes), record or {}, network)
+        for name, part in ((CLASSIFIER, module), (REGRESSOR, regressor)):
+            if part is not None:
+                check_conversion(part, network[name], weights, config.shape)
+        return model
 
     @property
     def layers(self) -> Network:

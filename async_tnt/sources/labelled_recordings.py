@@ -145,6 +145,7 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
         columns = {"label": ("label", "class"), "name": ("action", "gesture", "name")}
         names = {row["label"]: row["name"] for row in _rows(folder / NAMES_FILE, columns)}
     found: dict[str, list[LabelledRecording]] = {}
+    seen = set()
     for path, table in sessions.items():
         for number, row in enumerate(_rows(table, COLUMNS), start=2):
             try:
@@ -154,6 +155,9 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
             if not 0 <= between[0] < between[1] or not row["class"]:
                 got = ", ".join(row.values())
                 raise ValueError(f"{table}: line {number}: expected a class, and whole start < end in us, got {got}")
+            if (path, between) in seen:
+                raise ValueError(f"{table}: line {number}: {between[0]} to {between[1]} us is there twice")
+            seen.add((path, between))
             found.setdefault(names.get(row["class"], row["class"]), []).append(LabelledRecording(path, between))
     return dict(sorted(found.items(), key=lambda item: item[0].zfill(9) if item[0].isdigit() else item[0]))
 

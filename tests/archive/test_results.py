@@ -4,6 +4,7 @@ import json
 import os
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from archive.made_work import JOB, make_tasks, record_of
 from hypothesis import given, settings
@@ -202,6 +203,23 @@ def test_parquet_has_row_groups_and_its_settings(tasks, tmp_path, monkeypatch):
     file = pyarrow.parquet.ParquetFile(tmp_path / "r.parquet")
     assert file.num_row_groups > 1 and file.read().to_pylist() == without_seconds(records)
     assert json.loads(file.schema_arrow.metadata[b"async_tnt"])["about"] == JOB.metadata
+
+
+@pytest.mark.needs_pyarrow
+def test_a_flipped_bit_is_noticed(tasks, tmp_path):
+    path = tmp_path / "r.parquet"
+    records, _ = collected_to(path, tasks)
+    whole, expected = path.read_bytes(), without_seconds(records)
+    for place in np.random.default_rng(0).integers(0, len(whole), 60):
+        damaged = bytearray(whole)
+        damaged[place] ^= 16
+        path.write_bytes(damaged)
+        try:
+            found = list(parquet.read_parquet(path))
+        except ValueError as error:
+            assert str(path) in str(error)
+        else:
+            assert found == expected, place
 
 
 # -- what a kill, damage, an earlier version or another program leaves of a file -------------------------------------

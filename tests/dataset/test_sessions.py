@@ -82,6 +82,19 @@ def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_pat
     assert reports[0] == reports[1]
     code, out, _ = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
     assert code == 0 and json.loads(out)["seconds"] is None  # resumed: nothing left to do
+    table = sessions / "user01_lab_labels.csv"
+    before = table.read_text()
+    try:
+        table.write_text(before.replace("flat", "upright", 1))  # a corrected label is compared with
+        code, out, _ = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
+        assert code == 0 and json.loads(out)["confusion"] != reports[0]["confusion"]
+        lines = [json.loads(line) for line in (tmp_path / "sessions.jsonl").read_text().splitlines()]
+        assert [line["class"] for line in lines].count("upright") == 4
+        table.write_text(before + before.splitlines()[1])
+        code, _, err = program("evaluate", model, sessions)
+        assert code == 2 and "us is there twice" in err
+    finally:
+        table.write_text(before)
 
 
 def test_the_files_of_dvs128_gesture(tmp_path):

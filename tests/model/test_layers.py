@@ -156,7 +156,7 @@ def flat_map(*layers):
 )
 def test_only_a_dense_layer_knows_the_order_of_a_flattened_map(layers, message):
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
-        Model(SMALL, {}, ["a"] * 12, network={"classifier": layers})
+        Model(SMALL, {}, list("abcdefghijkl"), network={"classifier": layers})
 
 
 @pytest.mark.parametrize("network, error", [({}, ValueError), ({"classifier": 3}, TypeError), ([], TypeError)])

@@ -187,6 +187,50 @@ def test_a_module_without_a_compiled_form_is_refused_by_name(module, message):
     assert str(raised.value).endswith(WAY_OUT)
 
 
+class Preactivated(nn.Module):
+    """The sum reads what the ReLU has changed."""
+
+    def __init__(self, inplace=True):
+        super().__init__()
+        self.conv, self.relu, self.head = nn.Conv2d(3, 3, 3, padding=1), nn.ReLU(inplace), nn.Conv2d(3, 4, 1)
+
+    def forward(self, x):
+        h = self.conv(x)
+        return self.head(self.relu(h) + h).mean((2, 3))
+
+
+class Conv2d(nn.Conv2d):
+    def forward(self, x):
+        return super().forward(x) * 2
+
+
+class InEvaluation(nn.Sequential):
+    def forward(self, x):
+        return super().forward(x if self.training else F.relu6(x))
+
+
+def head(first, kind=nn.Sequential):
+    return kind(first, nn.AdaptiveAvgPool2d((1, 1)), nn.Flatten())
+
+
+def test_a_module_that_does_more_than_its_trace_shows_is_refused():
+    torch.manual_seed(0)
+    hooked = head(nn.Conv2d(3, 4, 3))
+    hooked[0].register_forward_hook(lambda module, inputs, output: output + 1)
+    for module in (Preactivated(), head(Conv2d(3, 4, 3)), hooked):
+        with pytest.raises(
+            NotImplementedError, match=r"layers compute other values than the module \(by [\d.]+\): it ch"
+        ):
+            Model.from_torch(module, CONFIG, list("abcd"))
+    for module in (Preactivated(inplace=False), head(nn.Conv2d(3, 4, 3), InEvaluation)):
+        model = Model.from_torch(module.train(), CONFIG, list("abcd"))
+        assert all(part.training for part in module.modules())
+        found = [CompiledClassifier(model)(volume) for volume in VOLUMES]
+        assert np.abs(found - logits_of(module)).max() <= 1e-5
+    half = head(nn.Conv2d(3, 4, 3)).bfloat16()
+    assert Model.from_torch(half, CONFIG, list("abcd")).weights["0.weight"].dtype == np.float32
+
+
 onnx = pytest.importorskip("onnx", reason="needs onnx: pip install '.[onnx]'")
 
 
@@ -287,6 +331,16 @@ def test_constants_matrices_and_a_softmax(tmp_path):
             (),
             "node 'y' (AveragePool): padding without count_in",
         ),
+        (
+            [node("PRelu", "x slope")],  # one for each column
+            [("slope", np.ones(5, np.float32))],
+            "node 'y' (PRelu): a slope of shape (5,) has no compiled form",
+        ),
+        (
+            [node("Add", "one one")],
+            [("one", np.ones(1, np.float32))],
+            "node 'y' (Add): a sum other than of one map and a constant, or of maps, has no compiled form",
+        ),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
 )
@@ -295,6 +349,22 @@ def test_a_node_without_a_compiled_form_is_refused_by_name(tmp_path, nodes, cons
     with pytest.raises(NotImplementedError) as raised:
         load_model(path, config=SMALL)
     assert str(raised.value).startswith(f"{path}: {message}")
+
+
+def test_weights_in_a_file_beside_are_read_there(tmp_path, monkeypatch):
+    """Not those of the same name in the current folder."""
+    found = []
+    for name, factor in (("a", 1.0), ("b", -1.0)):
+        (tmp_path / name).mkdir()
+        weights = [("w", np.full((60, 3), factor, np.float32))]
+        proto = graph_of([node("Flatten", "x", "f"), node("MatMul", "f w")], weights)
+        path = tmp_path / name / "net.onnx"
+        onnx.save_model(proto, path, save_as_external_data=True, location="net.onnx.data", size_threshold=0)
+        found.append(path)
+    monkeypatch.chdir(tmp_path / "b")
+    volume = np.ones(SMALL.shape, np.float32)
+    logits = [CompiledClassifier(load_model(path, config=SMALL))(volume).tolist() for path in found]
+    assert logits == [[60.0] * 3, [-60.0] * 3]
 
 
 def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):

@@ -180,6 +180,7 @@ OFF["x"][9] = 34
         ("a.es", es(EVENTS)[:-1], "the file ends 4 bytes into the event at byte", 11),
         ("a.txt", ROWS, "line 150001: .* got 'what'", 150_000),
         ("a.txt", b"0.5 1 2 1\n" + b"7" * 3_000_000, "line 2: expected", 1),
+        ("a.txt", b"0.5 1 2 1\n#" + b" " * 3_000_000 + b"\n0.6 1 2 1\n", "line 2: expected .* more than 65,536 b", 1),
         # without its line end, `1234` may have been 123456
         ("a.csv", b"x,y,p,t\n1,2,1,1233\n1,2,1,1234", "line 3: .* got '1,2,1,1234', and the file ends there", 1),
         *(

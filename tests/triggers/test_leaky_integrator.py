@@ -1,11 +1,14 @@
 """The leaky integrate-and-fire trigger, by hand and against its equation; event by event and in one packet."""
 
+import json
 import math
 
+import numpy as np
 import pytest
 from deciding import at, key
+from made import random_model
 
-from async_tnt import LeakyIntegrator
+from async_tnt import LeakyIntegrator, Processor, TNTConfig
 
 
 def fired(make, times, integrator, **settings):
@@ -43,3 +46,12 @@ def test_another_one_begins_as_on_a_new_stream(make, last, fires):
     processor.activity = LeakyIntegrator(0.5, 1.0, 0.4)
     assert processor.push(at([9])) == []  # older than the newest, and accepted
     assert bool(processor.push(at([last]))) == fires
+
+
+def test_its_numbers_may_be_numpys_and_a_period_longer_than_time():
+    activity = LeakyIntegrator(np.float32(60), np.int64(4000))
+    assert json.dumps(vars(activity)) == '{"threshold": 60.0, "leak_us": 4000.0, "charge": 1.0}'
+    model = random_model(TNTConfig())
+    settings = {"activity": activity, "every_us": 2**62 - 1, "start_us": 10**6}
+    processor = Processor(model, **settings)
+    Processor(model, **settings).restore_state(processor.save_state())

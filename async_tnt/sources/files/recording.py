@@ -137,7 +137,7 @@ class Recording:
                 if problem:
                     raise CorruptData(problem)
         except CorruptData as error:
-            self._report(str(error), n_read, totals.newest_us)
+            self._report(str(error), totals.n_events, totals.newest_us)
         self._totals = totals
 
     def _apply_policy(self, block: np.ndarray, totals: _Totals) -> np.ndarray:

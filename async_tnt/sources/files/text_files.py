@@ -89,10 +89,14 @@ class TextSource(Source):
         """Whole rows, and whether the last of them has a line end (the file's last may not)."""
         with self.path.open("rb") as file:
             file.seek(self.start)
-            rest = b""
-            while (chunk := file.read(CHUNK_BYTES)) and len(rest) <= MAX_ROW_BYTES:  # a longer row is not text
+            rest, line = b"", self.line
+            while chunk := file.read(CHUNK_BYTES):
+                if len(rest) > MAX_ROW_BYTES:
+                    got = f"got {rest[:80].decode('utf-8', 'backslashreplace')!r} and more than {MAX_ROW_BYTES:,} bytes"
+                    raise CorruptData(f"line {line}: expected {self.expected}, {got}")
                 end = chunk.rfind(b"\n") + 1
                 if end:
+                    line += chunk.count(b"\n")
                     yield rest + chunk[:end], True
                     rest = b""
                 rest += chunk[end:]
