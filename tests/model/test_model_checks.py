@@ -105,6 +105,7 @@ NAMES = "`classes` must be a tuple or list of names, got "
     [
         (("a", "b"), {}, ValueError, "the network must compute 2 logits, one for each class, got (3,)"),
         ((), {}, ValueError, "`classes` must hold at least one name"),
+        (("a", "b", "a"), {}, ValueError, "`classes` must have different names, got ('a', 'b', 'a')"),
         ("abc", {}, TypeError, NAMES + "'abc'"),
         (CLASSES, None, TypeError, "`record` must be a mapping, got None"),
     ],
