@@ -141,23 +141,15 @@ def thesis_rows() -> str:
 
 
 def resynthesis() -> str:
-    return markdown_table(_with_resynthesis(), "motions")
-
-
-def _with_resynthesis() -> dict[str, Any]:
-    """The rows with re-synthesis; two of them by commands of their own."""
-    merged = {row: columns for row, columns in _accuracies().items() if ROWS[row].group == "motions"}
-    for name in ("shared", "confounded"):
-        merged |= results(f"resynthesis_{name}")["table"]
-    return {row: merged[row] for row in ROWS if row in merged}
+    return markdown_table(_accuracies(), "motions")
 
 
 def resynthesis_worst() -> str:
     """The motion of the simulated set that each network knows least, mean over seeds."""
     rows = []
-    for name, columns in _with_resynthesis().items():
+    for name, columns in _accuracies().items():
         for column in columns:
-            if column.endswith("/sim"):
+            if ROWS[name].group == "motions" and column.endswith("/sim"):
                 motions = {motion: part["mean"] for motion, part in columns[column]["per_motion"].items()}
                 worst = min(motions, key=lambda motion: motions[motion])
                 rows.append([ROWS[name].title, column, worst, short(motions[worst])])

@@ -64,6 +64,16 @@ def test_accuracies_in_sentences_are_those_of_the_table():
     assert [f"0{number}" for number in re.findall(r"\.\d{3}", sentence) if number != ".397"] == expected
 
 
+def test_simulated_motions_are_tested_on_all_images():
+    for name in ("table", "table_sets"):
+        report = tables.results(name)
+        for columns in report["table"].values():
+            for column, part in columns.items():
+                about = report["data"]["simulated"].get(column.split("/")[1])
+                if about is not None:
+                    assert part["windows"] == about["motions"] * about["images_tested_on"], (name, column)
+
+
 def test_statements_of_the_results_page_hold():
     """Sentences that no table makes."""
     decisions, early = tables.results("decisions"), tables.results("early")
