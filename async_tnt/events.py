@@ -6,6 +6,7 @@ checks bounds, so packets are brought into one form here, once, and rejected her
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -236,10 +237,15 @@ def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> 
 def as_events(events: Any, sensor: tuple[int, int]) -> np.ndarray:
     """Any accepted form of events as a new structured array of `EVENT_DTYPE`, checked."""
     columns = _decode_any(events, sensor)
-    packed = np.empty(columns.n, EVENT_DTYPE)
-    for field, column in zip(NAMES, columns[:4], strict=True):
-        packed[field] = column
-    return packed
+    return structured(columns[:4], columns.n)
+
+
+def structured(columns: Sequence[np.ndarray], n: int | None = None, dtype: np.dtype = EVENT_DTYPE) -> np.ndarray:
+    """The first `n` events of columns t, x, y, p, by default all, as a new structured array; nothing is checked."""
+    events = np.empty(len(columns[0]) if n is None else n, dtype)
+    for name, column in zip("txyp", columns, strict=True):
+        events[name] = column[:n]
+    return events
 
 
 def _check_type(field: str, column: np.ndarray) -> None:

@@ -22,7 +22,7 @@ from script_options import script_parser, write_outputs
 
 from async_tnt import TNTConfig, TNTVolume, warmup
 from async_tnt.checking.bench_volumes import GRIDS
-from async_tnt.checking.moments import made_columns, structured
+from async_tnt.checking.moments import made_columns
 from async_tnt.checking.timing import (
     interleave,
     is_installed,
@@ -33,6 +33,7 @@ from async_tnt.checking.timing import (
     spread,
     work_clock,
 )
+from async_tnt.events import structured
 from async_tnt.progress import progress
 
 BINS = 9

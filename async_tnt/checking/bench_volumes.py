@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checking.moments import made_columns, structured
+from async_tnt.checking.moments import made_columns
 from async_tnt.checking.timing import interleave, spread, work_clock
 from async_tnt.config import TNTConfig
+from async_tnt.events import structured
 from async_tnt.volume import TNTVolume
 
 GRIDS = ((34, 34), (346, 260), (1280, 720))
@@ -133,7 +134,7 @@ def _reads(volume: TNTVolume, packets: list[Any]) -> Callable[[], float]:
 
 
 def _structured_packets(columns: tuple[np.ndarray, ...], size: int) -> list[np.ndarray]:
-    events = structured(columns, CAMERA_DTYPE)
+    events = structured(columns, dtype=CAMERA_DTYPE)
     return [events[first : first + size].copy() for first in range(0, len(events), size)]
 
 

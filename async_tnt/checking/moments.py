@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.events import EVENT_DTYPE
+from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 NEW_EVENTS = (1, 10, 100, 1300)
@@ -118,11 +118,3 @@ def made_columns(
         rng.integers(0, sensor[1], n).astype(np.uint16),
         rng.integers(0, 2, n).astype(np.uint8),
     )
-
-
-def structured(columns: tuple[np.ndarray, ...], dtype: np.dtype = EVENT_DTYPE) -> np.ndarray:
-    """t, x, y, p as one structured array."""
-    events = np.empty(len(columns[0]), dtype)
-    for name, column in zip("txyp", columns, strict=True):
-        events[name] = column
-    return events

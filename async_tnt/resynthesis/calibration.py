@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.events import structured
 from async_tnt.resynthesis.events import MovedImage, SimulatedPixels
 from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, events_of, measure_pixels
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, measure_pixels
 from async_tnt.resynthesis.reconstruction import Reconstruction
 from async_tnt.simulation.statistics import describe
 
@@ -112,7 +113,7 @@ def _reconstruct(
 ) -> tuple[list[MotionPath], list[MovedImage], list[np.ndarray]]:
     """Path, image and recorded events of those windows whose path is found."""
     found = reconstruction(windows, pixels, known)
-    moving = [(path, image, events_of(one)) for (path, image), one in zip(found, windows, strict=True) if image]
+    moving = [(path, image, structured(one)) for (path, image), one in zip(found, windows, strict=True) if image]
     if not moving:
         raise ValueError(
             f"no motion was found in any of {len(windows)} windows: re-synthesis needs windows in which one image "

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
-
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """t, x, y, p of one window's events, in order; t in microseconds since the window's start."""
 
@@ -80,11 +78,3 @@ def neighbours(counts: np.ndarray) -> np.ndarray:
     height, width = counts.shape
     total = sum(framed[i : i + height, j : j + width] for i in range(3) for j in range(3))
     return np.asarray(total - counts)
-
-
-def events_of(columns: Columns) -> np.ndarray:
-    """One window's events as a structured array of `EVENT_DTYPE`."""
-    events = np.empty(len(columns[0]), EVENT_DTYPE)
-    for name, column in zip("txyp", columns, strict=True):
-        events[name] = column
-    return events

@@ -29,7 +29,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from async_tnt.checks import plain_array
-from async_tnt.events import EVENT_DTYPE
+from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.files import replacing
 
 FORMAT = "async_tnt.shard"
@@ -103,11 +103,7 @@ class Shard:
         ------
         IndexError : no such recording. Negative indices count from the end.
         """
-        columns = self.columns(i)
-        events = np.empty(len(columns[0]), EVENT_DTYPE)
-        for name, column in zip("txyp", columns, strict=True):
-            events[name] = column
-        return events
+        return structured(self.columns(i))
 
 
 def write_shard(

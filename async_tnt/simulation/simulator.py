@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from async_tnt.checks import plain_array
-from async_tnt.events import EVENT_DTYPE
+from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.kernels.simulate import pixel_events
 
 MIN_THRESHOLD = 1e-3
@@ -98,7 +98,7 @@ def simulate(
     )
     reference = frames[0] - threshold_on + rng.random(shape) * (threshold_on + threshold_off)
     refractory_us = float(pixels.refractory_us)
-    signal = _as_events(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))
+    signal = structured(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))
     return _sorted(np.concatenate([signal, _noise(shape, times, rng, pixels)]))
 
 
@@ -140,7 +140,7 @@ def simulate_events(
     level = _per_pixel("reference", frames[0] if reference is None else reference, shape)
     if not (math.isfinite(refractory_us) and refractory_us >= 0):
         raise ValueError(f"`refractory_us` must be finite and at least 0, got {refractory_us}")
-    return _sorted(_as_events(pixel_events(frames, times, on, off, level, float(refractory_us))))
+    return _sorted(structured(pixel_events(frames, times, on, off, level, float(refractory_us))))
 
 
 def _noise(shape: tuple[int, ...], times: np.ndarray, rng: np.random.Generator, pixels: PixelModel) -> np.ndarray:
@@ -152,12 +152,6 @@ def _noise(shape: tuple[int, ...], times: np.ndarray, rng: np.random.Generator, 
     events["x"] = rng.integers(width, size=len(events))
     events["y"] = rng.integers(height, size=len(events))
     events["p"] = rng.random(len(events)) < pixels.noise_on_share
-    return events
-
-
-def _as_events(columns: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
-    events = np.empty(len(columns[0]), EVENT_DTYPE)
-    events["t"], events["x"], events["y"], events["p"] = columns
     return events
 
 

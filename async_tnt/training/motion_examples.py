@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from async_tnt.config import TNTConfig
+from async_tnt.events import structured
 from async_tnt.resynthesis.events import SimulatedPixels, shares
 from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.pixels import MeasuredPixels, events_of
+from async_tnt.resynthesis.pixels import MeasuredPixels
 from async_tnt.resynthesis.reconstruction import Reconstruction
 from async_tnt.training.moved_windows import Motions
 from async_tnt.training.resynthesis import generator
@@ -38,7 +39,7 @@ def _example(motions: Motions, reconstruction: Reconstruction, i: int, classes: 
     ]
     return ResynthesizedWindow(
         classes[motions.training.labels[i]],
-        events_of(columns),
+        structured(columns),
         image.pictures(path[len(path) // 2 : len(path) // 2 + 1])[0],
         image.as_recorded(pixels, np.random.default_rng(seed)),
         [path, *(motion for _, motion in others)],

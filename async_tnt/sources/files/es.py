@@ -19,9 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from async_tnt.events import structured
 from async_tnt.kernels.es import ATIS, DVS, ES_TYPES, decode_es
 from async_tnt.kernels.jit import compile_only
-from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, block_columns, packed
+from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, block_columns
 
 MAGIC = b"Event Stream"
 HEADER_BYTES = 20
@@ -60,7 +61,7 @@ class EsSource(Source):
                     np.frombuffer(data, np.uint8), time, self._kind, width, height, *columns
                 )
                 if n:
-                    yield packed(columns, n)
+                    yield structured(columns, n)
                 place += done
                 if is_off:
                     raise CorruptData(f"the event at byte {place} is off the {width} x {height} sensor")

@@ -26,9 +26,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.events import as_events
+from async_tnt.events import as_events, structured
 from async_tnt.files import replacing
-from async_tnt.sources.files.source import packed
 from async_tnt.sources.sensor import checked_sensor
 
 SENSOR = (34, 34)
@@ -78,7 +77,7 @@ def read_nmnist(
 
     event_rows = np.flatnonzero(~is_overflow)
     columns = t_us, rows[:, 0], rows[:, 1], rows[:, 2] >> 7
-    events = packed([column[event_rows] for column in columns], len(event_rows))
+    events = structured([column[event_rows] for column in columns], len(event_rows))
     n_good, problem = _first_problem(events, event_rows, sensor)
     remedy, advice = "Fetch the file again", f"Pass strict=False for the {n_good} events before."
     if problem is not None and "sensor" in problem:

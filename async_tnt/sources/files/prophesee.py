@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numba import uint16, uint32
 
+from async_tnt.events import structured
 from async_tnt.kernels.evt import (
     HIGH,
     INITIAL,
@@ -36,7 +37,6 @@ from async_tnt.sources.files.source import (
     CorruptData,
     Source,
     block_columns,
-    packed,
     valid_events,
 )
 from async_tnt.sources.sensor import Sensor
@@ -152,7 +152,7 @@ class EvtSource(Source):
                 while done < len(words) and status != ODD:
                     n, done, status = decode(words, done, state, *columns)
                     if n:
-                        events = packed(columns, n)
+                        events = structured(columns, n)
                         events["t"] += self._t0_us
                         yield events
                 if status == ODD:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
+from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.sources.sensor import Sensor
 
@@ -63,14 +63,6 @@ def block_columns() -> tuple[np.ndarray, ...]:
     return tuple(np.empty(BLOCK_EVENTS, EVENT_DTYPE[name]) for name in "txyp")
 
 
-def packed(columns: Sequence[np.ndarray], n: int) -> np.ndarray:
-    """The first n events of columns t, x, y, p, as a new array of `EVENT_DTYPE`."""
-    events = np.empty(n, EVENT_DTYPE)
-    for name, column in zip("txyp", columns, strict=True):
-        events[name] = column[:n]
-    return events
-
-
 def valid_events(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, str]:
     """Columns of any integer type as `EVENT_DTYPE`, up to the first event that does not fit it.
 
@@ -84,7 +76,7 @@ def valid_events(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> 
         bad |= (pixel < 0) | (pixel >= 1 << 16)
     n = int(np.argmax(bad)) if bad.any() else len(t)
     problem = "" if n == len(t) else f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is not a valid event"
-    return packed((t, x, y, ~off), n), problem
+    return structured((t, x, y, ~off), n), problem
 
 
 def events_on_sensor(events: np.ndarray, sensor: Sensor | None, n_before: int = 0) -> tuple[np.ndarray, str]:

@@ -25,9 +25,10 @@ from typing import NamedTuple
 import numpy as np
 
 from async_tnt.event_forms import NAMES, the_name
+from async_tnt.events import structured
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.text import BLANKS, ODD, ROW_TYPES, SKIPPED, P, T, X, Y, parse_rows
-from async_tnt.sources.files.source import CorruptData, Source, block_columns, packed
+from async_tnt.sources.files.source import CorruptData, Source, block_columns
 from async_tnt.sources.sensor import Sensor
 
 CHUNK_BYTES = 1 << 20
@@ -76,7 +77,7 @@ class TextSource(Source):
                     n -= 1
                     stop = text.rstrip().rfind(b"\n") + 1
                 if n:
-                    yield packed(columns, n)
+                    yield structured(columns, n)
                 if status == ODD:
                     line += text.count(b"\n", 0, stop)
                     row = text[stop : stop + 200].split(b"\n")[0].decode("utf-8", "backslashreplace").strip()
