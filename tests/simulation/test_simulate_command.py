@@ -57,7 +57,7 @@ def test_bright_digits_that_start_at_the_centre(simulate, tmp_path):
     code, _, err = simulate("--digits", 2, "--motions", "constant-from-centre")
     assert code == 2 and "made with other parameters: dark_on_bright is False, requested True. Give the same" in err
     path.unlink()
-    with pytest.raises(ValueError, match=r"--motions constant-from-centre --digits 2 --seed 0 --bright-on-dark, or by `build`"):
+    with pytest.raises(ValueError, match="constant-from-centre --digits 2 --seed 0 --bright-on-dark, or by `build`"):
         open_set(tmp_path / "set")
 
 
