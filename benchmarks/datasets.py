@@ -89,6 +89,7 @@ QUICK = DataSet("made objects", "train", "test", f"--sensor {format_size(SENSOR)
 def measure(data: DataSet, folder: Path, out: Path, recipes: Sequence[str], seeds: int) -> dict[str, Any]:
     """Train and test each recipe, with each seed."""
     found = {}
+    out.mkdir(parents=True, exist_ok=True)
     with progress(len(recipes) * seeds, "training") as bar:
         for name in recipes:
             options = f"{data.options} {data.recipes[name]}".strip()
@@ -206,7 +207,7 @@ def _quick() -> dict[str, Any]:
         folder = Path(name)
         for part, n, seed in ((QUICK.train, 6, 0), (QUICK.test, 3, 1)):
             write(folder / part, n, (0.0,), seed)
-        return measure(QUICK, folder, folder, list(QUICK.recipes), 1)
+        return measure(QUICK, folder, folder / "models", list(QUICK.recipes), 1)
 
 
 if __name__ == "__main__":
