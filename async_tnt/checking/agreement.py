@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from async_tnt.checking.equality import LOGIT_BOUND, REGRESSED_LANDMARK_BOUND, Comparison, closed_volumes
+from async_tnt.checking.equality import LOGIT_BOUND, REGRESSED_LANDMARK_BOUND, Comparison, closed_volumes, same_class
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
@@ -63,10 +63,9 @@ def compare_engines(model: Model, classifier: Classifier, regressor: Regressor |
                 ours, theirs = compiled(volume), np.asarray(classifier(volume))
                 difference = float(np.abs(ours - theirs).max())
                 agreement.plain_logits.add(difference)
-                agreement.logits.add(difference / max(1.0, float(np.abs(ours).max())))
-                second, first = np.sort(theirs)[-2:] if theirs.size > 1 else (-np.inf, theirs[0])
-                is_tie = first - second <= 2 * LOGIT_BOUND * max(1.0, float(np.abs(ours).max()))
-                agreement.n_differ += int(ours.argmax() != theirs.argmax() and not is_tie)
+                largest = max(1.0, float(np.abs(ours).max()))
+                agreement.logits.add(difference / largest)
+                agreement.n_differ += not same_class(ours, theirs, LOGIT_BOUND * largest)
             if compiled_regressor is not None and regressor is not None:
                 for _, volume in closed_volumes(events, raw, 0, None):
                     distance = np.abs(np.subtract(compiled_regressor(volume), regressor(volume))).max()

@@ -66,6 +66,18 @@ class Comparison:
         return self.n > 0 and self.worst <= self.bound
 
 
+def same_class(ours: np.ndarray, theirs: np.ndarray, bound: float) -> bool:
+    """Whether two networks' logits decide alike; either class will do where logits within `bound` may swap them.
+
+    Examples
+    --------
+    >>> same_class(np.array([1.0, 2.0]), np.array([2.0, 1.0]), 0.1), same_class(np.zeros(2), np.array([0.0, 0.1]), 0.1)
+    (False, True)
+    """
+    second, first = np.sort(theirs)[-2:] if theirs.size > 1 else (-np.inf, theirs[0])
+    return bool(ours.argmax() == theirs.argmax() or first - second <= 2 * bound)
+
+
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
     """A configuration with every landmark (`regressor` where it has one), with the flow removed, and without the
     transform; images of times and histograms have only the last."""
@@ -184,9 +196,7 @@ def _check_network(events: np.ndarray, model: Model, prefixes: int | None, start
             theirs = pipeline(inside[:n], start)
             repeated.add(float(np.count_nonzero(ours.view(np.uint32) != whole.view(np.uint32))))
             logits.add(float(np.abs(ours - theirs).max()))
-            second, first = np.sort(theirs)[-2:] if theirs.size > 1 else (-np.inf, theirs[0])
-            if first - second > 2 * LOGIT_BOUND:  # else either class keeps promise (c)
-                classes.add(float(ours.argmax() != theirs.argmax()))
+            classes.add(float(not same_class(ours, theirs, LOGIT_BOUND)))
     return [repeated, logits, classes]
 
 

@@ -176,14 +176,19 @@ def _batch_norm(made: _Conversion, node: _Node) -> None:
     made.add(node, "batch_norm", node.inputs[:1], weights=weights, epsilon=float(node.get("epsilon", 1e-5)))
 
 
+def _without_leading_ones(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """What is left of a shape as ONNX broadcasts it."""
+    while shape[:1] == (1,):
+        shape = shape[1:]
+    return shape
+
+
 def _affine(made: _Conversion, node: _Node, *, is_sum: bool) -> None:
     """A sum or product with a constant, of one number or of one for each channel, as a batch norm."""
     (constant,) = (made.constants[name] for name in node.inputs if name in made.constants)
     (source,) = (name for name in node.inputs if name not in made.constants)
     shape = made.shape(source)
-    sides = constant.shape
-    while sides[:1] == (1,):
-        sides = sides[1:]
+    sides = _without_leading_ones(constant.shape)
     _expect(sides in ((), (shape[0], *[1] * (len(shape) - 1))), f"a constant of shape {constant.shape} here")
     n = shape[0]
     values = np.broadcast_to(constant.reshape(-1), n)
@@ -217,9 +222,7 @@ def _leaky_relu(made: _Conversion, node: _Node) -> None:
 def _prelu(made: _Conversion, node: _Node) -> None:
     slope = made.constant(node, 1)
     assert slope is not None
-    sides = slope.shape  # (C, 1, 1): ONNX would apply (n,) along the last axis
-    while sides[:1] == (1,):
-        sides = sides[1:]
+    sides = _without_leading_ones(slope.shape)  # (C, 1, 1): ONNX would apply (n,) along the last axis
     channels, *others = made.shape(node.inputs[0])
     _expect(slope.size == 1 or sides == (channels, *[1] * len(others)), f"a slope of shape {slope.shape}")
     made.add(node, "prelu", node.inputs[:1], weights={"slope": made.tensor(node.inputs[1], slope.reshape(-1))})

@@ -15,7 +15,8 @@ from async_tnt.checked_tensors import checksum, tensor_bytes
 from async_tnt.checks import plain_array
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
-from async_tnt.networks.from_torch import check_conversion, layers_from_torch
+from async_tnt.networks.conversion_check import check_conversion
+from async_tnt.networks.from_torch import layers_from_torch
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
 from async_tnt.networks.thesis import thesis_network
 
