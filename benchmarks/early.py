@@ -2,10 +2,10 @@
 
     python benchmarks/early.py [FOLDER] [--recordings N] [--json FILE] [--picture FILE]
 
-Streams real recordings, FOLDER/<digit>/*.bin in N-MNIST's format (default: nmnist/Test in $TNT_DATA, or in
-../shared/data beside the checkout), through the bundled model, one window a saccade, with one setting of `Processor`
-after the other, and counts each window's early decision: the first that a trigger makes, or with `confidence` the one
-that closes the window. A window without one counts with its decision at the end. A measurement: nothing is set by it.
+Streams real recordings, FOLDER/<digit>/*.bin in N-MNIST's format (default: nmnist/Test in $TNT_DATA), through the
+bundled model, one window a saccade, with one setting of `Processor` after the other, and counts each window's early
+decision: the first that a trigger makes, or with `confidence` the one that closes the window. A window without one
+counts with its decision at the end. A measurement: nothing is set by it.
 """
 
 from __future__ import annotations
@@ -69,14 +69,17 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
 
 
 def default_folder() -> Path:
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    return Path(os.environ.get("TNT_DATA", beside)) / "nmnist" / "Test"
+    """N-MNIST's test part in $TNT_DATA."""
+    root = os.environ.get("TNT_DATA")
+    if not root:
+        raise ValueError("no recordings: give FOLDER, or set TNT_DATA to the folder with nmnist/")
+    return Path(root) / "nmnist" / "Test"
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run, print, and write JSON and the picture if asked."""
     parser = script_parser(__doc__, f"{QUICK} recordings", draws=True)
-    parser.add_argument("folder", nargs="?", type=Path, default=default_folder(), metavar="FOLDER")
+    parser.add_argument("folder", nargs="?", type=Path, metavar="FOLDER")
     parser.add_argument("--recordings", type=int, metavar="N", help="number of recordings, the same for each digit")
     cores = available_cores()
     parser.add_argument("--workers", type=int, default=cores, metavar="N", help="processes (default: one per core)")
@@ -88,7 +91,7 @@ def main(argv: list[str] | None = None) -> int:
     def measure() -> dict[str, Any]:
         with progress(n_settings(), "settings") as bar:
             n = QUICK if args.quick else args.recordings
-            return measure_early(args.folder, n, workers=args.workers, each=bar.update)
+            return measure_early(args.folder or default_folder(), n, workers=args.workers, each=bar.update)
 
     try:
         report = report_of(args, measure)

@@ -15,7 +15,7 @@ PEERS = {
 
 
 def volumes() -> str:
-    """Nanoseconds per event, and peers."""
+    """Nanoseconds per event, by the size of a packet."""
     ways = {
         "single": "`update_one`",
         "packet_10_columns": "packets of 10, columns",
@@ -27,31 +27,16 @@ def volumes() -> str:
         [f"ns per event, {words}", *(short(v["ns_per_event"][way]["median"]) for v in grids)]
         for way, words in ways.items()
     ]
-    return table(_grids(), rows + _peers("packets of 1300, volume read after each: {} / async_tnt"))
-
-
-def _grids() -> list[str]:
-    return ["", *("{} x {}".format(*v["grid"]) for v in results("bench")["volume"])]
-
-
-def _peers(words: str) -> list[list[str]]:
-    small = [r for r in results("peers")["results"] if r["events_a_packet"] == 1300]
-    return [
-        [words.format(peer), *(short(r["rows"][name]["times_ours_update_read"]) for r in small)]
-        for name, peer in PEERS.items()
-        if name in small[0]["rows"]
-    ]
+    return table(["", *("{} x {}".format(*v["grid"]) for v in grids)], rows)
 
 
 def large_packets() -> str:
-    """A volume of one large packet: peers relative to async_tnt."""
+    """A new window's volume of one large packet: peers relative to async_tnt."""
     large = [r for r in results("peers")["results"] if r["events_a_packet"] != 1300]
     head = ["one packet", *("{} x {}, ".format(*r["grid"]) + f"{r['events_a_packet']:,} events" for r in large)]
     rows = [
-        [f"{peer} / async_tnt, window {words}", *(short(r["rows"][name][ratio]) for r in large)]
-        for ratio, words in (("times_ours_update_read", "open"), ("times_ours_fresh", "new"))
+        [f"{peer} / async_tnt", *(short(r["rows"][name]["times_ours_fresh"]) for r in large)]
         for name, peer in PEERS.items()
-        if name in large[0]["rows"]
     ]
     return table(head, rows)
 
@@ -67,9 +52,10 @@ def splat() -> str:
     ]
     for name, words in PEERS.items():
         cells = []
-        for peers in found.values():
-            theirs = peers[name]["ns_per_event"]["median"]
-            cells.append(" / ".join(short(theirs / peers[row]["ns_per_event"]["median"]) for row in ours))
+        for rows_of in found.values():
+            theirs = rows_of[name]
+            to_update = theirs["ns_per_event"]["median"] / rows_of["ours_update"]["ns_per_event"]["median"]
+            cells.append(f"{short(to_update)} / {short(theirs['times_ours_update_read'])}")
         rows.append([f"{words}: ratio / ratio to the volume read", *cells])
     return table(head, rows)
 
