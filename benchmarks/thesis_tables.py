@@ -92,8 +92,8 @@ def unseen_motion() -> str:
         f"{of['running-translated']}. Without it: untransformed {of['raw-unsigned-translated']}, `running` "
         f"{of['running-unsigned-translated']}, `line` with its flow removed {of['line-unsigned-translated']}. "
         f"A network that guesses in the other two saccades has {short(_guessed('1/all'))}. "
-        f"[Re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions, untransformed and with more "
-        f"steps: {of['raw-motions']}."
+        f"[Re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions, untransformed, not moved and with "
+        f"more steps: {of['raw-motions']}."
     )
 
 

@@ -55,8 +55,8 @@ def early_fields(windows: Sequence[Sequence[Decision]], config: TNTConfig) -> di
     decided_at, probability_at : class and its probability at each of `moments`.
     decided_by : class after at most as many events as each of `EVENT_COUNTS`.
     window_events : events in the window.
-    confident, confident_us : for each of `LEVELS`, class and time since the window's start of the first decision that
-        reaches it.
+    confident, confident_us : for each of `LEVELS`, the class of the first decision that reaches it, and when that was
+        due since the window's start.
     """
     fields: dict[str, list[Any]] = {name: [] for name in COLUMNS}
     after_us = moments(config)
@@ -69,8 +69,18 @@ def early_fields(windows: Sequence[Sequence[Decision]], config: TNTConfig) -> di
         fields["window_events"].append(window[-1].events)
         first = [next((d for d in window if d.probability >= level), None) for level in LEVELS]
         fields["confident"].append([-1 if d is None else d.index for d in first])
-        fields["confident_us"].append([-1 if d is None else d.time_us - d.window_start_us for d in first])
+        fields["confident_us"].append([-1 if d is None else due_us(d, config) for d in first])
     return fields
+
+
+def due_us(decision: Decision, config: TNTConfig) -> int:
+    """When a decision was due, since its window's start: the next fiftieth after its newest event, or the window's end.
+    Of windows of events: its newest event's time."""
+    since_us = decision.time_us - decision.window_start_us
+    step_us = every_us(config)
+    if step_us is None:
+        return since_us
+    return (since_us // step_us + 1) * step_us if decision.trigger == "every_us" else config.window_us
 
 
 def decision_at(window: Sequence[Decision], moment_us: int) -> Decision | None:

@@ -138,7 +138,7 @@ def main(args: argparse.Namespace) -> int:
             args.seeds[:1],
             min(args.iterations or 30, 30),
         )
-    runs = runs_of(args.rows or GROUPS, args.trained_on, args.seeds)
+    runs = runs_of(args.rows or GROUPS, args.trained_on, list(dict.fromkeys(args.seeds)))
     if not runs:
         raise ValueError(f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}")
     if args.list:
@@ -267,8 +267,11 @@ def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) 
 
     data = record["data"]
     seeds = ", ".join(map(str, record["seeds"]))
+    counts = {name: min(len(part["seeds"]) for part in columns.values()) for name, columns in record["table"].items()}
+    fewer = ", ".join(f"{name} {n}" for name, n in counts.items() if n < len(record["seeds"]))
     return (
-        f"\nmean ± deviation over seeds {seeds}; windows per step: {args.batch}.\n"
+        f"\nmean ± deviation over seeds {seeds}{f' (fewer: {fewer})' if fewer else ''}; "
+        f"windows per step: {args.batch}.\n"
         f"N-MNIST: {data['training_recordings']} recordings to train on, {data['held_out_recordings']} held out, "
         f"{data['test_recordings']} to test on; the split is {data['split']}.\n"
         + "".join(

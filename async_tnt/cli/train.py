@@ -18,7 +18,8 @@ from async_tnt.cli.data_options import command_words
 from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.train_data import config_of, of_dataset, of_digits
 from async_tnt.cli.train_motions import other_motions
-from async_tnt.cli.train_options import NETWORK, add_arguments, check_options
+from async_tnt.cli.train_option_checks import check_options
+from async_tnt.cli.train_options import NETWORK, add_arguments
 from async_tnt.files import check_folder, check_writable, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.progress import progress
@@ -119,7 +120,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     if start is not None:
         names = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
         summary["started_from"] = {name: start.record[name] for name in names if name in start.record}
-    times_ms = tuple(config.window_us * k / 1e4 for k in range(1, 11))
+    times_ms = tuple(config.window_us * k / 1e4 for k in range(1, 10))
     if args.dataset is None:
         times_ms = tuple(float(ms) for ms in range(10, 101, 10))
     scores = None

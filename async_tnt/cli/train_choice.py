@@ -75,18 +75,26 @@ class Choice:
         questions: Questions,
         settings_of: Callable[[Candidate, int], TrainSettings],
     ) -> Candidate:
-        """Try the candidates, which resumes like any training, and keep the result."""
-        print(f"trying volumes and networks, {STEPS} steps each (--quick leaves that out)", file=sys.stderr)
+        """Try the candidates, which resumes like any training, and keep the result; `start`, if none is held out."""
 
         def try_out(candidate: Candidate) -> Trial | None:
             return _try_out(candidate, data, settings_of(candidate, STEPS), self._folder)
 
-        trials = choose(start, questions, try_out)
-        self.trials = [trial.to_dict() for trial in trials]
-        self.chosen = best = trials[-1].candidate
-        print(f"chosen: {best}", file=sys.stderr)
+        best = start
+        if len(data.validation):
+            print(f"trying volumes and networks, {STEPS} steps each (--quick leaves that out)", file=sys.stderr)
+            trials = choose(start, questions, try_out)
+            self.trials = [trial.to_dict() for trial in trials]
+            best = trials[-1].candidate
+            print(f"chosen: {best}", file=sys.stderr)
+        else:
+            print(
+                "no recording is held out to compare volumes and networks on: the defaults are taken", file=sys.stderr
+            )
+        self.chosen = best
         kept: dict[str, Any] = {"key": self._key, "recordings": self._recordings, "trials": self.trials}
         kept |= {**asdict(best), "config": best.config.to_dict()}
+        self._run_folder.mkdir(parents=True, exist_ok=True)  # where nothing was tried
         write_text(self._file, json.dumps(kept, indent=1))
         for folder in self._run_folder.glob("choice-*"):  # also of earlier options
             shutil.rmtree(folder, ignore_errors=True)

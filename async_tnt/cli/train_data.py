@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import zlib
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,8 @@ from async_tnt.training.augment import Augmentation
 from async_tnt.training.choice import Candidate
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
-from async_tnt.training.run_folder import check_run, has_checkpoint, other_run
+from async_tnt.training.groups import GROUPS_FILE
+from async_tnt.training.run_folder import check_run, check_sources, has_checkpoint, other_run
 from async_tnt.training.settings import TrainSettings, settings_for
 
 
@@ -61,19 +63,20 @@ def of_dataset(
     sources: dict[str, Any] = {
         "recordings": file_sizes(args.dataset, "Train"),
         "validation": validation,
-        "groups": args.groups,
+        "groups": args.groups or _groups_file(args.dataset),
         "pixels": pixels.record,
     }
     augmentation = _augmentation(args)
     choice = None
     if questions:
         depends_on = {"settings": known, "volume": config.to_dict(), "augmentation": augmentation}
-        depends_on |= {"questions": asdict(questions), **sources, "recordings": None}
+        depends_on |= {"questions": asdict(questions), "window_us": args.window_us, "sensor": args.sensor}
+        depends_on |= {**sources, "recordings": None}
         choice = Choice(run_folder, depends_on, sources["recordings"])
         if choice.chosen is not None:
             config, known["network"] = choice.chosen.config, choice.chosen.network
         elif has_checkpoint(run_folder):
-            check_run(run_folder, {}, {}, sources)  # names recordings that differ
+            check_sources(run_folder, sources)  # names recordings that differ
             raise other_run(run_folder, "options")
     volume = {name: value for name, value in config.to_dict().items() if name != "sensor"}
     if pixels.sensor is not None and not pixels.crop:
@@ -85,7 +88,7 @@ def of_dataset(
         args.dataset,
         config,
         pixels=pixels,
-        sensor_source="--sensor" if args.sensor else "--start-from",
+        sensor_source="--sensor" if args.sensor else "--mask" if args.mask else "--start-from",
         classes=None if start is None else start.classes,
         validation=validation,
         groups=args.groups,
@@ -112,9 +115,7 @@ def of_dataset(
         )
 
     candidate = Candidate(data.config, given["network"], bool(args.mirror))
-    if choice is not None and len(data.validation) == 0:
-        print("no recording is held out to compare volumes and networks on: the defaults are taken", file=sys.stderr)
-    elif choice is not None:
+    if choice is not None:
         candidate = choice.chosen or choice.make(data, candidate, questions, settings_of)
         data = replace(data, config=candidate.config, record={**data.record, "choice": choice.trials})
     return data, settings_of(candidate), {**sources, "used": list(data.training.recordings.names)}
@@ -155,6 +156,12 @@ def of_digits(
         progress=progress,
     )
     return data, settings, {}
+
+
+def _groups_file(dataset: Path) -> str | None:
+    """The data set's table of groups, by its checksum."""
+    file = dataset / GROUPS_FILE
+    return f"{GROUPS_FILE} {zlib.crc32(file.read_bytes()):08x}" if file.is_file() else None
 
 
 def _augmentation(args: argparse.Namespace) -> dict[str, Any] | None:

@@ -1,4 +1,4 @@
-"""The options of `async-tnt train`, and which of them go together."""
+"""The options of `async-tnt train`."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ With --nmnist, on N-MNIST's digits and, with --simulated, on recordings simulate
 
 Each epoch shifts, rotates and thins every window at random, so no two epochs are alike. Some of the real recordings are
 held out: they choose volume and network, calibrate the probabilities, and tell the accuracy after each epoch.
-Checkpoints go into the run folder: stop with Ctrl-C, give the same command again, and the training resumes and ends
-with exactly the same weights.
+Checkpoints go into the run folder: stop with Ctrl-C, give the same command again, and the training resumes; on the same
+machine it ends with exactly the same weights.
 """
 EPILOG = """\
 examples:
@@ -315,31 +315,3 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="checkpoints and learning curves of one run, which resumes from there (default: runs/<name of --out>)",
     )
     files.add_argument("--json", action="store_true", help="print the results as JSON on stdout")
-
-
-def check_options(args: argparse.Namespace) -> None:
-    """Refuse options that do not go together, by a ValueError that names them."""
-    given = ["--shared-path"] if args.shared_path else []
-    given += [f"--{name}" for name in ("variations", "recorded", "workers") if getattr(args, name) is not None]
-    if given and args.motions == "recorded":
-        raise ValueError(f"{', '.join(given)} must come with --motions resynthesized")
-    if args.motions == "resynthesized" and args.roi and not args.crop:
-        raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
-    names = ("grid", "window_us", "representation", "transform", "landmark", "t_max", "polarity", "bins")
-    given = [f"--{name.replace('_', '-')}" for name in names if getattr(args, name) is not None]
-    if args.start_from and given:
-        raise ValueError(f"{', '.join(given)} must come without --start-from: the volume is that model's")
-    if args.start_from and args.network is not None:
-        raise ValueError("--network must come without --start-from: the network is that model's")
-    if args.dataset is None:
-        needs_folder = ("quick", "groups", "sensor", "grid", "window_us", "roi", "crop", "mask")
-        given = [f"--{name.replace('_', '-')}" for name in needs_folder if getattr(args, name)]
-        if given:
-            raise ValueError(f"{', '.join(given)} must come with DATASET, a folder of class folders")
-        if args.test and args.smoke:
-            raise ValueError("--test must come without --smoke, which has no test recordings")
-        return
-    given = [f"--{name}" for name in ("nmnist", "mnist", "simulated", "smoke") if getattr(args, name)]
-    given += ["--saccades"] if args.saccades != [1, 2, 3] else []
-    if given:
-        raise ValueError(f"{', '.join(given)} must come without DATASET: train on one or the other")

@@ -67,7 +67,7 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
     folder : holds a folder for each class, with the name of the class, or sessions. Hidden files and folders
         (".cache"), files that are not recordings, and deeper ones are ignored.
     part : such as "Train": they are in `folder/part` if that exists and has any; of sessions, those that the list for
-        this part names, if there is one.
+        this part names or, without one, those that the other part's list does not name.
 
     Returns
     -------
@@ -111,8 +111,8 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
 
 
 def has_part(folder: Path, part: str) -> bool:
-    """Whether some of a data set's recordings are set aside for "Test", as a folder or by a list."""
-    return (folder / part).is_dir() or (folder / LISTS.get(part, part)).is_file()
+    """Whether some of a data set's recordings are set aside for "Test", as a folder or by lists."""
+    return (folder / part).is_dir() or any((folder / file).is_file() for file in LISTS.values())
 
 
 def is_recording(path: Path) -> bool:
@@ -131,15 +131,25 @@ def _sessions(folder: Path) -> dict[Path, Path]:
     return {path: tables[path.stem] for path in recordings}
 
 
+def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
+    """The sessions that a list names; None without the list."""
+    if not file.is_file():
+        return None
+    wanted = set(file.read_text(encoding="utf-8").split())
+    missing = sorted(wanted - {path.name for path in sessions})
+    if missing:
+        raise ValueError(f"{file} names {missing[0]}, which is not there, or has no table")
+    return {path for path in sessions if path.name in wanted}
+
+
 def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dict[str, list[LabelledRecording]]:
     """The parts of the sessions, by class."""
-    listed = folder / LISTS.get(part or "", "")
-    if part in LISTS and listed.is_file():
-        wanted = set(listed.read_text(encoding="utf-8").split())
-        missing = sorted(wanted - {path.name for path in sessions})
-        if missing:
-            raise ValueError(f"{listed} names {missing[0]}, which is not there, or has no table")
-        sessions = {path: table for path, table in sessions.items() if path.name in wanted}
+    if part in LISTS:
+        listed = {name: _listed(folder / file, sessions) for name, file in LISTS.items()}
+        wanted = listed.pop(part)
+        if wanted is None:
+            wanted = set(sessions).difference(*(others for others in listed.values() if others is not None))
+        sessions = {path: table for path, table in sessions.items() if path in wanted}
     names = {}
     if (folder / NAMES_FILE).is_file():
         columns = {"label": ("label", "class"), "name": ("action", "gesture", "name")}

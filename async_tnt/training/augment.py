@@ -61,13 +61,13 @@ def fineness(sensor: tuple[int, int]) -> int:
     return max(1, min(FINE, (MAX_SIDE - 1) // (max(sensor) - 1)))
 
 
-def unchanged(n: int, config: TNTConfig, until_us: int | None = None) -> Draws:
-    """No augmentation: `n` unchanged windows, or their first `until_us` microseconds."""
+def unchanged(n: int, config: TNTConfig) -> Draws:
+    """No augmentation: `n` unchanged windows."""
     matrix = np.zeros((n, 2, 3))
     matrix[:, 0, 0] = matrix[:, 1, 1] = 1.0
     return Draws(
         np.zeros(n, np.int64),
-        np.full(n, config.window_us if until_us is None else until_us, np.int64),
+        np.full(n, config.window_us, np.int64),
         matrix,
         np.ones(n),
         np.zeros(n, np.uint64),

@@ -123,6 +123,7 @@ def dataset_data(
             pixels=replace(pixels, sensor=dataset.camera),
             sensor_source="the recordings to train on",
             classes=dataset.classes,
+            known=dataset.known,
             store=store,
             progress=progress,
         )

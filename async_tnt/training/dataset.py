@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,8 @@ from async_tnt.sources.sensor import Sensor, format_size
 from async_tnt.training.recordings import Recordings, RecordingsWriter
 
 MAX_US = 1 << 31  # what a column of int32 holds
+MAX_WAITING = 1 << 24
+"""Events that are kept until a recording states its sensor."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Dataset:
     left_out : which recordings were left out and why, one line each.
     left_out_events : how many events of `recordings` were left out by their pixels: `left_out_outside` of the region,
         `left_out_masked`. Empty without a region and a mask.
+    known : what a second part of the data set must not hold, see `read_dataset`.
     """
 
     recordings: Recordings
@@ -43,6 +46,21 @@ class Dataset:
     sensor: Sensor
     left_out: tuple[str, ...]
     left_out_events: Mapping[str, int]
+    known: Known
+
+
+@dataclass
+class Known:
+    """Recordings that have been read, so that the same one is noticed again.
+
+    Parameters
+    ----------
+    recorded : fingerprint -> label and name.
+    seen : label and fingerprint of the selected events -> fingerprint of all, and name.
+    """
+
+    recorded: dict[bytes, tuple[int, str]] = field(default_factory=dict)
+    seen: dict[tuple[int, bytes], tuple[bytes, str]] = field(default_factory=dict)
 
 
 def read_dataset(
@@ -52,12 +70,13 @@ def read_dataset(
     pixels: PixelSelection | None = None,
     sensor_source: str = "--sensor",
     classes: tuple[str, ...] | None = None,
+    known: Known | None = None,
     store: Path | None = None,
     progress: Callable[..., Bar] = no_progress,
 ) -> Dataset:
     """Read the recordings that `find_recordings` finds.
 
-    The recordings state their sensor and agree, or `pixels.sensor` gives it to those that do not state one. Recordings
+    The recordings state their sensor and agree, or `pixels.camera` gives it to those that do not state one. Recordings
     that cannot be read, have no events, or have an event off the sensor are left out. So are events older than their
     recording's first one, as in a stream; the others are sorted by time.
 
@@ -69,8 +88,9 @@ def read_dataset(
     ----------
     pixels : which events to learn from; by default all. The others are removed as if they had never been recorded:
         times count from the first event that is left.
-    sensor_source : where `pixels.sensor` comes from, for messages.
+    sensor_source : where `pixels.camera` comes from, for messages.
     classes : the class names that may occur; by default the folders there are, at least two.
+    known : of the part to train on: its recordings are left out here, and refused in another class. With `classes`.
     store : a folder for the events, see `RecordingsWriter`; None: in memory.
 
     Raises
@@ -85,13 +105,15 @@ def read_dataset(
     _check_classes(folder, found, classes)
     names = tuple(found) if classes is None else classes
     labelled = [(label, one) for label, name in enumerate(names) for one in found.get(name, [])]
-    camera, source = pixels.sensor, sensor_source
+    camera, source = pixels.camera, sensor_source
     waiting: list[_Recording] = []  # until the sensor is known
+    n_waiting = 0  # their events
     with RecordingsWriter(store) as writer, progress(len(labelled), "reading") as bar:
-        selection = _Selection(writer)
+        selection = _Selection(writer, Known() if known is None else known)
         for label, which in labelled:
-            one = _Recording.read(which, label, pixels.sensor)
+            one = _Recording.read(which, label, pixels.camera)
             waiting.append(one)
+            n_waiting += 0 if one.events is None else len(one.events)
             if camera is None:
                 camera, source = one.sensor, one.name
             elif one.sensor not in (None, camera):
@@ -101,16 +123,19 @@ def read_dataset(
                 )
             if camera is not None:
                 keep = _filter(pixels, camera)
-                for known in waiting:
-                    known.select(keep, camera)
-                    selection.add(known)
+                for read in waiting:
+                    read.select(keep, camera)
+                    selection.add(read)
                 waiting.clear()
+                n_waiting = 0
             bar.update()
+            if n_waiting > MAX_WAITING:
+                break
         if camera is None and any(one.events is not None for one in waiting):
             x, y = (max(int(one.events[axis].max()) for one in waiting if one.events is not None) for axis in "xy")
             raise ValueError(
-                f"{folder}: no recording states its sensor; give --sensor WxH (the events need at least "
-                f"{x + 1}x{y + 1})"
+                f"{folder}: none of {len(waiting)} recordings states its sensor; give --sensor WxH (their events need "
+                f"at least {x + 1}x{y + 1})"
             )
         for one in waiting:
             selection.add(one)
@@ -129,7 +154,8 @@ def read_dataset(
     if pixels.mask is not None:
         left_out_events["left_out_masked"] = selection.n_masked
     left_out = tuple(line for _, line in selection.left_out)
-    return Dataset(recordings, names, camera, pixels.region or camera, left_out, left_out_events)
+    region = pixels.region or camera
+    return Dataset(recordings, names, camera, region, left_out, left_out_events, selection.known)
 
 
 def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
@@ -224,13 +250,12 @@ class _Selection:
     classes is refused.
     """
 
-    def __init__(self, writer: RecordingsWriter) -> None:
+    def __init__(self, writer: RecordingsWriter, known: Known) -> None:
         self._writer = writer
+        self.known = known
         self.left_out: list[tuple[int, str]] = []
         """Label and reason."""
         self.n_outside = self.n_masked = 0
-        self._recorded: dict[bytes, tuple[int, str]] = {}
-        self._seen: dict[tuple[int, bytes], tuple[bytes, str]] = {}
 
     def add(self, one: _Recording) -> None:
         """Keep a recording, or not.
@@ -240,13 +265,13 @@ class _Selection:
         ValueError : it is also in another class.
         """
         if one.events is not None:
-            label, name = self._recorded.setdefault(one.fingerprint, (one.label, one.name))
+            label, name = self.known.recorded.setdefault(one.fingerprint, (one.label, one.name))
             if label != one.label:
                 raise ValueError(
                     f"{name} and {one.name} hold the same events but are in two classes; remove the wrong one"
                 )
             mine = one.fingerprint, one.name
-            twin = self._seen.setdefault((label, fingerprint(one.events)), mine)
+            twin = self.known.seen.setdefault((label, fingerprint(one.events)), mine)
             if twin is not mine:
                 where = "" if twin[0] == one.fingerprint else " at the selected pixels"
                 one.leave_out(f"{one.name}: the same events as {twin[1]}{where}")

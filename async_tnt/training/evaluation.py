@@ -26,22 +26,26 @@ class Evaluation:
     Parameters
     ----------
     windows : the N windows.
-    times_ms : M moments, in milliseconds since a window's start.
-    early : float64, shape (M, N, n_classes). Probabilities at these moments.
-    complete : float64, shape (N, n_classes). At the windows' ends.
-    nothing : the same, the events scattered over the sensor.
+    times_ms : M moments, in milliseconds since a window's start; the last one is its end.
+    probabilities : float64, shape (M, N, n_classes). At these moments.
+    nothing : float64, shape (N, n_classes). At the windows' ends, the events scattered over the sensor.
     """
 
     windows: Windows
     times_ms: tuple[float, ...]
-    early: np.ndarray
-    complete: np.ndarray
+    probabilities: np.ndarray
     nothing: np.ndarray
+
+    @property
+    def complete(self) -> np.ndarray:
+        """float64, shape (N, n_classes). Probabilities at the windows' ends."""
+        ends: np.ndarray = self.probabilities[-1]
+        return ends
 
     @property
     def against_time(self) -> dict[float, float]:
         """Moment -> share of windows that are right by then."""
-        right = (self.early.argmax(2) == self.windows.labels).mean(1)
+        right = (self.probabilities.argmax(2) == self.windows.labels).mean(1)
         return dict(zip(self.times_ms, right.tolist(), strict=True))
 
     @property
@@ -82,14 +86,14 @@ class Evaluation:
 
     def at_temperature(self, temperature: float) -> Evaluation:
         """The same with all logits divided by `temperature`."""
-        early, complete, nothing = (softened(p, temperature) for p in (self.early, self.complete, self.nothing))
-        return replace(self, early=early, complete=complete, nothing=nothing)
+        probabilities, nothing = (softened(p, temperature) for p in (self.probabilities, self.nothing))
+        return replace(self, probabilities=probabilities, nothing=nothing)
 
     @property
     def _everywhere(self) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities at all moments and the ends, and their labels."""
-        moments = np.concatenate([self.early, self.complete[np.newaxis]])
-        return moments.reshape(-1, moments.shape[2]), np.tile(self.windows.labels, len(moments))
+        """Probabilities at all moments, and their labels."""
+        n_moments, _, n_classes = self.probabilities.shape
+        return self.probabilities.reshape(-1, n_classes), np.tile(self.windows.labels, n_moments)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -154,12 +158,10 @@ def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...
 
     Parameters
     ----------
-    times_ms : milliseconds since the window's start. A window without any event by then is decided from the empty
-        volume.
+    times_ms : milliseconds since the window's start; those from its end on are left out. A window without any event by
+        then is decided from the empty volume.
     """
-    complete = class_probabilities(pipeline, windows)
-    early = np.empty((len(times_ms), *complete.shape))
-    for k, ms in enumerate(times_ms):
-        early[k] = class_probabilities(pipeline, windows, until_us=round(1e3 * ms))
-    nothing = class_probabilities(pipeline, windows, scatter=True)
-    return Evaluation(windows, tuple(map(float, times_ms)), early, complete, nothing)
+    end_ms = pipeline.config.window_us / 1e3
+    times = (*(float(ms) for ms in times_ms if ms < end_ms), end_ms)
+    probabilities = np.stack([class_probabilities(pipeline, windows, until_us=round(1e3 * ms)) for ms in times])
+    return Evaluation(windows, times, probabilities, class_probabilities(pipeline, windows, scatter=True))

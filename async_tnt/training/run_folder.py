@@ -34,10 +34,10 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     """
     import torch
 
-    with replacing(run_folder / CHECKPOINT) as part:
+    with replacing(run_folder / CHECKPOINT, shared=True) as part:  # the same command may run twice
         torch.save(dict(state), part)
     text = json.dumps({"settings": json.loads(state["identity"]), "history": state["history"]}, indent=1)
-    write_text(run_folder / HISTORY, text)
+    write_text(run_folder / HISTORY, text, shared=True)
 
 
 def has_checkpoint(run_folder: Path) -> bool:
@@ -112,8 +112,7 @@ def check_run(
     Parameters
     ----------
     config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known so far.
-    sources : as given to `train`. `pixels`: `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of
-        those that were not left out, not known yet; `validation`: the share held out; `groups`: its pattern.
+    sources : see `check_sources`.
 
     Raises
     ------
@@ -129,18 +128,31 @@ def check_run(
     ]
     either = (found["config"], wanted["config"])
     differ += [name for name, default in LEFT_OUT.items() if len({of.get(name, default) for of in either}) > 1]
-    then, now = state["sources"], dict(sources or {})
-    pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
-    for name in {**pixels_then, **pixels_now}:
-        if (pixels_then.get(name) or None) != (pixels_now.get(name) or None):  # no crop, and no region to crop
-            differ.append("mask" if name in ("masked_pixels", "mask_sha256") else name)
+    differ += _other_pixels(state["sources"], sources or {})
     if differ:
         raise other_run(run_folder, ", ".join(sorted(set(differ))))
-    _check_recordings(run_folder, then, now)
+    check_sources(run_folder, sources or {})
 
 
-def _check_recordings(run_folder: Path, then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Compare recordings by their names and sizes. Those that were left out may be gone."""
+def check_sources(run_folder: Path, now: Mapping[str, Any]) -> None:
+    """Refuse a folder that holds a run on other data; recordings that were left out may be gone.
+
+    Parameters
+    ----------
+    now : as given to `train`. `pixels`: `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of those
+        that were not left out, not known yet; `validation`: the share held out; `groups`: its pattern or table.
+
+    Raises
+    ------
+    ValueError : it does, and what differs; or the checkpoint is damaged, or of another release.
+    """
+    state = _read(run_folder / CHECKPOINT)
+    if state is None:
+        return
+    then = state["sources"]
+    pixels = _other_pixels(then, now)
+    if pixels:
+        raise other_run(run_folder, ", ".join(sorted(pixels)))
     before, present = then.get("recordings", {}), now.get("recordings", {})
     differ = [f"{name} is new" for name in present if name not in before]
     differ += [f"{name} has changed" for name in present if name in before and before[name] != present[name]]
@@ -151,6 +163,16 @@ def _check_recordings(run_folder: Path, then: Mapping[str, Any], now: Mapping[st
     for name in ("validation", "groups"):
         if then.get(name) != now.get(name):
             raise other_run(run_folder, f"{name} ({then.get(name)}, now {now.get(name)})")
+
+
+def _other_pixels(then: Mapping[str, Any], now: Mapping[str, Any]) -> set[str]:
+    """Which options about pixels differ."""
+    before, present = then.get("pixels", {}), now.get("pixels", {})
+    return {
+        "mask" if name in ("masked_pixels", "mask_sha256") else name
+        for name in {**before, **present}
+        if (before.get(name) or None) != (present.get(name) or None)  # no crop, and no region to crop
+    }
 
 
 def other_run(run_folder: Path, what: str) -> ValueError:

@@ -82,14 +82,20 @@ def text_table(table: dict[str, Any]) -> str:
     lines = []
     for group in GROUPS:
         rows, columns = _part(table, group)
+        headings = [column.replace("confounded", "conf.") for column in columns]
+
+        def line(title: str, cells: Sequence[str], headings: Sequence[str] = headings) -> str:
+            widths = (max(16, len(heading) + 2) for heading in headings)
+            return f"{title:<40}" + "".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
+
         if rows:
-            lines += ["", f"{group:<40}" + "".join(f"{_heading(column):>16}" for column in columns)]
+            lines += ["", line(group, headings)]
         for row in rows:
             title = "  " + ROWS[row].title.replace("`", "")
-            lines.append(f"{title:<40}" + "".join(f"{cell(table[row].get(c)):>16}" for c in columns))
+            lines.append(line(title, [cell(table[row].get(c)) for c in columns]))
             if row in THESIS:
                 numbers = [short(THESIS[row][c]) if c in THESIS[row] else "" for c in columns]
-                lines.append(f"{'    in the thesis':<40}" + "".join(f"{number:>16}" for number in numbers))
+                lines.append(line("    in the thesis", numbers))
     return "\n".join(lines[1:])
 
 
@@ -107,13 +113,10 @@ def markdown_table(table: dict[str, Any], group: str) -> str:
 
 
 def _part(table: dict[str, Any], group: str) -> tuple[list[str], list[str]]:
-    """The rows of a group, and those of `COLUMNS` that they have."""
+    """The rows of a group and their columns: those of `COLUMNS`, and of other simulated sets."""
     rows = [row for row in table if ROWS[row].group == group]
-    return rows, [column for column in COLUMNS if any(column in table[row] for row in rows)]
-
-
-def _heading(column: str) -> str:
-    return column.replace("confounded", "conf.")
+    found = dict.fromkeys(column for row in rows for column in table[row])
+    return rows, [*(c for c in COLUMNS if c in found), *(c for c in found if c not in COLUMNS)]
 
 
 def cell(part: dict[str, Any] | None) -> str:

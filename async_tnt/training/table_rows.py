@@ -209,7 +209,6 @@ DIFFERENCES = (
     ("running-t4-translated", "running-translated"),
     *((f"{name}-t8-translated", f"{name}-translated") for name in ("center", "running", "regressor")),
     *((f"{name}-translated", "raw-translated") for name in IMAGES),
-    ("raw-motions", "raw"),
     ("running-motions", "raw-motions"),
     ("raw-shared", "raw-motions"),
     ("raw-moved", "raw-confounded"),

@@ -165,7 +165,14 @@ def test_an_interrupted_choice_goes_on_and_ends_with_the_same_model(tmp_path, pr
     assert models[0].weights.keys() == models[1].weights.keys()
     for name, w in models[0].weights.items():
         np.testing.assert_array_equal(w, models[1].weights[name])
-    others = (["--polarity", "unsigned"], ["--partial", 0.5], ["--landmark", "running"], ["--quick"])
+    others = (
+        ["--polarity", "unsigned"],
+        ["--partial", 0.5],
+        ["--landmark", "running"],
+        ["--quick"],
+        ["--window-us", 100_000],
+        ["--sensor", "30x30"],
+    )
     for other in others:  # one that is chosen or trained otherwise is another run
         code, _, err = program(*words, *other, "--out", out, "--run", tmp_path / "run False")
         assert code == 2 and "holds a run with other" in err, other
@@ -173,6 +180,10 @@ def test_an_interrupted_choice_goes_on_and_ends_with_the_same_model(tmp_path, pr
     code, _, err = program(*words, "--out", out, "--run", tmp_path / "run False")
     assert code == 2 and "recordings (a/new.npy is new" in err
     (folder / "a" / "new.npy").rename(folder / "a" / "a00.npy")
+    (folder / "groups.csv").write_text("recording,group\na/a00.npy,x\n")
+    code, _, err = program(*words, "--out", out, "--run", tmp_path / "run False")
+    assert code == 2 and "holds a run with other groups (None, now groups.csv " in err
+    (folder / "groups.csv").unlink()
     damaged = tmp_path / "run True" / "choice.json"
     assert [trial["tried"] for trial in json.loads(damaged.read_text())["trials"]] == [
         trial["tried"] for trial in models[0].record["data"]["choice"]
@@ -190,6 +201,8 @@ def test_where_nothing_is_held_out_the_defaults_are_taken(tmp_path, program):
     words = ("--sensor", "24x24", "--epochs", 1, "--out", tmp_path / "m.safetensors", "--run", tmp_path / "run")
     code, _, err = program("train", tmp_path / "set", *words)
     assert code == 0 and "the defaults are taken" in err and "chosen" not in err
+    code, _, err = program("train", tmp_path / "set", *words)
+    assert code == 0 and "the defaults are taken" not in err  # the same run, finished
 
 
 def test_hats_may_have_more_cells_than_the_default_sensor_has_pixels(tmp_path, program):

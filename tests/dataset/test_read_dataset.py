@@ -2,6 +2,7 @@
 
 import mmap
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from made import events_of
 
 from async_tnt.config import TNTConfig
 from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.training import dataset as dataset_module
 from async_tnt.training.data import dataset_data
 from async_tnt.training.dataset import read_dataset
 from async_tnt.training.recordings import RecordingsWriter
@@ -46,8 +48,31 @@ def test_recordings_that_do_not_state_a_sensor_have_that_of_the_others(tmp_path)
 
 def test_a_sensor_that_nothing_states_is_asked_for(tmp_path):
     write_64(tmp_path, {"upright": 2, "flat": 2}, suffixes=(".csv",))
-    with pytest.raises(ValueError, match=r"no recording states its sensor; give --sensor WxH \(the events need at"):
+    asked = r"none of 4 recordings states its sensor; give --sensor WxH \(their events need at"
+    with pytest.raises(ValueError, match=asked):
         read_dataset(tmp_path, pixels=PixelSelection(roi=(0, 0, 9, 9)))
+    mask = np.zeros(SIZE[::-1], bool)
+    assert read_dataset(tmp_path, pixels=PixelSelection(mask=mask)).camera == SIZE
+
+
+def test_recordings_wait_for_a_sensor_within_limits(tmp_path, monkeypatch):
+    write_64(tmp_path, {"upright": 2, "flat": 2}, suffixes=(".csv",))
+    monkeypatch.setattr(dataset_module, "MAX_WAITING", 1)
+    with pytest.raises(ValueError, match="none of 1 recordings states its sensor"):
+        read_dataset(tmp_path)
+
+
+def test_what_is_trained_on_is_not_tested_on(tmp_path):
+    write_set(tmp_path / "Train", {"upright": 3, "flat": 3}, side=34)
+    write_set(tmp_path / "Test", {"upright": 2, "flat": 2}, side=34, seed=1)
+    (learned, *_) = sorted((tmp_path / "Train" / "flat").iterdir())
+    shutil.copy(learned, tmp_path / "Test" / "flat" / f"again{learned.suffix}")
+    data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, test=True)
+    line = f"Test/flat/again{learned.suffix}: the same events as flat/{learned.name}"
+    assert data.left_out == (line,) and len(data.tests["test"][0]) == 4
+    shutil.move(tmp_path / "Test" / "flat" / f"again{learned.suffix}", tmp_path / "Test" / "upright")
+    with pytest.raises(ValueError, match="hold the same events but are in two classes"):
+        dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, test=True)
 
 
 def test_a_bin_is_of_34_pixels_without_the_option(tmp_path):

@@ -9,7 +9,7 @@ from made import random_model
 
 from async_tnt import Model, TNTConfig
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.labelled_recordings import find_recordings
+from async_tnt.sources.labelled_recordings import find_recordings, has_part
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 
@@ -99,8 +99,8 @@ def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_pat
 
 def test_the_files_of_dvs128_gesture(tmp_path):
     """Numbers with names in a table of their own, and lists of the sessions to train and to test on."""
-    for name in ("user01_lab", "user02_lab"):
-        write_session(tmp_path, name, ("flat", "upright"), numbers={"flat": 2, "upright": 10})
+    for seed, name in enumerate(("user01_lab", "user02_lab")):
+        write_session(tmp_path, name, ("flat", "upright"), seed=10 * seed, numbers={"flat": 2, "upright": 10})
     assert list(find_recordings(tmp_path)) == ["2", "10"]
     (tmp_path / "gesture_mapping.csv").write_text("action,label\nhand_clapping,2\nair_guitar,10\n")
     (tmp_path / "trials_to_train.txt").write_text("user01_lab.npz\n")
@@ -113,6 +113,11 @@ def test_the_files_of_dvs128_gesture(tmp_path):
     data = dataset_data(tmp_path, TNTConfig(), pixels=PixelSelection(), validation=0, test=True)
     assert [name[:6] for name in data.training.recordings.names] == ["user01"] * 2
     assert [name[:6] for name in data.tests["test"][0].recordings.names] == ["user02"] * 2
+    parts = {part: find_recordings(tmp_path, part) for part in ("Train", "Test")}
+    for name in ("trials_to_train.txt", "trials_to_test.txt"):  # one of the lists is enough
+        (tmp_path / name).rename(tmp_path / "away")
+        assert {part: find_recordings(tmp_path, part) for part in parts} == parts and has_part(tmp_path, "Test")
+        (tmp_path / "away").rename(tmp_path / name)
     (tmp_path / "trials_to_test.txt").write_text("user02_lab.npz user07.npz")
     with pytest.raises(ValueError, match=r"trials_to_test.txt names user07.npz, which is not there, or has no table"):
         find_recordings(tmp_path, "Test")

@@ -63,7 +63,7 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
         assert code == 2 and err.startswith(f"async-tnt: {run} holds a run with other ") and err.endswith(end)
         return err.removeprefix(f"async-tnt: {run} holds a run with other ").removesuffix(end)
 
-    assert refused("--seed", "1", "--window-us", "5000", "--iterations", "7") == "iterations, seed, window_us"
+    assert refused("--seed", "1", "--window-us", "5000", "--rate", "0.01") == "learning_rate, seed, window_us"
     assert refused("--validation", "0.5") == "validation (0.2, now 0.5)"
     assert refused("--groups", "0") == "groups (None, now 0)"
     write(folder / "upright" / "new.npy", bar("upright", 77))

@@ -51,7 +51,7 @@ def sets(tmp_path_factory):
     """The same recordings without hot pixels, with them, and with them on a larger camera, parts of which move, too."""
     folder = tmp_path_factory.mktemp("sets")
     for kind in ("upright", "flat"):
-        for k in range(5):
+        for k in range(10):
             events, hot = recorded(kind, k)
             around, large = hot[::2].copy(), hot.copy()
             large["x"] += CORNER[0]
@@ -59,8 +59,10 @@ def sets(tmp_path_factory):
             around["x"] = np.where(np.arange(len(around)) % 2, 2, 119)
             made = {"clean": (events, SIZE), "hot": (hot, SIZE), "large": (np.concatenate((large, around)), CAMERA)}
             for name, (all_events, sensor) in made.items():
-                write(folder / name / "Train" / kind / f"{k}{('.npz', '.csv')[k % 2]}", all_events, sensor=sensor)
-                write(folder / name / "Test" / kind / f"{k}.npy", all_events)  # which does not state it
+                if k < 5:
+                    write(folder / name / "Train" / kind / f"{k}{('.npz', '.csv')[k % 2]}", all_events, sensor=sensor)
+                else:
+                    write(folder / name / "Test" / kind / f"{k}.npy", all_events)  # which does not state it
     save_mask(folder / "hot.npy", mask_of(SIZE, HOT))
     save_mask(folder / "large.npy", mask_of(CAMERA, HOT + CORNER))
     return folder

@@ -134,7 +134,7 @@ def test_numbers_and_tables_by_hand():
     assert lines[0].split() == ["comparison", "all/all"] and lines[1].split() == ["raw", ".990", "±", ".014"]
     assert lines[-1].split() == ["in", "the", "thesis", ".981", ".592"]
     assert markdown_table(table, "comparison").splitlines()[2] == "| raw | .990 ± .014 |"
-    assert markdown_table(table, "thesis").splitlines()[2] == "| TNT | .960 (.981) | .600 (.592) |"
+    assert markdown_table(table, "thesis").splitlines()[2] == "| TNT | .960 (.981) | .600 (.592) | .500 |"
     (found,) = differences(table)  # -.04 and -.02: mean -.03, deviation .01414, 12.706 x .01414 / sqrt 2 = .12706
     assert (found["row"], found["against"], found["column"], found["seeds"]) == ("raw-translated", "raw", "all/all", 2)
     assert [found[name] for name in ("mean", "low", "high")] == pytest.approx([-0.03, -0.15706, 0.09706])

@@ -54,7 +54,9 @@ def test_a_batch_equals_the_streamed_volumes(changes):
     config = TNTConfig(**changes)
     for first_event, until_us in ((False, 105_000), (True, 40_000)):
         windows = random_windows(config, first_event=first_event)
-        batch = BatchVolumes(config)(windows, unchanged(len(windows), config, until_us=until_us))
+        draws = unchanged(len(windows), config)
+        draws.until_us[:] = until_us
+        batch = BatchVolumes(config)(windows, draws)
         expected = [streamed(config, windows, k, until_us) for k in range(9)]
         assert np.abs(expected).max((1, 2, 3)).min() > 0
         np.testing.assert_array_equal(batch, expected)
