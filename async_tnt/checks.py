@@ -35,7 +35,7 @@ def positive_int(name: str, value: Any) -> int:
     if value < 1:
         raise ValueError(f"`{name}` must be at least 1, got {value}")
     if value >= 1 << 62:
-        raise ValueError(f"`{name}` must be below 2**62, got {value:.3g}")
+        raise ValueError(f"`{name}` must be below 2**62, got {value}")
     return int(value)
 
 

@@ -79,7 +79,7 @@ def _samples(model: Model) -> Iterator[np.ndarray]:
     for path in sample_recordings().values():
         recording = open_recording(path)
         if recording.sensor == model.config.sensor:
-            events = recording.read().astype(EVENT_DTYPE, copy=False)
+            events = recording.read()
             yield events[events["t"] < events["t"][0] + N_WINDOWS * model.config.window_us]
 
 

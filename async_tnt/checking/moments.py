@@ -99,7 +99,7 @@ def bench_recordings(config: TNTConfig, seed: int = 0) -> list[np.ndarray]:
     if any(recording.sensor != config.sensor for recording in opened):
         rng = np.random.default_rng(seed)
         return [made_recording(rng, config, 6000) for _ in opened]
-    read = [recording.read().astype(EVENT_DTYPE, copy=False) for recording in opened]
+    read = [recording.read() for recording in opened]
     return [events[events["t"] < 3 * config.window_us] for events in read]
 
 

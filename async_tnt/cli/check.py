@@ -10,7 +10,6 @@ from pathlib import Path
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
 from async_tnt.cli.options import add_files, add_start, model_of, paths_of
 from async_tnt.cli.output import one_line
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.sensor import check_events, check_sensor
@@ -61,7 +60,7 @@ def main(args: argparse.Namespace) -> int:
             check_sensor(path, recording.sensor, model.config.sensor)
             if recording.stated_sensor is None:
                 check_events(recording, model.config.sensor, path)
-            events = recording.read().astype(EVENT_DTYPE, copy=False)
+            events = recording.read()
             if events.size == 0:
                 raise ValueError(f"{recording.path}: no events to check")
             results[recording.path] = check_recording(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from async_tnt.cli.options import positive_int, size_of
 from async_tnt.cli.output import complain, one_line
 from async_tnt.config import LANDMARKS, POLARITIES, UNTRANSFORMED, TNTConfig
-from async_tnt.events import EVENT_DTYPE, as_events
+from async_tnt.events import as_events
 from async_tnt.files import check_writable
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
@@ -170,7 +170,7 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
         model, config = None, config.replace(sensor=sensor, grid=sensor)
     config = _configured(config, args)
     try:
-        events = as_events(recording.read(), sensor).astype(EVENT_DTYPE, copy=False)
+        events = as_events(recording.read(), sensor)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
     if events.size == 0:

@@ -89,6 +89,8 @@ def main(args: argparse.Namespace) -> int:
         raise ValueError("--live and --json exclude each other")
     if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
         raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
+    if args.speed is not None and not any(isinstance(path, Path) for path in paths_of(args)):
+        raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
     if args.speed is not None and not args.live:
         raise ValueError("--speed belongs to --live; otherwise a recording is streamed as fast as possible")
     engine = choose_engine(args.model, args.engine)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.cli.options import paths_of, positive_int, positive_number
+from async_tnt.cli.options import number, paths_of, positive_int, positive_number
 from async_tnt.cli.output import complain
 from async_tnt.sources.datagrams import EVENT_BYTES
 from async_tnt.sources.files.recording import open_recording
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="speed of playback; 2 is twice as fast, inf does not wait (default: 1)",
     )
     pace.add_argument(
-        "--rate", type=positive_number, metavar="EVENTS_PER_S", help="an even rate instead of the recorded times"
+        "--rate", type=_finite_rate, metavar="EVENTS_PER_S", help="an even rate instead of the recorded times"
     )
     parser.add_argument("--loop", action="store_true", help="start over at the end, until Ctrl-C")
     parser.add_argument(
@@ -69,6 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="start each recording at a multiple of this after the first",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object with the counts")
+
+
+def _finite_rate(text: str) -> float:
+    """An argparse type."""
+    return number(text, lambda rate: 0 < rate < math.inf, "a positive number")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -135,4 +141,4 @@ def _report(sender: UdpSender, args: argparse.Namespace, seconds: float) -> None
         )
     if sender.refused:
         sys.stdout.flush()
-        complain(f"{sender.refused:,} datagrams were refused: no program listens at {args.url}")
+        complain(f"{sender.refused:,} datagrams were refused or not sent; does a program listen at {args.url}?")

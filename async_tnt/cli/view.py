@@ -72,6 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
         raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
+    if args.speed is not None and not any(isinstance(path, Path) for path in paths_of(args)):
+        raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
     import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)

@@ -6,8 +6,8 @@ from numba import int64, uint8
 from .jit import compiled
 from .records import MAX_TIME_US, load, store
 
-NEWEST, NEWEST_ARRIVAL, OFFSET, CANDIDATE, VOTES, JUMPED, LATE, RESTARTS = range(8)
-INITIAL = (-1, 0, 0, 0, 0, 0, 0, 0)
+NEWEST, NEWEST_ARRIVAL, OFFSET, CANDIDATE, CANDIDATE_ARRIVAL, VOTES, JUMPED, LATE, RESTARTS = range(9)
+INITIAL = (-1, 0, 0, 0, 0, 0, 0, 0, 0)
 AGREEING_PACKETS = 8
 BACK_US = 1_000_000  # further back, a time is a jump rather than out of order
 REORDERED_US = 20_000  # the same after a pause, to tell a restarted sender from a network that reorders
@@ -27,7 +27,7 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
     time_at : int. Offset of the time, int64 or uint64, within a record.
     arrival : int. Microseconds on the receiver's clock.
     max_jump : int. Microseconds, or NO_LIMIT: every time is accepted.
-    clock : int64, shape (8,). The state between packets; updated in place. Its times are the sender's, without the
+    clock : int64, shape (9,). The state between packets; updated in place. Its times are the sender's, without the
         offset.
 
     Returns
@@ -72,8 +72,10 @@ def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
     if n_plausible > 0:
         clock[VOTES] = 0
     elif n_valid > 0:
-        clock[VOTES] = clock[VOTES] + 1 if abs(oldest - clock[CANDIDATE]) <= max_jump else 1
-        clock[CANDIDATE] = oldest
+        later = oldest - clock[CANDIDATE]
+        agrees = -max_jump <= later <= max_jump + max(arrival - clock[CANDIDATE_ARRIVAL], 0)
+        clock[VOTES] = clock[VOTES] + 1 if agrees else 1
+        clock[CANDIDATE], clock[CANDIDATE_ARRIVAL] = oldest, arrival
         has_moved = clock[VOTES] >= AGREEING_PACKETS
     if has_moved or (newest < 0 and n_plausible > 0 and max_jump != NO_LIMIT):
         low, high = oldest, oldest + max_jump

@@ -55,11 +55,15 @@ class _Conversion:
 
         graph = model.graph
         self.constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-        inputs = [value.name for value in graph.input if value.name not in self.constants]
+        values = [value for value in graph.input if value.name not in self.constants]
+        inputs = [value.name for value in values]
         if len(inputs) != 1 or len(graph.output) != 1:
             raise NotImplementedError(
                 f"the network must have one input and one output, got {len(inputs)} and {len(graph.output)}{WAY_OUT}"
             )
+        sides = [side.dim_value for side in values[0].type.tensor_type.shape.dim][1:]  # 0: not fixed
+        if sides and (len(sides) != 3 or any(side not in (0, own) for side, own in zip(sides, shape, strict=True))):
+            raise ValueError(f"the network's input must be the volume, N x {shape}, got N x {tuple(sides)}")
         self._nodes = [_Node(node) for node in graph.node]
         self._names = {inputs[0]: VOLUME}  # value -> the layer that computes it
         self._output = graph.output[0].name

@@ -289,13 +289,13 @@ def _flatten(made: _Conversion, node: fx.Node, module: Any = None) -> str:
     first = module.start_dim if module is not None else _argument(node, 1, "start_dim", 0)
     last = module.end_dim if module is not None else _argument(node, 2, "end_dim", -1)
     _expect((first, last) == (1, -1), f"a flatten from axis {first} to {last}, not from 1 to -1,")
-    return made.add("flatten", node, node.args[:1])
+    return made.add("flatten", node, [_argument(node, 0, "input")])
 
 
 def _view(made: _Conversion, node: fx.Node) -> str:
-    """x.view(n, -1), with the batch's size or a number."""
+    """x.view(n, -1), with the batch's size or a number, or (-1, m), which the check of a conversion compares."""
     shape = node.args[1] if isinstance(node.args[1], (tuple, list)) else node.args[1:]
-    _expect(len(shape) == 2 and bool(shape[1] == -1), "a view other than (n, -1)")
+    _expect(len(shape) == 2 and isinstance(shape[1], int), "a view other than (n, -1)")
     return made.add("flatten", node, node.args[:1])
 
 

@@ -162,7 +162,9 @@ def _is_whole(value: Any, low: int) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and not math.isnan(value)
+    if isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) < 1 << 63
+    return isinstance(value, float) and not math.isnan(value)
 
 
 def _whole_numbers(n: int, low: int) -> _Check:

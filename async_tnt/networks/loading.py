@@ -130,8 +130,8 @@ def _load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | No
         )
     try:
         layers, weights = layers_from_onnx(proto, config.shape)
-    except NotImplementedError as error:
-        raise NotImplementedError(f"{path}: {error}") from None
+    except (NotImplementedError, ValueError) as error:
+        raise type(error)(f"{path}: {error}") from None
     if classes is None:
         shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
         classes = [str(k) for k in range(list(shapes.values())[-1][0])]

@@ -19,10 +19,10 @@ class Clock:
 
     Such events are dropped and counted. `passed` allows for a camera that sees nothing for an hour, and reveals a short
     recording that is sent again. Where all events of a packet jump, the packet votes for its oldest time: within
-    `max_jump` of the previous vote it adds to it, elsewhere it starts a new one; a packet with an event that does not
-    jump ends the vote. With the eighth vote the clock has moved. A clock that moved ahead keeps its times. After one
-    moved back, by a restart or a wrap, times continue: all are shifted from here on, so that the oldest event of this
-    packet takes the time n.
+    `max_jump` of the previous vote, or later by what has passed here since, it adds to it, elsewhere it starts a new
+    one; a packet with an event that does not jump ends the vote. With the eighth vote the clock has moved. A clock that
+    moved ahead keeps its times. After one moved back, by a restart or a wrap, times continue: all are shifted from here
+    on, so that the oldest event of this packet takes the time n.
 
     The first packet starts the clock at its oldest event, which lies before the year 2100.
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from async_tnt.events import EVENT_DTYPE
+from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.kernels.clock import NO_LIMIT
 from async_tnt.kernels.datagrams import ARGUMENTS, SPIF, SPIF_T32, T32, T64, decode_events
 from async_tnt.kernels.jit import compile_only
@@ -61,7 +61,7 @@ def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
 
     Raises
     ------
-    ValueError : unknown format; a coordinate too large for it.
+    ValueError : unknown format; a coordinate too large for it; a polarity other than 0 and 1.
 
     Examples
     --------
@@ -69,8 +69,12 @@ def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
     >>> encode(event).hex(" "), encode(event, "spif").hex(" ")
     ('02 01 00 00 00 00 00 00 03 00 04 00 01', '04 80 03 80')
     """
-    if checked_format(format) == "t64_x16_y16_on8":  # our own records, bit for bit
-        return events.astype(EVENT_DTYPE, copy=False).tobytes()
+    checked_format(format)
+    if not np.isin(events["p"], (0, 1)).all():
+        i = int(np.argmin(np.isin(events["p"], (0, 1))))
+        raise ValueError(f"`p` must be 0 or 1, got {events['p'][i]} at event {i}")
+    if format == "t64_x16_y16_on8":  # our own records, bit for bit
+        return structured([events[field] for field in "txyp"]).tobytes()
     t, x, y, p = (events[field].astype("<u4") for field in "txyp")  # of t the low half
     for field, column in (("x", x), ("y", y)):
         if column.max(initial=0) >= _MAX_SIDE:

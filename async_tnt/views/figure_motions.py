@@ -87,14 +87,14 @@ def _picture(window: Window, n_columns: int, n_rows: int) -> tuple[float, float]
     return height * grid[0] / grid[1], height
 
 
-def busiest_bins(volumes: np.ndarray, n_bins: int, n_shown: int = N_SLICES) -> list[int]:
+def busiest_bins(volumes: np.ndarray, n_bins: int) -> list[int]:
     """The evenly spaced bins with the most events: a saccade is slow, and makes few, at its start and end.
 
     volumes : (..., C, H, W), not negative; C is B, or 2 B.
     """
     weight = volumes.sum(axis=(0, -2, -1)).reshape(-1, n_bins).sum(axis=0)  # (B,)
     step = max(1, (n_bins - 1) // (2 * N_SLICES))
-    n_shown = min(n_shown, n_bins)
+    n_shown = min(N_SLICES, n_bins)
     runs = [list(range(k, k + step * (n_shown - 1) + 1, step)) for k in range(n_bins - step * (n_shown - 1))]
     return max(runs, key=lambda run: weight[run].sum())
 

@@ -99,6 +99,15 @@ MOVES = {
 }
 
 
+def test_a_sender_that_seldom_sends_is_followed_as_well():
+    """Its packets are further apart than `max_jump`, by both clocks."""
+    steps = [3 * JUMP_US * k for k in range(N + 1)]
+    kept, counts = by_clock([[HOUR_US], *([t] for t in steps)], [0, *(MINUTE_US + t for t in steps)])
+    assert kept == [[HOUR_US], *NOTHING, [HOUR_US], [HOUR_US + 3 * JUMP_US]] and counts == (N - 1, 0, 1)
+    ahead = [[t] for t in steps]  # while the receiver's clock stands still, these are jumps
+    assert flat(by_clock([[HOUR_US], *ahead])[0]) == [HOUR_US]
+
+
 @pytest.mark.parametrize(("packets", "kept", "counts"), MOVES.values(), ids=MOVES)
 @pytest.mark.parametrize("dtype", [UNSIGNED, SIGNED], ids=["unsigned", "signed"])
 def test_a_clock_that_moves(packets, kept, counts, dtype):

@@ -69,9 +69,18 @@ def test_what_a_format_cannot_hold_is_refused():
     for format in FORMATS[1:]:
         with pytest.raises(ValueError, match=rf"`y` must be in \[0, 32768\) for {format}, got 32768 at event 1"):
             encode(events_of([0, 0], [0, 0], [0, 32768], [0, 0]), format)
+    for format in FORMATS:
+        with pytest.raises(ValueError, match="`p` must be 0 or 1, got -1 at event 0"):
+            encode(np.array([(5, 1, 2, -1)], [("t", "i8"), ("x", "i4"), ("y", "i4"), ("p", "i1")]), format)
     for call in (lambda: encode(EVENT, "aer"), lambda: Decoder("aer")):
         with pytest.raises(ValueError, match=r"`format` must be one of t64_x16_y16_on8, .*, got 'aer'"):
             call()
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_fields_are_sent_by_their_names(format):
+    metavision = np.array([(3, 4, 1, 258)], [("x", "u2"), ("y", "u2"), ("p", "i2"), ("t", "i8")])
+    assert encode(metavision, format) == encode(events_of([258], [3], [4], [1]), format)
 
 
 @given(

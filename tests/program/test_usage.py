@@ -57,6 +57,10 @@ def test_bad_usage_refers_to_help(words, message, refused):
     [
         ("run --live --json", "exclude each other"),
         ("run --speed 2", "--speed belongs to --live"),
+        ("run udp://127.0.0.1:3333 --live --speed 2", "--speed belongs to recordings; a camera or the network has a"),
+        ("view camera --speed 2", "--speed belongs to recordings; a camera or the network has a"),
+        ("send a.npy udp://127.0.0.1:3333 --rate inf", "--rate: must be a positive number, got 'inf'"),
+        ("run --every-events 1" + "0" * 400, "must be below 2**62, got 1"),
         ("run SAMPLE --latest 5", "--latest belongs to a camera or the network"),
         ("run --model digitz", "no model file digitz, and no bundled model of that name (bundled: digits)"),
         ("run udp://127.0.0.1", "expected udp://HOST:PORT"),

@@ -161,6 +161,12 @@ OFF["x"][9] = 34
     ("name", "data", "message", "n_events"),
     [
         ("a.raw", evt_header("3.0") + b"\x01\x00\x02\x20", "there is no TIME_HIGH", 0),
+        (
+            "a.raw",
+            evt_header("3.0") + b"\x01\x80\x05\x60\x05\x20",
+            "words of events have no row: there is no ADDR_Y",
+            0,
+        ),
         ("a.raw", b"% evt 3.0\n" + VECTOR, "byte 20: a vector of events reaches beyond x = 2047", 1),
         ("a.raw", evt2(EVENTS)[:-1], "the file ends at byte .*, 3 bytes into a word of 4", 11),
         ("a.dat", dat(EVENTS)[:-3], "the file ends 5 bytes into event 11, which has 8", 11),

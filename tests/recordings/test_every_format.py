@@ -1,6 +1,7 @@
 """Laws of every format: what its writer writes is read back, event for event, however it is cut into packets."""
 
 import os
+import struct
 import tracemalloc
 
 import numpy as np
@@ -66,6 +67,25 @@ def test_every_bit_of_a_pixel_is_read(tmp_path, name):
     if not capitals.exists():  # a file system may not tell them apart
         capitals.symlink_to(path)
     np.testing.assert_array_equal(open_recording(capitals).read(), events)
+
+
+@pytest.mark.parametrize("name", ["evt2.raw", "v2.dat", "davis.aedat", "dvs128.aedat", "caer.aedat"])
+def test_a_header_may_hold_any_text(tmp_path, name):
+    """Names of people and places."""
+    path, events = tmp_path / name, made_events(100, sensor=sensor_for(name))
+    data = FORMATS[name].of_bytes(events, sensor_for(name))
+    first = data.index(b"\n") + 1
+    mark = b"# " if name.endswith(".aedat") else b"% "
+    path.write_bytes(data[:first] + mark + "von José in Zürich, \u4eac\t1\r\n".encode() + data[first:])
+    np.testing.assert_array_equal(open_recording(path, sensor=sensor_for(name)).read(), events)
+
+
+def test_a_davis_address_by_hand(tmp_path):
+    """240 x 180: the address (50, 20) is 50 from the right and 20 from the bottom."""
+    address = 20 << 22 | 50 << 12 | 1 << 11
+    header = b"#!AER-DAT2.0\r\n# AEChip: DAViS240C\r\n"
+    (tmp_path / "a.aedat").write_bytes(header + struct.pack(">II", address, 7))
+    assert open_recording(tmp_path / "a.aedat").read().tolist() == [(7, 189, 159, 1)]
 
 
 @pytest.mark.parametrize("name", ["evt3.raw", "dvs.es", "v2.dat"])

@@ -49,3 +49,9 @@ def test_times_that_cannot_be_are_damage(tmp_path, value, message):
     io.savemat(tmp_path / "a.mat", COLUMNS | {"t": np.array([*EVENTS["t"][:3], value, 9e5])})
     with pytest.warns(DamagedRecording, match=message):
         open_recording(tmp_path / "a.mat").read()
+
+
+def test_polarity_is_of_one_kind(tmp_path):
+    io.savemat(tmp_path / "a.mat", {"x": [1, 2, 3], "y": [1, 2, 3], "t": [5, 6, 7], "p": [0, 1, -1]})
+    with pytest.warns(DamagedRecording, match="event 2: p = -1, and before it 0: polarity is 0/1 or"):
+        assert open_recording(tmp_path / "a.mat").n_events == 2

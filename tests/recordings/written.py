@@ -121,7 +121,7 @@ def aedat2(events, sensor, chip):
     out = ["".join(line + "\r\n" for line in lines).encode()]
     for t, x, y, p in events.tolist():
         if chip:
-            address, other = (179 - y) << 22 | x << 12 | p << 11, 1 << 31 | 7 << 22
+            address, other = (179 - y) << 22 | (239 - x) << 12 | p << 11, 1 << 31 | 7 << 22
         else:
             address, other = y << 8 | x << 1 | 1 - p, 1 << 15
         out.append(struct.pack(">IIII", other, t & 0xFFFFFFFF, address, t & 0xFFFFFFFF))

@@ -8,8 +8,8 @@ All begin with lines of text: `#!AER-DAT2.0` or `#!AER-DAT3.1`, then lines that 
           DVS128   bit 0: 0 is ON; 1-7: x; 8-14: y; 15: not a pixel
           DAVIS    bit 10: not a pixel; 11: polarity; 12-21: x; 22-30: y; 31: a frame's
 
-      jAER counts y from the bottom. A DAVIS' y is turned round, as other readers do; a DVS128's addresses are x and y.
-      The clock wraps after 71.6 minutes; times are unwrapped.
+      A DAVIS' addresses count x from the right and y from the bottom (jAER, DavisBaseCamera): both are turned round.
+      A DVS128's addresses are x and y. The clock wraps after 71.6 minutes; times are unwrapped.
 3.1   up to `#!END-HEADER`, with a line `#Source 1: DVS128`; then packets, little-endian, of 28 bytes of header (16 bits
       each: type, source; 32 bits each: size of an event, place of the time in it, overflows of the clock, capacity,
       events, valid events) and their events. Those of type 1 are of pixels:
@@ -33,7 +33,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from async_tnt.kernels.evt import unwrap_times
-from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, valid_events
+from async_tnt.sources.files.source import BLOCK_EVENTS, CorruptData, Source, is_text, valid_events
 from async_tnt.sources.sensor import Sensor
 
 SENSORS: dict[str, Sensor] = {
@@ -96,8 +96,8 @@ class Aedat2Source(Source):
     def _pixels(self, address: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """x, y, p, and whether the event is a pixel's; x is -1 in an address of another camera."""
         if self.sensor is not None and self._camera.startswith("DAVIS"):
-            y = self.sensor[1] - 1 - (address >> 22 & 0x1FF)
-            return address >> 12 & 0x3FF, y, address >> 11 & 1, address & 0x8000_0400 == 0
+            x, y = self.sensor[0] - 1 - (address >> 12 & 0x3FF), self.sensor[1] - 1 - (address >> 22 & 0x1FF)
+            return x, y, address >> 11 & 1, address & 0x8000_0400 == 0
         x = np.where(address >> 16 == 0, address >> 1 & 0x7F, -1)
         return x, address >> 8 & 0x7F, 1 - (address & 1), address & 0x8000 == 0
 
@@ -180,8 +180,7 @@ def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> Header:
 
 def _is_comment(line: bytes) -> bool:
     """Events follow without a mark, and their first byte may be a #."""
-    text = line.rstrip(b"\r\n")
-    return line.startswith(b"#") and line.endswith(b"\n") and all(32 <= byte < 127 or byte == 9 for byte in text)
+    return line.startswith(b"#") and line.endswith(b"\n") and is_text(line.rstrip(b"\r\n"))
 
 
 def _camera(path: Path, names: list[str]) -> str | None:

@@ -17,7 +17,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.sources.files.source import CorruptData, Source, valid_events
+from async_tnt.event_forms import Four
+from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
 
 SILENCE_S = 60.0  # a block takes milliseconds, but a disk may sleep, and a machine be busy
 MAX_MESSAGE_BYTES = 1 << 30  # megabytes, but a child that is about to crash may send anything
@@ -52,18 +53,8 @@ class ChildSource(Source):
         self.sensor = None if (sides := json.loads(sensor)) is None else (sides[0], sides[1])
 
     def blocks(self) -> Iterator[np.ndarray]:
-        n_read = 0
         with closing(self._messages()) as messages:
-            for i, message in enumerate(messages):
-                if isinstance(message, str):
-                    raise CorruptData(f"after event {n_read}: {message}")
-                if i == 0:  # the sensor
-                    continue
-                events, problem = valid_events(*np.frombuffer(message, np.int64).reshape(4, -1))
-                yield events
-                n_read += len(events)
-                if problem:
-                    raise CorruptData(f"event {n_read}: {problem}")
+            yield from valid_blocks(_columns(messages))
 
     def _messages(self) -> Generator[bytes | str, None, None]:
         """The messages of a new child up to the end; then, if the file could not be read on, a str that says why."""
@@ -95,6 +86,17 @@ class ChildSource(Source):
             finally:
                 process.kill()
                 process.wait()
+
+
+def _columns(messages: Iterable[bytes | str]) -> Iterator[Four]:
+    n_read = 0
+    for i, message in enumerate(messages):
+        if isinstance(message, str):
+            raise CorruptData(f"after event {n_read}: {message}")
+        if i > 0:  # after the sensor
+            t, x, y, p = np.frombuffer(message, np.int64).reshape(4, -1)
+            yield t, x, y, p
+            n_read += len(t)
 
 
 def _inherited(fd: int) -> dict[str, Any]:

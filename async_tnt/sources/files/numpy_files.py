@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from async_tnt.sources.files.source import (
     CorruptData,
     Source,
     events_on_sensor,
-    valid_events,
+    valid_blocks,
 )
 from async_tnt.sources.sensor import Sensor
 
@@ -46,7 +46,7 @@ class NpySource(Source):
 
     def blocks(self) -> Iterator[np.ndarray]:
         # mapped again for each block: pages that were read stay in memory as long as their map does
-        return _valid_blocks(
+        return valid_blocks(
             _columns(map_npy(self.path)[start : start + BLOCK_EVENTS])
             for start in range(0, self._n_events, BLOCK_EVENTS)
         )
@@ -71,7 +71,7 @@ class NpzSource(Source):
         self._parts = [(info, k) for info in infos for k in (range(4) if arrays[0].is_by_columns else (None,))]
 
     def blocks(self) -> Iterator[np.ndarray]:
-        return _valid_blocks(self._columns())
+        return valid_blocks(self._columns())
 
     def _columns(self) -> Iterator[Four]:
         try:
@@ -144,24 +144,6 @@ def _sensor(array: _Array) -> Sensor:
         got = sides or f"shape {shape} of {dtype}"
         raise ValueError(f"`sensor` must be two positive integers (width, height), got {got}")
     return sides[0], sides[1]
-
-
-def _valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
-    """Blocks of columns as events, up to the first invalid one."""
-    off: int | None = None  # how this file writes OFF: 0 or -1; None before the first
-    n_before = 0
-    for columns in blocks:
-        events, problem = valid_events(*columns)
-        p = columns[3][: len(events)]
-        if off is None and (p < 1).any():
-            off = int(p[int(np.argmax(p < 1))])
-        if off is not None and (mixed := p == -1 - off).any():
-            events = events[: int(np.argmax(mixed))]
-            problem = f"p = {-1 - off}, and before it {off}: polarity is 0/1 or -1/+1, not both"
-        yield events
-        n_before += len(events)
-        if problem:
-            raise CorruptData(f"event {n_before}: {problem}")
 
 
 def _columns(*arrays: np.ndarray) -> Four:

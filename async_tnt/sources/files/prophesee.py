@@ -37,6 +37,7 @@ from async_tnt.sources.files.source import (
     CorruptData,
     Source,
     block_columns,
+    is_text,
     valid_events,
 )
 from async_tnt.sources.sensor import Sensor
@@ -76,7 +77,7 @@ class Header:
         while data.startswith(b"% ", self.length):
             end = data.find(b"\n", self.length)
             line = data[self.length : end if end >= 0 else len(data)].rstrip(b"\r")
-            if not all(32 <= byte < 127 or byte == 9 for byte in line):
+            if not is_text(line):
                 break
             if end < 0:
                 if len(data) < MAX_HEADER_BYTES:
@@ -141,6 +142,7 @@ class EvtSource(Source):
         dtype = np.dtype(str(word_type)).newbyteorder("<")
         state = np.array(INITIAL, np.int64)
         columns = block_columns()
+        n_events = 0
         with self.path.open("rb") as file:
             file.seek(self._start)
             place = self._start
@@ -151,6 +153,7 @@ class EvtSource(Source):
                 done, status = 0, None
                 while done < len(words) and status != ODD:
                     n, done, status = decode(words, done, state, *columns)
+                    n_events += n
                     if n:
                         events = structured(columns, n)
                         events["t"] += self._t0_us
@@ -165,6 +168,8 @@ class EvtSource(Source):
                     raise CorruptData(f"the file ends at byte {place}, {len(chunk) % size} bytes into a word of {size}")
         if state[UNPLACED] and state[HIGH] < 0:
             raise CorruptData(f"{state[UNPLACED]} words of events have no time: there is no TIME_HIGH")
+        if state[UNPLACED] and n_events == 0:
+            raise CorruptData(f"{state[UNPLACED]} words of events have no row: there is no ADDR_Y before them")
 
 
 class DatSource(Source):

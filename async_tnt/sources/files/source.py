@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from async_tnt.event_forms import Four
 from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.sources.sensor import Sensor
@@ -77,6 +78,37 @@ def valid_events(t: np.ndarray, x: np.ndarray, y: np.ndarray, p: np.ndarray) -> 
     n = int(np.argmax(bad)) if bad.any() else len(t)
     problem = "" if n == len(t) else f"t = {t[n]}, x = {x[n]}, y = {y[n]}, p = {p[n]} is not a valid event"
     return structured((t, x, y, ~off), n), problem
+
+
+def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
+    """Blocks of columns t, x, y, p as events, up to the first invalid one.
+
+    Raises
+    ------
+    CorruptData : at that event; or polarity is 0/1 at first, and then -1/+1, or the reverse.
+    """
+    off: int | None = None  # how this file writes OFF: 0 or -1; None before the first
+    n_before = 0
+    for columns in blocks:
+        events, problem = valid_events(*columns)
+        p = columns[3][: len(events)]
+        if off is None and (p < 1).any():
+            off = int(p[int(np.argmax(p < 1))])
+        if off is not None and (mixed := p == -1 - off).any():
+            events = events[: int(np.argmax(mixed))]
+            problem = f"p = {-1 - off}, and before it {off}: polarity is 0/1 or -1/+1, not both"
+        yield events
+        n_before += len(events)
+        if problem:
+            raise CorruptData(f"event {n_before}: {problem}")
+
+
+def is_text(line: bytes) -> bool:
+    """Whether a line of a header is text in UTF-8; binary data that follows hardly is."""
+    try:
+        return line.decode().replace("\t", " ").isprintable()
+    except UnicodeDecodeError:
+        return False
 
 
 def events_on_sensor(events: np.ndarray, sensor: Sensor | None, n_before: int = 0) -> tuple[np.ndarray, str]:

@@ -1,0 +1,96 @@
+"""Torch modules to convert, and what they compute."""
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from async_tnt import TNTConfig
+
+CONFIG = TNTConfig(sensor=(20, 18), grid=(20, 18), bins=3)
+
+
+class Block(nn.Module):
+    def __init__(self, channels):
+        super().__init__()
+        self.conv1, self.norm1 = nn.Conv2d(channels, channels, 3, padding=1, bias=False), nn.BatchNorm2d(channels)
+        self.conv2, self.norm2 = nn.Conv2d(channels, channels, 3, padding=1), nn.BatchNorm2d(channels, affine=False)
+
+    def forward(self, x):
+        y = F.relu(self.norm1(self.conv1(x)))
+        return torch.relu(self.norm2(self.conv2(y)) + x)
+
+
+class Branches(nn.Module):
+    """Residual blocks, a concatenation, a mean, a view: methods, functions and modules."""
+
+    def __init__(self):
+        super().__init__()
+        self.stem = nn.Sequential(nn.Conv2d(3, 6, 5, stride=2, padding=2), nn.ReLU6())
+        self.block, self.pool = Block(6), nn.MaxPool2d(3, 2, 1)
+        self.depthwise, self.drop = nn.Conv2d(12, 12, (3, 2), groups=12, padding="same"), nn.Dropout2d(0.5)
+        self.head = nn.Linear(12, 4)
+
+    def forward(self, x):
+        x = self.pool(self.block(self.stem(x)))
+        x = torch.cat([x, self.block(x).clamp(min=0.1)], 1)
+        x = F.max_pool2d(F.leaky_relu(self.depthwise(x), 0.2), kernel_size=2)
+        x = F.dropout(self.drop(x), training=self.training).mean((2, 3))
+        return self.head(x.view(x.size(0), -1))
+
+
+class Functions(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.conv, self.head = nn.Conv2d(3, 5, 3, dilation=2, bias=False), nn.Linear(5, 4, bias=False)
+
+    def forward(self, x):
+        x = F.hardtanh(self.conv(x), -0.5, 2.0).relu()
+        x = F.avg_pool2d(x, (2, 3), stride=1, padding=1)
+        x += F.relu6(x)
+        return self.head(torch.flatten(F.adaptive_avg_pool2d(x, 1), 1))
+
+
+MODULES = {
+    "branches": Branches,
+    "functions": Functions,
+    "sequential": lambda: nn.Sequential(
+        nn.BatchNorm2d(3),
+        nn.Conv2d(3, 4, 3, groups=1),
+        nn.PReLU(4),
+        nn.AvgPool2d(2, divisor_override=1),
+        nn.Hardtanh(-3, 3),
+        nn.Identity(),
+        nn.Flatten(),
+        nn.Dropout(),
+        nn.Linear(4 * 9 * 8, 7),
+        nn.BatchNorm1d(7),
+        nn.LeakyReLU(),
+        nn.Linear(7, 4),
+    ),
+}
+
+
+def module_of(name):
+    torch.manual_seed(0)
+    module = MODULES[name]()
+    for part in module.modules():
+        if isinstance(part, (nn.BatchNorm1d, nn.BatchNorm2d)):
+            part.running_mean.uniform_(-1, 1)
+            part.running_var.uniform_(0.5, 2)
+            if part.weight is not None:
+                nn.init.uniform_(part.weight, -1, 1)
+                nn.init.uniform_(part.bias, -1, 1)
+    return module
+
+
+VOLUMES = np.random.default_rng(0).normal(size=(3, *CONFIG.shape)).astype(np.float32)
+
+
+def logits_of(module):
+    with torch.no_grad():
+        return module.eval()(torch.tensor(VOLUMES)).numpy()
+
+
+EVEN_KERNEL = pytest.mark.filterwarnings("ignore:Using padding='same' with even kernel")
