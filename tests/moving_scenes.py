@@ -48,7 +48,8 @@ def recorded(scene, displacement, rng, sensor=SENSOR, pixels=None, window_us=WIN
 def noise(rng, n, sensor=SENSOR, window_us=WINDOW_US):
     """Columns of `n` events anywhere, any time."""
     t = np.sort(rng.integers(0, window_us, n))
-    return t, rng.integers(0, sensor[0], n), rng.integers(0, sensor[1], n), rng.integers(0, 2, n)
+    x, y = (rng.integers(0, side, n).astype(np.uint16) for side in sensor)
+    return t, x, y, rng.integers(0, 2, n).astype(np.uint8)
 
 
 def together(*parts):

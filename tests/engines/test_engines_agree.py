@@ -2,7 +2,6 @@
 
 import json
 import re
-import subprocess
 import sys
 
 import numpy as np
@@ -155,12 +154,3 @@ def test_missing_packages_give_one_line(missing, engine, message, monkeypatch, p
     assert (code, out) == (2, "") and re.fullmatch(rf"async-tnt: {message}: pip install '\.\[\w+\]' \(.*\)\n", error)
     if missing == "onnx":  # which writes; onnxruntime runs
         assert program("run", SAMPLES[0], "--model", folder / "digits.ONNX")[0] == 0
-
-
-def test_nothing_is_imported_before_it_is_used():
-    code = (
-        "import sys, async_tnt.networks, async_tnt.cli.run, async_tnt.cli.export; "
-        "print([name for name in ('onnx', 'onnxruntime', 'torch') if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "[]\n"

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from incremental.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network, of_all
-from made import events_of, nasty_streams, random_events
+from made import nasty_streams, random_events
 
 from async_tnt import TNTConfig, TNTVolume, volume_state
 from async_tnt.kernels import program as P
@@ -150,45 +150,6 @@ def test_packets_about_as_long_as_the_log_or_as_it_pays_to_follow_it(network, mo
         sensor = network.config.sensor
         events = random_events(sum(sizes), seed=7, duration_us=WINDOW_US - 1, sensor=sensor, start_us=1)
         logits_after_packets(network, events, sizes)
-
-
-@of_all
-def test_a_used_volume_equals_a_fresh_one(network):
-    """Of every landmark, after windows of few events and of many."""
-    fresh, used = network.volume(), network.volume()
-    for n in (700, 9, 0):
-        used.open(0)
-        used.update(random_events(n, seed=n, duration_us=WINDOW_US, sensor=network.config.sensor))
-        assert used.array.any() == (n > 0)
-    events = random_events(200, seed=5, duration_us=WINDOW_US, sensor=network.config.sensor)
-    for volume in (fresh, used):
-        volume.open(0)
-        volume.update(events)
-    assert used.array.tobytes() == fresh.array.tobytes() and used.landmark == fresh.landmark
-
-
-@of_all
-def test_unsigned_cells_sum_to_the_number_of_kept_events(network):
-    """At each read, whether it follows the log or reads all cells of the bins that changed."""
-    volume = network.volume(network.config.replace(polarity="unsigned"))
-    volume.open(0)
-    for packet in np.split(random_events(300, seed=6, duration_us=WINDOW_US, sensor=network.config.sensor), [1, 3, 40]):
-        volume.update(packet)
-        assert volume.array.sum() == pytest.approx(volume.counts.kept, rel=1e-5)
-    assert volume.counts.kept > 20
-
-
-@of_all
-def test_an_event_exactly_at_a_windows_end_belongs_to_the_next_window(network):
-    """In a packet as alone, also where events are stored for a replay."""
-    events = events_of([0, WINDOW_US - 1, WINDOW_US, WINDOW_US + 5], [1, 2, 1, 2], [1, 1, 2, 2], [1, 0, 1, 1])
-    packet, single = network.volume(), network.volume()
-    packet.update(events)
-    for event in events.tolist():
-        single.update_one(*event)
-    for volume in (packet, single):
-        assert (volume.start_us, volume.n_events) == (WINDOW_US, 2)
-    assert packet.array.tobytes() == single.array.tobytes()
 
 
 # -- as a callable -----------------------------------------------------------------------------------------------

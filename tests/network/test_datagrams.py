@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from made import events_of
 
@@ -84,12 +84,14 @@ def test_fields_are_sent_by_their_names(format):
 
 
 @given(
-    steps=st.lists(st.integers(-(2**31) + 1, 2**31 - 1), max_size=30),
+    start=st.sampled_from((5, 2**32 - 50)),
+    steps=st.lists(st.one_of(st.integers(-100, 100), st.integers(-(2**31) + 1, 2**31 - 1)), max_size=30),
     cuts=st.sets(st.integers(0, 30)),
     format=st.sampled_from(("t32_x16_y15_on1", "spif_t32")),
 )
-def test_times_of_32_bits_are_unwrapped_however_the_stream_is_cut(steps, cuts, format):
-    t = np.cumsum([5, *steps])
+@example(2**32 - 50, [60, -20, 2**31 - 1, 2**31 - 1], {1}, "spif_t32")  # across a wrap, and back
+def test_times_of_32_bits_are_unwrapped_however_the_stream_is_cut(start, steps, cuts, format):
+    t = np.cumsum([start, *steps])
     t[t < 0] = 0  # what a stream cannot hold; a step may then be too long to follow
     newest_before = np.maximum.accumulate(t)[:-1]
     if (np.abs(t[1:] - newest_before) >= 2**31).any():

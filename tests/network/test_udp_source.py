@@ -110,13 +110,19 @@ def test_datagrams_that_nobody_receives_are_counted_by_the_sender():
 # -- names and settings ----------------------------------------------------------------------------------
 
 
-def test_a_url_has_a_format_and_a_timeout():
+def test_a_url_has_a_format_and_a_timeout(monkeypatch):
     with open_udp("udp://127.0.0.1:0?format=spif&timeout_s=0.5", (34, 20)) as source:
         assert (source.format, source.timeout_s, source.sensor) == ("spif", 0.5, (34, 20))
         assert source.address == "127.0.0.1" and source.port > 0
         with pytest.raises(OSError, match=rf"udp://127.0.0.1:{source.port}"):
             open_udp(f"udp://127.0.0.1:{source.port}")  # taken
-    UdpSource(port=source.port).close()  # the port is free
+    with UdpSource(port=source.port) as again:  # the port is free; by default for this machine only
+        assert again.address == "127.0.0.1"
+
+    def unknown(*_, **__):
+        raise socket.gaierror
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
     with pytest.raises(OSError, match="no such host or port"):
         open_udp("udp://no.such.host.invalid:3333")
 

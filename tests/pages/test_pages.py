@@ -155,6 +155,7 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
     assert {words[0] for words in shown} == {"train", "mask", "evaluate", "run"}
     for words in shown:
         quick = ["--quick", "--epochs", "8", "--batch", "2"] if words[0] == "train" else []
+        quick += ["--variations", "2", "--workers", "1"] if "--motions" in words else []
         capsys.readouterr()
         assert main([*words, *quick]) == 0, capsys.readouterr().err
         if "--json" in words:  # the reference names every number of an evaluation

@@ -27,7 +27,8 @@ def python(code, **settings):
 
 
 def test_import_brings_only_what_is_used():
-    heavy = {"numpy", "numba", "torch", "matplotlib", "argparse", "typing", "signal", "asyncio", "concurrent.futures"}
+    heavy = {"numpy", "numba", "torch", "onnx", "onnxruntime", "matplotlib"}
+    heavy |= {"argparse", "typing", "signal", "asyncio", "concurrent.futures"}
 
     def brought(code):
         printed = python(f"import sys; before = set(sys.modules); {code}; print(*set(sys.modules) - before)")
@@ -39,6 +40,7 @@ def test_import_brings_only_what_is_used():
     used = brought("import async_tnt; async_tnt.Processor; async_tnt.load_model; async_tnt.sources.files")
     assert "numba" in used <= engine
     assert brought("import async_tnt.cli.run") <= engine | {"argparse"}  # of a recording, without --out
+    assert not brought("import async_tnt.networks, async_tnt.cli.export") & {"torch", "onnx", "onnxruntime"}
 
 
 def test_public_names_are_there_in_every_way():

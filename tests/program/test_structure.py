@@ -3,8 +3,6 @@
 import ast
 from pathlib import Path
 
-import tnt_reference
-
 import async_tnt
 
 # from the ground up; ARCHITECTURE.md says what each room is for
@@ -69,9 +67,3 @@ def test_there_is_no_circle():
 
 def test_the_command_line_alone_uses_argparse():
     assert {room_of(module) for module in SOURCES if "argparse" in IMPORTS[module]} == {"cli"}
-
-
-def test_the_reference_is_independent():
-    for path in Path(tnt_reference.__file__).parent.rglob("*.py"):
-        source = path.read_text()
-        assert "import async_tnt" not in source and "from async_tnt" not in source

@@ -99,6 +99,6 @@ def test_bad_arguments_of_landmark_and_flow():
 
 
 def test_the_reference_imports_nothing_of_what_it_is_compared_with():
-    for path in Path(tnt_reference.__file__).parent.glob("*.py"):
+    for path in Path(tnt_reference.__file__).parent.rglob("*.py"):
         imported = set(re.findall(r"^ *(?:from|import) +(\w+)", path.read_text(encoding="utf-8"), re.MULTILINE))
         assert imported <= {"__future__", "collections", "itertools", "math", "operator", "typing", "numpy", "torch"}

@@ -82,7 +82,7 @@ def test_image_costs_least(seed):
 @given(st.lists(st.tuples(st.integers(0, 999), st.integers(0, 6), st.integers(0, 4), st.integers(0, 1)), max_size=40))
 @settings(max_examples=30, deadline=None)
 def test_contrast_frames(rows):
-    t, x, y, p = np.array(sorted(rows), np.int64).reshape(-1, 4).T
+    t, x, y, p = np.ascontiguousarray(np.array(sorted(rows), np.int64).reshape(-1, 4).T)
     frames = np.empty((K, 5, 7))
     contrast_frames(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8), 1_000, 1.25, 0.8, 1, frames)
     columns = (torch.from_numpy(np.ascontiguousarray(column)) for column in (t, x, y, p))
@@ -95,7 +95,8 @@ def test_contrast_frames(rows):
 def test_cells_average_their_pixels():
     frames = np.empty((K, 2, 3))
     t, one = np.array([0, 500, 999]), np.ones(3, np.uint8)
-    contrast_frames(t, np.array([0, 1, 5]), np.array([0, 1, 3]), one, 1_000, 2.0, 1.0, 2, frames)
+    x, y = np.array([[0, 1, 5], [0, 1, 3]], np.uint16)
+    contrast_frames(t, x, y, one, 1_000, 2.0, 1.0, 2, frames)
     assert frames[0].tolist() == [[0.5, 0, 0], [0, 0, 0]]
     assert frames[-1].tolist() == [[1.0, 0, 0], [0, 0, 0.5]]
 

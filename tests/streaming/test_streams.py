@@ -1,14 +1,12 @@
 """stream and astream: a source of events in, decisions out."""
 
 import asyncio
-import math
 
 import pytest
 from deciding import key
 from made import random_events, random_model
 
 from async_tnt import Processor, TNTConfig, astream, stream
-from async_tnt.sources.playback import replay
 
 MODEL = random_model(TNTConfig(window_us=1000))
 EVENTS = random_events(400, seed=1, duration_us=4000)
@@ -71,10 +69,3 @@ def test_mistakes_show_before_the_first_event():
         stream([EVENTS], "digitz")
     with pytest.raises(TypeError, match=r"`source` must yield events, got the path five.bin; open_recording"):
         stream("five.bin", MODEL)
-
-
-def test_replay_yields_an_event_out_of_order_with_the_newest_before_it():
-    packets = [EVENTS[:2].copy(), EVENTS[:2].copy()]
-    packets[0]["t"], packets[1]["t"] = (0, 5000), (4000, 5100)
-    parts = [part["t"].tolist() for part in replay(packets, math.inf, packet_us=1000)]
-    assert parts == [[0], [5000], [4000, 5100]]

@@ -13,6 +13,7 @@ from torch import nn  # noqa: E402
 
 from async_tnt import CompiledClassifier, TNTConfig  # noqa: E402
 from async_tnt.networks.loading import load_model  # noqa: E402
+from async_tnt.sources import sample_recordings  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.networks import NETWORKS, SMALLEST, build_network, landmark_network  # noqa: E402
 from async_tnt.training.pipeline import check_network, export, new_pipeline, pipeline_before_export  # noqa: E402
@@ -158,5 +159,5 @@ def test_training_one_from_the_command(own, tmp_path, program):
     code, _, err = program("train", "--smoke", *again)
     assert code == 2 and "holds a run with other network_file" in err
     assert [layer["op"] for layer in model.layers["classifier"]][:2] == ["batch_norm", "batch_norm"]
-    code, printed, _ = program("check", "--model", out)
+    code, printed, _ = program("check", sample_recordings()[3], "--model", out, "--prefixes", 1)
     assert code == 0 and "stream and batch are equal" in printed

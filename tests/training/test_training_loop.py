@@ -20,7 +20,7 @@ from async_tnt.training.loop import balanced_order, batches_of, train  # noqa: E
 from async_tnt.training.pipeline import Pipeline, export, input_scale, new_pipeline  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
-from async_tnt.training.settings import TrainSettings  # noqa: E402
+from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
 from async_tnt.training.windows import CLASSES, Windows, make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
@@ -191,6 +191,30 @@ class DecidesByTheSum(torch.nn.Module):
     def forward(self, volume):
         total = volume.sum((1, 2, 3))
         return torch.stack([torch.zeros_like(total), total], dim=1)
+
+
+def test_the_rate_rises_for_a_twentieth_of_the_steps_and_falls_to_zero():
+    optimizer = torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=9.0)
+
+    def rate(step):
+        loop._set_rate(optimizer, TrainSettings(learning_rate=0.1), step, 105)
+        return optimizer.param_groups[0]["lr"]
+
+    assert [rate(k) for k in (0, 4, 5, 30, 55, 104)] == pytest.approx([0.02, 0.1, 0.1, 0.0853553, 0.05, 2.467e-5], 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("windows", "resynthesized", "expected"),
+    [
+        (100_000, False, (64, 30, None)),
+        (1000, False, (31, 46, None)),  # 33 steps an epoch, 1,500 at least
+        (10, False, (8, 750, None)),
+        (1000, True, (31, 182, 36)),  # 6,000 at least, a fifth without a lower loss
+    ],
+)
+def test_how_long_data_sets_are_trained_on(windows, resynthesized, expected):
+    settings = settings_for(CONFIG, windows, 5, resynthesized=resynthesized)
+    assert (settings.batch, settings.epochs, settings.patience) == expected
 
 
 def test_evaluation_by_hand():
