@@ -70,11 +70,13 @@ def encode(events: np.ndarray, format: str = "t64_x16_y16_on8") -> bytes:
     ('02 01 00 00 00 00 00 00 03 00 04 00 01', '04 80 03 80')
     """
     checked_format(format)
-    if not np.isin(events["p"], (0, 1)).all():
-        i = int(np.argmin(np.isin(events["p"], (0, 1))))
+    bad = (events["p"] != 0) & (events["p"] != 1)
+    if bad.any():
+        i = int(np.argmax(bad))
         raise ValueError(f"`p` must be 0 or 1, got {events['p'][i]} at event {i}")
     if format == "t64_x16_y16_on8":  # our own records, bit for bit
-        return structured([events[field] for field in "txyp"]).tobytes()
+        own = events if events.dtype == EVENT_DTYPE else structured([events[field] for field in "txyp"])
+        return own.tobytes()
     t, x, y, p = (events[field].astype("<u4") for field in "txyp")  # of t the low half
     for field, column in (("x", x), ("y", y)):
         if column.max(initial=0) >= _MAX_SIDE:
