@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import pairwise
 from typing import Any
 
@@ -148,6 +149,23 @@ def cars() -> str:
     return table(["other options", "networks", *times, "decisions a second, one after every event"], rows)
 
 
+def without_options() -> str:
+    """What the command reaches by itself on each data set: mean over its networks, and their standard deviation."""
+    rows = []
+    for name in ("cars", "nmnist", "poker"):
+        report = results(name)
+        bare = report["recipes"]["bare"]
+        parts = [summary([test[share] for test in bare["tests"]]) for share in ("window_accuracy", "accuracy")]
+        chosen = Counter(network["chosen"] for network in bare["networks"])
+        words = "; ".join(f"{volume} ({n})" for volume, n in chosen.most_common())
+        tests = bare["tests"][0]
+        counts = f"{tests['windows']:,} / {tests['recordings']:,}"
+        row = [report["title"], f"`{bare['command']}`", str(len(bare["tests"])), counts, *map(cell, parts), words]
+        rows.append(row)
+    head = ["", "command", "networks", "windows / recordings tested", "windows right", "recordings right", "chosen"]
+    return table(head, rows)
+
+
 def cars_in_short() -> str:
     found = results("cars")["recipes"]["tuned"]
     tests = found["tests"]
@@ -272,6 +290,7 @@ TABLES = (
     cars,
     cars_confidence,
     cars_in_short,
+    without_options,
     unseen_objects,
     edges,
     polarity,
