@@ -328,7 +328,7 @@ class Processor:
     @property
     def counts(self) -> Counts:
         """What became of the events. Where windows overlap, `received`, `dropped_late` and `dropped_decided` count an
-        event once, the others once for every window that it belongs to."""
+        event once, the others once per window that contains it."""
         return self._windows.counts(self._decoder.n_dropped)
 
     def save_state(self) -> bytes:

@@ -6,9 +6,10 @@ import argparse
 import contextlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.cli.options import positive_int
+from async_tnt.cli.options import paths_of, positive_int
 from async_tnt.cli.output import complain
 from async_tnt.sources.opening import LiveSource, open_source
 from async_tnt.sources.pixel_selector import PixelSelector
@@ -25,6 +26,15 @@ def add_latest(parser: argparse.ArgumentParser) -> None:
         help="camera or network: read in the background and keep at most this many packets waiting; if decisions are "
         "slower than events, the oldest packets are skipped and counted",
     )
+
+
+def check_pace(args: argparse.Namespace) -> None:
+    """Refuse --latest where all sources are recordings, and --speed where none is."""
+    n_recordings, n_sources = sum(isinstance(path, Path) for path in paths_of(args)), len(paths_of(args))
+    if args.latest is not None and n_recordings == n_sources:
+        raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
+    if args.speed is not None and n_recordings == 0:
+        raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import errno
-from pathlib import Path
 
 from async_tnt.cli.archive_options import add_archive, check_no_archive
-from async_tnt.cli.live_packets import add_latest
+from async_tnt.cli.live_packets import add_latest, check_pace
 from async_tnt.cli.live_view import draw_stream
 from async_tnt.cli.options import (
     add_files,
@@ -87,10 +86,7 @@ def main(args: argparse.Namespace) -> int:
     check_no_archive(args)
     if args.live and args.json:
         raise ValueError("--live and --json exclude each other")
-    if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
-        raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
-    if args.speed is not None and not any(isinstance(path, Path) for path in paths_of(args)):
-        raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
+    check_pace(args)
     if args.speed is not None and not args.live:
         raise ValueError("--speed belongs to --live; otherwise a recording is streamed as fast as possible")
     engine = choose_engine(args.model, args.engine)

@@ -26,7 +26,7 @@ from async_tnt.training.choice import Candidate
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
 from async_tnt.training.groups import GROUPS_FILE
-from async_tnt.training.run_folder import check_run, check_sources, has_checkpoint, other_run
+from async_tnt.training.run_folder import check_run, has_checkpoint, other_run
 from async_tnt.training.settings import TrainSettings, settings_for
 
 
@@ -76,7 +76,7 @@ def of_dataset(
         if choice.chosen is not None:
             config, known["network"] = choice.chosen.config, choice.chosen.network
         elif has_checkpoint(run_folder):
-            check_sources(run_folder, sources)  # names recordings that differ
+            check_run(run_folder, {}, {}, sources)  # names recordings that differ
             raise other_run(run_folder, "options")
     volume = {name: value for name, value in config.to_dict().items() if name != "sensor"}
     if pixels.sensor is not None and not pixels.crop:

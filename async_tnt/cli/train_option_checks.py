@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
+OF_VOLUME = "grid", "window_us", "representation", "transform", "landmark", "t_max", "polarity", "bins", "remove_flow"
+
 
 def check_options(args: argparse.Namespace) -> None:
     """Refuse options that do not go together, by a ValueError that names them."""
@@ -14,8 +16,7 @@ def check_options(args: argparse.Namespace) -> None:
         raise ValueError(f"{', '.join(given)} must come with --motions resynthesized")
     if args.motions == "resynthesized" and args.roi and not args.crop:
         raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
-    given = _given(args, ("grid", "window_us", "representation", "transform", "landmark", "t_max", "polarity", "bins"))
-    given += _given(args, ("remove_flow",))
+    given = _given(args, OF_VOLUME)
     if args.start_from and given:
         raise ValueError(f"{', '.join(given)} must come without --start-from: the volume is that model's")
     if args.start_from and args.network is not None:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from async_tnt.cli.live_packets import add_latest, live_packets
+from async_tnt.cli.live_packets import add_latest, check_pace, live_packets
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, one_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
@@ -70,10 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
-        raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
-    if args.speed is not None and not any(isinstance(path, Path) for path in paths_of(args)):
-        raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
+    check_pace(args)
     import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)

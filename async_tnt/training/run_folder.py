@@ -111,8 +111,10 @@ def check_run(
 
     Parameters
     ----------
-    config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known so far.
-    sources : see `check_sources`.
+    config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known so far; {}
+        where nothing is.
+    sources : as given to `train`. `pixels`: `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of
+        those that were not left out, not known yet; `validation`: the share held out; `groups`: its pattern or table.
 
     Raises
     ------
@@ -127,32 +129,20 @@ def check_run(
         name for part, values in wanted.items() for name, value in values.items() if found[part].get(name) != value
     ]
     either = (found["config"], wanted["config"])
-    differ += [name for name, default in LEFT_OUT.items() if len({of.get(name, default) for of in either}) > 1]
-    differ += _other_pixels(state["sources"], sources or {})
+    if config:
+        differ += [name for name, default in LEFT_OUT.items() if len({of.get(name, default) for of in either}) > 1]
+    then, now = state["sources"], dict(sources or {})
+    pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
+    for name in {**pixels_then, **pixels_now}:
+        if (pixels_then.get(name) or None) != (pixels_now.get(name) or None):  # no crop, and no region to crop
+            differ.append("mask" if name in ("masked_pixels", "mask_sha256") else name)
     if differ:
         raise other_run(run_folder, ", ".join(sorted(set(differ))))
-    check_sources(run_folder, sources or {})
+    _check_recordings(run_folder, then, now)
 
 
-def check_sources(run_folder: Path, now: Mapping[str, Any]) -> None:
-    """Refuse a folder that holds a run on other data; recordings that were left out may be gone.
-
-    Parameters
-    ----------
-    now : as given to `train`. `pixels`: `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of those
-        that were not left out, not known yet; `validation`: the share held out; `groups`: its pattern or table.
-
-    Raises
-    ------
-    ValueError : it does, and what differs; or the checkpoint is damaged, or of another release.
-    """
-    state = _read(run_folder / CHECKPOINT)
-    if state is None:
-        return
-    then = state["sources"]
-    pixels = _other_pixels(then, now)
-    if pixels:
-        raise other_run(run_folder, ", ".join(sorted(pixels)))
+def _check_recordings(run_folder: Path, then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Compare recordings by their names and sizes. Those that were left out may be gone."""
     before, present = then.get("recordings", {}), now.get("recordings", {})
     differ = [f"{name} is new" for name in present if name not in before]
     differ += [f"{name} has changed" for name in present if name in before and before[name] != present[name]]
@@ -163,16 +153,6 @@ def check_sources(run_folder: Path, now: Mapping[str, Any]) -> None:
     for name in ("validation", "groups"):
         if then.get(name) != now.get(name):
             raise other_run(run_folder, f"{name} ({then.get(name)}, now {now.get(name)})")
-
-
-def _other_pixels(then: Mapping[str, Any], now: Mapping[str, Any]) -> set[str]:
-    """Which options about pixels differ."""
-    before, present = then.get("pixels", {}), now.get("pixels", {})
-    return {
-        "mask" if name in ("masked_pixels", "mask_sha256") else name
-        for name in {**before, **present}
-        if (before.get(name) or None) != (present.get(name) or None)  # no crop, and no region to crop
-    }
 
 
 def other_run(run_folder: Path, what: str) -> ValueError:

@@ -21,7 +21,6 @@ from numba import uint16, uint32
 
 from async_tnt.events import structured
 from async_tnt.kernels.evt import (
-    HIGH,
     INITIAL,
     ODD,
     UNPLACED,
@@ -166,10 +165,10 @@ class EvtSource(Source):
                 place += len(chunk)
                 if len(chunk) % size:
                     raise CorruptData(f"the file ends at byte {place}, {len(chunk) % size} bytes into a word of {size}")
-        if state[UNPLACED] and state[HIGH] < 0:
-            raise CorruptData(f"{state[UNPLACED]} words of events have no time: there is no TIME_HIGH")
         if state[UNPLACED] and n_events == 0:
-            raise CorruptData(f"{state[UNPLACED]} words of events have no row: there is no ADDR_Y before them")
+            raise CorruptData(
+                f"{state[UNPLACED]} words of events have no time or no row: no TIME_HIGH or ADDR_Y before"
+            )
 
 
 class DatSource(Source):
