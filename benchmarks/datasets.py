@@ -18,14 +18,20 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from draw_datasets import draw
 from made_objects import SENSOR, write
-from script_options import run_script, script_parser
+from script_options import run_script, script_parser, write_outputs
 from unseen_motions import command
 
 from async_tnt.checking.bench_every_event import bench_every_event
+from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.timing import interleave, machine, spread, work_clock
+from async_tnt.config import LANDMARKS
+from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.loading import load_model
+from async_tnt.networks.model import Model
+from async_tnt.processor import Processor
 from async_tnt.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.sensor import format_size
@@ -33,11 +39,8 @@ from async_tnt.training.table import cell, summary
 from async_tnt.volume import TNTVolume
 
 TUNED = "--grid 60x50 --network residual --mirror --epochs 30 --patience 0 --validation 0.05"
-EQUAL = "--network residual --mirror --epochs 10 --patience 0 --validation 0.05 --polarity split"
-VOLUMES = {
-    "volume": "--transform none",
-    **{landmark: f"--landmark {landmark}" for landmark in ("center", "running", "line", "window", "regressor")},
-}
+EQUAL = "--network residual --mirror --epochs 6 --patience 0 --validation 0.05 --polarity split"
+VOLUMES = {"volume": "--transform none", **{landmark: f"--landmark {landmark}" for landmark in LANDMARKS}}
 IMAGES = "count", "count_time", "mean_time", "time_surface"
 
 
@@ -82,31 +85,30 @@ DATA_SETS = {
     "poker": DataSet("POKER-DVS", "pips_train", "pips_test", "--sensor 35x35", ("3", "9", "15", "30")),
 }
 TIMED = 12  # recordings of the test part
+COMPARED = 1000  # events of each of these, at most
 QUICK = DataSet("made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1 --quick", ("5", "50"))
 """A made set and one epoch."""
 
 
-def measure(data: DataSet, folder: Path, out: Path, recipes: Sequence[str], seeds: int) -> dict[str, Any]:
-    """Train and test each recipe, with each seed."""
-    found = {}
+def measure(data: DataSet, folder: Path, out: Path, recipe: str, seeds: int) -> dict[str, Any]:
+    """Train and test a recipe with each seed."""
     out.mkdir(parents=True, exist_ok=True)
-    with progress(len(recipes) * seeds, "training") as bar:
-        for name in recipes:
-            options = f"{data.options} {data.recipes[name]}".strip()
-            models = []
-            for seed in range(seeds):
-                models.append(out / f"{name}{seed}.safetensors")
-                words = [*options.split(), "--seed", seed, "--out", models[-1], "--run", out / "runs" / f"{name}{seed}"]
-                command("train", folder / data.train, *words, "--json")
-                bar.update()
-            found[name] = {
-                "command": f"async-tnt train {data.train} {options}".strip(),
-                "networks": [_about(path) for path in models],
-                "tests": [_tested(path, folder / data.test) for path in models],
-                **_costs(models[0], folder / data.test),
-                "machine": machine("torch"),
-            }
-    return {"title": data.title, "shown_ms": data.shown_ms, "others": data.others, "recipes": found}
+    options = f"{data.options} {data.recipes[recipe]}".strip()
+    models = []
+    with progress(seeds, f"training {recipe}") as bar:
+        for seed in range(seeds):
+            models.append(out / f"{recipe}{seed}.safetensors")
+            words = [*options.split(), "--seed", seed, "--out", models[-1], "--run", out / "runs" / f"{recipe}{seed}"]
+            command("train", folder / data.train, *words, "--json")
+            bar.update()
+    found = {
+        "command": f"async-tnt train {data.train} {options}".strip(),
+        "networks": [_about(path) for path in models],
+        "tests": [_tested(path, folder / data.test) for path in models],
+        **_costs(models[0], folder / data.test),
+        "machine": machine("torch"),
+    }
+    return {"title": data.title, "shown_ms": data.shown_ms, "others": data.others, "recipes": {recipe: found}}
 
 
 def with_earlier(report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:
@@ -137,14 +139,15 @@ def _tested(path: Path, test: Path) -> dict[str, Any]:
 
 
 def _costs(path: Path, test: Path) -> dict[str, Any]:
-    """Of some recordings' first windows: nanoseconds an event in the volume, and a decision after every event."""
+    """Of some recordings' first windows: nanoseconds an event in the volume, a decision after every event, and how many
+    of these were compared with those of the whole network."""
     model = load_model(str(path))
     files = sorted(file for file in test.glob("*/*") if file.is_file())
     some = [open_recording(file, sensor=model.config.sensor).read() for file in files[:: -(-len(files) // TIMED)]]
     for k, events in enumerate(some):
         events["t"] -= events["t"][0]
         some[k] = events[events["t"] < model.config.window_us]
-    volume = TNTVolume(model.config)
+    volume = TNTVolume(model.config, regressor=CompiledRegressor(model) if model.config.needs_regressor else None)
 
     def absorbed() -> float:
         nanoseconds = 0.0
@@ -159,7 +162,31 @@ def _costs(path: Path, test: Path) -> dict[str, Any]:
     return {
         "event_ns": spread(per_event),
         "every_event": bench_every_event(model, {}, some, rounds=2 * len(some))["ours"],
+        "equal_to_dense": _compare_with_dense(model, [events[:COMPARED] for events in some]),
     }
+
+
+def _compare_with_dense(model: Model, recordings: list[np.ndarray]) -> int:
+    """How many decisions, one after every event, have the same bits where the network computes everything each time.
+
+    Raises
+    ------
+    WorkDiffers : one has not.
+    """
+    network = CompiledClassifier(model)
+    ours, dense = (
+        Processor(model, classifier=classifier, every_events=1, start_us=0)
+        for classifier in (None, lambda volume: network(volume))
+    )
+    n = 0
+    for events in recordings:
+        ours.reset()
+        dense.reset()
+        for one, other in zip(ours.push(events), dense.push(events), strict=True):
+            if one.logits.tobytes() != other.logits.tobytes():
+                raise WorkDiffers(f"event {one.events} of a window: {one.logits}, where all is computed {other.logits}")
+            n += 1
+    return n
 
 
 def lines(report: dict[str, Any]) -> list[str]:
@@ -193,10 +220,11 @@ def main(argv: list[str] | None = None) -> int:
     def measured(quick: bool) -> dict[str, Any]:
         if quick:
             return _quick()
-        recipes = args.recipes or list(known)
-        report = measure(DATA_SETS[args.name], args.folder, args.out or Path(args.name), recipes, args.seeds)
-        if args.json and args.json.exists():
-            report = with_earlier(report, json.loads(args.json.read_text(encoding="utf-8")), list(known))
+        report = json.loads(args.json.read_text(encoding="utf-8")) if args.json and args.json.exists() else {}
+        for name in args.recipes or known:
+            found = measure(DATA_SETS[args.name], args.folder, args.out or Path(args.name), name, args.seeds)
+            report = with_earlier(found, report, list(known)) if report else found
+            write_outputs(args, report)  # before the next recipe's hours
         return report
 
     return run_script(parser, argv, measured, lines, draw)
@@ -207,7 +235,7 @@ def _quick() -> dict[str, Any]:
         folder = Path(name)
         for part, n, seed in ((QUICK.train, 6, 0), (QUICK.test, 3, 1)):
             write(folder / part, n, (0.0,), seed)
-        return measure(QUICK, folder, folder / "models", list(QUICK.recipes), 1)
+        return measure(QUICK, folder, folder / "models", "bare", 1)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import re
 import sys
 
 import accuracy_tables
+import dataset_tables
 import decision_tables
 import incremental_tables
 import stream_tables
@@ -24,11 +25,16 @@ from async_tnt.files import write_text
 
 PAGES = ("README.md", "docs/results.md")
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
-TABLES = {
-    make.__name__: make
-    for module in (accuracy_tables, thesis_tables, decision_tables, incremental_tables, volume_tables, stream_tables)
-    for make in module.TABLES
-}
+MODULES = (
+    accuracy_tables,
+    dataset_tables,
+    thesis_tables,
+    decision_tables,
+    incremental_tables,
+    volume_tables,
+    stream_tables,
+)
+TABLES = {make.__name__: make for module in MODULES for make in module.TABLES}
 
 
 def written(page: str) -> str:

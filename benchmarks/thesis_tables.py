@@ -132,10 +132,6 @@ def _set_title(parameters: dict[str, Any]) -> str:
     return f"{speed}, {where}, {light}"
 
 
-def images() -> str:
-    return markdown_table(_accuracies(), "images")
-
-
 def thesis_rows() -> str:
     return markdown_table(_accuracies(), "thesis")
 
@@ -175,7 +171,6 @@ TABLES = (
     unseen_motion,
     learning_curve,
     simulated_sets,
-    images,
     thesis_rows,
     resynthesis,
     resynthesis_worst,

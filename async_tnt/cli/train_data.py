@@ -25,7 +25,7 @@ from async_tnt.training.augment import Augmentation
 from async_tnt.training.choice import Candidate
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
-from async_tnt.training.groups import GROUPS_FILE
+from async_tnt.training.groups import GROUPS_FILE, groups_table
 from async_tnt.training.run_folder import check_run, has_checkpoint, other_run
 from async_tnt.training.settings import TrainSettings, settings_for
 
@@ -160,8 +160,8 @@ def of_digits(
 
 def _groups_file(dataset: Path) -> str | None:
     """The data set's table of groups, by its checksum."""
-    file = dataset / GROUPS_FILE
-    return f"{GROUPS_FILE} {zlib.crc32(file.read_bytes()):08x}" if file.is_file() else None
+    table = groups_table(dataset)
+    return None if table is None else f"{GROUPS_FILE} {zlib.crc32(table.read_bytes()):08x}"
 
 
 def _augmentation(args: argparse.Namespace) -> dict[str, Any] | None:

@@ -76,7 +76,8 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
     Raises
     ------
     FileNotFoundError, NotADirectoryError : no such folder.
-    ValueError : neither class folders nor sessions in it, or a table that cannot be read.
+    ValueError : neither class folders nor sessions in it, or both; a session without a table; a table in a class
+        folder, or one that cannot be read.
 
     Examples
     --------
@@ -96,9 +97,15 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
         raise NotADirectoryError(f"{folder} is a file; expected a folder with a folder of recordings for each class")
     if part is not None and (folder / part).is_dir() and (_folders(folder / part) or _sessions(folder / part)):
         folder = folder / part
-    if sessions := _sessions(folder):
-        return _parts(folder, sessions, part)
     classes = _folders(folder)
+    for c in classes:
+        for recording in _sessions(c):
+            raise ValueError(
+                f"{c}: {recording.name} has a table of labels, but lies in a class folder; put both into {folder}"
+            )
+    if sessions := _sessions(folder):
+        _check_all_labelled(folder, sessions, classes)
+        return _parts(folder, sessions, part)
     if not classes:
         raise ValueError(
             f"{folder}: no class folders; expected {folder.name}/<class name>/<recording>, or sessions "
@@ -129,6 +136,21 @@ def _sessions(folder: Path) -> dict[Path, Path]:
     tables = {path.name.removesuffix(TABLE): path for path in folder.glob(f"*{TABLE}") if path.is_file()}
     recordings = [path for path in sorted(folder.iterdir()) if path.stem in tables and is_recording(path)]
     return {path: tables[path.stem] for path in recordings}
+
+
+def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: list[Path]) -> None:
+    """There are no recordings beside the sessions; those that no list names may be there."""
+    lists = any((folder / file).is_file() for file in LISTS.values())
+    for path in sorted(folder.iterdir()):
+        if is_recording(path) and path.is_file() and path not in sessions and not lists:
+            raise ValueError(f"{path} has no table {path.stem}{TABLE}, as others have; write one, or remove it")
+    for c in classes:
+        for path in sorted(c.iterdir()):
+            if is_recording(path):
+                raise ValueError(
+                    f"{folder}: expected class folders, or sessions with tables, got both: {c.name}/{path.name} and "
+                    f"{next(iter(sessions)).name}"
+                )
 
 
 def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:

@@ -19,6 +19,7 @@ from async_tnt.training.groups import (
     GROUPS_FILE,
     groups_by_pattern,
     groups_by_table,
+    groups_table,
     hold_out_groups,
     hold_out_last,
 )
@@ -152,8 +153,8 @@ def _split(
     files = [file_of(name) for name in names]
     if pattern is not None:
         together, how = groups_by_pattern(names, pattern), f"group ({pattern})"
-    elif (folder / GROUPS_FILE).exists():
-        together, how = groups_by_table(names, folder / GROUPS_FILE), f"group ({GROUPS_FILE})"
+    elif (table := groups_table(folder)) is not None:
+        together, how = groups_by_table(names, table), f"group ({GROUPS_FILE})"
     else:
         last = hold_out_last(names, labels, share)
         if last is not None:

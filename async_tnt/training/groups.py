@@ -1,8 +1,7 @@
 """Which recordings stay together when some are held out: those of one person, car or session look alike.
 
 An accuracy on held-out recordings says what new recordings will give only as far as these differ from the learned ones
-as new ones will. On N-CARS, whose neighbouring numbers often show the same car, recordings held out at random are
-recognized at .95, others at .69.
+as new ones will.
 """
 
 from __future__ import annotations
@@ -17,6 +16,11 @@ import numpy as np
 from async_tnt.sources.labelled_recordings import file_of
 
 GROUPS_FILE = "groups.csv"
+
+
+def groups_table(folder: Path) -> Path | None:
+    """A data set's table of groups, beside its classes; None without one."""
+    return next((path for of in (folder, folder / "Train") if (path := of / GROUPS_FILE).is_file()), None)
 
 
 def groups_by_pattern(names: Sequence[str], pattern: str) -> list[str]:
@@ -72,9 +76,9 @@ def _first_in(table: Mapping[str, str], names: Sequence[str]) -> str | None:
 def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray] | None:
     """Hold out the last recordings of each class by number; None where recordings are not numbered.
 
-    They are if those of a class differ in numbers only; several numbers count from left to right. Parts of sessions are
-    not. New recordings come after the old ones, so the last numbers tell most of them; all that leaks are the
-    neighbours at one place.
+    They are if those of a class differ in numbers only; several numbers count from left to right, and recordings that
+    differ in the last one alone (`user07_1`, `user07_2`) stay together, unless all do. Parts of sessions are not
+    numbered. What leaks are the neighbours where a class is cut, and whatever comes back later.
 
     Returns
     -------
@@ -92,7 +96,11 @@ def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tup
         numbers = [[int(number) for number in re.findall(r"\d+", PurePosixPath(names[r]).stem)] for r in members]
         ordered = [r for _, r in sorted(zip(numbers, members, strict=True))]
         wanted = max(1, round(share * len(ordered))) if share else 0
-        held_out[ordered[max(1, len(ordered) - wanted) :]] = True
+        first = max(1, len(ordered) - wanted)
+        if wanted:
+            leading = [of[:-1] for of in sorted(numbers)]
+            first = leading.index(leading[min(first, len(leading) - 1)]) or first
+        held_out[ordered[first:]] = True
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 

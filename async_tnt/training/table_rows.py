@@ -12,9 +12,9 @@ optimizer. The comparison crosses
 t_max is 2 there: of 2, 3, 4 and 8 the one with the lowest loss on held-out digits of the training motion
 (docs/results.md has the numbers). The thesis has B - 1 = 8, which other rows have.
 
-Besides: the thesis' own three rows; event images in place of volumes; rows that learn from fewer recordings; and rows
-with motion re-synthesis (`resynthesis`), an augmentation that the thesis does not have. They show what recordings of
-one motion can teach, not what a network infers by itself.
+Besides: the thesis' own three rows; event images and TNT about `window`; rows that learn from fewer recordings; and
+rows with motion re-synthesis (`resynthesis`), an augmentation that the thesis does not have. They show what recordings
+of one motion can teach, not what a network infers by itself.
 
 References
 ----------
@@ -108,7 +108,7 @@ GROUPS = {
     "comparison": "raw volumes and TNT by landmark, signed or not, translated or not; some with t_max 4 or 8",
     "motions": "with motion re-synthesis, an augmentation",
     "learning": "from fewer recordings",
-    "images": "event images instead of volumes",
+    "representations": "event images instead of volumes, and TNT about `window`",
     "thesis": "the thesis' own rows: t_max 8, nothing thinned, translations with the regressor only, 60,000 steps",
 }
 
@@ -175,13 +175,14 @@ def _learning() -> Iterator[Row]:
             yield _row(name, translated=True, recordings=recordings)
 
 
-def _images() -> Iterator[Row]:
-    for representation, title in IMAGES.items():
-        config = TNTConfig(representation=representation, transform="none", landmark="center", polarity="split")
-        if representation == "hats":
-            config = config.replace(grid=HATS_GRID)
-        augmentation = replace(THINNED, translate_px=TRANSLATE_PX)
-        yield Row(f"{representation}-translated", "images", f"{title}, translated", config, augmentation)
+def _representations() -> Iterator[Row]:
+    inputs = {"window": ("`window`", TNTConfig(landmark="window", t_max=T_MAX))}
+    for name, title in IMAGES.items():
+        config = TNTConfig(representation=name, transform="none", landmark="center", polarity="split")
+        inputs[name] = title, config.replace(grid=HATS_GRID) if name == "hats" else config
+    augmentation = replace(THINNED, translate_px=TRANSLATE_PX)
+    for name, (title, config) in inputs.items():
+        yield Row(f"{name}-translated", "representations", f"{title}, translated", config, augmentation)
 
 
 def _thesis() -> Iterator[Row]:
@@ -194,7 +195,8 @@ def _thesis() -> Iterator[Row]:
         yield Row(name, "thesis", title, config, augmentation, STEPS_THESIS, seeds=1)
 
 
-ROWS = {row.name: row for rows in (_comparison(), _motions(), _learning(), _images(), _thesis()) for row in rows}
+_PARTS = (_comparison, _motions, _learning, _representations, _thesis)
+ROWS = {row.name: row for make in _PARTS for row in make()}
 assert {row.group for row in ROWS.values()} == set(GROUPS)
 
 DIFFERENCES = (
@@ -208,7 +210,7 @@ DIFFERENCES = (
     ("line-unsigned-translated", "running-unsigned-translated"),
     ("running-t4-translated", "running-translated"),
     *((f"{name}-t8-translated", f"{name}-translated") for name in ("center", "running", "regressor")),
-    *((f"{name}-translated", "raw-translated") for name in IMAGES),
+    *((f"{name}-translated", "raw-translated") for name in ("window", *IMAGES)),
     ("running-motions", "raw-motions"),
     ("raw-shared", "raw-motions"),
     ("raw-moved", "raw-confounded"),

@@ -33,7 +33,7 @@ def _draw_course(axes: Axes, course: Sequence[tuple[float, float, float]], **set
     """course : (place, share of windows right, share of windows decided at all)."""
     at, right, decided = zip(*course, strict=True)
     axes.plot(at, right, color=OFF, marker="o", markersize=3.5, label="right")
-    axes.plot(at, decided, color=GREY, linestyle=DASHED, label="with events")
+    axes.plot(at, decided, color=GREY, linestyle=DASHED, label="decided")
     _look(axes, ylabel="windows", **settings)
 
 

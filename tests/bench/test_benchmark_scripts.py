@@ -172,7 +172,11 @@ def test_recipes_are_trained_and_tested_and_others_keep_their_entry(tmp_path, ca
     assert found["bare"]["command"].endswith("--epochs 1 --quick")
     (test,) = found["bare"]["tests"]
     assert test["recordings"] == 18 and list(test["against_time_ms"])[::3] == ["5", "20", "35", "50"]
-    assert found["bare"]["every_event"]["a_second"] > 0 and found["bare"]["networks"][0]["network"] == "thesis"
+    assert (
+        found["bare"]["equal_to_dense"] > 100
+        and found["bare"]["every_event"]["a_second"] > 0
+        and found["bare"]["networks"][0]["network"] == "thesis"
+    )
     printed = capsys.readouterr().out
     assert (
         f"{test['against_time_ms']['50']:.3f}".replace("0.", ".") in printed

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from dataset.gestures import bar, write
 from made import random_model
+from recordings.written import aedat3
 
 from async_tnt import Model, TNTConfig
 from async_tnt.sources.files.recording import open_recording
@@ -22,10 +23,14 @@ def part(kind, seed, k):
     return bar(kind, seed, duration_us=100_000, start_us=5_000_000 + k * PART_US)
 
 
-def write_session(folder, name, kinds, seed=0, header=HEADER, numbers=None):
+def write_session(folder, name, kinds, seed=0, header=HEADER, numbers=None, suffix=".npz"):
     """Parts one after another, with half of the last 50 ms of each not labelled."""
     parts = [part(kind, seed + k, k) for k, kind in enumerate(kinds)]
-    write(folder / f"{name}.npz", np.concatenate(parts))
+    events = np.concatenate(parts)
+    if suffix == ".npz":
+        write(folder / f"{name}.npz", events)
+    else:
+        (folder / f"{name}{suffix}").write_bytes(aedat3(events, (128, 128)))
     rows = [
         f"{(numbers or {}).get(kind, kind)},{5_000_000 + k * PART_US},{5_000_000 + k * PART_US + 80_000}\n"
         for k, kind in enumerate(kinds)
@@ -98,17 +103,18 @@ def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_pat
 
 
 def test_the_files_of_dvs128_gesture(tmp_path):
-    """Numbers with names in a table of their own, and lists of the sessions to train and to test on."""
+    """AEDAT 3.1, numbers with names in a table of their own, and lists of the sessions to train and to test on."""
     for seed, name in enumerate(("user01_lab", "user02_lab")):
-        write_session(tmp_path, name, ("flat", "upright"), seed=10 * seed, numbers={"flat": 2, "upright": 10})
+        numbers = {"flat": 2, "upright": 10}
+        write_session(tmp_path, name, ("flat", "upright"), seed=10 * seed, numbers=numbers, suffix=".aedat")
     assert list(find_recordings(tmp_path)) == ["2", "10"]
     (tmp_path / "gesture_mapping.csv").write_text("action,label\nhand_clapping,2\nair_guitar,10\n")
-    (tmp_path / "trials_to_train.txt").write_text("user01_lab.npz\n")
-    (tmp_path / "trials_to_test.txt").write_text("user02_lab.npz\n\n")
+    (tmp_path / "trials_to_train.txt").write_text("user01_lab.aedat\n")
+    (tmp_path / "trials_to_test.txt").write_text("user02_lab.aedat\n\n")
     found = find_recordings(tmp_path, "Test")
     assert {name: [one.name for one in some] for name, some in found.items()} == {
-        "air_guitar": ["user02_lab.npz[5150000:5230000]"],
-        "hand_clapping": ["user02_lab.npz[5000000:5080000]"],
+        "air_guitar": ["user02_lab.aedat[5150000:5230000]"],
+        "hand_clapping": ["user02_lab.aedat[5000000:5080000]"],
     }
     data = dataset_data(tmp_path, TNTConfig(), pixels=PixelSelection(), validation=0, test=True)
     assert [name[:6] for name in data.training.recordings.names] == ["user01"] * 2
@@ -118,9 +124,23 @@ def test_the_files_of_dvs128_gesture(tmp_path):
         (tmp_path / name).rename(tmp_path / "away")
         assert {part: find_recordings(tmp_path, part) for part in parts} == parts and has_part(tmp_path, "Test")
         (tmp_path / "away").rename(tmp_path / name)
-    (tmp_path / "trials_to_test.txt").write_text("user02_lab.npz user07.npz")
-    with pytest.raises(ValueError, match=r"trials_to_test.txt names user07.npz, which is not there, or has no table"):
+    (tmp_path / "trials_to_test.txt").write_text("user02_lab.aedat user07.aedat")
+    with pytest.raises(ValueError, match=r"trials_to_test.txt names user07.aedat, which is not there, or has no table"):
         find_recordings(tmp_path, "Test")
+
+
+def test_what_would_be_ignored_beside_sessions_is_named(tmp_path):
+    write_session(tmp_path, "a", ("flat",))
+    write(tmp_path / "b.npz", part("flat", 0, 0))
+    with pytest.raises(ValueError, match=r"b\.npz has no table b_labels\.csv, as others have"):
+        find_recordings(tmp_path)
+    (tmp_path / "b.npz").unlink()
+    write(tmp_path / "flat" / "c.npz", part("flat", 0, 0))
+    with pytest.raises(ValueError, match=r"expected class folders, or sessions .*, got both: flat/c\.npz and a\.npz"):
+        find_recordings(tmp_path)
+    write_session(tmp_path / "flat", "c", ("flat",))
+    with pytest.raises(ValueError, match=r"flat: c\.npz has a table of labels, but lies in a class folder"):
+        find_recordings(tmp_path)
 
 
 @pytest.mark.parametrize(

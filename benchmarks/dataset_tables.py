@@ -1,0 +1,99 @@
+"""The tables of the field's data sets: N-CARS, representations compared, and what the command does without options."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from page_parts import percent, results, short, table
+
+from async_tnt.config import LANDMARKS
+from async_tnt.training.table import cell, summary
+from async_tnt.training.table_rows import IMAGES
+
+CARS_MS = "10", "20", "30", "50", "100"
+EQUAL_MS = "10", "30", "50", "100"
+REPRESENTATIONS = {
+    "volume": ("event volume", "raw-translated"),
+    **{name: (f"TNT, `{name}`", f"{name}-translated") for name in LANDMARKS},
+    **{name: (title, f"{name}-translated") for name, title in IMAGES.items()},
+}
+"""Recipe of N-CARS, without `equal_` -> title, row of the thesis' table."""
+
+
+def cars() -> str:
+    """N-CARS' test part against time: mean over the networks, and their standard deviation."""
+    rows = []
+    for name, found in results("cars")["recipes"].items():
+        if name.startswith("equal_"):
+            continue
+        courses = [test["against_time_ms"] for test in found["tests"]]
+        shares = [[course[ms] for course in courses] for ms in CARS_MS]
+        cells = [cell(summary(values)) for values in shares]
+        options = found["command"].partition("--sensor 120x100")[2].strip()
+        rate = found["every_event"]["a_second"]
+        rows.append([f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"])
+    times = [f"{ms} ms" for ms in CARS_MS]
+    return table(["other options", "networks", *times, "decisions a second, one after every event"], rows)
+
+
+def cars_confidence() -> str:
+    """What a level of confidence costs and buys on N-CARS: means over the networks of the first recipe."""
+    tests = results("cars")["recipes"]["tuned"]["tests"]
+    rows = []
+    for levels in zip(*(test["confidence"] for test in tests), strict=True):
+        if any(level["median_ms"] is None for level in levels):  # that no window reaches
+            continue
+        means = [np.mean([level[name] for level in levels]) for name in ("decided", "accuracy", "median_ms", "p90_ms")]
+        shares = [percent(float(share)) for share in means[:2]]
+        rows.append([f"{levels[0]['level']:g}", *shares, *(f"{ms:.0f}" for ms in means[2:])])
+    return table(["confidence", "windows that reach it", "right of these", "median, ms", "90th percentile, ms"], rows)
+
+
+def cars_in_short() -> str:
+    found = results("cars")["recipes"]["tuned"]
+    tests = found["tests"]
+    at = {ms: f"{np.mean([test['against_time_ms'][ms] for test in tests]):.3f}"[1:] for ms in CARS_MS}
+    rate = found["every_event"]["a_second"]
+    return (
+        f"N-CARS' official test part, cars or background, from images of counts without the transform, mean of "
+        f"{len(tests)} networks: {at['10']} after 10 ms, {at['30']} after 30 ms, {at['100']} after 100 ms, at "
+        f"{rate:,.0f} decisions a second, one after every event."
+    )
+
+
+def representations() -> str:
+    """Accuracy on N-MNIST and N-CARS, mean over the networks, their standard deviation, and what each costs."""
+    nmnist = results("table")["table"]
+    recipes = results("cars")["recipes"]
+    rows = []
+    for name, (title, row) in REPRESENTATIONS.items():
+        if f"equal_{name}" not in recipes:
+            continue
+        found = recipes[f"equal_{name}"]
+        digits = [cell(nmnist.get(row, {}).get(column)) for column in ("all/all", "1/all", "1/sim")]
+        shares = [[test["against_time_ms"][ms] for test in found["tests"]] for ms in EQUAL_MS]
+        costs = short(found["event_ns"]["median"]), short(found["every_event"]["us"]["median"])
+        rows.append([title, *digits, *(cell(summary(values)) for values in shares), *costs])
+    times = [f"{ms} ms" for ms in EQUAL_MS]
+    return table(["", "all/all", "1/all", "1/sim", *times, "ns an event", "µs a decision"], rows)
+
+
+def without_options() -> str:
+    """What the command reaches by itself on each data set: mean over its networks, and their standard deviation."""
+    rows = []
+    for name in ("cars", "nmnist", "poker"):
+        report = results(name)
+        bare = report["recipes"]["bare"]
+        parts = [summary([test[share] for test in bare["tests"]]) for share in ("window_accuracy", "accuracy")]
+        chosen = Counter(network["chosen"] for network in bare["networks"])
+        words = "; ".join(f"{volume} ({n})" for volume, n in chosen.most_common())
+        tests = bare["tests"][0]
+        counts = f"{tests['windows']:,} / {tests['recordings']:,}"
+        row = [report["title"], f"`{bare['command']}`", str(len(bare["tests"])), counts, *map(cell, parts), words]
+        rows.append(row)
+    head = ["", "command", "networks", "windows / recordings tested", "windows right", "recordings right", "chosen"]
+    return table(head, rows)
+
+
+TABLES = (cars, cars_confidence, cars_in_short, representations, without_options)
