@@ -29,7 +29,8 @@ class Network:
     def __str__(self) -> str:
         grid, widths = ("x".join(map(str, numbers)) for numbers in (self.config.grid, self.widths))
         landmark = "none" if self.config.transform == "none" else self.config.landmark
-        return f"{grid}-{self.config.bins}-{self.config.polarity}-{landmark}-{widths}-{self.classes}"
+        volume = landmark if self.config.representation == "volume" else self.config.representation
+        return f"{grid}-{self.config.bins}-{self.config.polarity}-{volume}-{widths}-{self.classes}"
 
     @cache  # noqa: B019 (the networks of the list below live as long as the tests)
     def model(self, seed: int = 0) -> Model:
@@ -91,6 +92,11 @@ NETWORKS = [
     TrainedNetwork("conv4", (19, 16), 3, 5, polarity="split", transform="none"),
     TrainedNetwork("residual", (16, 13), 2, 3),
     TrainedNetwork("separable", (16, 16), 2, 3, landmark="line", remove_flow=True),
+    TrainedNetwork("residual", (16, 13), 1, 2, representation="count"),
+    Network((9, 8), 2, (3, 5, 7), 3, representation="count_time", sensor=(20, 14)),
+    Network((9, 8), 1, (3, 5, 7), 3, representation="mean_time", polarity="unsigned"),
+    Network((9, 8), 1, (3, 5, 7), 3, representation="time_surface", sensor=(20, 14)),
+    Network((4, 4), 49, (3, 5, 7), 3, representation="hats", sensor=(20, 14)),
 ]
 LARGE = Network((346, 260), 9, (16, 32, 64), 10)
 SMALL, DIGITS = NETWORKS[1], NETWORKS[7]
