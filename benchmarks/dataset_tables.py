@@ -9,6 +9,7 @@ from page_parts import percent, results, short, table
 
 from async_tnt.config import LANDMARKS
 from async_tnt.training.table import cell, summary
+from async_tnt.training.table import short as three_digits
 from async_tnt.training.table_rows import IMAGES
 
 CARS_MS = "10", "20", "30", "50", "100"
@@ -47,7 +48,9 @@ def cars_confidence() -> str:
         means = [np.mean([level[name] for level in levels]) for name in ("decided", "accuracy", "median_ms", "p90_ms")]
         shares = [percent(float(share)) for share in means[:2]]
         rows.append([f"{levels[0]['level']:g}", *shares, *(f"{ms:.0f}" for ms in means[2:])])
-    return table(["confidence", "windows that reach it", "right of these", "median, ms", "90th percentile, ms"], rows)
+    head = ["confidence", "windows that reach it", "right of these", "median, ms", "90th percentile, ms"]
+    error = np.mean([test["calibration_error"] for test in tests])
+    return f"{table(head, rows)}\n\nExpected calibration error of all decisions: {three_digits(float(error))}."
 
 
 def cars_in_short() -> str:

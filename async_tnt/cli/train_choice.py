@@ -27,7 +27,7 @@ VOLUME_OPTIONS = ("representation", "transform", "landmark", "t_max", "bins")
 
 def questions_of(args: argparse.Namespace) -> Questions:
     """What the options leave open."""
-    if args.quick or args.start_from or args.motions == "resynthesized" or args.validation == 0:
+    if args.quick or args.start_from or args.motions == "resynthesized":
         return Questions(False, False, False, False, False)
     return Questions(
         transform=not args.remove_flow and all(getattr(args, name) is None for name in VOLUME_OPTIONS),

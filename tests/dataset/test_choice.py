@@ -213,6 +213,10 @@ def test_where_nothing_is_held_out_the_defaults_are_taken(tmp_path, program):
     assert code == 0 and "the defaults are taken" in err and "chosen" not in err
     code, _, err = program("train", tmp_path / "set", *words)
     assert code == 0 and "the defaults are taken" not in err  # the same run, finished
+    write(tmp_path / "set" / "a" / "two.npy", spot(rng, 7, 12, 1))
+    more = ("--validation", 0, "--run", tmp_path / "another")
+    code, _, err = program("train", tmp_path / "set", *words, *more)
+    assert code == 0 and "the defaults are taken" in err and "chosen" not in err
 
 
 def test_hats_may_have_more_cells_than_the_default_sensor_has_pixels(tmp_path, program):
