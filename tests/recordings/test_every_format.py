@@ -97,21 +97,24 @@ def test_the_content_tells_the_format_where_suffixes_are_shared(tmp_path, name):
 
 
 N_LONG = 1_000_000
-BLOCK = made_events(100_000, step_us=4)
+N_BLOCK = 100_000
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="a million events in Python take minutes")
-@pytest.mark.parametrize("name", ["plain.csv", "v2.dat", "evt3.raw", "records.npy", "dv.aedat4", "dsec.h5"])
+@pytest.mark.parametrize(
+    "name", ["plain.csv", "v2.dat", "evt3.raw", "records.npy", "dvs128.aedat", "dv.aedat4", "dsec.h5"]
+)
 def test_memory_does_not_grow_with_the_file(tmp_path, name):
     """The same events ten times over: a million different ones take longer to write than to read."""
-    path = tmp_path / name
+    path, sensor = tmp_path / name, sensor_for(name)
+    block = made_events(N_BLOCK, sensor=sensor, step_us=4)
     if FORMATS[name].of_bytes:
-        data = written(path, BLOCK).read_bytes()
-        head = len(FORMATS[name].of_bytes(BLOCK[:0], SENSOR))
-        path.write_bytes(data[:head] + data[head:] * (N_LONG // len(BLOCK)))
+        data = written(path, block, sensor).read_bytes()
+        head = len(FORMATS[name].of_bytes(block[:0], sensor))
+        path.write_bytes(data[:head] + data[head:] * (N_LONG // N_BLOCK))
     else:
         how = {"chunks": (10_000,)} if "h" in path.suffix else {}
-        FORMATS[name].write(path, np.repeat(BLOCK, N_LONG // len(BLOCK)), SENSOR, **how)
+        FORMATS[name].write(path, np.repeat(block, N_LONG // N_BLOCK), sensor, **how)
     next(iter(open_recording(path)))  # compiles and imports
     tracemalloc.start()
     try:

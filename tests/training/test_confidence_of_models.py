@@ -36,8 +36,7 @@ def shapes(n, seed):
 
 
 def noise(kind, rng):
-    """Windows in which nothing is there. Training scatters the events of a window, as steady noise does; the other kinds
-    are not trained on."""
+    """Windows in which nothing is there. Training scatters events, as steady noise does; the other kinds are new."""
     n = int(rng.integers(150, 450))
     t, p = np.sort(rng.integers(0, 100_000, n)), rng.integers(0, 2, n)
     if kind == "flicker":  # of the light: everything at once, ON and OFF in turns
