@@ -111,7 +111,8 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
     accuracy_against_events : the same after at most so many events, and the share of windows that have as many; up to
         the first count that no window reaches.
     confidence : for each of `LEVELS`, how many windows reach it, how many of these are right, and when: median and
-        90th percentile, in milliseconds since the window's start.
+        90th percentile, in milliseconds since the window's start; and how many of all windows are right, where those
+        that do not reach it are decided at their ends.
     calibration : at all moments together, decisions by their probability: how many, their mean, the share right.
     calibration_error : the mean difference of the last two, weighted by how many: 0 where .9 means .9.
     """
@@ -140,7 +141,14 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
     confidence = []
     for k, level in enumerate(LEVELS):
         sure = columns["confident"][:, k] >= 0
-        row = {"level": level, "decided": float(sure.mean()), "accuracy": None, "median_ms": None, "p90_ms": None}
+        decided = np.where(sure, columns["confident"][:, k], columns["decided_at"][:, -1])
+        row: dict[str, Any] = {"level": level, "decided": float(sure.mean())}
+        row |= {
+            "window_accuracy": float((decided == truth).mean()),
+            "accuracy": None,
+            "median_ms": None,
+            "p90_ms": None,
+        }
         if sure.any():
             ms = columns["confident_us"][sure, k] / 1e3
             row["accuracy"] = float((columns["confident"][sure, k] == truth[sure]).mean())

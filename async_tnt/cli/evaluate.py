@@ -191,13 +191,13 @@ def text_of(report: dict[str, Any]) -> str:
             f"{count['events']:<24} {count['accuracy']:>6.3f} {count['decided']:>11.3f}  {count['reached']:.3f}"
         )
     if report["confidence"]:
-        lines += ["", f"{'first decision at':<24} {'right':>6} {'decided':>11}  ms: median, 90 %"]
+        lines += ["", f"{'first decision at':<24} {'right':>6} {'decided':>11} {'all right':>10}  ms: median, 90 %"]
     for level in report["confidence"]:
-        if level["accuracy"] is None:
-            lines.append(f"{level['level']:<24} {'-':>6} {level['decided']:>11.3f}")
-        else:
-            ms = f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}"
-            lines.append(f"{level['level']:<24} {level['accuracy']:>6.3f} {level['decided']:>11.3f}  {ms}")
+        right, ms = "-", ""
+        if level["accuracy"] is not None:
+            right, ms = f"{level['accuracy']:.3f}", f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}"
+        shares = f"{right:>6} {level['decided']:>11.3f} {level['window_accuracy']:>10.3f}"
+        lines.append(f"{level['level']:<24} {shares}  {ms}".rstrip())
     if report["calibration_error"] is not None:
         lines += ["", f"probabilities differ from the share right by {report['calibration_error']:.3f} in the mean"]
     if report["seconds"] is None:

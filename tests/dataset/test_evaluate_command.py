@@ -119,6 +119,9 @@ def test_early_decisions_are_those_of_an_independent_count(model, saved, dataset
         first = [(label, next((d for d in window if d.probability >= row["level"]), None)) for label, window in windows]
         sure = [(label, d) for label, d in first if d is not None]
         assert row["decided"] == pytest.approx(len(sure) / len(windows))
+        at_last = [window[-1] if d is None else d for (_, d), (_, window) in zip(first, windows, strict=True)]
+        right = [d.index == label for d, (label, _) in zip(at_last, windows, strict=True)]
+        assert row["window_accuracy"] == pytest.approx(np.mean(right))
         if not sure:
             assert row["accuracy"] is None and row["median_ms"] is None and row["p90_ms"] is None
             continue
