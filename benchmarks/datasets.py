@@ -220,9 +220,11 @@ def main(argv: list[str] | None = None) -> int:
     def measured(quick: bool) -> dict[str, Any]:
         if quick:
             return _quick()
-        report = json.loads(args.json.read_text(encoding="utf-8")) if args.json and args.json.exists() else {}
+        report: dict[str, Any] = {}
         for name in args.recipes or known:
             found = measure(DATA_SETS[args.name], args.folder, args.out or Path(args.name), name, args.seeds)
+            if args.json and args.json.exists():  # read now, as another run may have written it meanwhile
+                report = json.loads(args.json.read_text(encoding="utf-8"))
             report = with_earlier(found, report, list(known)) if report else found
             write_outputs(args, report)  # before the next recipe's hours
         return report

@@ -142,8 +142,9 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
     for k, level in enumerate(LEVELS):
         sure = columns["confident"][:, k] >= 0
         decided = np.where(sure, columns["confident"][:, k], columns["decided_at"][:, -1])
-        row: dict[str, Any] = {"level": level, "decided": float(sure.mean())}
-        row |= {
+        row: dict[str, Any] = {
+            "level": level,
+            "decided": float(sure.mean()),
             "window_accuracy": float((decided == truth).mean()),
             "accuracy": None,
             "median_ms": None,

@@ -191,7 +191,7 @@ def text_of(report: dict[str, Any]) -> str:
             f"{count['events']:<24} {count['accuracy']:>6.3f} {count['decided']:>11.3f}  {count['reached']:.3f}"
         )
     if report["confidence"]:
-        lines += ["", f"{'first decision at':<24} {'right':>6} {'decided':>11} {'all right':>10}  ms: median, 90 %"]
+        lines += ["", f"{'first decision at':<24} {'right':>6} {'decided':>11} {'of all':>10}  ms: median, 90 %"]
     for level in report["confidence"]:
         right, ms = "-", ""
         if level["accuracy"] is not None:

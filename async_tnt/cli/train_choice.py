@@ -89,7 +89,9 @@ class Choice:
             print(f"chosen: {best}", file=sys.stderr)
         else:
             print(
-                "no recording is held out to compare volumes and networks on: the defaults are taken", file=sys.stderr
+                "no recording is held out (--validation) to compare volumes and networks on: what no option gives "
+                "takes its default",
+                file=sys.stderr,
             )
         self.chosen = best
         kept: dict[str, Any] = {"key": self._key, "recordings": self._recordings, "trials": self.trials}

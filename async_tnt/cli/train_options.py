@@ -91,8 +91,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--groups",
         metavar="PATTERN",
         help=r"with DATASET: a regular expression on class/file, such as 'user\d+'; recordings in whose names it finds "
-        "the same text are never on both sides of the split (default: the file DATASET/groups.csv, with columns "
-        "recording and group; without it, the last ones are held out where recordings are numbered)",
+        "the same text are never on both sides of the split (default: the file DATASET/groups.csv or "
+        "DATASET/Train/groups.csv, with columns recording and group; without it, the last ones are held out where "
+        "recordings are numbered)",
     )
     data.add_argument(
         "--skip-damaged",

@@ -98,13 +98,14 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
     if part is not None and (folder / part).is_dir() and (_folders(folder / part) or _sessions(folder / part)):
         folder = folder / part
     classes = _folders(folder)
-    for c in classes:
+    not_parts = [path for path in classes if path.name not in LISTS]
+    for c in not_parts:
         for recording in _sessions(c):
             raise ValueError(
                 f"{c}: {recording.name} has a table of labels, but lies in a class folder; put both into {folder}"
             )
     if sessions := _sessions(folder):
-        _check_all_labelled(folder, sessions, classes)
+        _check_all_labelled(folder, sessions, not_parts)
         return _parts(folder, sessions, part)
     if not classes:
         raise ValueError(
@@ -139,18 +140,22 @@ def _sessions(folder: Path) -> dict[Path, Path]:
 
 
 def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: list[Path]) -> None:
-    """There are no recordings beside the sessions; those that no list names may be there."""
-    lists = any((folder / file).is_file() for file in LISTS.values())
-    for path in sorted(folder.iterdir()):
-        if is_recording(path) and path.is_file() and path not in sessions and not lists:
-            raise ValueError(f"{path} has no table {path.stem}{TABLE}, as others have; write one, or remove it")
-    for c in classes:
-        for path in sorted(c.iterdir()):
-            if is_recording(path):
-                raise ValueError(
-                    f"{folder}: expected class folders, or sessions with tables, got both: {c.name}/{path.name} and "
-                    f"{next(iter(sessions)).name}"
-                )
+    """There are no recordings beside the sessions. Those that no list names may be there, and texts of any kind."""
+    if not any((folder / file).is_file() for file in LISTS.values()):
+        for path in _unlabelled(folder):
+            if path not in sessions:
+                raise ValueError(f"{path} has no table {path.stem}{TABLE}, as others have; write one, or remove it")
+    for path in (path for c in classes for path in _unlabelled(c)):
+        raise ValueError(
+            f"{folder}: expected class folders, or sessions with tables, got both: {path.parent.name}/{path.name} and "
+            f"{next(iter(sessions)).name}"
+        )
+
+
+def _unlabelled(folder: Path) -> list[Path]:
+    """Files that can only be recordings."""
+    texts = (".csv", ".txt")
+    return sorted(p for p in folder.iterdir() if is_recording(p) and p.is_file() and p.suffix.lower() not in texts)
 
 
 def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:

@@ -78,8 +78,8 @@ def dataset_data(
     config : its sensor is replaced by that of the events.
     pixels, sensor_source, classes : as for `read_dataset`.
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
-    groups : a regular expression, see `groups_by_pattern`; by default the file `groups.csv` in the folder, or else
-        by number: the last recordings of each class.
+    groups : a regular expression, see `groups_by_pattern`; by default the file `groups.csv` in the folder or in its
+        `Train`, or else by number: the last recordings of each class.
     fit_window : where no recording is as long as a window, windows become as long as the longest one.
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.

@@ -76,9 +76,8 @@ def _first_in(table: Mapping[str, str], names: Sequence[str]) -> str | None:
 def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray] | None:
     """Hold out the last recordings of each class by number; None where recordings are not numbered.
 
-    They are if those of a class differ in numbers only; several numbers count from left to right, and recordings that
-    differ in the last one alone (`user07_1`, `user07_2`) stay together, unless all do. Parts of sessions are not
-    numbered. What leaks are the neighbours where a class is cut, and whatever comes back later.
+    They are if those of a class differ in numbers only; several numbers count from left to right. Parts of sessions are
+    not. What leaks are the neighbours where a class is cut, and people or places that recur.
 
     Returns
     -------
@@ -96,11 +95,7 @@ def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tup
         numbers = [[int(number) for number in re.findall(r"\d+", PurePosixPath(names[r]).stem)] for r in members]
         ordered = [r for _, r in sorted(zip(numbers, members, strict=True))]
         wanted = max(1, round(share * len(ordered))) if share else 0
-        first = max(1, len(ordered) - wanted)
-        if wanted:
-            leading = [of[:-1] for of in sorted(numbers)]
-            first = leading.index(leading[min(first, len(leading) - 1)]) or first
-        held_out[ordered[first:]] = True
+        held_out[ordered[max(1, len(ordered) - wanted) :]] = True
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 

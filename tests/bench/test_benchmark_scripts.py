@@ -10,9 +10,10 @@ import json
 import numpy as np
 import pytest
 from bench.scripts import FOLDER, load_benchmark
+from made import random_events, random_model
 from small_sets import write_small_mnist
 
-from async_tnt import load_model
+from async_tnt import TNTConfig, load_model
 from async_tnt.checking.moments import bench_recordings, windows_of
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
@@ -188,3 +189,32 @@ def test_recipes_are_trained_and_tested_and_others_keep_their_entry(tmp_path, ca
     with pytest.raises(SystemExit):
         datasets.main(["poker", str(tmp_path), "--recipes", "tuned"])
     assert "poker has the recipes bare, got 'tuned'" in capsys.readouterr().err
+
+
+def test_each_recipe_is_written_at_once_beside_what_others_wrote(tmp_path, monkeypatch):
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+    datasets = load_benchmark("datasets")
+    file, entry = tmp_path / "cars.json", {"tests": [], "every_event": {"a_second": 1.0}}
+
+    def measured(data, folder, out, recipe, seeds):
+        if recipe == "bare":  # meanwhile another run has written its own
+            report = json.loads(file.read_text())
+            report["recipes"]["equal_hats"] = entry
+            file.write_text(json.dumps(report))
+        return {"title": data.title, "shown_ms": data.shown_ms, "others": {}, "recipes": {recipe: entry}}
+
+    monkeypatch.setattr(datasets, "measure", measured)
+    assert datasets.main(["cars", str(tmp_path), "--recipes", "equal_count", "bare", "--json", str(file)]) == 0
+    assert list(json.loads(file.read_text())["recipes"]) == ["bare", "equal_count", "equal_hats"]
+
+
+def test_decisions_that_differ_from_the_dense_network_end_the_measurement(monkeypatch):
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+    datasets = load_benchmark("datasets")
+    model = random_model(TNTConfig(grid=(8, 8), sensor=(8, 8)), classes=2)
+    recordings = [random_events(30, seed=k, duration_us=9_000, sensor=(8, 8)) for k in range(2)]
+    assert datasets._compare_with_dense(model, recordings) == 60
+    other = np.array([1, 2], np.float32)
+    monkeypatch.setattr(datasets, "CompiledClassifier", lambda model: lambda volume: other)
+    with pytest.raises(datasets.WorkDiffers, match="event 1 of a window"):
+        datasets._compare_with_dense(model, recordings)

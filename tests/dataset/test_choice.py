@@ -101,7 +101,7 @@ def bar(rng, x, y, slope, p):
 
 
 def made_set(folder, kind):
-    """Classes that differ in place, in polarity, or in shape. The two latter are held out at another place, shapes with
+    """Classes that differ in place, in polarity, or in shape. The latter two are held out at another place, shapes with
     the other polarity."""
     rng = np.random.default_rng(0)
     rows = ["recording,group"]
@@ -123,7 +123,7 @@ def made_set(folder, kind):
     return folder
 
 
-WINNERS = {  # each of another candidate
+WINNERS = {  # a different candidate wins each set
     "place": "raw|count",
     "polarity": "TNT, running, (signed|split)",
     "shape": "TNT, running, unsigned",
@@ -210,13 +210,13 @@ def test_where_nothing_is_held_out_the_defaults_are_taken(tmp_path, program):
         write(tmp_path / "set" / label / "one.npy", spot(rng, 7, 12, 1))
     words = ("--sensor", "24x24", "--epochs", 1, "--out", tmp_path / "m.safetensors", "--run", tmp_path / "run")
     code, _, err = program("train", tmp_path / "set", *words)
-    assert code == 0 and "the defaults are taken" in err and "chosen" not in err
+    assert code == 0 and "takes its default" in err and "chosen" not in err
     code, _, err = program("train", tmp_path / "set", *words)
-    assert code == 0 and "the defaults are taken" not in err  # the same run, finished
+    assert code == 0 and "takes its default" not in err  # the same run, finished
     write(tmp_path / "set" / "a" / "two.npy", spot(rng, 7, 12, 1))
     more = ("--validation", 0, "--run", tmp_path / "another")
     code, _, err = program("train", tmp_path / "set", *words, *more)
-    assert code == 0 and "the defaults are taken" in err and "chosen" not in err
+    assert code == 0 and "takes its default" in err and "chosen" not in err
 
 
 def test_hats_may_have_more_cells_than_the_default_sensor_has_pixels(tmp_path, program):

@@ -131,7 +131,16 @@ def test_the_files_of_dvs128_gesture(tmp_path):
 
 def test_what_would_be_ignored_beside_sessions_is_named(tmp_path):
     write_session(tmp_path, "a", ("flat",))
+    found = find_recordings(tmp_path)
+    write_session(tmp_path / "Test", "c", ("flat",))  # the other part
+    for name in ("groups.csv", "README.txt", "notes/plan.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert find_recordings(tmp_path) == found and find_recordings(tmp_path, "Test").keys() == {"flat"}
     write(tmp_path / "b.npz", part("flat", 0, 0))
+    (tmp_path / "trials_to_test.txt").write_text("")
+    assert find_recordings(tmp_path) == found  # lists say what is for training and for testing
+    (tmp_path / "trials_to_test.txt").unlink()
     with pytest.raises(ValueError, match=r"b\.npz has no table b_labels\.csv, as others have"):
         find_recordings(tmp_path)
     (tmp_path / "b.npz").unlink()
