@@ -47,8 +47,8 @@ INPUTS = {
 }
 IMAGES = {
     "count": "image of counts",
-    "count_time": "of counts and newest times",
-    "mean_time": "of mean times",
+    "count_time": "image of counts and times",
+    "mean_time": "image of mean times",
     "time_surface": "time surface",
     "hats": "HATS, 8x8 cells",
 }
