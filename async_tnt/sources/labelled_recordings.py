@@ -100,9 +100,9 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
     classes = _folders(folder)
     not_parts = [path for path in classes if path.name not in LISTS]
     for c in not_parts:
-        for recording in _sessions(c):
+        if misplaced := list(_sessions(c)):
             raise ValueError(
-                f"{c}: {recording.name} has a table of labels, but lies in a class folder; put both into {folder}"
+                f"{c}: {misplaced[0].name} has a table of labels, but lies in a class folder; put both into {folder}"
             )
     if sessions := _sessions(folder):
         _check_all_labelled(folder, sessions, not_parts)
@@ -145,10 +145,10 @@ def _check_all_labelled(folder: Path, sessions: Mapping[Path, Path], classes: li
         for path in _unlabelled(folder):
             if path not in sessions:
                 raise ValueError(f"{path} has no table {path.stem}{TABLE}, as others have; write one, or remove it")
-    for path in (path for c in classes for path in _unlabelled(c)):
+    if of_classes := [path for c in classes for path in _unlabelled(c)]:
         raise ValueError(
-            f"{folder}: expected class folders, or sessions with tables, got both: {path.parent.name}/{path.name} and "
-            f"{next(iter(sessions)).name}"
+            f"{folder}: expected class folders, or sessions with tables, got both: {of_classes[0].relative_to(folder)} "
+            f"and {next(iter(sessions)).name}"
         )
 
 
