@@ -21,8 +21,8 @@ def draw(report: dict[str, Any]) -> Any:
     for k, test in enumerate(tests):
         look = {"color": OFF, "linewidth": 1, "alpha": 0.6, "label": "each network" if not k else None}
         time.plot([float(ms) for ms in test["against_time_ms"]], list(test["against_time_ms"].values()), **look)
-        rows = [row for row in test["accuracy_against_events"] if row["reached"] and row["decided"] >= 0.5]
-        events.plot([row["events"] for row in rows], [row["accuracy"] / row["decided"] for row in rows], **look)
+        rows = [row for row in test["accuracy_against_events"] if row["reached"]]
+        events.plot([row["events"] for row in rows], [row["accuracy"] for row in rows], **look)
     for name, share in report["others"].items():
         time.plot(end_ms, share, marker="o", markersize=4, color=ON, clip_on=False)
         note(time, name, (end_ms, share), (-6, -3 if share < 0.94 else 3), ha="right", color=ON)
@@ -35,7 +35,7 @@ def draw(report: dict[str, Any]) -> Any:
         if rows[0]["level"] >= 0.9:
             note(levels, f"{rows[0]['level']:g}", (x, np.mean([row["accuracy"] for row in rows])), (3, -11))
     time.set(xlabel="ms since the first event", ylabel="right", xlim=(0, 1.02 * end_ms))
-    events.set(xlabel="events, of the windows decided by then", xscale="log")
+    events.set(xlabel="first events of the window", xscale="log")
     events.xaxis.set_major_formatter(lambda count, _: f"{count:,.0f}")
     levels.set(xlabel="median ms until a confidence is reached", xlim=(0, None))
     for axes in (time, events, levels):

@@ -1,6 +1,6 @@
 """What is decided early in a window: against time, against the number of events, and at a level of confidence.
 
-Decisions are made at every fiftieth of a window, and at its end.
+Decisions are made at every fiftieth of a window, at its end, and (trigger `fire`) after 10, 20, 50, ... of its events.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
+from async_tnt.processor import Processor
 
 N_MOMENTS = 10
 PER_MOMENT = 5
@@ -47,6 +48,50 @@ def moments(config: TNTConfig) -> list[int]:
     return [] if step_us is None else [*(PER_MOMENT * step_us * k for k in range(1, N_MOMENTS)), config.window_us]
 
 
+class FiringProcessor:
+    """A recording's processor that also decides after `EVENT_COUNTS` events of each window.
+
+    Parameters
+    ----------
+    processor : reset, with windows that lie end to end from the first event on. Where they have a number of events,
+        nothing is fired.
+    """
+
+    def __init__(self, processor: Processor) -> None:
+        self._processor = processor
+        self._start_us: int | None = None
+        self._window = 0
+        self._newest_us = 0
+        self._n_events = 0  # of the newest window
+
+    def push(self, packet: np.ndarray) -> list[Decision]:
+        """`Processor.push`, with these decisions among the others.
+
+        An event that is dropped as late is counted, too: a decision may then be from fewer events, but not from more.
+        """
+        config = self._processor.config
+        if not len(packet) or config.window_events is not None:
+            return self._processor.push(packet)
+        t = np.maximum.accumulate(packet["t"])
+        if self._start_us is None:
+            self._start_us = self._newest_us = int(t[0])
+        window = (np.maximum(t, self._newest_us) - self._start_us) // config.window_us
+        n_events = np.arange(1, len(packet) + 1) - np.searchsorted(window, window)
+        n_events[window == self._window] += self._n_events
+        self._newest_us, self._window = max(self._newest_us, int(t[-1])), int(window[-1])
+        self._n_events = int(n_events[-1])
+        decisions: list[Decision] = []
+        *pieces, rest = np.split(packet, np.flatnonzero(np.isin(n_events, EVENT_COUNTS)) + 1)
+        for piece in pieces:
+            decisions += self._processor.push(piece)
+            decisions.append(self._processor.fire())
+        return decisions + self._processor.push(rest)
+
+    def finish(self) -> list[Decision]:
+        """`Processor.finish`."""
+        return self._processor.finish()
+
+
 def early_fields(windows: Sequence[Sequence[Decision]], config: TNTConfig) -> dict[str, list[Any]]:
     """Of each window's decisions, what the tables below need; -1 stands for no decision.
 
@@ -67,7 +112,8 @@ def early_fields(windows: Sequence[Sequence[Decision]], config: TNTConfig) -> di
         by = [_last(d for d in window if d.events <= count) for count in EVENT_COUNTS]
         fields["decided_by"].append([-1 if d is None else d.index for d in by])
         fields["window_events"].append(window[-1].events)
-        first = [next((d for d in window if d.probability >= level), None) for level in LEVELS]
+        due = [d for d in window if d.trigger != "fire"]
+        first = [next((d for d in due if d.probability >= level), None) for level in LEVELS]
         fields["confident"].append([-1 if d is None else d.index for d in first])
         fields["confident_us"].append([-1 if d is None else due_us(d, config) for d in first])
     return fields
@@ -108,8 +154,8 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
     Returns
     -------
     accuracy_against_time : share of windows right, and decided at all, at each of `moments`.
-    accuracy_against_events : the same after at most so many events, and the share of windows that have as many; up to
-        the first count that no window reaches.
+    accuracy_against_events : share of windows right by their first so many events, all of them where they have fewer,
+        and the share that has as many; up to the first count that no window reaches.
     confidence : for each of `LEVELS`, how many windows reach it, how many of these are right, and when: median and
         90th percentile, in milliseconds since the window's start; and how many of all windows are right, where those
         that do not reach it are decided at their ends.
@@ -119,8 +165,8 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
     truth = np.repeat(labels, [len(record["decided_at"]) for record in records])
     columns = {name: np.concatenate([np.array(record[name]) for record in records]) for name in COLUMNS}
 
-    def right_and_decided(decided: np.ndarray) -> dict[str, float]:
-        return {"accuracy": float((decided == truth).mean()), "decided": float((decided >= 0).mean())}
+    def accuracy(decided: np.ndarray) -> float:
+        return float((decided == truth).mean())
 
     after_us = moments(config)
     if not after_us:
@@ -131,11 +177,13 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
             "calibration": [],
             "calibration_error": None,
         }
-    against_time = [{"time_us": us, **right_and_decided(columns["decided_at"][:, k])} for k, us in enumerate(after_us)]
+    against_time = []
+    for us, decided in zip(after_us, columns["decided_at"].T, strict=True):
+        against_time.append({"time_us": us, "accuracy": accuracy(decided), "decided": float((decided >= 0).mean())})
     against_events = []
-    for k, count in enumerate(EVENT_COUNTS):
+    for count, decided in zip(EVENT_COUNTS, columns["decided_by"].T, strict=True):
         reached = float((columns["window_events"] >= count).mean())
-        against_events.append({"events": count, **right_and_decided(columns["decided_by"][:, k]), "reached": reached})
+        against_events.append({"events": count, "accuracy": accuracy(decided), "reached": reached})
         if not reached:
             break
     confidence = []
@@ -145,7 +193,7 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
         row: dict[str, Any] = {
             "level": level,
             "decided": float(sure.mean()),
-            "window_accuracy": float((decided == truth).mean()),
+            "window_accuracy": accuracy(decided),
             "accuracy": None,
             "median_ms": None,
             "p90_ms": None,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.archive.early import COLUMNS as EARLY
-from async_tnt.archive.early import early_fields
+from async_tnt.archive.early import FiringProcessor, early_fields
 from async_tnt.archive.job import Job, Task, sha256_of
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine, choose_engine
@@ -95,7 +95,8 @@ def run_recording(task: Task) -> Record:
 def evaluate_recording(task: Task) -> Record:
     """What is decided in each window of one labelled recording, early and at its end.
 
-    The job's Processor must decide as often as `early.every_us` says. Errors are those of `run_recording`.
+    The job's Processor must decide as often as `early.every_us` says. It is also fired after the numbers of events that
+    `early` lists. Errors are those of `run_recording`.
     """
 
     def fields_of(decisions: list[Decision], engine: Engine) -> Record:
@@ -134,7 +135,8 @@ def lost(task: Task) -> Record:
 def _stream(task: Task, fields_of: Callable[[list[Decision], Engine], Record]) -> Record:
     processor, engine, pixels = processor_of(task.job)
     try:
-        decisions, n_events, seconds = decisions_of(task, processor, pixels)
+        stream = FiringProcessor(processor) if task.job.kind == "evaluate" else processor
+        decisions, n_events, seconds = decisions_of(task, stream, pixels)
     except (ValueError, TypeError, OSError, MemoryError) as error:
         return failed(task, _error_line(error, task))
     counts = {"events": n_events, "late": processor.counts.dropped_late}
@@ -182,7 +184,9 @@ def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
     return processor, engine, pixels
 
 
-def decisions_of(task: Task, processor: Processor, pixels: PixelSelector) -> tuple[list[Decision], int, float]:
+def decisions_of(
+    task: Task, processor: Processor | FiringProcessor, pixels: PixelSelector
+) -> tuple[list[Decision], int, float]:
     """All decisions of one recording, the number of its selected events, and the seconds without reading the file.
 
     Raises

@@ -185,11 +185,9 @@ def text_of(report: dict[str, Any]) -> str:
     for moment in report["accuracy_against_time"]:
         lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>6.3f} {moment['decided']:>11.3f}")
     if report["accuracy_against_events"]:
-        lines += ["", f"{'events into the window':<24} {'right':>6} {'decided':>11}  windows with as many"]
+        lines += ["", f"{'first events':<24} {'right':>6} {'with as many':>13}"]
     for count in report["accuracy_against_events"]:
-        lines.append(
-            f"{count['events']:<24} {count['accuracy']:>6.3f} {count['decided']:>11.3f}  {count['reached']:.3f}"
-        )
+        lines.append(f"{count['events']:<24,} {count['accuracy']:>6.3f} {count['reached']:>13.3f}")
     if report["confidence"]:
         lines += ["", f"{'first decision at':<24} {'right':>6} {'decided':>11} {'of all':>10}  ms: median, 90 %"]
     for level in report["confidence"]:

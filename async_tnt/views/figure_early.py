@@ -21,19 +21,19 @@ def early_panels(report: Mapping[str, Any]) -> Sequence[Panel]:
     if not report["accuracy_against_time"]:
         return ()
     time = [(row["time_us"] / 1e3, row["accuracy"], row["decided"]) for row in report["accuracy_against_time"]]
-    events = [(row["events"], row["accuracy"], row["decided"]) for row in report["accuracy_against_events"]]
+    events = [(row["events"], row["accuracy"], row["reached"]) for row in report["accuracy_against_events"]]
     return (
-        partial(_draw_course, course=time, xlabel="ms into the window"),
-        partial(_draw_course, course=events, xlabel="events into the window", xscale="log"),
+        partial(_draw_course, course=time, other="decided", xlabel="ms into the window"),
+        partial(_draw_course, course=events, other="with as many", xlabel="first events of the window", xscale="log"),
         partial(_draw_levels, levels=report["confidence"]),
     )
 
 
-def _draw_course(axes: Axes, course: Sequence[tuple[float, float, float]], **settings: Any) -> None:
-    """course : (place, share of windows right, share of windows decided at all)."""
-    at, right, decided = zip(*course, strict=True)
+def _draw_course(axes: Axes, course: Sequence[tuple[float, float, float]], other: str, **settings: Any) -> None:
+    """course : (place, share of windows right, another share of windows, named by `other`)."""
+    at, right, share = zip(*course, strict=True)
     axes.plot(at, right, color=OFF, marker="o", markersize=3.5, label="right")
-    axes.plot(at, decided, color=GREY, linestyle=DASHED, label="decided")
+    axes.plot(at, share, color=GREY, linestyle=DASHED, label=other)
     _look(axes, ylabel="windows", **settings)
 
 
