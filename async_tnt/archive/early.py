@@ -28,7 +28,7 @@ COLUMNS: Mapping[str, Any] = {
     "confident": [["int64"]],
     "confident_us": [["int64"]],
 }
-"""Field of `early_fields` -> its type, see `records.COLUMNS`."""
+"""Field of `early_fields` -> the type of a record's list of them, see `records.COLUMNS`."""
 
 
 def every_us(config: TNTConfig) -> int | None:
@@ -92,8 +92,8 @@ class FiringProcessor:
         return self._processor.finish()
 
 
-def early_fields(windows: Sequence[Sequence[Decision]], config: TNTConfig) -> dict[str, list[Any]]:
-    """Of each window's decisions, what the tables below need; -1 stands for no decision.
+def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any]:
+    """Of a window's decisions, what the tables below need; -1 stands for no decision.
 
     Returns
     -------
@@ -103,20 +103,18 @@ def early_fields(windows: Sequence[Sequence[Decision]], config: TNTConfig) -> di
     confident, confident_us : for each of `LEVELS`, the class of the first decision that reaches it, and when that was
         due since the window's start.
     """
-    fields: dict[str, list[Any]] = {name: [] for name in COLUMNS}
-    after_us = moments(config)
-    for window in windows:
-        at = [decision_at(window, moment) for moment in after_us]
-        fields["decided_at"].append([-1 if d is None else d.index for d in at])
-        fields["probability_at"].append([-1.0 if d is None else float(d.probability) for d in at])
-        by = [_last(d for d in window if d.events <= count) for count in EVENT_COUNTS]
-        fields["decided_by"].append([-1 if d is None else d.index for d in by])
-        fields["window_events"].append(window[-1].events)
-        due = [d for d in window if d.trigger != "fire"]
-        first = [next((d for d in due if d.probability >= level), None) for level in LEVELS]
-        fields["confident"].append([-1 if d is None else d.index for d in first])
-        fields["confident_us"].append([-1 if d is None else due_us(d, config) for d in first])
-    return fields
+    at = [decision_at(window, moment) for moment in moments(config)]
+    by = [_last(d for d in window if d.events <= count) for count in EVENT_COUNTS]
+    due = [d for d in window if d.trigger != "fire"]
+    first = [next((d for d in due if d.probability >= level), None) for level in LEVELS]
+    return {
+        "decided_at": [-1 if d is None else d.index for d in at],
+        "probability_at": [-1.0 if d is None else float(d.probability) for d in at],
+        "decided_by": [-1 if d is None else d.index for d in by],
+        "window_events": window[-1].events,
+        "confident": [-1 if d is None else d.index for d in first],
+        "confident_us": [-1 if d is None else due_us(d, config) for d in first],
+    }
 
 
 def due_us(decision: Decision, config: TNTConfig) -> int:

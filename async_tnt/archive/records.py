@@ -8,7 +8,8 @@ from __future__ import annotations
 import threading
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,8 @@ def run_recording(task: Task) -> Record:
     ValueError : the model is not the one that the task was made for.
     """
 
-    def fields_of(decisions: list[Decision], engine: Engine) -> Record:
+    def fields_of(made: Iterator[Decision], engine: Engine) -> Record:
+        decisions = list(made)
         closed = [d.probabilities for d in decisions if d.complete or d.trigger == "end"]
         mean = np.mean(closed, axis=0)
         best = int(mean.argmax())
@@ -99,22 +101,24 @@ def evaluate_recording(task: Task) -> Record:
     `early` lists. Errors are those of `run_recording`.
     """
 
-    def fields_of(decisions: list[Decision], engine: Engine) -> Record:
-        windows: list[list[Decision]] = [[]]
+    def fields_of(decisions: Iterator[Decision], engine: Engine) -> Record:
+        fields: Record = {name: [] for name in ("window_start_us", "window_probabilities", *EARLY)}
+        n_decisions = 0
+        window: list[Decision] = []
         for decision in decisions:
-            windows[-1].append(decision)
-            if decision.trigger in ("window", "end"):
-                windows.append([])
-        del windows[-1]  # after the last window
-        probabilities = np.array([window[-1].probabilities for window in windows])  # (W, K), of whole windows
-        mean = probabilities.mean(axis=0)
-        return {
+            window.append(decision)
+            if decision.trigger in ("window", "end"):  # keep what is needed of it: a long recording has many
+                fields["window_start_us"].append(decision.window_start_us)
+                fields["window_probabilities"].append(decision.probabilities.tolist())
+                for name, value in early_fields(window, engine.config).items():
+                    fields[name].append(value)
+                n_decisions += len(window)
+                window = []
+        mean = np.mean(fields["window_probabilities"], axis=0)
+        return fields | {
             "label": engine.classes[int(mean.argmax())],
             "probabilities": mean.tolist(),
-            "window_start_us": [window[0].window_start_us for window in windows],
-            "window_probabilities": probabilities.tolist(),
-            **early_fields(windows, engine.config),
-            "decisions": len(decisions),
+            "decisions": n_decisions,
         }
 
     return _stream(task, fields_of)
@@ -132,15 +136,16 @@ def lost(task: Task) -> Record:
     )
 
 
-def _stream(task: Task, fields_of: Callable[[list[Decision], Engine], Record]) -> Record:
+def _stream(task: Task, fields_of: Callable[[Iterator[Decision], Engine], Record]) -> Record:
     processor, engine, pixels = processor_of(task.job)
+    stream = FiringProcessor(processor) if task.job.kind == "evaluate" else processor
+    spent = Spent()
     try:
-        stream = FiringProcessor(processor) if task.job.kind == "evaluate" else processor
-        decisions, n_events, seconds = decisions_of(task, stream, pixels)
+        fields = fields_of(decisions_of(task, stream, pixels, spent), engine)
     except (ValueError, TypeError, OSError, MemoryError) as error:
         return failed(task, _error_line(error, task))
-    counts = {"events": n_events, "late": processor.counts.dropped_late}
-    return _record(task, fields_of(decisions, engine) | counts, None, seconds)
+    counts = {"events": spent.n_events, "late": processor.counts.dropped_late}
+    return _record(task, fields | counts, None, spent.seconds)
 
 
 def _record(task: Task, fields: Record, error: str | None, seconds: float | None) -> Record:
@@ -184,10 +189,18 @@ def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
     return processor, engine, pixels
 
 
+@dataclass
+class Spent:
+    """On a recording so far: selected events, and seconds without reading the file."""
+
+    n_events: int = 0
+    seconds: float = 0.0
+
+
 def decisions_of(
-    task: Task, processor: Processor | FiringProcessor, pixels: PixelSelector
-) -> tuple[list[Decision], int, float]:
-    """All decisions of one recording, the number of its selected events, and the seconds without reading the file.
+    task: Task, processor: Processor | FiringProcessor, pixels: PixelSelector, spent: Spent
+) -> Iterator[Decision]:
+    """All decisions of one recording, as they are made; `spent` is updated.
 
     Raises
     ------
@@ -197,28 +210,28 @@ def decisions_of(
     before = pixels.counts
     recording, sensor = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)
     select = pixels.filter_of(task.recording, sensor)
-    decisions: list[Decision] = []
-    seconds = 0.0
-    n_events = 0
+    n_decisions = 0
     for packet in recording:
         started = time.perf_counter()
         try:
             selected = select(packet)
-            decisions += processor.push(selected)
+            decisions = processor.push(selected)
         except (TypeError, ValueError):
             if recording.stated_sensor is None:  # an event outside a sensor that an option or the model gives: name it
                 pixels.check_events([packet], task.recording, sensor)
             raise
-        n_events += len(selected)
-        seconds += time.perf_counter() - started
+        spent.seconds += time.perf_counter() - started
+        spent.n_events += len(selected)
+        n_decisions += len(decisions)
+        yield from decisions
     started = time.perf_counter()
-    decisions += processor.finish()
-    seconds += time.perf_counter() - started
-    if not decisions:
-        if n_events:
+    decisions = processor.finish()
+    spent.seconds += time.perf_counter() - started
+    yield from decisions
+    if not n_decisions + len(decisions):
+        if spent.n_events:
             raise ValueError("no event in any window, nothing to decide")
         raise ValueError(pixels.nothing_left(before) or "no events")
-    return decisions, n_events, seconds
 
 
 def _error_line(error: Exception, task: Task) -> str:
