@@ -24,7 +24,7 @@ from made_objects import SENSOR, write
 from script_options import run_script, script_parser, write_outputs
 from unseen_motions import command
 
-from async_tnt.checking.bench_every_event import bench_every_event
+from async_tnt.checking.bench_every_event import bench_every_event, in_full
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.timing import interleave, machine, spread, work_clock
 from async_tnt.config import LANDMARKS
@@ -173,10 +173,9 @@ def _compare_with_dense(model: Model, recordings: list[np.ndarray]) -> int:
     ------
     WorkDiffers : one has not.
     """
-    network = CompiledClassifier(model)
     ours, dense = (
         Processor(model, classifier=classifier, every_events=1, start_us=0)
-        for classifier in (None, lambda volume: network(volume))
+        for classifier in (None, in_full(CompiledClassifier(model)))
     )
     n = 0
     for events in recordings:

@@ -49,7 +49,7 @@ def bench_every_event(
     packets = [[events[first : first + PACKET].copy() for first in range(0, len(events), PACKET)] for events in cut]
     processors = {"ours": Processor(model, every_events=1, start_us=0)}
     for name, network in networks.items():
-        processors[name] = Processor(model, classifier=_as_callable(network), every_events=1, start_us=0)
+        processors[name] = Processor(model, classifier=in_full(network), every_events=1, start_us=0)
     _check_same({name: _decisions(processor, packets[0]) for name, processor in processors.items()})
     us = interleave({name: _through(processor, packets) for name, processor in processors.items()}, rounds)
     return {
@@ -66,8 +66,9 @@ def _decisions(processor: Processor, packets: list[np.ndarray]) -> list[Decision
     return [decision for packet in packets for decision in processor.push(packet)] + processor.finish()
 
 
-def _as_callable(network: Network) -> Network:
-    """Hide a CompiledClassifier in a plain callable: a Processor would compute only what changed."""
+def in_full(network: Network) -> Network:
+    """The network as a plain callable, which a Processor evaluates in full: of a CompiledClassifier it would compute only
+    what changed."""
     return (lambda volume: network(volume)) if isinstance(network, CompiledClassifier) else network
 
 
