@@ -67,8 +67,7 @@ def _decisions(processor: Processor, packets: list[np.ndarray]) -> list[Decision
 
 
 def in_full(network: Network) -> Network:
-    """The network as a plain callable, which a Processor evaluates in full: of a CompiledClassifier it would compute only
-    what changed."""
+    """The network as a plain callable: of a CompiledClassifier, a Processor would compute only what changed."""
     return (lambda volume: network(volume)) if isinstance(network, CompiledClassifier) else network
 
 
