@@ -18,7 +18,7 @@ def accuracy() -> str:
     rows = []
     for group, key, values, words in (
         ("moment", "every_us", (30_000, 50_000), "at {:.0f} ms"),
-        ("confidence", "confidence", (0.8, 0.9, 0.95), "once its probability reaches {:g}"),
+        ("confidence", "confidence", (0.9, 0.95, 0.99), "once its probability reaches {:g}"),
     ):
         for r in found[group]:
             value = r["settings"].get(key)
@@ -38,8 +38,8 @@ def digits_against_time() -> str:
     for part, words in WINDOWS.items():
         found = _record()[part]
         shares = [found["against_time_ms"][ms] for ms in times]
-        rows.append([words, *map(percent, (*shares, found["per_window"], found["per_recording"]))])
-    return table(["windows", *(f"{ms} ms" for ms in times), "complete", "recordings"], rows)
+        rows.append([words, *map(percent, (*shares, found["per_recording"]))])
+    return table(["windows", *(f"{ms} ms" for ms in times), "recordings"], rows)
 
 
 def digits_confusion() -> str:
@@ -84,14 +84,15 @@ def digits_tried_motions() -> str:
                 f"{run['simulated_recordings']:,}",
                 f"{100 * (1 - run['recorded']):g} %",
                 f"{100 * run['partial']:g} %",
+                f"{100 * run['nothing']:g} %",
                 str(run["epochs"]),
                 *(f"{100 * found[name]:.1f}" for name in ("per_window", "per_recording")),
                 *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "40")),
                 f"{100 * run['validation_motions']:.1f}",
             ]
         )
-    head = ["", "continues", "t_max", "simulated", "other motions", "cut early", "epochs", "window", "recording"]
-    return table([*head, "20 ms", "30 ms", "40 ms", "in other motions"], rows)
+    head = ["", "continues", "t_max", "simulated", "other motions", "cut early", "noise", "epochs", "window"]
+    return table([*head, "recording", "20 ms", "30 ms", "40 ms", "in other motions"], rows)
 
 
 def edges() -> str:
@@ -144,7 +145,7 @@ def early() -> str:
         ("confidence_every_ms", ", checked every 1 ms"),
     ):
         for r in found["results"][group]:
-            if r["settings"]["confidence"] in (0.5, 0.8, 0.9, 0.95, 0.98):
+            if r["settings"]["confidence"] in (0.8, 0.9, 0.95, 0.98, 0.99):
                 chosen.append((f"confidence {r['settings']['confidence']:g}{words}", r))
     head = [
         "decided",

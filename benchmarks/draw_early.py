@@ -18,7 +18,7 @@ LOOKS = {  # group: words, colour, line, marker
     "confidence_every_ms": ("confidence, checked every 1 ms", "#009E73", (0, (1.5, 1)), "^"),
 }
 ACCURACIES = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995)
-NAMED_LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.98)
+NAMED_LEVELS = (0.7, 0.8, 0.9, 0.95, 0.98, 0.99)
 NAMED_MS = (20, 25, 30, 35, 40, 50)
 
 
