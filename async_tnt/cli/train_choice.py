@@ -16,7 +16,7 @@ from typing import Any
 from async_tnt.config import TNTConfig
 from async_tnt.files import write_text
 from async_tnt.progress import progress
-from async_tnt.training.choice import STEPS, Candidate, Questions, Trial, choose
+from async_tnt.training.choice import Candidate, Questions, Trial, choose
 from async_tnt.training.data import TrainingData
 from async_tnt.training.run_folder import has_checkpoint
 from async_tnt.training.settings import TrainSettings
@@ -77,12 +77,12 @@ class Choice:
     ) -> Candidate:
         """Try the candidates, which resumes like any training, and keep the result; `start`, if none is held out."""
 
-        def try_out(candidate: Candidate) -> Trial | None:
-            return _try_out(candidate, data, settings_of(candidate, STEPS), self._folder)
+        def try_out(candidate: Candidate, steps: int) -> Trial | None:
+            return _try_out(candidate, steps, data, settings_of(candidate, steps), self._folder)
 
         best = start
         if len(data.validation):
-            print(f"trying volumes and networks, {STEPS} steps each (--quick leaves that out)", file=sys.stderr)
+            print("trying volumes and networks (--quick leaves that out)", file=sys.stderr)
             trials = choose(start, questions, try_out)
             self.trials = [trial.to_dict() for trial in trials]
             best = trials[-1].candidate
@@ -103,7 +103,9 @@ class Choice:
         return best
 
 
-def _try_out(candidate: Candidate, data: TrainingData, settings: TrainSettings, folder: Path) -> Trial | None:
+def _try_out(
+    candidate: Candidate, steps: int, data: TrainingData, settings: TrainSettings, folder: Path
+) -> Trial | None:
     from async_tnt.training.loop import train
     from async_tnt.training.pipeline import check_network
 
@@ -118,11 +120,14 @@ def _try_out(candidate: Candidate, data: TrainingData, settings: TrainSettings, 
         data.training,
         data.validation,
         settings,
-        folder / hashlib.sha256(str(candidate).encode()).hexdigest()[:12],
+        folder / hashlib.sha256(f"{candidate}, {steps}".encode()).hexdigest()[:12],
         classes=data.classes,
         progress=progress,
     )
     row = result.history[-1]
     seconds = time.monotonic() - started
-    print(f"  {candidate!s:<44} {row['per_moment']:.4f} held out  ({seconds:.0f} s)", file=sys.stderr)
-    return Trial(candidate, row["per_moment"], row["validation_loss"])
+    print(
+        f"  {candidate!s:<44} {row['per_moment']:.4f} held out after {steps:,} steps  ({seconds:.0f} s)",
+        file=sys.stderr,
+    )
+    return Trial(candidate, steps, row["per_moment"], row["validation_loss"])

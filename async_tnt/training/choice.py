@@ -1,5 +1,6 @@
 """What to train where nothing is asked for: a few volumes and networks, each for a short time, compared on the held-out
-windows, one question after another.
+windows, one question after another. The best are then trained for longer, and compared again: what learns fastest, such
+as a coarse grid, is not always what learns most.
 
     volume    the event volume as it is, TNT about the running centroid, or the count image; signed, split or unsigned
     grid      a fine and a coarse one of the sensor's shape
@@ -14,13 +15,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 from async_tnt.config import POLARITIES, TNTConfig
 from async_tnt.sources.sensor import Sensor, format_size
 
-STEPS = 600
-"""Of the optimizer, for each candidate."""
+STEPS, FINAL_STEPS = 600, 1_800
+"""Of the optimizer, for each candidate, and for each of the best."""
+FINALISTS = 3
 SIDES = 60, 34
 """The longer side of a grid, fine and coarse."""
 NETWORKS = "residual", "thesis", "conv4"
@@ -48,14 +51,20 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Trial:
-    """How well a candidate did: share of held-out windows right at any moment (the more the better), and the loss."""
+    """How well a candidate did after so many steps: share of held-out windows right at any moment, and the loss."""
 
     candidate: Candidate
+    steps: int
     accuracy: float
     loss: float
 
+    @property
+    def merit(self) -> tuple[float, float]:
+        """The more the better."""
+        return self.accuracy, -self.loss
+
     def to_dict(self) -> dict[str, Any]:
-        return {"tried": str(self.candidate), "accuracy": self.accuracy, "loss": self.loss}
+        return {"tried": str(self.candidate), "steps": self.steps, "accuracy": self.accuracy, "loss": self.loss}
 
 
 @dataclass(frozen=True)
@@ -72,14 +81,14 @@ class Questions:
         return any(asdict(self).values())
 
 
-def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate], Trial | None]) -> list[Trial]:
-    """All trials, from the worst to the best.
+def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate, int], Trial | None]) -> list[Trial]:
+    """A trial of each candidate, from the worst to the best; of the `FINALISTS` the longer one.
 
     Parameters
     ----------
     start : answers what is not a question; its grid is replaced by the fine one, and its network by the first of
         `NETWORKS` that can be trained, if these are.
-    try_out : None if the candidate cannot be trained on this data.
+    try_out : trains a candidate for so many steps; None if it cannot be trained on this data.
 
     Raises
     ------
@@ -93,9 +102,8 @@ def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate]
         """All trials so far, with these; of equals, the later one is last."""
         for candidate in candidates:
             if candidate not in tried:
-                tried[candidate] = try_out(candidate)
-        made = [trial for trial in tried.values() if trial is not None]
-        return sorted(made, key=lambda trial: (trial.accuracy, -trial.loss))
+                tried[candidate] = try_out(candidate, STEPS)
+        return sorted(filter(None, tried.values()), key=attrgetter("merit"))
 
     for network in NETWORKS if questions.network else (start.network,):
         trials = ask(_volumes(replace(start, network=network), questions))
@@ -105,6 +113,9 @@ def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate]
         raise ValueError("none of the volumes and networks can be trained on these windows; see --quick")
     for question in (_grids, _networks, _mirrors):
         trials = ask(question(trials[-1].candidate, questions))
+    if len(trials) > 1:
+        again = [try_out(trial.candidate, FINAL_STEPS) for trial in trials[-FINALISTS:]]
+        trials[-FINALISTS:] = sorted(filter(None, again), key=attrgetter("merit"))
     return trials
 
 

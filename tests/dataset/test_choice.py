@@ -18,13 +18,14 @@ ALL = Questions()
 
 
 def tried_in(start, questions, score):
-    """The names of the candidates tried, and of the best, for a made-up score."""
+    """The names of the candidates tried for a short time, and of the best, for a made-up score."""
     names = []
 
-    def try_out(candidate):
-        names.append(str(candidate))
+    def try_out(candidate, steps):
+        if steps == choice.STEPS:
+            names.append(str(candidate))
         value = score(candidate)
-        return None if value is None else Trial(candidate, value, 0.0)
+        return None if value is None else Trial(candidate, steps, value, 0.0)
 
     return names, str(choose(start, questions, try_out)[-1].candidate)
 
@@ -49,6 +50,27 @@ def test_one_question_after_another_the_winner_goes_on():
     assert names[6:9] == [f"count, {polarity}, 60x50, residual" for polarity in ("signed", "unsigned", "split")]
     assert names[9:12] == [f"raw, split, 34x28, {network}" for network in ("residual", "thesis", "conv4")]
     assert names[12:] == [best]
+
+
+def test_the_best_three_are_compared_again_after_more_steps():
+    """The one that learns fastest need not learn most."""
+    start = Candidate(TNTConfig(sensor=(34, 34), grid=(34, 34)), "thesis")
+    first = {"signed": 0.5, "unsigned": 0.6, "split": 0.7}
+    later = {"signed": 0.95, "unsigned": 0.9, "split": 0.8}
+
+    def try_out(candidate, steps):
+        transform, polarity = candidate.config.transform, candidate.config.polarity
+        score = (first if steps == choice.STEPS else later)[polarity] - (transform == "none")
+        return Trial(candidate, steps, score, 0.0)
+
+    only = Questions(True, True, False, False, False)
+    *others, third, second, best = choose(start, only, try_out)
+    finals = [trial.candidate.config for trial in (third, second, best)]
+    assert [config.polarity for config in finals] == ["split", "unsigned", "signed"]
+    assert all(config.transform == "tnt" for config in finals)
+    assert [trial.steps for trial in (third, second, best)] == 3 * [choice.FINAL_STEPS]
+    assert len(others) == 6 and all(trial.steps == choice.STEPS for trial in others)
+    assert best.to_dict()["steps"] == choice.FINAL_STEPS
 
 
 def test_what_was_asked_for_is_not_a_question():
@@ -134,7 +156,8 @@ WINNERS = {  # a different candidate wins each set
 def test_each_set_is_won_by_what_suits_it(tmp_path, program, monkeypatch, kind):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(train_choice, "STEPS", 60)
+    monkeypatch.setattr(choice, "STEPS", 60)
+    monkeypatch.setattr(choice, "FINAL_STEPS", 80)
     monkeypatch.setattr(choice, "NETWORKS", ("thesis",))
     folder = made_set(tmp_path / kind, kind)
     words = ("train", folder, "--sensor", "24x24", "--epochs", 1, "--no-augmentation", "--seed", 0)
@@ -156,7 +179,8 @@ def test_each_set_is_won_by_what_suits_it(tmp_path, program, monkeypatch, kind):
 
 def test_an_interrupted_choice_goes_on_and_ends_with_the_same_model(tmp_path, program, monkeypatch):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
-    monkeypatch.setattr(train_choice, "STEPS", 10)
+    monkeypatch.setattr(choice, "STEPS", 10)
+    monkeypatch.setattr(choice, "FINAL_STEPS", 20)
     monkeypatch.setattr(choice, "NETWORKS", ("thesis",))
     folder = made_set(tmp_path / "set", "place")
     words = ("train", folder, "--sensor", "24x24", "--epochs", 1, "--polarity", "signed")
