@@ -105,12 +105,13 @@ def read_state(content: bytes, fixed: Mapping[str, Any] | None = None) -> tuple[
     try:
         about = json.loads(text)
         theirs = about["fixed"] if fixed else {}
-        differ = [name for name, value in (fixed or {}).items() if theirs.get(name) != value]
+        ours, saved = ({**of, **of.get("config", {})} for of in (fixed or {}, theirs))
+        differ = [name for name in {**ours, **saved} if name != "config" and saved.get(name) != ours.get(name)]
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:  # the last: nested too deep
         raise ValueError(f"`state` is damaged: {one_line(error)}") from None
     if differ:
-        wrong = ", ".join(f"{name} = {reprlib.repr(theirs.get(name))}" for name in differ)
-        raise ValueError(f"`state` is of another processor, with {wrong}; here {fixed}")
+        wrong = ", ".join(f"{name} = {reprlib.repr(saved.get(name))} (here {ours.get(name)!r})" for name in differ)
+        raise ValueError(f"`state` is of another processor, with {wrong}")
     return arrays, about
 
 

@@ -96,8 +96,8 @@ class Processor:
         self._start_us = start_us = None if start_us is None else checked_time("start_us", start_us)
         self._triggers = Triggers()
         self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
-        compile_for(self.config, classifier, regressor, late=late, by_event=self._triggers.by_event)
         self._decoder = EventDecoder(self.config.sensor, late)
+        self._compile(regressor)
         self._new_windows = partial(WindowScheduler, self.config, hop_us, start_us, replay_events, regressor)
         self._windows = self._new_windows()
         hop_us = self._windows.hop_us
@@ -126,6 +126,7 @@ class Processor:
     @classifier.setter
     def classifier(self, classifier: Classifier) -> None:
         self._classifier.classifier = classifier
+        self._compile(None)
 
     @property
     def classes(self) -> tuple[str, ...] | None:
@@ -150,11 +151,17 @@ class Processor:
     def _set(self, name: str, value: Any) -> None:
         """Change a trigger; it applies to the open window, too."""
         self._triggers.set(**{name: value})
+        if self._triggers.by_event and not self._by_event:
+            self._compile(None)
         self._choose_paths()
         if len(self._windows):
             oldest = self._windows.oldest
             self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
         self._windows.set_limit(self._triggers.next_due_us)
+
+    def _compile(self, regressor: Regressor | None) -> None:
+        """Now, so that no event has to wait for it."""
+        compile_for(self.config, self.classifier, regressor, late=self.late, by_event=self._triggers.by_event)
 
     def _choose_paths(self) -> None:
         """Whether triggers look at each event; whether single events may go straight to the one volume."""

@@ -37,6 +37,8 @@ def stream(
     """
     if isinstance(source, (str, Path)):
         raise TypeError(f"`source` must yield events, got the path {source}; open_recording(path) reads a file")
+    if not hasattr(source, "__iter__"):
+        raise TypeError(f"`source` must be an iterable of packets or of events, got {type(source).__name__}")
     return _stream(source, as_processor(model, **settings))  # here: errors are raised before the first event
 
 
@@ -46,11 +48,23 @@ def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
     yield from processor.finish()
 
 
-async def astream(
+def astream(
     source: AsyncIterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any
 ) -> AsyncIterator[Decision]:
-    """`stream` for an asynchronous source. The classifier runs in the event loop, for microseconds at a time."""
-    processor = as_processor(model, **settings)
+    """`stream` for an asynchronous source. The classifier runs in the event loop, for microseconds at a time.
+
+    Raises
+    ------
+    TypeError : `source` is not asynchronous.
+    """
+    if not hasattr(source, "__aiter__"):
+        raise TypeError(
+            f"`source` must be asynchronous, got {type(source).__name__}; stream(source, ...) takes one that is not"
+        )
+    return _astream(source, as_processor(model, **settings))  # here: errors are raised before the first event
+
+
+async def _astream(source: AsyncIterable[Any], processor: Processor) -> AsyncIterator[Decision]:
     async for events in source:
         for decision in processor.push(events):
             yield decision

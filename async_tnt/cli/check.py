@@ -57,7 +57,7 @@ def main(args: argparse.Namespace) -> int:
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
         for path in paths:
             recording = open_recording(path, sensor=model.config.sensor)
-            check_sensor(path, recording.sensor, model.config.sensor)
+            check_sensor(path, recording.sensor, model.config.sensor, advice="; --model FILE names one for this sensor")
             if recording.stated_sensor is None:
                 check_events(recording, model.config.sensor, path)
             events = recording.read()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 from collections.abc import Callable, Collection
 from pathlib import Path
 
@@ -62,14 +63,7 @@ def command_words(
             continue
         if action.dest in ("start_from", "network"):
             value = Path(value).name
-        text = " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+        text = shlex.join(map(str, value if isinstance(value, (list, tuple)) else [value]))
         name = action.option_strings[-1 if value is False else 0]  # --mirror, --no-mirror
         words.append(name if isinstance(value, bool) else f"{name} {text}")
     return " ".join(words)
-
-
-def seed_number(text: str) -> int:
-    """An argparse type: a whole number of at least 0."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {text!r}")
-    return int(text)

@@ -88,8 +88,10 @@ def main(args: argparse.Namespace) -> int:
     ]
     label_of = {task.recording: label for task, label in zip(tasks, labels, strict=True)}
 
+    sessions = {file_of(name) for name in label_of if file_of(name) != name}
+
     def is_gone(name: str) -> bool:
-        return not (args.dataset / file_of(name)).exists()
+        return file_of(name) in sessions or not (args.dataset / file_of(name)).exists()  # its table names it no more
 
     try:
         records = list(stream_archive(args, evaluate_recording, tasks, executor, Progress(), is_gone))

@@ -114,6 +114,13 @@ def positive_int(text: str) -> int:
     return value
 
 
+def whole_number(text: str) -> int:
+    """An argparse type: a whole number of at least 0."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {text!r}")
+    return int(text)
+
+
 def number(text: str, holds: Callable[[float], bool], rule: str) -> float:
     """For an argparse type: the number, which must fulfil the rule."""
     with contextlib.suppress(ValueError):

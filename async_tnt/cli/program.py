@@ -79,7 +79,9 @@ def _run(argv: Sequence[str]) -> int:
         raise KeyboardInterrupt("" if number == signal.SIGINT else "terminated")
 
     try:
-        args = build_parser(argv).parse_args(argv)
+        args, unknown = build_parser(argv).parse_known_args(argv)
+        if unknown:
+            _Parser(prog=f"async-tnt {args.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
         with warnings.catch_warnings(), handled_by(interrupt) as before:
             warnings.showwarning = _show_warning  # type: ignore[assignment]
             code = args.main(args)

@@ -10,8 +10,8 @@ import sys
 import time
 from pathlib import Path
 
-from async_tnt.cli.data_options import add_folder, data_folder, seed_number
-from async_tnt.cli.options import positive_int
+from async_tnt.cli.data_options import add_folder, data_folder
+from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.cli.output import complain
 from async_tnt.files import check_folder
 from async_tnt.process import available_cores
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="bright strokes on a dark background; without it dark on bright, as N-MNIST",
     )
     parser.add_argument("--digits", type=positive_int, metavar="N", help="the first N images (default: all)")
-    parser.add_argument("--seed", type=seed_number, default=0, help="of all randomness (default: 0)")
+    parser.add_argument("--seed", type=whole_number, default=0, help="of all randomness (default: 0)")
     parser.add_argument(
         "--workers", type=positive_int, metavar="N", help=f"processes (default: all cores, here {available_cores()})"
     )

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.checking.timing import machine
-from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder, seed_number
-from async_tnt.cli.options import positive_int
+from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder
+from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.files import check_folder, write_text
 from async_tnt.process import available_cores
 from async_tnt.training.settings import TrainSettings
@@ -93,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--seeds",
         nargs="+",
-        type=seed_number,
+        type=whole_number,
         default=[0, 1, 2, 3, 4],
         metavar="N",
         help="of weights, order and augmentation (default: 0 1 2 3 4)",

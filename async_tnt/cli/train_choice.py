@@ -13,6 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
 from async_tnt.files import write_text
 from async_tnt.progress import progress
@@ -39,7 +40,7 @@ def questions_of(args: argparse.Namespace) -> Questions:
 
 
 class Choice:
-    """Of one run: made once, then kept in its folder.
+    """The volume and the network of one run: chosen once, then kept in its folder.
 
     Parameters
     ----------
@@ -59,14 +60,15 @@ class Choice:
         self.chosen: Candidate | None = None
         try:
             found = json.loads(self._file.read_text(encoding="utf-8"))
+            same_recordings = has_checkpoint(run_folder) or found["recordings"] == self._recordings
+            if found["key"] == self._key and same_recordings:
+                self.trials = found["trials"]
+                self.chosen = Candidate(TNTConfig.from_dict(found["config"]), found["network"], found["mirror"])
+                self._delete_trials()
         except FileNotFoundError:
             return
-        except ValueError as error:
-            raise ValueError(f"{self._file}: damaged ({error}); delete it to choose again") from None
-        same_recordings = has_checkpoint(run_folder) or found.get("recordings") == self._recordings
-        if found.get("key") == self._key and same_recordings:
-            self.trials = found["trials"]
-            self.chosen = Candidate(TNTConfig.from_dict(found["config"]), found["network"], found["mirror"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{self._file}: damaged ({one_line(error)}); delete it to choose again") from None
 
     def make(
         self,
@@ -98,9 +100,13 @@ class Choice:
         kept |= {**asdict(best), "config": best.config.to_dict()}
         self._run_folder.mkdir(parents=True, exist_ok=True)  # where nothing was tried
         write_text(self._file, json.dumps(kept, indent=1))
-        for folder in self._run_folder.glob("choice-*"):  # also of earlier options
-            shutil.rmtree(folder, ignore_errors=True)
+        self._delete_trials()
         return best
+
+    def _delete_trials(self) -> None:
+        """Also those of earlier options, and what an interruption left."""
+        for folder in self._run_folder.glob("choice-*"):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _try_out(

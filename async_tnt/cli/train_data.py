@@ -25,8 +25,8 @@ from async_tnt.training.augment import Augmentation
 from async_tnt.training.choice import Candidate
 from async_tnt.training.data import TrainingData, dataset_data, nmnist_data, sample_data
 from async_tnt.training.dataset import file_sizes
-from async_tnt.training.groups import GROUPS_FILE, groups_table
-from async_tnt.training.run_folder import check_run, has_checkpoint, other_run
+from async_tnt.training.groups import GROUPS_FILE, check_share, groups_by_pattern, groups_table
+from async_tnt.training.run_folder import check_run, has_checkpoint, network_checksum, other_run
 from async_tnt.training.settings import TrainSettings, settings_for
 
 
@@ -50,28 +50,34 @@ def of_dataset(
 ) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
     """DATASET, how to train on it, and what `check_run` compares; checks the run folder before reading the data."""
     if args.test and not has_part(args.dataset, "Test"):
-        raise FileNotFoundError(f"--test needs a folder Test, not found in {args.dataset}")
+        raise FileNotFoundError(f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither")
+    if run_folder.resolve().is_relative_to(args.dataset.resolve()):
+        raise ValueError(f"--run must lie outside of DATASET, in which a folder is a class; got {run_folder}")
     pixels = _pixels_of(args, start)
     validation = 0.2 if args.validation is None else args.validation
+    augmentation = _augmentation(args)
     given = {"seed": args.seed, "learning_rate": args.rate, "precision": args.precision}
     given |= {"iterations": args.iterations, "network": args.network or NETWORK}
     questions = questions_of(args)
     known = given | {name: getattr(args, name) for name in ("epochs", "batch") if getattr(args, name) is not None}
     if args.patience is not None:
         known["patience"] = args.patience or None
-    TrainSettings(**known)  # refuses a value out of its range before the data is read
+    TrainSettings(**known), Augmentation(**augmentation or {})  # these refuse what cannot be before the data is read
+    check_share(validation)
+    groups_by_pattern((), args.groups or "")
     sources: dict[str, Any] = {
         "recordings": file_sizes(args.dataset, "Train"),
         "validation": validation,
         "groups": args.groups or _groups_file(args.dataset),
         "pixels": pixels.record,
     }
-    augmentation = _augmentation(args)
     choice = None
     if questions:
-        depends_on = {"settings": known, "volume": config.to_dict(), "augmentation": augmentation}
+        depends_on: dict[str, Any] = {"settings": known, "volume": config.to_dict(), "augmentation": augmentation}
         depends_on |= {"questions": asdict(questions), "window_us": args.window_us, "sensor": args.sensor}
         depends_on |= {**sources, "recordings": None}
+        if ":" in given["network"]:
+            depends_on["network_file"] = network_checksum(given["network"])
         choice = Choice(run_folder, depends_on, sources["recordings"])
         if choice.chosen is not None:
             config, known["network"] = choice.chosen.config, choice.chosen.network

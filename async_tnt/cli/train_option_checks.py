@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
 OF_VOLUME = "grid", "window_us", "representation", "transform", "landmark", "t_max", "polarity", "bins", "remove_flow"
 
@@ -21,11 +22,13 @@ def check_options(args: argparse.Namespace) -> None:
         raise ValueError(f"{', '.join(given)} must come without --start-from: the volume is that model's")
     if args.start_from and args.network is not None:
         raise ValueError("--network must come without --start-from: the network is that model's")
+    if args.start_from and Path(args.start_from).resolve() == args.out.resolve():
+        raise ValueError("--out must be another file than --start-from, which an interrupted training needs again")
     given = _given(args, ("mirror", "translate", "partial", "nothing"))
     if args.no_augmentation and given:
         raise ValueError(f"{', '.join(given)} must come without --no-augmentation")
     if args.epochs is not None and args.iterations is not None:
-        raise ValueError("--epochs and --iterations say both how long to train; give one of them")
+        raise ValueError("--epochs and --iterations both set the length of training; give only one")
     saccades = ["--saccades"] if args.saccades != [1, 2, 3] else []
     if args.dataset is None:
         given = _given(args, ("quick", "groups", "sensor", "grid", "window_us", "roi", "crop", "mask"))

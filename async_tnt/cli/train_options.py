@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from async_tnt.cli.data_options import add_folder, add_precision
-from async_tnt.cli.options import positive_int, size_text
+from async_tnt.cli.options import positive_int, positive_number, size_text, whole_number
 from async_tnt.cli.pixel_options import add_selection
 from async_tnt.config import LANDMARKS, POLARITIES, REPRESENTATIONS, TRANSFORMS
 from async_tnt.process import available_cores
@@ -212,14 +212,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     learning.add_argument(
         "--epochs",
-        type=int,
+        type=positive_int,
         metavar="N",
         help="passes over the training windows (default: 20; with DATASET at least 30, and 1500 steps, or 6000 with "
         "other motions)",
     )
     learning.add_argument(
         "--patience",
-        type=int,
+        type=whole_number,
         metavar="N",
         help="stop when the validation loss has not fallen for this many epochs; 0: never (default: 0; with other "
         "motions of DATASET a fifth of the epochs)",
@@ -232,20 +232,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     learning.add_argument(
         "--batch",
-        type=int,
+        type=positive_int,
         metavar="N",
         help="windows per step (default: 64; with DATASET fewer, down to 8, for a small data set)",
     )
     learning.add_argument(
         "--rate",
-        type=float,
+        type=positive_number,
         default=2e-3,
         metavar="R",
         help="highest learning rate of AdamW; it falls along a cosine (default: 0.002)",
     )
     learning.add_argument(
         "--seed",
-        type=int,
+        type=whole_number,
         default=0,
         metavar="N",
         help="for weights, order, augmentation, split and simulation (default: 0)",

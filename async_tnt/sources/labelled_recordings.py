@@ -100,6 +100,8 @@ def find_recordings(folder: str | os.PathLike[str], part: str | None = None) -> 
     classes = _folders(folder)
     not_parts = [path for path in classes if path.name not in LISTS]
     for c in not_parts:
+        if c.name.encode(errors="replace").decode() != c.name:
+            raise ValueError(f"{folder}: the name of a class folder must be in UTF-8, got {c.name!a}; rename it")
         if misplaced := list(_sessions(c)):
             raise ValueError(
                 f"{c}: {misplaced[0].name} has a table of labels, but lies in a class folder; put both into {folder}"
@@ -162,7 +164,7 @@ def _listed(file: Path, sessions: Mapping[Path, Path]) -> set[Path] | None:
     """The sessions that a list names; None without the list."""
     if not file.is_file():
         return None
-    wanted = set(file.read_text(encoding="utf-8").split())
+    wanted = {name for line in file.read_text(encoding="utf-8-sig").splitlines() if (name := line.strip())}
     missing = sorted(wanted - {path.name for path in sessions})
     if missing:
         raise ValueError(f"{file} names {missing[0]}, which is not there, or has no table")
@@ -180,11 +182,11 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
     names = {}
     if (folder / NAMES_FILE).is_file():
         columns = {"label": ("label", "class"), "name": ("action", "gesture", "name")}
-        names = {row["label"]: row["name"] for row in _rows(folder / NAMES_FILE, columns)}
+        names = {row["label"]: row["name"] for _, row in _rows(folder / NAMES_FILE, columns)}
     found: dict[str, list[LabelledRecording]] = {}
     seen = set()
     for path, table in sessions.items():
-        for number, row in enumerate(_rows(table, COLUMNS), start=2):
+        for number, row in _rows(table, COLUMNS):
             try:
                 between = int(row["start"]), int(row["end"])
             except ValueError:
@@ -199,8 +201,8 @@ def _parts(folder: Path, sessions: Mapping[Path, Path], part: str | None) -> dic
     return dict(sorted(found.items(), key=lambda item: item[0].zfill(9) if item[0].isdigit() else item[0]))
 
 
-def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[dict[str, str]]:
-    """The rows of a CSV file, with these columns, each of which may have one of several names."""
+def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[tuple[int, dict[str, str]]]:
+    """The rows of a CSV file, with their lines and these columns, each of which may have one of several names."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = csv.DictReader(file, skipinitialspace=True)
@@ -209,6 +211,6 @@ def _rows(path: Path, columns: Mapping[str, tuple[str, ...]]) -> list[dict[str, 
             lacking = [" or ".join(columns[column]) for column, name in found.items() if name is None]
             if lacking:
                 raise ValueError(f"{path}: expected a column {lacking[0]}, got {', '.join(given) or 'none'}")
-            return [{c: (row[given[n or ""]] or "").strip() for c, n in found.items()} for row in rows]
+            return [(rows.line_num, {c: (row[given[n or ""]] or "").strip() for c, n in found.items()}) for row in rows]
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a CSV file: {error}") from None

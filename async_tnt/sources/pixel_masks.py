@@ -49,11 +49,11 @@ def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.
     ValueError : damaged, or not a mask of this sensor (None: of any).
     OSError : missing or not readable.
     """
-    mapped = map_npy(path)
     try:
-        return np.array(checked_mask(mapped, sensor))
+        return np.array(checked_mask(map_npy(path), sensor))
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        why = str(error).removeprefix(f"{path}: ")
+        raise ValueError(f"{path}: not a mask, a .npy file as `async-tnt mask` writes: {why}") from None
 
 
 def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:

@@ -22,7 +22,7 @@ from async_tnt.config import POLARITIES, TNTConfig
 from async_tnt.sources.sensor import Sensor, format_size
 
 STEPS, FINAL_STEPS = 600, 1_800
-"""Of the optimizer, for each candidate, and for each of the best."""
+"""Optimizer steps for each candidate, and for each of the best."""
 FINALISTS = 3
 SIDES = 60, 34
 """The longer side of a grid, fine and coarse."""
@@ -37,6 +37,8 @@ VOLUMES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Candidate:
+    """What a trial trains: a volume, a network, and whether windows are also shown mirrored."""
+
     config: TNTConfig
     network: str
     mirror: bool = False
@@ -60,7 +62,7 @@ class Trial:
 
     @property
     def merit(self) -> tuple[float, float]:
-        """The more the better."""
+        """The larger, the better."""
         return self.accuracy, -self.loss
 
     def to_dict(self) -> dict[str, Any]:
@@ -120,10 +122,13 @@ def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate,
 
 
 def grids(sensor: Sensor) -> Iterator[Sensor]:
-    """A fine grid, and a coarse one, in the shape of the sensor; small sensors have one grid, their own pixels."""
+    """A fine grid, and a coarse one, in the shape of the sensor; small sensors have one grid, their own pixels.
+
+    No side is below 8, which the networks need.
+    """
     longest = max(sensor)
     if longest <= SIDES[1] + 6:
-        yield sensor
+        yield max(8, sensor[0]), max(8, sensor[1])
         return
     for side in (min(SIDES[0], longest), SIDES[1]):
         yield max(8, round(sensor[0] * side / longest)), max(8, round(sensor[1] * side / longest))

@@ -111,6 +111,8 @@ def dataset_data(
     }
     if pixels.leaves_out:
         record["pixels"] = {**pixels.record, "camera": list(dataset.camera), **dataset.left_out_events}
+    if dataset.n_late:
+        record["left_out_late"] = dataset.n_late
     notes.append("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()))
     notes.append(f"held out by {how}: {counted}")
     single = [name for k, name in enumerate(dataset.classes) if counts[name] and k not in labels[held_out]]
@@ -152,7 +154,7 @@ def _split(
     names, labels = recordings.names, recordings.labels
     files = [file_of(name) for name in names]
     if pattern is not None:
-        together, how = groups_by_pattern(names, pattern), f"group ({pattern})"
+        together, how = groups_by_pattern(files, pattern), f"group ({pattern})"
     elif (table := groups_table(folder)) is not None:
         together, how = groups_by_table(names, table), f"group ({GROUPS_FILE})"
     else:
@@ -239,7 +241,9 @@ def _masked(pixels: PixelSelection, dataset: Dataset) -> np.ndarray | None:
 
 
 def _notes(dataset: Dataset, where: str) -> list[str]:
-    """How many events were left out by their pixels."""
+    """How many events were left out, by their pixels and times."""
     words = {"left_out_outside": "outside of the region", "left_out_masked": "of masked pixels"}
     counts = [f"{n:,} {words[name]}" for name, n in dataset.left_out_events.items()]
+    if dataset.n_late:
+        counts.append(f"{dataset.n_late:,} older than the first one of their recording")
     return [f"events left out of {where}: {', '.join(counts)}"] if counts else []

@@ -37,6 +37,7 @@ class Dataset:
     left_out : which recordings were left out and why, one line each.
     left_out_events : how many events of `recordings` were left out by their pixels: `left_out_outside` of the region,
         `left_out_masked`. Empty without a region and a mask.
+    n_late : how many were left out because they are older than their recording's first one, where windows begin.
     known : what a second part of the data set must not hold, see `read_dataset`.
     """
 
@@ -46,6 +47,7 @@ class Dataset:
     sensor: Sensor
     left_out: tuple[str, ...]
     left_out_events: Mapping[str, int]
+    n_late: int
     known: Known
 
 
@@ -155,7 +157,7 @@ def read_dataset(
         left_out_events["left_out_masked"] = selection.n_masked
     left_out = tuple(line for _, line in selection.left_out)
     region = pixels.region or camera
-    return Dataset(recordings, names, camera, region, left_out, left_out_events, selection.known)
+    return Dataset(recordings, names, camera, region, left_out, left_out_events, selection.n_late, selection.known)
 
 
 def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
@@ -175,7 +177,7 @@ class _Recording:
     sensor : (width, height) as the file states it, or None.
     fingerprint : of its events before any is removed.
     left_out : why it is left out, or "".
-    n_outside, n_masked : events removed outside of the region, and at masked pixels.
+    n_outside, n_masked, n_late : events removed outside of the region, at masked pixels, and older than the first one.
     """
 
     file: LabelledRecording
@@ -186,6 +188,7 @@ class _Recording:
     left_out: str = ""
     n_outside: int = 0
     n_masked: int = 0
+    n_late: int = 0
 
     @classmethod
     def read(cls, file: LabelledRecording, label: int, sensor: Sensor | None) -> _Recording:
@@ -231,7 +234,9 @@ class _Recording:
         if keep is not None:
             self.n_outside, self.n_masked = keep.counts.dropped_outside, keep.counts.dropped_masked
             keep.reset()
+        self.n_late = len(seen)
         seen = from_first_event(seen)
+        self.n_late -= len(seen)
         if len(seen) == 0:
             self.leave_out(f"{self.name}: no events at the selected pixels")
             return
@@ -255,7 +260,7 @@ class _Selection:
         self.known = known
         self.left_out: list[tuple[int, str]] = []
         """Label and reason."""
-        self.n_outside = self.n_masked = 0
+        self.n_outside = self.n_masked = self.n_late = 0
 
     def add(self, one: _Recording) -> None:
         """Keep a recording, or not.
@@ -281,6 +286,7 @@ class _Selection:
         self._writer.add(one.events, one.label, one.name)
         self.n_outside += one.n_outside
         self.n_masked += one.n_masked
+        self.n_late += one.n_late
         one.events = None  # they are in the writer
 
 

@@ -63,10 +63,10 @@ def groups_by_table(names: Sequence[str], path: Path) -> list[str]:
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a CSV file: {error}") from None
     groups = [_first_in(table, (name, file_of(name), PurePosixPath(file_of(name)).name)) for name in names]
-    missing = [name for name, group in zip(names, groups, strict=True) if group is None]
+    missing = [name for name, group in zip(names, groups, strict=True) if not group]
     if missing:
         raise ValueError(f"{path}: every recording must have a group, {missing[0]} has none")
-    return [group for group in groups if group is not None]
+    return [group for group in groups if group]
 
 
 def _first_in(table: Mapping[str, str], names: Sequence[str]) -> str | None:
@@ -83,12 +83,14 @@ def hold_out_last(names: Sequence[str], labels: np.ndarray, share: float) -> tup
     -------
     train, held_out : as `hold_out_groups`.
     """
-    _check_share(share)
+    check_share(share)
     if any(file_of(name) != name for name in names):
         return None
     held_out = np.zeros(len(labels), bool)
     for label in np.unique(labels):
         members = np.flatnonzero(labels == label).tolist()
+        if len(members) == 1:  # is not held out, whatever its name
+            continue
         texts = {re.sub(r"\d+", "0", PurePosixPath(names[r]).stem) for r in members}
         if len(texts) != 1 or "0" not in texts.pop():
             return None
@@ -114,24 +116,27 @@ def hold_out_groups(
     train, held_out : int64 indices, increasing. Each class keeps a recording to train on: one that has a single group
         is not held out.
     """
-    _check_share(share)
+    check_share(share)
     of = np.unique(np.asarray(groups), return_inverse=True)[1]
-    order = rng.permutation(of.max(initial=-1) + 1)
-    left = np.bincount(labels)
-    wanted = np.where(left > 0, np.maximum(np.round(share * left), 1), 0) if share else np.zeros(len(left))
+    place = np.argsort(rng.permutation(of.max(initial=-1) + 1))  # of each group in a random order
+    by_group = np.argsort(place[of], kind="stable")
+    members = np.split(by_group, np.cumsum(np.bincount(place[of]))[:-1])
+    n = np.bincount(labels)
+    wanted = np.where(n > 0, np.maximum(np.round(share * n), 1), 0) if share else np.zeros(len(n))
+    left = n.copy()
     held_out = np.zeros(len(labels), bool)
-    for label in np.flatnonzero(left):
-        for group in order:
-            members = of == group
-            if held_out[labels == label].sum() >= wanted[label]:
+    for label in np.flatnonzero(n):
+        for group in np.unique(place[of[labels == label]]):
+            if n[label] - left[label] >= wanted[label]:
                 break
-            counts = np.bincount(labels[members], minlength=len(left))
-            if counts[label] and not held_out[members].any() and ((left > counts) | (counts == 0)).all():
-                held_out |= members
-                left = left - counts
+            counts = np.bincount(labels[members[group]], minlength=len(n))
+            if not held_out[members[group][0]] and ((left > counts) | (counts == 0)).all():
+                held_out[members[group]] = True
+                left -= counts
     return np.flatnonzero(~held_out), np.flatnonzero(held_out)
 
 
-def _check_share(share: float) -> None:
+def check_share(share: float) -> None:
+    """Refuse a share of recordings to hold out that is not in [0, 1)."""
     if not 0 <= share < 1:
         raise ValueError(f"the share that is held out must be in [0, 1), got {share}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -13,9 +13,9 @@ from async_tnt.training.augment import Augmentation
 
 PRECISIONS = ("float32", "bfloat16")
 STREAMED = MappingProxyType({"partial": 0.9, "nothing": 0.1})
-EARLIEST = 0.05  # of the window
-"""Of `Augmentation` for a data set by default: right at any moment of a stream from there on, also when nothing is
-there."""
+"""Of `Augmentation` for a data set by default: most windows end early, and some show only noise."""
+EARLIEST = 0.05
+"""The earliest end of such a window, as a share of the complete one."""
 MIN_STEPS, MIN_STEPS_MOVED = 1_500, 6_000
 """Optimizer steps on a small data set by default, unless patience ends the training earlier; more with other motions,
 which take longer to learn."""
@@ -103,7 +103,8 @@ def settings_for(
     Parameters
     ----------
     n_windows, n_held_out : windows to train on, and held out.
-    patience : 0 trains to the end, where the learning rate is 0. The default, but for other motions.
+    patience : 0 trains to the end, where the learning rate is 0. The default, but for other motions: a fifth of all
+        epochs.
     augmentation : fields of `Augmentation` whose values differ from `Augmentation.for_sensor` and `STREAMED`; None: as
         recorded.
     resynthesized : whether the windows are also shown in other motions.
@@ -112,17 +113,17 @@ def settings_for(
     batch = min(64, max(8, n_windows // 32)) if batch is None else batch
     if epochs is None:
         steps = MIN_STEPS_MOVED if resynthesized else MIN_STEPS
-        epochs = max(30, math.ceil(steps / max(1, math.ceil(n_windows / max(batch, 1)))))
-    if patience is None:
-        patience = max(5, epochs // 5) if n_held_out and resynthesized else 0
-    return TrainSettings(
+        epochs = max(30, math.ceil(steps / TrainSettings(batch=batch).n_steps(n_windows)))
+    found = TrainSettings(
         epochs=epochs,
         batch=batch,
-        patience=patience or None,
         augmentation=None if augmentation is None else _augmentation(config, augmentation),
         balance=True,
         **settings,
     )
+    if patience is None:
+        patience = max(5, found.n_epochs(n_windows) // 5) if n_held_out and resynthesized else 0
+    return replace(found, patience=patience or None)
 
 
 def _augmentation(config: TNTConfig, changes: Mapping[str, Any]) -> Augmentation:

@@ -100,6 +100,7 @@ def test_what_cannot_be_trained_is_left_out():
         ((50, 25), [(50, 25), (34, 17)]),
         ((1280, 720), [(60, 34), (34, 19)]),
         ((16, 640), [(8, 60), (8, 34)]),
+        ((40, 3), [(40, 8)]),
     ],
 )
 def test_grids_have_the_shape_of_the_sensor(sensor, expected):
@@ -173,7 +174,12 @@ def test_each_set_is_won_by_what_suits_it(tmp_path, program, monkeypatch, kind):
     assert np.mean([accuracy for name, accuracy in trials.items() if lost in name]) < trials[best] - 0.1, trials
     assert model.config.grid == (24, 24)
     again = (tmp_path / "model.safetensors").read_bytes()
+    code, _, err = program(*words, "--quick", "--run", tmp_path / "quick")
+    assert code == 0 and "trying" not in err and not (tmp_path / "quick" / "choice.json").exists()
+    (tmp_path / "model.safetensors").write_bytes(again)
+    (tmp_path / "runs" / "model" / "choice-of-another-time").mkdir()
     code, _, err = program(*words)  # finished: neither chosen nor trained again
+    assert not list((tmp_path / "runs" / "model").glob("choice-*"))
     assert code == 0 and "chosen" not in err and (tmp_path / "model.safetensors").read_bytes() == again
 
 
@@ -222,9 +228,10 @@ def test_an_interrupted_choice_goes_on_and_ends_with_the_same_model(tmp_path, pr
     assert [trial["tried"] for trial in json.loads(damaged.read_text())["trials"]] == [
         trial["tried"] for trial in models[0].record["data"]["choice"]
     ]
-    damaged.write_text("{")
-    code, _, err = program(*words, "--out", out, "--run", run)
-    assert code == 2 and "choice.json: damaged" in err and err.count("\n") == 1
+    for content in ("{", "[]", "{}"):
+        damaged.write_text(content)
+        code, _, err = program(*words, "--out", out, "--run", run)
+        assert code == 2 and "choice.json: damaged" in err and err.count("\n") == 1
 
 
 def test_where_nothing_is_held_out_the_defaults_are_taken(tmp_path, program):

@@ -112,6 +112,10 @@ def test_events_older_than_the_first_are_left_out_and_the_others_sorted(tmp_path
         write(tmp_path / name / "1.npz", recording([500, 520 + k, 510, 499]), sensor=(9, 9))
     dataset = read_dataset(tmp_path)
     np.testing.assert_array_equal(dataset.recordings.t, [0, 10, 20, 0, 10, 21])
+    assert dataset.n_late == 2
+    data = dataset_data(tmp_path, TNTConfig(sensor=(9, 9), grid=(9, 9)), pixels=PixelSelection(), validation=0)
+    assert data.record["left_out_late"] == 2
+    assert "events left out of the recordings: 2 older than the first one of their recording" in data.notes
     assert dataset.sensor == (9, 9) and dataset.recordings.names == ("a/1.npz", "b/1.npz")
     write(tmp_path / "b" / "2.npz", recording([0, 1 << 31]), sensor=(9, 9))
     with pytest.raises(ValueError, match=r"b/2.npz: lasts 36 minutes, more than the 35 that training supports"):

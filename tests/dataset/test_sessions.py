@@ -70,6 +70,8 @@ def test_training_sees_the_parts_and_keeps_sessions_together(sessions):
     assert len(sides[1]) == 1 and not sides[0] & sides[1]
     by_user = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3, groups=r"user\d+")
     assert len({recordings.names[r][:6] for r in by_user.validation.recording}) == 1
+    by_file = dataset_data(sessions, TNTConfig(), pixels=PixelSelection(), validation=0.3, groups=".*")  # not by times
+    assert len({recordings.names[r][:10] for r in by_file.validation.recording}) == 1
 
 
 def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_path, program):
@@ -95,6 +97,9 @@ def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_pat
         assert code == 0 and json.loads(out)["confusion"] != reports[0]["confusion"]
         lines = [json.loads(line) for line in (tmp_path / "sessions.jsonl").read_text().splitlines()]
         assert [line["class"] for line in lines].count("upright") == 4
+        table.write_text(before.replace("0,", "1,", 1))  # a part that began elsewhere is another one
+        code, _, err = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
+        assert code == 0, err
         table.write_text(before + before.splitlines()[1])
         code, _, err = program("evaluate", model, sessions)
         assert code == 2 and "us is there twice" in err
@@ -124,8 +129,10 @@ def test_the_files_of_dvs128_gesture(tmp_path):
         (tmp_path / name).rename(tmp_path / "away")
         assert {part: find_recordings(tmp_path, part) for part in parts} == parts and has_part(tmp_path, "Test")
         (tmp_path / "away").rename(tmp_path / name)
-    (tmp_path / "trials_to_test.txt").write_text("user02_lab.aedat user07.aedat")
-    with pytest.raises(ValueError, match=r"trials_to_test.txt names user07.aedat, which is not there, or has no table"):
+    (tmp_path / "trials_to_test.txt").write_text("\ufeffuser02_lab.aedat\r\n user 07.aedat \r\n")
+    with pytest.raises(
+        ValueError, match=r"trials_to_test.txt names user 07.aedat, which is not there, or has no table"
+    ):
         find_recordings(tmp_path, "Test")
 
 
@@ -160,6 +167,7 @@ def test_what_would_be_ignored_beside_sessions_is_named(tmp_path):
         (HEADER + "1,5,9\n1,9,5\n", "line 3: expected a class, and whole start < end in us, got 1, 9, 5"),
         (HEADER + "1,5\n", "line 2: expected a class, .*, got 1, 5, "),
         (HEADER + ",5,6\n", "line 2: expected a class, .*, got , 5, 6"),
+        (HEADER + "\n\n1,9,5\n", "line 4: expected a class, and whole start < end in us, got 1, 9, 5"),
         ("label, start, end\nwave, 1.5, 3\n", "line 2: expected a class, .*, got wave, 1.5, 3"),
     ],
 )

@@ -78,10 +78,10 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
     [
         (("DATASET", "--nmnist", "x"), "--nmnist must come without DATASET"),
         (("DATASET", "--sensor", "640x480"), "of one sensor, got 640x480 (--sensor) and 128x128 (flat/01.npz)"),
-        (("DATASET", "--patience", "-1"), "`patience` must be at least 1, got -1"),
         (("DATASET", "--start-from", "MODEL", "--grid", "8x8"), "must come without --start-from: the volume is that"),
         (("OTHER", "--start-from", "MODEL"), "unknown class slanted; known are flat, upright"),
         (("nowhere",), "no folder nowhere"),
+        (("DATASET", "--start-from", "MODEL", "--out", "MODEL"), "--out must be another file than --start-from"),
     ],
 )
 def test_errors_are_one_line(words, message, gestures, trained, program, tmp_path, monkeypatch):
@@ -91,6 +91,35 @@ def test_errors_are_one_line(words, message, gestures, trained, program, tmp_pat
     code, _, err = program("train", *(known.get(word, word) for word in words))
     assert code == 2 and message in err and err.count("\n") == 1, err
     assert not (tmp_path / "model.safetensors").exists() and not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--partial", "2"), "`partial` must be in [0, 1.0], got 2.0"),
+        (("--translate", "-1"), "`translate_px` must be "),
+        (("--validation", "1"), "must be in [0, 1), got 1.0"),
+        (("--groups", "("), "--groups must be a regular expression, got '('"),
+        (("--test",), "trials_to_test.txt; found neither"),
+        (("--run", "DATASET/runs"), "--run must lie outside of DATASET"),
+    ],
+)
+def test_options_are_refused_before_the_recordings_are_read(words, message, train, tmp_path, monkeypatch):
+    monkeypatch.setattr(train_data, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
+    folder = write_set(tmp_path / "set", {"upright": 1, "flat": 1})
+    code, err, _ = train(folder, *(word.replace("DATASET", str(folder)) for word in words))
+    assert code == 2 and message in err and err.count("\n") == 1, err
+
+
+def test_events_are_stored_on_the_disk_of_the_run(gestures, train, tmp_path, monkeypatch):
+    stores = []
+
+    def read(*given, store, **more):
+        stores.append(store)
+        raise ValueError("read enough")
+
+    monkeypatch.setattr(train_data, "dataset_data", read)
+    assert train(gestures)[0] == 2 and stores == [tmp_path]  # its folder is made when the training begins
 
 
 def test_ctrl_c_keeps_the_finished_epochs(gestures, train, monkeypatch):

@@ -64,6 +64,19 @@ for processor in processors:
         processor.push(packet)
     processor.fire(), processor.finish()
 """,
+    "a_trigger_or_a_classifier_is_set": """
+processors = [Processor(model) for model in MODELS.values() for settings in TRIGGERS]
+for processor, settings in zip(processors, TRIGGERS * len(MODELS)):
+    for name in settings.keys() - {"late"}:
+        setattr(processor, name, settings[name])
+other = Processor(TNTConfig(), classifier=lambda volume: [0.0], every_events=1)
+other.classifier = CompiledClassifier(MODELS["running"])
+before = compiled()
+for processor in (*processors, other):
+    for packet in (records, columns, (300_000, 1, 1, 1)):
+        processor.push(packet)
+    processor.fire(), processor.finish()
+""",
 }
 
 

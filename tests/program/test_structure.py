@@ -1,37 +1,23 @@
-"""The package is built in floors: a module imports modules of its own room and of lower floors, and nothing else."""
+"""The package is built in layers, which the table in ARCHITECTURE.md lists: imports point down this table."""
 
 import ast
+import re
 from pathlib import Path
 
 import async_tnt
 
-# from the ground up; ARCHITECTURE.md says what each room is for
-FLOORS = [
-    {"kernels", "checks", "decision", "files", "lazy_names", "process", "progress", "version"},
-    {"checked_tensors", "config", "event_forms"},
-    {"events", "networks", "triggers", "volume_state"},
-    {"compile_ahead", "replay_buffer", "representations", "sources"},
-    {"volume"},
-    {"window_classifier", "windows"},
-    {"processor"},
-    {"checking", "engines", "streams"},
-    {"archive", "views"},
-    {"simulation"},
-    {"resynthesis"},
-    {"training"},
-    {"cli"},
-]
-FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+TABLE = re.findall(r"^\| (`.*?) \|", (Path(__file__).parents[2] / "ARCHITECTURE.md").read_text(), re.MULTILINE)
+LAYERS = [Path(name).stem for row in TABLE for name in re.findall("`(.*?)`", row)]  # "async_tnt/cli/", "windows.py"
 
 PACKAGE = Path(async_tnt.__file__).parent
 SOURCES = {
     ".".join(("async_tnt", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__"): path
     for path in PACKAGE.rglob("*.py")
 }
-del SOURCES["async_tnt"]  # the public names of all floors: nothing inside imports it
+del SOURCES["async_tnt"]  # the public names of all layers: nothing inside imports it
 
 
-def room_of(module):
+def layer_of(module):
     return module.split(".")[1]
 
 
@@ -52,9 +38,11 @@ IMPORTS = {module: set(imports_of(path)) for module, path in SOURCES.items()}
 
 def test_imports_point_downwards():
     pairs = [(module, other) for module, names in IMPORTS.items() for other in names & SOURCES.keys()]
-    outwards = [pair for pair in pairs if room_of(pair[0]) != room_of(pair[1])]
+    helpers = {layer_of(module) for module in SOURCES} - set(LAYERS)  # which the page does not list
+    place = {layer: number for number, layer in enumerate(LAYERS)} | dict.fromkeys(helpers, len(LAYERS))
     assert not any("async_tnt" in names for names in IMPORTS.values())
-    assert [pair for pair in outwards if FLOOR[room_of(pair[0])] <= FLOOR[room_of(pair[1])]] == []
+    assert [(a, b) for a, b in pairs if layer_of(a) != layer_of(b) and place[layer_of(a)] > place[layer_of(b)]] == []
+    assert set(LAYERS) <= {layer_of(module) for module in SOURCES}
 
 
 def test_there_is_no_circle():
@@ -66,4 +54,4 @@ def test_there_is_no_circle():
 
 
 def test_the_command_line_alone_uses_argparse():
-    assert {room_of(module) for module in SOURCES if "argparse" in IMPORTS[module]} == {"cli"}
+    assert {layer_of(module) for module in SOURCES if "argparse" in IMPORTS[module]} == {"cli"}

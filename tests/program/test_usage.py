@@ -44,6 +44,9 @@ def test_help_has_a_description_and_options(command, capsys):
         ("run --confidence nan", "argument --confidence: must be a probability in (0, 1], got 'nan'"),
         ("run --activity 60:0", "must be two positive numbers, events:microseconds, such as 60:4000, got '60:0'"),
         ("run --activity nan:5", "must be two positive numbers, events:microseconds, such as 60:4000, got 'nan:5'"),
+        ("train --patience -1", "argument --patience: must be a whole number of at least 0, got '-1'"),
+        ("train --epochs 0", "argument --epochs: must be at least 1, got 0"),
+        ("run --landmark line", "async-tnt run: unrecognized arguments: --landmark (async-tnt run --help)"),
         ("run --roi 1,2,3", "must be four whole numbers X,Y,WIDTH,HEIGHT"),
     ],
 )

@@ -67,10 +67,12 @@ def test_what_came_before_an_error_is_kept(tmp_path, monkeypatch):
 
 
 READER = """
+import numpy as np
+
 def read(path):
     yield None
     for n in range(3):
-        yield memoryview(bytes([n]))
+        yield np.full((4, 1), n)
     raise KeyError("broken\\nat three")
 """
 
@@ -90,5 +92,6 @@ def test_the_alarm_is_set_while_a_file_is_read_and_not_while_the_parent_reads(tm
     monkeypatch.setattr(child_process.signal, "alarm", calls.append, raising=False)
     (tmp_path / "reader.py").write_text(READER)
     child_process.main(str(tmp_path / "reader.py"), "FILE", 7)
-    messages = [b"null", b"\x00", b"\x01", b"\x02", b"", b"'broken\\nat three'"]
+    events = [np.full(4, n, np.int64).tobytes() for n in range(3)]
+    messages = [b"null", *events, b"", b"'broken\\nat three'"]
     assert calls == [120, *[call for message in messages for call in (0, message, 120)]]

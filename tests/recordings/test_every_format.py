@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from numba import config
-from recordings.written import FORMATS, IN_CHILD, SENSOR, made_events, written
+from recordings.written import FORMATS, IN_CHILD, SENSOR, aedat2, aedat3, dat, evt2, evt3, evt21, made_events, written
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.nmnist import write_nmnist
@@ -96,13 +96,54 @@ def test_the_content_tells_the_format_where_suffixes_are_shared(tmp_path, name):
         np.testing.assert_array_equal(open_recording(renamed).read(), events)
 
 
+@pytest.mark.parametrize(
+    "line", ["# created by J\xfcrg M\xfcller, Z\xfcrich: none but these letters is not ASCII", "# of a camera with a\xa0name"]
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_a_header_in_another_encoding(tmp_path, line, encoding):
+    """jAER writes that of its system."""
+    events = made_events(50, sensor=SMALL)
+    first, rest = aedat2(events, SMALL, "").split(b"\r\n", 1)
+    (tmp_path / "a.aedat").write_bytes(b"\r\n".join([first, line.encode(encoding), rest]))
+    np.testing.assert_array_equal(open_recording(tmp_path / "a.aedat").read(), events)
+
+
+SMALL = (128, 128)
+CLOCKS = [
+    ("a.dat", dat, 1 << 32),
+    ("a.raw", evt2, 1 << 34),
+    ("a.raw", evt21, 1 << 34),
+    ("a.raw", evt3, 1 << 24),
+    ("a.aedat", lambda events: aedat2(events, SMALL, ""), 1 << 32),
+    ("a.aedat", aedat3, 1 << 31),
+]
+
+
+@pytest.mark.parametrize(("name", "make", "period_us"), CLOCKS)
+def test_times_go_on_through_wraps_pauses_and_disorder(tmp_path, name, make, period_us):
+    wraps = made_events(1_000, sensor=SMALL, step_us=period_us // 200, start_us=period_us // 2)
+    assert wraps["t"][-1] > 2 * period_us
+    late = made_events(400, sensor=SMALL, step_us=10_000, start_us=period_us - 1_000_000)
+    late["t"][::7] -= 40_000
+    late = late[1:]
+    assert late["t"][0] < period_us < late["t"][-1]
+    pauses = []
+    for start in (0.1, 0.3, 0.7):  # of less than half a period
+        pauses.append(made_events(100, sensor=SMALL, step_us=50, start_us=int(start * period_us)))
+        pauses[-1]["t"][50:] += int(0.45 * period_us)
+    path = tmp_path / name
+    for events in (wraps, late, *pauses):
+        path.write_bytes(make(events))
+        np.testing.assert_array_equal(open_recording(path).read(), events)
+
+
 N_LONG = 1_000_000
 N_BLOCK = 100_000
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="a million events in Python take minutes")
 @pytest.mark.parametrize(
-    "name", ["plain.csv", "v2.dat", "evt3.raw", "records.npy", "dvs128.aedat", "dv.aedat4", "dsec.h5"]
+    "name", ["plain.csv", "v2.dat", "evt3.raw", "records.npy", "dvs128.aedat", "caer.aedat", "dv.aedat4", "dsec.h5"]
 )
 def test_memory_does_not_grow_with_the_file(tmp_path, name):
     """The same events ten times over: a million different ones take longer to write than to read."""

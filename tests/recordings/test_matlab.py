@@ -39,8 +39,8 @@ def test_other_variables_are_refused(tmp_path, variables, message):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (0.5, "t must be whole numbers, got 0.5"),
-        (np.nan, "t must be whole numbers, got nan"),
+        (0.5, "after event 3: t must be whole numbers, got 0.5"),
+        (np.nan, "after event 3: t must be whole numbers, got nan"),
         (1e300, r"event 3: t = -46\d+, x = "),
         (-3.0, "event 3: t = -3, x = "),
     ],
@@ -48,7 +48,29 @@ def test_other_variables_are_refused(tmp_path, variables, message):
 def test_times_that_cannot_be_are_damage(tmp_path, value, message):
     io.savemat(tmp_path / "a.mat", COLUMNS | {"t": np.array([*EVENTS["t"][:3], value, 9e5])})
     with pytest.warns(DamagedRecording, match=message):
-        open_recording(tmp_path / "a.mat").read()
+        np.testing.assert_array_equal(open_recording(tmp_path / "a.mat").read(), EVENTS[:3])
+
+
+def test_an_empty_array_of_version_7_3_has_no_events(tmp_path):
+    """MATLAB writes its dimensions in the place of values."""
+    h5py = pytest.importorskip("h5py", reason="MATLAB 7.3 files need h5py")
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        for name in ("t", "x", "y", "p"):
+            file[name] = np.zeros(2, np.uint64)
+            file[name].attrs["MATLAB_empty"] = np.uint8(1)
+    with (tmp_path / "a.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file")
+    assert open_recording(tmp_path / "a.mat").n_events == 0
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_file_that_is_cut_off_is_called_so(tmp_path, compressed):
+    io.savemat(tmp_path / "a.mat", COLUMNS, do_compression=compressed)
+    data = (tmp_path / "a.mat").read_bytes()
+    for n_missing in (1, len(data) // 3):
+        (tmp_path / "a.mat").write_bytes(data[:-n_missing])
+        with pytest.raises(ValueError, match="it is cut off: a variable's last"):
+            open_recording(tmp_path / "a.mat")
 
 
 def test_polarity_is_of_one_kind(tmp_path):

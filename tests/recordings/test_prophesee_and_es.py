@@ -1,8 +1,8 @@
-"""Prophesee's formats and Event Stream: words by hand, words of other kinds, and clocks that wrap."""
+"""Prophesee's formats and Event Stream: words by hand, and words of other kinds."""
 
 import numpy as np
 import pytest
-from recordings.written import SENSOR, by_faery, dat, evt2, evt3, evt21, evt_header, made_events
+from recordings.written import SENSOR, by_faery, evt2, evt3, evt21, evt_header, made_events
 
 from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21, unwrap_times
 from async_tnt.sources.files.recording import open_recording
@@ -125,25 +125,6 @@ def test_atis_events_of_changing_light_by_hand(tmp_path):
     pixel = np.array([4, 0], "<u2").tobytes()  # y = 0 is the lowest row
     body = b"\xfd\xfe" + bytes([5 << 2 | 2]) + pixel + bytes([1 << 2 | 1]) + pixel + bytes([1 << 2]) + pixel
     assert read(tmp_path / "a.es", header + body).tolist() == [(194, 4, 239, 1), (196, 4, 239, 0)]
-
-
-CLOCKS = [("a.dat", dat, 1 << 32), ("a.raw", evt2, 1 << 34), ("a.raw", evt21, 1 << 34), ("a.raw", evt3, 1 << 24)]
-
-
-@pytest.mark.parametrize(("name", "make", "period_us"), CLOCKS)
-def test_times_go_on_through_wraps_pauses_and_disorder(tmp_path, name, make, period_us):
-    wraps = made_events(1_000, step_us=period_us // 200, start_us=period_us // 2)
-    assert wraps["t"][-1] > 2 * period_us
-    late = made_events(400, step_us=10_000, start_us=period_us - 1_000_000)
-    late["t"][::7] -= 40_000
-    late = late[1:]
-    assert late["t"][0] < period_us < late["t"][-1]
-    pauses = []
-    for start in (0.1, 0.3, 0.7):  # of less than half a period
-        pauses.append(made_events(100, step_us=50, start_us=int(start * period_us)))
-        pauses[-1]["t"][50:] += int(0.45 * period_us)
-    for events in (wraps, late, *pauses):
-        np.testing.assert_array_equal(read(tmp_path / name, make(events)), events)
 
 
 def test_unwrapped_by_hand():

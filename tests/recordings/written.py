@@ -5,6 +5,7 @@ Nothing here is taken from the readers: no test would see a mistake that both si
 
 import struct
 from collections.abc import Callable
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -131,12 +132,8 @@ def aedat2(events, sensor, chip):
 def aedat3(events, sensor=(240, 180)):
     """Packets of five polarity events and one that is not valid, and packets of special events between."""
     out = [b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"]
-    rows = events.tolist()
-    for first in range(0, len(rows), 5):
-        packet = rows[first : first + 5]
-        overflows = packet[0][0] >> 31
-        packet = [row for row in packet if row[0] >> 31 == overflows]
-        assert len(packet) == len(rows[first : first + 5])
+    for (_, overflows), rows in groupby(enumerate(events.tolist()), key=lambda row: (row[0] // 5, row[1][0] >> 31)):
+        packet = [row for _, row in rows]
         n = len(packet) + 1
         out.append(struct.pack("<hhiiiiii", 1, 1, 8, 4, overflows, n, n, n - 1))
         out += [struct.pack("<II", x << 17 | y << 2 | p << 1 | 1, t & 0x7FFFFFFF) for t, x, y, p in packet]

@@ -73,12 +73,21 @@ def test_states_of_earlier_versions(landmark, settings):
 # -- what is refused -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("change", [{"config": CONFIG.replace(bins=3)}, {"hop_us": None}, {"late": "drop"}], ids=str)
-def test_another_configuration_or_other_settings(change):
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"config": CONFIG.replace(bins=3)}, r"bins = 9 \(here 3\)"),
+        ({"config": CONFIG.replace(representation="count", bins=1)}, r".*representation = None \(here 'count'\)"),
+        ({"hop_us": None}, r"hop_us = 500 \(here 1000\)"),
+        ({"late": "drop"}, r"late = 'accept' \(here 'drop'\)"),
+    ],
+    ids=str,
+)
+def test_another_configuration_or_other_settings(change, message):
     state = processor(hop_us=500).save_state()
     other = processor(**{"hop_us": 500, **change})
     other.push(at([5]))
-    with pytest.raises(ValueError, match=f"`state` is of another processor, with {next(iter(change))} = "):
+    with pytest.raises(ValueError, match=f"`state` is of another processor, with {message}$"):
         other.restore_state(state)
     assert other.counts.received == 1
 

@@ -29,6 +29,9 @@ def test_a_table_names_files_alone_or_with_their_class(tmp_path):
     assert groups_by_table(["wave/1.npz", "clap/2.npz"], path) == ["ana", "bo"]
     with pytest.raises(ValueError, match=r"groups.csv: every recording must have a group, clap/1.npz has none"):
         groups_by_table(["wave/1.npz", "clap/1.npz"], path)
+    path.write_text("recording,group\n1.npz,\n")
+    with pytest.raises(ValueError, match=r"groups.csv: every recording must have a group, wave/1.npz has none"):
+        groups_by_table(["wave/1.npz"], path)
     path.write_text("recording,group\n1.npz,a\n1.npz,b\n")
     with pytest.raises(ValueError, match=r"line 3: 1.npz is in groups a and b"):
         groups_by_table(["wave/1.npz"], path)
@@ -42,7 +45,7 @@ def test_a_table_names_files_alone_or_with_their_class(tmp_path):
 
 def test_of_numbered_recordings_the_last_are_held_out():
     names = [f"car/obj_{99 - k}_td.dat" for k in range(100)]
-    names += ["road/7.npy", "road/30.npy", "road/8.npy", "sky/1.npy"]
+    names += ["road/7.npy", "road/30.npy", "road/8.npy", "sky/blue.npy"]  # a single one needs no number
     labels = np.array([0] * 100 + [1] * 3 + [2])
     train, held_out = hold_out_last(names, labels, 0.2)
     assert sorted([*train, *held_out]) == list(range(104))
@@ -50,7 +53,7 @@ def test_of_numbered_recordings_the_last_are_held_out():
     assert {names[r] for r in held_out} == expected
     assert len(hold_out_last(names, labels, 0)[1]) == 0
     assert hold_out_last(["a/left.npy", "a/right.npy"], np.zeros(2, int), 0.2) is None
-    assert hold_out_last(["a/one.npy", "b/1.npy"], np.arange(2), 0.2) is None
+    assert hold_out_last(["a/one.npy", "a/2.npy", "b/1.npy"], np.array([0, 0, 1]), 0.2) is None
     users = [f"a/user{u}_{k}.npy" for k in range(20) for u in (10, 9)]  # by user, then by number
     assert {users[r] for r in hold_out_last(users, np.zeros(40, int), 0.1)[1]} == {
         f"a/user10_{k}.npy" for k in range(16, 20)

@@ -204,17 +204,21 @@ def test_the_rate_rises_for_a_twentieth_of_the_steps_and_falls_to_zero():
 
 
 @pytest.mark.parametrize(
-    ("windows", "resynthesized", "expected"),
+    ("windows", "more", "expected"),
     [
-        (100_000, False, (64, 30, None)),
-        (1000, False, (31, 46, None)),  # 33 steps an epoch, 1,500 at least
-        (10, False, (8, 750, None)),
-        (1000, True, (31, 182, 36)),  # 6,000 at least, a fifth without a lower loss
+        (100_000, {}, (64, 30, None)),
+        (1000, {}, (31, 46, None)),  # 33 steps an epoch, 1,500 at least
+        (10, {}, (8, 750, None)),
+        (9, {}, (8, 1500, None)),  # one step: a last window alone is left out
+        (1000, {"resynthesized": True}, (31, 182, 36)),  # 6,000 at least, a fifth without a lower loss
+        (1000, {"resynthesized": True, "iterations": 3300}, (31, 182, 20)),  # of a hundred epochs
+        (1000, {"resynthesized": True, "patience": 0}, (31, 182, None)),
     ],
 )
-def test_how_long_data_sets_are_trained_on(windows, resynthesized, expected):
-    settings = settings_for(CONFIG, windows, 5, resynthesized=resynthesized)
+def test_how_long_data_sets_are_trained_on(windows, more, expected):
+    settings = settings_for(CONFIG, windows, 5, **more)
     assert (settings.batch, settings.epochs, settings.patience) == expected
+    assert settings.n_iterations(windows) >= (6000 if more else 1500) or settings.iterations
 
 
 def test_evaluation_by_hand():

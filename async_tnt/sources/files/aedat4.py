@@ -8,11 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
 
 def read(path: str) -> Iterator[Any]:
-    """The sensor, then blocks of events, int64 of shape (4, n)."""
+    """The sensor, then blocks of events, as columns t, x, y, p."""
     from faery.extension import aedat
 
     decoder = aedat.Decoder(path)
@@ -24,5 +22,4 @@ def read(path: str) -> Iterator[Any]:
     yield None if track.dimensions is None else [int(side) for side in track.dimensions]
     for found, packet in decoder:
         if found.id == track.id and found.data_type == "events" and len(packet):
-            # a time beyond int64 turns negative, and so invalid
-            yield np.array([packet[name].astype(np.int64) for name in ("t", "x", "y", "on")])
+            yield [packet[name] for name in ("t", "x", "y", "on")]

@@ -1,7 +1,7 @@
 """The child of a `ChildSource`: `python child_process.py READER FILE PIPE` sends what a reader reads from a file.
 
 A reader is a script beside this one. Its `read(path)` yields the sensor, (width, height) or None, then blocks of
-events, int64 of shape (4, n): t, x, y, p. It raises an exception where the file cannot be read on.
+events, each as four columns of numbers: t, x, y, p. It raises an exception where the file cannot be read on.
 """
 
 from __future__ import annotations
@@ -10,9 +10,12 @@ import json
 import runpy
 import signal
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing import connection
 from pathlib import Path
+
+import numpy as np
 
 READ_S = 120  # a block takes milliseconds, but a disk may sleep
 MAX_BYTES = 4 << 30  # of addresses; a block takes megabytes, but a damaged file may ask for anything
@@ -35,14 +38,37 @@ def main(reader: str, path: str, pipe: int) -> None:
         try:
             messages = runpy.run_path(str(Path(__file__).parent / reader))["read"](path)
             send(json.dumps(next(messages)).encode())
-            for block in messages:
+            for columns in messages:
+                block, problem = whole_numbers(columns)
                 send(block.tobytes())
+                if problem:
+                    break
         except BrokenPipeError:
             raise
         except BaseException as error:  # a panic in Rust derives from BaseException alone
             problem = " ".join(str(error).split())[:300] or type(error).__name__
         send(b"")
         send(problem.encode())
+
+
+def whole_numbers(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:
+    """The events before the first number that is not whole, and what that is ("": all are whole).
+
+    Returns
+    -------
+    int64 of shape (4, n). What does not fit becomes negative, and so an invalid event.
+    """
+    n, problem = len(columns[0]), ""
+    block = np.empty((len(columns), n), np.int64)
+    for row, name, column in zip(block, "txyp", columns, strict=True):
+        if column.dtype.kind == "f":
+            odd = column[:n] != np.floor(column[:n])  # nan, too
+            if odd.any():
+                n = int(np.argmax(odd))
+                problem = f"{name} must be whole numbers, got {column[n]}"
+            column = np.where(np.abs(column) < 2.0**62, column, -(2.0**62))
+        row[:] = column
+    return block[:, :n], problem
 
 
 def _alarm(seconds: int) -> None:

@@ -33,35 +33,24 @@ PLUGIN_HINT = "pip install hdf5plugin, or let HDF5_PLUGIN_PATH name the plugin's
 
 
 def read(path: str) -> Iterator[Any]:
-    """The sensor, then blocks of events, int64 of shape (4, n)."""
+    """The sensor, then blocks of events, as columns t, x, y, p."""
     import h5py
 
     with h5py.File(path, "r") as file:
         sets, offset_us = _layout(h5py, file)
         yield _geometry(file) if len(sets) == 1 else None
-        n_events = sets[0].size
+        n_events = _size(sets[0])
         rows = [_Rows(data) for data in sets]
         for start in range(0, n_events, BLOCK_EVENTS):
             columns = [each.read(start, min(start + BLOCK_EVENTS, n_events)) for each in rows]
             if len(columns) == 1:
                 columns = [columns[0][name] for name in COLUMNS]
-            block = np.array([_whole(column) for column in columns])
-            if (
-                columns[0].dtype.kind == "u"
-            ):  # beyond int64: with the offset, too, it must stay negative, and so invalid
-                block[0, block[0] < 0] = -1 - abs(offset_us)
-            block[0] += offset_us
-            yield block
-
-
-def _whole(column: Any) -> Any:
-    """int64; of MATLAB's doubles, what does not fit becomes negative, and so an invalid event."""
-    if column.dtype.kind == "f":
-        odd = column != np.floor(column)  # nan, too
-        if odd.any():
-            raise ValueError(f"events must be whole numbers, got {column[odd][0]}")
-        column = np.where(np.abs(column) < 2.0**62, column, -(2.0**62))
-    return column.astype(np.int64)
+            if offset_us:
+                t = columns[0].astype(np.int64)
+                if columns[0].dtype.kind == "u":  # beyond int64: with the offset, too, it must stay negative
+                    t[t < 0] = -1 - abs(offset_us)
+                columns[0] = t + offset_us
+            yield columns
 
 
 class _Rows:
@@ -120,7 +109,7 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
     is_matlab = what == "x, y, t, p"
     shapes = {data.shape for data in sets}
     vectors = all(len(shape) == 1 or (is_matlab and len(shape) == 2 and 1 in shape) for shape in shapes)
-    if not vectors or len({data.size for data in sets}) != 1:
+    if not vectors or len({_size(data) for data in sets}) != 1:
         raise ValueError(f"{what} must have one dimension and equal lengths, got {sorted(shapes)}")
     types = [data.dtype for data in sets]
     if len(sets) == 1:
@@ -134,6 +123,11 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
         _check_filters(h5py, data)
         _check_complete(data)
     return sets, offset_us
+
+
+def _size(data: Any) -> int:
+    """Events in a data set. MATLAB writes an empty array as its dimensions, and says so."""
+    return 0 if data.attrs.get("MATLAB_empty") else data.size
 
 
 def _matlab(h5py: Any, file: Any) -> list[Any]:

@@ -1,13 +1,14 @@
 """Reads a MATLAB file (`.mat`) up to version 7 with SciPy, in the process of `child_process.py`; `hdf5.py` reads 7.3.
 
 Events are vectors of equal length named x, y, t (or ts) and p (or pol), as ASL-DVS has them, or fields of one
-structure, as the AER functions for MATLAB have them. They may be doubles, as MATLAB's numbers are, if they are whole.
-Other variables are not read.
+structure, as the AER functions for MATLAB have them. Other variables are not read.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Collection, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,10 @@ BLOCK_EVENTS = 1 << 16
 
 
 def read(path: str) -> Iterator[Any]:
-    """The sensor, which no variable states; then blocks of events, int64 of shape (4, n)."""
+    """The sensor, which no variable states; then blocks of events, as columns t, x, y, p."""
     from scipy.io import loadmat, whosmat
 
+    _check_complete(Path(path))
     found = [(name, kind) for name, _, kind in whosmat(path) if name.isidentifier()]
     structures = [name for name, kind in found if kind == "struct"]
     if names := _names_in([name for name, _ in found]):
@@ -35,7 +37,18 @@ def read(path: str) -> Iterator[Any]:
         raise ValueError(f"{', '.join(names)} must have equal lengths, got {[len(column) for column in columns]}")
     yield None
     for start in range(0, len(columns[0]), BLOCK_EVENTS):
-        yield np.array([_whole(name, c[start : start + BLOCK_EVENTS]) for name, c in zip(names, columns, strict=True)])
+        yield [column[start : start + BLOCK_EVENTS] for column in columns]
+
+
+def _check_complete(path: Path) -> None:
+    """SciPy takes the end of the file for that of the variables."""
+    with path.open("rb") as file:
+        order = {b"IM": "<", b"MI": ">"}.get(file.read(128)[126:])  # none before version 5
+        while order and (tag := file.read(8)):
+            kind, n_bytes = struct.unpack(order + "II", tag.ljust(8, b"\0"))
+            missing = file.seek(0 if kind >> 16 else n_bytes, 1) - path.stat().st_size  # a small one is in its tag
+            if len(tag) < 8 or missing > 0:
+                raise ValueError(f"it is cut off: a variable's last {max(missing, 8 - len(tag))} bytes are missing")
 
 
 def _names_in(names: Collection[str]) -> list[str]:
@@ -58,13 +71,3 @@ def _column(name: str, array: Any) -> np.ndarray:
     if array.dtype.kind not in "iufb" or array.size not in (0, max(array.shape, default=1)):
         raise ValueError(f"{name} must be a vector of numbers, got {array.dtype} of shape {array.shape}")
     return array.reshape(-1)
-
-
-def _whole(name: str, values: np.ndarray) -> np.ndarray:
-    """int64; what does not fit becomes negative, and so an invalid event."""
-    if values.dtype.kind == "f":
-        odd = values != np.floor(values)  # nan, too
-        if odd.any():
-            raise ValueError(f"{name} must be whole numbers, got {values[odd][0]}")
-        return np.where(np.abs(values) < 2.0**62, values, -(2.0**62)).astype(np.int64)
-    return values.astype(np.int64)
