@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made import random_events
 
 import async_tnt
 from async_tnt.sources import open_recording, sample_recordings
+from async_tnt.sources.labelled_recordings import find_recordings
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -17,8 +19,9 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 def lines_of(tmp_path, monkeypatch, capsys):
     """What an example prints."""
 
-    def run(name):
+    def run(name, *words):
         monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr("sys.argv", [name, *words])
         capsys.readouterr()
         runpy.run_path(str(EXAMPLES / name), run_name="__main__")
         return capsys.readouterr().out.splitlines()
@@ -68,3 +71,20 @@ def test_stream_equals_batch(lines_of):
     assert events.startswith(f"{n} events, one by one and at once")
     largest, difference, n_cells = re.findall(r"\d[\d.e+-]*", cells)
     assert float(difference) <= 1e-6 * float(largest) and float(largest) > 1 and int(n_cells) > 1000
+
+
+def test_hots_characters(lines_of, tmp_path):
+    io = pytest.importorskip("scipy.io", reason="MATLAB files need SciPy")
+    made = [random_events(9 + k, seed=k, duration_us=100_000, sensor=(32, 32)) for k in range(40)]
+    cells = np.empty((1, len(made)), object)
+    for k, e in enumerate(made):
+        x, y, p = (e[name].astype(np.int16) for name in "xyp")
+        cells[0, k] = {"x": x[None] + 1, "y": y[None] + 1, "p": 2 * p[None] - 1, "ts": e["t"][None].astype(np.int32)}
+    io.savemat(tmp_path / "made.mat", {"ROI": cells})
+    assert lines_of("hots_characters.py", "made.mat", "out") == ["40 recordings of 36 characters in out"]
+    train, test = (find_recordings(tmp_path / "out", part) for part in ("Train", "Test"))
+    assert sorted(train) == sorted("0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ") and sorted(test) == ["F", "G", "X", "Y"]
+    for one in (one for part in (train, test) for some in part.values() for one in some):
+        recording = open_recording(one.path)
+        assert recording.sensor == (32, 32)
+        np.testing.assert_array_equal(recording.read(), made[int(one.path.stem)])
