@@ -158,7 +158,7 @@ def _connected(address: str) -> Iterator[Any]:
         async with rpc(address) as scheduler:
             await scheduler.identity()
 
-    logging.disable()  # errors become one line of ours; Dask would log them too, with their tracebacks
+    logging.disable()  # errors become a one-line message; Dask would log them too, with their tracebacks
     try:
         try:
             # `Client` has a timeout of its own, but waits forever for a server that accepts and does not answer

@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     if args.out is not None:
-        from async_tnt.cli.archives import run_archive  # here, as other runs shall not wait for its imports
+        from async_tnt.cli.archives import run_archive  # here, so that other runs do not wait for its imports
 
         return run_archive(args)
     check_no_archive(args)

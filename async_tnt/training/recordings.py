@@ -103,7 +103,7 @@ class RecordingsWriter:
 
         Raises
         ------
-        ValueError : times decrease or do not fit 31 bits (36 minutes).
+        ValueError : times decrease or do not fit 31 bits (35 minutes).
         """
         t = events["t"]
         if len(t) and not (t[0] >= 0 and t[-1] < 1 << 31 and (np.diff(t) >= 0).all()):

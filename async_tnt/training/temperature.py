@@ -27,7 +27,7 @@ HALVINGS = 60
 
 
 def fit_temperature(probabilities: np.ndarray, labels: np.ndarray) -> float:
-    """T.
+    """The temperature T that gives these windows the smallest loss.
 
     Parameters
     ----------
