@@ -1,6 +1,9 @@
 """Files that are read in a child process: what it sends, and what happens if it is missing, crashes, hangs or lies."""
 
+import io
+import json
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +33,7 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, name, 
 def test_a_child_that_hangs_or_dies_is_damage(tmp_path, monkeypatch, program):
     """HDF5 reads some damaged attributes forever, and faery can run out of memory."""
     recording = open_recording(written(tmp_path / "dv.aedat4", made_events(50)))
+    child_source._end_idle()
     script = tmp_path / "program.sh"
     script.write_text(f"#!/bin/sh\n{program}\n")
     script.chmod(0o755)
@@ -44,7 +48,8 @@ def test_a_child_that_hangs_or_dies_is_damage(tmp_path, monkeypatch, program):
 def sent(monkeypatch, tmp_path, *messages):
     """The recording of a child that sends these messages."""
     monkeypatch.setattr(child_source, "find_spec", lambda name: True)
-    monkeypatch.setattr(child_source.ChildSource, "_messages", lambda source: (message for message in messages))
+    answers = {"open": messages[:1], "read": messages[1:]}
+    monkeypatch.setattr(child_source.Child, "ask", lambda child, what, *more: iter(answers[what]))
     (tmp_path / "a.aedat4").write_bytes(b"#!AER-DAT4.0\r\n")
     return open_recording(tmp_path / "a.aedat4")
 
@@ -90,8 +95,42 @@ def test_the_alarm_is_set_while_a_file_is_read_and_not_while_the_parent_reads(tm
     monkeypatch.setattr(child_process.connection, "Connection", Sender)
     monkeypatch.setattr(child_process, "_limit_memory", lambda: None)
     monkeypatch.setattr(child_process.signal, "alarm", calls.append, raising=False)
+    monkeypatch.setattr(child_process.signal, "signal", lambda *given: None)
     (tmp_path / "reader.py").write_text(READER)
-    child_process.main(str(tmp_path / "reader.py"), "FILE", 7)
+    commands = ["open", str(tmp_path / "reader.py"), "FILE"], ["read"]
+    lines = io.BytesIO(b"".join(json.dumps(command).encode() + b"\n" for command in commands))
+    monkeypatch.setattr(child_process.sys, "stdin", SimpleNamespace(buffer=lines))
+    child_process.main(7)
     events = [np.full(4, n, np.int64).tobytes() for n in range(3)]
-    messages = [b"null", *events, b"", b"'broken\\nat three'"]
-    assert calls == [120, *[call for message in messages for call in (0, message, 120)]]
+    answers = [b"null", b"", b""], [*events, b"", b"'broken\\nat three'"]
+    assert calls == [
+        call for answer in answers for call in (120, *(c for message in answer for c in (0, message, 120)), 0)
+    ]
+
+
+def test_a_child_reads_the_next_file_unless_there_was_damage(tmp_path):
+    """And each file as often as asked, whichever was opened last."""
+    paths = [
+        written(tmp_path / "dv.aedat4", made_events(50, seed=k)).rename(tmp_path / f"{k}.aedat4") for k in range(3)
+    ]
+    child_source._end_idle()
+    recordings = [open_recording(path) for path in paths]
+    (first,) = child_source._idle.values()
+    for k in (2, 0, 1, 1):
+        np.testing.assert_array_equal(recordings[k].read(), made_events(50, seed=k))
+    assert child_source._idle[os.getpid()] is first
+    for k, packets in enumerate(zip(*recordings, strict=True)):  # at the same time
+        assert k == 0 and [len(packet) for packet in packets] == [50] * 3
+    kept = child_source._idle[os.getpid()]
+    next(recordings[0]._source.blocks())  # not to its end
+    assert not kept.is_alive and not child_source._idle
+    np.testing.assert_array_equal(recordings[0].read(), made_events(50, seed=0))
+    kept = child_source._idle[os.getpid()]
+    (tmp_path / "torn.aedat4").write_bytes(paths[0].read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"torn.aedat4: not a readable AEDAT4 file"):
+        open_recording(tmp_path / "torn.aedat4")
+    assert not kept.is_alive
+    recordings[0].read()
+    child_source._idle[os.getpid()]._process.kill()  # as a system without memory does
+    child_source._idle[os.getpid()]._process.wait()
+    np.testing.assert_array_equal(recordings[1].read(), made_events(50, seed=1))

@@ -1,4 +1,4 @@
-"""The child of a `ChildSource`: `python child_process.py READER FILE PIPE` sends what a reader reads from a file.
+"""The child of a `ChildSource`: `python child_process.py PIPE` reads files as the commands in its standard input say.
 
 A reader is a script beside this one. Its `read(path)` yields the sensor, (width, height) or None, then blocks of
 events, each as four columns of numbers: t, x, y, p. It raises an exception where the file cannot be read on.
@@ -10,10 +10,11 @@ import json
 import runpy
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from multiprocessing import connection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,9 +22,10 @@ READ_S = 120  # a block takes milliseconds, but a disk may sleep
 MAX_BYTES = 4 << 30  # of addresses; a block takes megabytes, but a damaged file may ask for anything
 
 
-def main(reader: str, path: str, pipe: int) -> None:
-    """Send the messages that `child_source.py` describes."""
+def main(pipe: int) -> None:
+    """Answer commands by the messages that `child_source.py` describes, until there are no more."""
     _limit_memory()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this process
     # on Windows, pipes have a class of their own
     sender = getattr(connection, "PipeConnection", connection.Connection)(pipe, readable=False)
 
@@ -32,23 +34,28 @@ def main(reader: str, path: str, pipe: int) -> None:
         sender.send_bytes(message)
         _alarm(READ_S)
 
-    _alarm(READ_S)
-    problem = ""
-    with suppress(BrokenPipeError):  # the parent has read enough
+    blocks: Iterator[Any] = iter(())
+    for line in sys.stdin.buffer:
+        _alarm(READ_S)
+        problem = ""
         try:
-            messages = runpy.run_path(str(Path(__file__).parent / reader))["read"](path)
-            send(json.dumps(next(messages)).encode())
-            for columns in messages:
-                block, problem = whole_numbers(columns)
-                send(block.tobytes())
-                if problem:
-                    break
-        except BrokenPipeError:
-            raise
+            match json.loads(line):
+                case ["open", reader, path]:
+                    blocks = runpy.run_path(str(Path(__file__).parent / reader))["read"](path)
+                    send(json.dumps(next(blocks)).encode())
+                case ["read"]:
+                    for columns in blocks:
+                        block, problem = whole_numbers(columns)
+                        send(block.tobytes())
+                        if problem:
+                            break
+        except BrokenPipeError:  # the parent has read enough
+            return
         except BaseException as error:  # a panic in Rust derives from BaseException alone
             problem = " ".join(str(error).split())[:300] or type(error).__name__
         send(b"")
         send(problem.encode())
+        _alarm(0)
 
 
 def whole_numbers(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:
@@ -85,4 +92,4 @@ def _limit_memory() -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2], int(sys.argv[3]))
+    main(int(sys.argv[1]))

@@ -1,24 +1,26 @@
 """AEDAT4, HDF5 and MATLAB files, read in a child process, because a damaged file can crash or hang their libraries.
 
-faery panics on a damaged AEDAT4 file or asks for so much memory that its process is aborted; Blosc's decoder can crash
-on a damaged HDF5 file, and HDF5 itself can read one forever. So `child_process.py` runs one of the readers beside this
-file, `aedat4.py`, `hdf5.py` or `mat5.py`, and sends what it reads through a pipe, as messages:
+faery panics on a damaged AEDAT4 file or asks for so much memory that its process is aborted; SciPy and Blosc's decoder
+can crash on a damaged file, and HDF5 itself can read one forever. So `child_process.py` runs one of the readers beside
+this file, `aedat4.py`, `hdf5.py` or `mat5.py`. Commands are lines of JSON in its standard input:
 
-    the sensor           JSON: [width, height] or null
-    a block of events    its columns t, x, y, p: four rows of int64; any number of such messages
-    the end              an empty message, then why the file cannot be read on, or another empty one
+    ["open", READER, PATH]   it sends the sensor, as JSON: [width, height] or null
+    ["read"]                 it sends the events of that file, in blocks: columns t, x, y, p as four rows of int64
 
-The child is killed after a minute of silence. It imports nothing from this package, which would take a second.
+Each answer ends with an empty message, then why the file cannot be read on, or another empty one. The child is killed
+after a minute of silence, and where it is not left at the end of a file without damage; else it reads the next file,
+as to start it takes longer than to read a short one. It imports nothing from this package, which would take a second.
 """
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Generator, Iterable, Iterator
-from contextlib import closing
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -46,57 +48,107 @@ class ChildSource(Source):
         self.path = path
         self._reader = reader
         path.open("rb").close()  # raises the OSError of a missing file
-        with closing(self._messages()) as messages:
-            sensor = next(messages, STOPPED)
-        if isinstance(sensor, str):
-            raise ValueError(f"{path}: not a readable {format} file: {sensor}")
+        with _child() as child:
+            sensor, *problem = self._open(child)
+            if problem or isinstance(sensor, str):
+                raise ValueError(f"{path}: not a readable {format} file: {(sensor, *problem)[-1]!s}")
         self.sensor = None if (sides := json.loads(sensor)) is None else (sides[0], sides[1])
 
     def blocks(self) -> Iterator[np.ndarray]:
-        with closing(self._messages()) as messages:
-            yield from valid_blocks(_columns(messages))
+        with _child() as child:
+            if child.opened is not self and isinstance(problem := self._open(child)[-1], str):
+                raise CorruptData(f"after event 0: {problem}")
+            child.opened = None
+            yield from valid_blocks(_columns(child.ask("read")))
 
-    def _messages(self) -> Generator[bytes | str, None, None]:
-        """The messages of a new child up to the end; then, if the file could not be read on, a str that says why."""
+    def _open(self, child: Child) -> list[bytes | str]:
+        child.opened = self
+        return list(child.ask("open", self._reader, str(self.path)))
+
+
+class Child:
+    """A process that reads one file after another."""
+
+    opened: ChildSource | None = None
+    """What it can read now."""
+
+    def __init__(self) -> None:
         from multiprocessing.connection import Pipe  # 15 ms that other formats need not wait for
 
-        receiver, sender = Pipe(duplex=False)
-        script = Path(__file__).with_name("child_process.py")
-        with receiver, sender:
-            process = subprocess.Popen(
-                [sys.executable, "-P", str(script), self._reader, str(self.path), str(sender.fileno())],
-                stdin=subprocess.DEVNULL,
+        self._receiver, sender = Pipe(duplex=False)
+        with sender:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", str(Path(__file__).with_name("child_process.py")), str(sender.fileno())],
+                stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "RUST_BACKTRACE": "0"},
                 **_inherited(sender.fileno()),
             )
-            sender.close()
-            try:
-                while receiver.poll(SILENCE_S):
-                    if message := receiver.recv_bytes(MAX_MESSAGE_BYTES):
-                        yield message
-                    else:
-                        if error := receiver.recv_bytes(MAX_MESSAGE_BYTES):
-                            yield error.decode()
-                        return
-                yield STOPPED
-            except (EOFError, OSError):
-                yield STOPPED
-            finally:
-                process.kill()
-                process.wait()
+
+    @property
+    def is_alive(self) -> bool:
+        return self._process.poll() is None
+
+    def ask(self, *command: str) -> Iterator[bytes | str]:
+        """The messages of its answer; then, if the file could not be read on, a str that says why."""
+        assert self._process.stdin is not None  # for mypy: it is a pipe
+        try:
+            self._process.stdin.write(json.dumps(command).encode() + b"\n")
+            self._process.stdin.flush()
+            while self._receiver.poll(SILENCE_S):
+                if message := self._receiver.recv_bytes(MAX_MESSAGE_BYTES):
+                    yield message
+                else:
+                    if error := self._receiver.recv_bytes(MAX_MESSAGE_BYTES):
+                        yield error.decode()
+                    return
+            yield STOPPED
+        except (EOFError, OSError):
+            yield STOPPED
+
+    def end(self) -> None:
+        """Kill it."""
+        self._process.kill()
+        with suppress(OSError):  # a command that it has not read
+            self._process.communicate()
+        self._receiver.close()
+
+
+_idle: dict[int, Child] = {}  # one at most, by process: a forked one must not use that of its parent
+
+
+@contextmanager
+def _child() -> Iterator[Child]:
+    """A child; kept for the next file, but killed after an error, or if its answer was not read to the end."""
+    child = _idle.pop(os.getpid(), None)
+    if child is not None and not child.is_alive:
+        child.end()
+        child = None
+    child = child or Child()
+    try:
+        yield child
+    except BaseException:
+        child.end()
+        raise
+    if _idle.setdefault(os.getpid(), child) is not child:  # another thread's was kept
+        child.end()
+
+
+@atexit.register
+def _end_idle() -> None:
+    if child := _idle.pop(os.getpid(), None):
+        child.end()
 
 
 def _columns(messages: Iterable[bytes | str]) -> Iterator[Four]:
     n_read = 0
-    for i, message in enumerate(messages):
+    for message in messages:
         if isinstance(message, str):
             raise CorruptData(f"after event {n_read}: {message}")
-        if i > 0:  # after the sensor
-            t, x, y, p = np.frombuffer(message, np.int64).reshape(4, -1)
-            yield t, x, y, p
-            n_read += len(t)
+        t, x, y, p = np.frombuffer(message, np.int64).reshape(4, -1)
+        yield t, x, y, p
+        n_read += len(t)
 
 
 def _inherited(fd: int) -> dict[str, Any]:

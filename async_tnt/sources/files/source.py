@@ -104,14 +104,11 @@ def valid_blocks(blocks: Iterable[Four]) -> Iterator[np.ndarray]:
 
 
 def is_text(line: bytes) -> bool:
-    """Whether a line of a header is text, in UTF-8 or, but for few letters, in ASCII; binary data hardly is."""
+    """Whether a line of a header is text in UTF-8; binary data that follows hardly is."""
     try:
-        text = line.decode()
+        return line.decode().replace("\t", " ").replace("\xa0", " ").isprintable()
     except UnicodeDecodeError:
-        text = line.decode("latin-1")
-        if 8 * sum(byte > 0x7F for byte in line) > len(line):
-            return False
-    return text.replace("\t", " ").replace("\xa0", " ").isprintable()
+        return False
 
 
 def events_on_sensor(events: np.ndarray, sensor: Sensor | None, n_before: int = 0) -> tuple[np.ndarray, str]:
