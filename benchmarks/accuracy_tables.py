@@ -201,9 +201,8 @@ def soon() -> str:
             str(r["fewest_events"]),
             percent(r["soon"]),
             "" if r["soon_accuracy"] is None else percent(r["soon_accuracy"]),
-            percent(noise["closed_early"]),
         ]
-        for r, noise in zip(found["results"]["confidence"], found["noise"], strict=True)
+        for r in found["results"]["confidence"]
     ]
     return table(
         [
@@ -211,10 +210,19 @@ def soon() -> str:
             "fewest events of a decision",
             f"decided from fewer than {found['soon_events']} events",
             "of these right",
-            "noise windows decided",
         ],
         rows,
     )
+
+
+def noise() -> str:
+    """In how many windows of noise a class is decided with confidence."""
+    found = results("early")["noise"]
+    rows = [
+        [f"{levels[0]['settings']['confidence']:g}", *(percent(level["closed_early"]) for level in levels)]
+        for levels in zip(*found.values(), strict=True)
+    ]
+    return table(["confidence, checked at every event", *found], rows)
 
 
 TABLES = (
@@ -222,6 +230,7 @@ TABLES = (
     early,
     of_nothing,
     soon,
+    noise,
     digits_against_time,
     digits_confusion,
     digits_tried,

@@ -62,10 +62,10 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
                 f"{r['evaluations']:>12.1f}{r['emitted']:>9.1f}{soon:>15}"
             )
     yield ""
-    yield "Noise, uniform over pixels, time and polarity: windows closed early"
-    for r in report["noise"]:
-        when = f", after {r['mean_ms']:.1f} ms" if r["mean_ms"] is not None else ""
-        yield f"{words(r['settings']):34}{100 * r['closed_early']:>8.1f} %{when}"
+    yield "Noise: windows closed early"
+    yield f"{'':34}" + "".join(f"{kind:>14}" for kind in report["noise"])
+    for rows in zip(*report["noise"].values(), strict=True):
+        yield f"{words(rows[0]['settings']):34}" + "".join(f"{100 * r['closed_early']:>12.1f} %" for r in rows)
 
 
 def default_folder() -> Path:

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from made_noise import KINDS, made_noise
 
 from async_tnt import Decision, LeakyIntegrator, Model, Processor, load_model, warmup
 from async_tnt.archive.executor import run_all
-from async_tnt.checking.moments import made_recording
 from async_tnt.checking.timing import machine
 from async_tnt.sources.files.recording import open_recording
 
@@ -152,6 +152,8 @@ def measure_early(
     for group, k, result in run_all(_measure_one, tasks, workers):
         found[group, k] = result
         each()
+    n_events = int(np.mean([len(events) for _, events in recordings]))
+    n_noise = N_NOISE if n is None else min(n, N_NOISE)
     return {
         "machine": machine(),
         "model": MODEL,
@@ -161,9 +163,7 @@ def measure_early(
         "soon_events": SOON_EVENTS,
         "results": {group: [found[group, k] for k in range(len(choices))] for group, choices in groups.items()},
         "of_nothing": Processor(model).fire().probability,
-        "noise": on_noise(
-            model, int(np.mean([len(events) for _, events in recordings])), N_NOISE if n is None else min(n, N_NOISE)
-        ),
+        "noise": {kind: on_noise(model, kind, n_events, n_noise) for kind in KINDS},
     }
 
 
@@ -171,12 +171,13 @@ def n_settings() -> int:
     return sum(map(len, all_settings(load_model(MODEL).config.window_us).values()))
 
 
-def on_noise(model: Model, n_events: int, n: int) -> list[dict[str, Any]]:
-    """Confidence on noise: n recordings of `n_events` events, uniform over pixels, time and polarity.
+def on_noise(model: Model, kind: str, n_events: int, n: int) -> list[dict[str, Any]]:
+    """Confidence on noise: n recordings of `n_events` events.
 
     Each level with its share of windows closed early, and their mean milliseconds."""
     rng = np.random.default_rng(0)
-    recordings = [(-1, made_recording(rng, model.config, n_events)) for _ in range(n)]
+    sensor, duration_us = model.config.sensor, N_WINDOWS * model.config.window_us
+    recordings = [(-1, made_noise(kind, rng, sensor, n_events, duration_us)) for _ in range(n)]
     result = []
     for settings in all_settings(model.config.window_us)["confidence"]:
         closed = [e.ms for e in early_decisions(model, recordings, settings) if e.by_trigger]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from bench.scripts import load_benchmark
 from made import events_of, random_model
 
 torch = pytest.importorskip("torch")
@@ -18,6 +19,7 @@ from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E40
 from async_tnt.training.temperature import calibrated, fit_temperature, softened  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 
+made_noise = load_benchmark("made_noise")
 CONFIG = TNTConfig(transform="none", landmark="center", bins=3, window_us=100_000)
 
 
@@ -33,24 +35,6 @@ def shapes(n, seed):
         t = np.sort(rng.integers(0, 100_000, n_shape + n_stray))
         recordings.append(events_of(t, x, y, rng.integers(0, 2, n_shape + n_stray)))
     return make_windows(Recordings.from_events(recordings, np.arange(n) % 2), CONFIG.window_us)
-
-
-def noise(kind, rng):
-    """Windows in which nothing is there. Training scatters events, as steady noise does; the other kinds are new."""
-    n = int(rng.integers(150, 450))
-    t, p = np.sort(rng.integers(0, 100_000, n)), rng.integers(0, 2, n)
-    if kind == "flicker":  # of the light: everything at once, ON and OFF in turns
-        t = np.sort(rng.integers(0, 10, n) * 10_000 + rng.integers(0, 1_000, n))
-        p = t // 10_000 % 2
-    elif kind == "one polarity":  # leak events are ON
-        p = np.ones(n, int)
-    elif kind == "few":
-        t, p = t[::15], p[::15]
-    elif kind == "pairs":  # neighbouring pixels react together
-        x, y = (rng.integers(0, 33, n // 2).repeat(2) for _ in "xy")
-        x[1::2] += 1
-        return events_of(t[: len(x)], x, y, p[: len(x)])
-    return events_of(t, rng.integers(0, 34, len(t)), rng.integers(0, 34, len(t)), p)
 
 
 @pytest.fixture(scope="module")
@@ -70,11 +54,12 @@ def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
     for nothing, model in models.items():
         assert evaluate(pipeline_of(model), shapes(60, 2)).per_window >= 0.95
         model, _ = calibrated(model, evaluate(pipeline_of(model), shapes(60, 1)).temperature)
-        for kind in ("steady", "flicker", "one polarity", "pairs", "few"):
+        for kind in made_noise.KINDS:  # training scatters events; the other kinds are new
             decisions = []
             for _ in range(40):
                 processor = Processor(model, start_us=0)
-                processor.push(noise(kind, rng))
+                n_events = int(rng.integers(150, 450))
+                processor.push(made_noise.made_noise(kind, rng, CONFIG.sensor, n_events, CONFIG.window_us - 1))
                 decisions.append(processor.fire().probability >= 0.9)
             sure[kind, nothing] = np.mean(decisions)
     assert all(share <= 0.05 for (_, nothing), share in sure.items() if nothing), sure
