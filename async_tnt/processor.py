@@ -75,6 +75,11 @@ class Processor:
     [3]
     """
 
+    __slots__ = (  # so that a mistyped trigger is an error
+        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_fixed", "_new_windows", "_start_us",
+        "_triggers", "_windows", "config",
+    )  # fmt: skip
+
     def __init__(
         self,
         model: Model | TNTConfig,

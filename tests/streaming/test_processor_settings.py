@@ -90,6 +90,12 @@ def test_bad_triggers_are_refused_and_change_nothing(name, value, error, message
     assert {name: getattr(processor, name) for name in good} == good
 
 
+def test_a_mistyped_trigger_is_an_error():
+    processor = Processor(CONFIG, classifier=total_and_size)
+    with pytest.raises(AttributeError, match="every_ms"):
+        processor.every_ms = 5
+
+
 @pytest.mark.parametrize("place, name", [(0, "threshold"), (1, "leak_us"), (2, "charge")])
 def test_bad_integrators(place, name):
     for value, error in ((0, ValueError), (math.nan, ValueError), ("3", TypeError)):
