@@ -15,7 +15,7 @@ from async_tnt.archive.job import Task, job_of, recordings_under, task_of
 from async_tnt.archive.records import Record, run_recording
 from async_tnt.archive.results import check_out
 from async_tnt.cli.options import paths_of, triggers_of
-from async_tnt.cli.output import complain, complain_late, one_line
+from async_tnt.cli.output import complain, complain_late, printable
 from async_tnt.cli.pixel_options import selector_of
 from async_tnt.engines import choose_engine
 from async_tnt.progress import progress as progress_bar
@@ -124,7 +124,7 @@ def run_archive(args: argparse.Namespace) -> int:
     took = time.monotonic() - started
     unread = f" ({len(errors):,} of them with an error)" if errors else ""
     recordings = counted(progress.total, "recording") + unread
-    print(f"{one_line(str(args.out))}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
+    print(f"{printable(str(args.out))}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
     if progress.done:
         print(f"{counted(progress.done, 'recording')} streamed now, {progress.done / took:,.1f} a second")
     if any(labels.values()):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
 from async_tnt.cli.options import add_files, add_start, model_of, paths_of
-from async_tnt.cli.output import one_line
+from async_tnt.cli.output import printable
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.sensor import check_events, check_sensor
@@ -95,7 +95,7 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
         for c in comparisons:
             if not c.holds:
                 failure = f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons"
-                print(one_line(failure), file=sys.stderr)
+                print(printable(failure), file=sys.stderr)
     print(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
 
 

@@ -18,7 +18,7 @@ from async_tnt.archive.scores import score_recordings
 from async_tnt.cli.archive_options import add_archive
 from async_tnt.cli.archives import Interrupted, archive_executor, stream_archive
 from async_tnt.cli.options import model_of
-from async_tnt.cli.output import complain, complain_late, one_line
+from async_tnt.cli.output import complain, complain_late, printable
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.engines import Engine
 from async_tnt.networks.loading import bundled_models
@@ -115,7 +115,7 @@ def main(args: argparse.Namespace) -> int:
     else:
         print(text_of(report))
         if args.picture is not None:
-            print(f"wrote {one_line(str(args.picture))}")
+            print(f"wrote {printable(str(args.picture))}")
     where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
     complain_late(str(args.dataset), report["late"], report["events"], where)
     for line in skipped:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.cli.options import model_of
-from async_tnt.cli.output import one_line
+from async_tnt.cli.output import printable
 from async_tnt.files import Replacement, check_writable
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
@@ -88,7 +88,7 @@ def main(args: argparse.Namespace) -> int:
 def _print(report: dict[str, Any], model: Model) -> None:
     gives = (f"logits (1, {len(model.classes)})", "landmark (1, 2)")
     for (path, n_bytes), what in zip(report["files"].items(), gives, strict=False):
-        print(f"{one_line(str(path))} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> {what}")
+        print(f"{printable(str(path))} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> {what}")
     landmark = report["largest_landmark_difference_px"]
     print(
         f"onnxruntime {report['onnxruntime']} against the compiled network, {report['windows']} windows of "

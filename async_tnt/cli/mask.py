@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.options import number, size_of
-from async_tnt.cli.output import one_line
+from async_tnt.cli.output import printable
 from async_tnt.progress import progress
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
@@ -124,7 +124,7 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
         result = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
         print(json.dumps(result | {"out": str(args.out)}))
         return
-    size, out = format_size((width, height)), one_line(str(args.out))
+    size, out = format_size((width, height)), printable(str(args.out))
     if not hot.any():
         print(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {out}, which masks nothing")
         return

@@ -36,7 +36,7 @@ def complain(error: BaseException | str) -> None:
     """One line on stderr."""
     if isinstance(error, OSError) and error.filename is not None:
         error = f"{error.filename}: {error.strerror}"
-    print(f"async-tnt: {one_line(str(error))}", file=sys.stderr, flush=True)
+    print(f"async-tnt: {printable(str(error))}", file=sys.stderr, flush=True)
 
 
 def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
@@ -45,12 +45,12 @@ def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
         complain(f"{name}: {n_late} of {n_events} events were too late and dropped (see {see})")
 
 
-def one_line(text: str) -> str:
+def printable(text: str) -> str:
     """The text on one line, unprintable characters escaped: a file name may contain a line break.
 
     Examples
     --------
-    >>> print(one_line("a\\nb: no events"))
+    >>> print(printable("a\\nb: no events"))
     a\\nb: no events
     """
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
@@ -60,7 +60,7 @@ def text_line(name: str, decision: Decision, latency_us: float, queue: Queue | N
     start_ms = decision.window_start_us / 1e3
     window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
     return (
-        f"{one_line(Path(name).name):<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
+        f"{printable(Path(name).name):<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
         f"{decision.probability:>5.3f} {decision.events:>7} {latency_us:>7.1f}  {decision.trigger}"
     )
 

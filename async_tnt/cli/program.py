@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import NoReturn
 
-from async_tnt.cli.output import complain, one_line
+from async_tnt.cli.output import complain, printable
 from async_tnt.process import handled_by
 from async_tnt.version import __version__
 
@@ -117,7 +117,7 @@ class _Parser(argparse.ArgumentParser):
     """Reports a mistake in one line, as all commands do; `--help` has the rest."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {one_line(message)} ({self.prog} --help)\n")
+        self.exit(2, f"{self.prog}: {printable(message)} ({self.prog} --help)\n")
 
 
 def _in_import_or_compilation(frame: FrameType | None) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.output import Line, complain, complain_late, one_line
+from async_tnt.cli.output import Line, complain, complain_late, printable
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
@@ -81,7 +81,7 @@ def print_decisions(
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
         print(
-            f"{one_line(recording.path.name)}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})"
+            f"{printable(recording.path.name)}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})"
         )
     late = processor.counts.dropped_late
     complain_late(str(recording.path), late, seen.n_events, "--late, --start-us")

@@ -15,7 +15,7 @@ from typing import Any
 
 from async_tnt.archive.scores import Scores
 from async_tnt.cli.data_options import command_words
-from async_tnt.cli.output import complain, one_line
+from async_tnt.cli.output import complain, printable
 from async_tnt.cli.train_data import config_of, of_dataset, of_digits
 from async_tnt.cli.train_motions import other_motions
 from async_tnt.cli.train_option_checks import check_options
@@ -213,4 +213,4 @@ def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: l
             if "recordings" in found:
                 by_recording = f", {found['per_recording']:.4f} of {found['recordings']} recordings"
             print(f"{title}: {found['per_window']:.4f} of {found['windows']} windows{by_recording} right")
-    print(one_line(f"wrote {', '.join(map(str, written))}"))
+    print(printable(f"wrote {', '.join(map(str, written))}"))

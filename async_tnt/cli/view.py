@@ -10,7 +10,7 @@ from typing import Any
 
 from async_tnt.cli.live_packets import add_latest, check_pace, live_packets
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
-from async_tnt.cli.output import complain, one_line
+from async_tnt.cli.output import complain, printable
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected
 from async_tnt.engines import choose_engine
@@ -108,7 +108,7 @@ def main(args: argparse.Namespace) -> int:
         left_out = pixels.nothing_left()
         raise ValueError(f"{names}: {left_out}" if left_out else f"no event in {names}: nothing to show")
     if args.out is not None:
-        out = one_line(str(args.out))
+        out = printable(str(args.out))
         print(f"{out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {out}")
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")

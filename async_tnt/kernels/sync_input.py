@@ -14,7 +14,7 @@ from .jit import compiled, inlined
 from .readout import cell_at, cell_value, parts_of, strides_of
 from .simd import count_bits, trailing_zeros, vectorized
 
-NUMBERS_PER_LOGGED = 100  # one logged event, scattered in memory, costs as much as so many cells in order
+CELLS_PER_LOGGED = 100  # one logged event, scattered in memory, costs as much as so many cells in order
 
 
 @compiled
@@ -36,7 +36,7 @@ def sync_input(buffer, program, maps, places):
     n_new = ints[S.N_LOG] - program[P.N_SEEN]
     n_cells = program[P.CHANNELS] * program[P.HEIGHT] * program[P.WIDTH]
     same_window = program[P.EPOCH] == ints[S.EPOCH]
-    if same_window and n_new <= ints[S.LOG_SIZE] and n_new * NUMBERS_PER_LOGGED <= n_cells:
+    if same_window and n_new <= ints[S.LOG_SIZE] and n_new * CELLS_PER_LOGGED <= n_cells:
         _sync_corners(buffer, ints, program, maps, bits)
     else:
         _sync_all(buffer, ints, program, maps, bits)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
+from async_tnt.events import empty_columns
 from async_tnt.kernels.window_batches import GIVEN, MEAN, OWN, landmark_gradients, window_volumes
 from async_tnt.training.augment import Draws, unchanged
 from async_tnt.training.windows import Windows
@@ -36,7 +37,7 @@ class BatchVolumes:
         if config.transform == "none":
             self._about = OWN
         self._states: dict[tuple[int, int], np.ndarray] = {}
-        self._scratch = _empty_columns(1 << 12)
+        self._scratch = empty_columns(1 << 12)[:4]
         self._out = np.empty((0, *config.shape), np.float32)
 
     def __call__(self, windows: Windows, draws: Draws | None = None, landmarks: np.ndarray | None = None) -> np.ndarray:
@@ -91,7 +92,7 @@ class BatchVolumes:
         first, last = recordings.offsets[windows.recording], recordings.offsets[windows.recording + 1]
         longest = int((last - first).max(initial=0))
         if longest > self._scratch[0].size:
-            self._scratch = _empty_columns(2 * longest)
+            self._scratch = empty_columns(2 * longest)[:4]
         start_us = windows.start_us + draws.start_us
         limit_us = start_us + np.minimum(draws.until_us, self.config.window_us)
         return (
@@ -112,8 +113,3 @@ class BatchVolumes:
             fixed = self.config.landmark if self._about == OWN else "center"  # its position is set for each window
             self._states[sensor] = new_state(self.config.replace(sensor=sensor, landmark=fixed))
         return self._states[sensor]
-
-
-def _empty_columns(n: int) -> tuple[np.ndarray, ...]:
-    """t, x, y, p in the kernels' types."""
-    return np.empty(n, np.int64), np.empty(n, np.uint16), np.empty(n, np.uint16), np.empty(n, np.uint8)
