@@ -108,6 +108,14 @@ def test_the_alarm_is_set_while_a_file_is_read_and_not_while_the_parent_reads(tm
     ]
 
 
+def test_a_path_is_relative_to_the_folder_of_now(tmp_path, monkeypatch):
+    for k, name in enumerate("ab"):
+        (tmp_path / name).mkdir()
+        written(tmp_path / name / "dv.aedat4", made_events(50, seed=k))
+        monkeypatch.chdir(tmp_path / name)
+        np.testing.assert_array_equal(open_recording("dv.aedat4").read(), made_events(50, seed=k))
+
+
 def test_a_child_reads_the_next_file_unless_there_was_damage(tmp_path):
     """And each file as often as asked, whichever was opened last."""
     paths = [

@@ -50,8 +50,8 @@ class ChildSource(Source):
         path.open("rb").close()  # raises the OSError of a missing file
         with _child() as child:
             sensor, *problem = self._open(child)
-            if problem or isinstance(sensor, str):
-                raise ValueError(f"{path}: not a readable {format} file: {(sensor, *problem)[-1]!s}")
+            if isinstance(sensor, str) or problem:
+                raise ValueError(f"{path}: not a readable {format} file: {[sensor, *problem][-1]!s}")
         self.sensor = None if (sides := json.loads(sensor)) is None else (sides[0], sides[1])
 
     def blocks(self) -> Iterator[np.ndarray]:
@@ -63,7 +63,7 @@ class ChildSource(Source):
 
     def _open(self, child: Child) -> list[bytes | str]:
         child.opened = self
-        return list(child.ask("open", self._reader, str(self.path)))
+        return list(child.ask("open", self._reader, str(self.path.absolute())))  # its own folder may be another
 
 
 class Child:
