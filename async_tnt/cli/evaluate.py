@@ -171,37 +171,38 @@ def report_of(model: Model, records: list[Record], labels: list[int], skipped: l
 def text_of(report: dict[str, Any]) -> str:
     """The report for people."""
     lines = [
-        f"{report['accuracy']:.4f} of {report['recordings']} recordings right, "
-        f"{report['window_accuracy']:.4f} of {report['windows']} windows",
+        f"accuracy {report['accuracy']:.4f} on {report['recordings']} recordings, "
+        f"{report['window_accuracy']:.4f} on {report['windows']} windows",
         "",
-        f"{'class':<24} {'right':>6} {'recordings':>11}  taken for",
+        f"{'class':<24} {'accuracy':>8} {'recordings':>11}  confused with",
     ]
     for k, name in enumerate(report["classes"]):
         row = report["confusion"][k]
         share = "-" if report["per_class"][name] is None else f"{report['per_class'][name]:.3f}"
         others = sorted(((n, j) for j, n in enumerate(row) if n and j != k), reverse=True)[:3]
-        taken = ", ".join(f"{report['classes'][j]} ({n})" for n, j in others)
-        lines.append(f"{name:<24} {share:>6} {sum(row):>11}  {taken}".rstrip())
+        confused = ", ".join(f"{report['classes'][j]} ({n})" for n, j in others)
+        lines.append(f"{name:<24} {share:>8} {sum(row):>11}  {confused}".rstrip())
     if report["accuracy_against_time"]:
-        lines += ["", f"{'ms into the window':<24} {'right':>6} {'decided':>11}"]
+        lines += ["", f"{'ms into the window':<24} {'accuracy':>8} {'decided':>11}"]
     for moment in report["accuracy_against_time"]:
-        lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>6.3f} {moment['decided']:>11.3f}")
+        lines.append(f"{moment['time_us'] / 1e3:<24g} {moment['accuracy']:>8.3f} {moment['decided']:>11.3f}")
     if report["accuracy_against_events"]:
-        lines += ["", f"{'first events':<24} {'right':>6} {'with as many':>13}"]
+        lines += ["", f"{'first events':<24} {'accuracy':>8} {'reached by':>13}"]
     for count in report["accuracy_against_events"]:
-        lines.append(f"{count['events']:<24,} {count['accuracy']:>6.3f} {count['reached']:>13.3f}")
+        lines.append(f"{count['events']:<24,} {count['accuracy']:>8.3f} {count['reached']:>13.3f}")
     if report["confidence"]:
-        lines += ["", f"{'first decision at':<24} {'right':>6} {'decided':>11} {'of all':>10}  ms: median, 90 %"]
+        head = f"{'first decision at':<24} {'accuracy':>8} {'decided':>11} {'all windows':>12}"
+        lines += ["", f"{head}  ms: median, 90 %"]
     for level in report["confidence"]:
         right, ms = "-", ""
         if level["accuracy"] is not None:
             right, ms = f"{level['accuracy']:.3f}", f"{level['median_ms']:.1f}, {level['p90_ms']:.1f}"
-        shares = f"{right:>6} {level['decided']:>11.3f} {level['window_accuracy']:>10.3f}"
+        shares = f"{right:>8} {level['decided']:>11.3f} {level['window_accuracy']:>12.3f}"
         lines.append(f"{level['level']:<24} {shares}  {ms}".rstrip())
     if report["calibration_error"] is not None:
-        lines += ["", f"probabilities differ from the share right by {report['calibration_error']:.3f} in the mean"]
+        lines += ["", f"expected calibration error {report['calibration_error']:.3f}"]
     if report["seconds"] is None:
-        lines += ["", "all streamed by an earlier run"]
+        lines += ["", "all results are from an earlier run"]
     else:
         rates = f"{report['decisions_per_second']:,.0f} decisions and {report['events_per_second']:,.0f} events"
         lines += ["", f"{rates} per second on one core"]

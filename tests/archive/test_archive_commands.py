@@ -57,7 +57,7 @@ def test_evaluate_reports_the_same_with_a_file_and_without(samples, tmp_path, pr
     assert others == [expected] * len(places) and expected["recordings"] == 20
     again = json.loads(program(*words, "--json", "--out", lines)[1])
     assert [again[name] for name in TIMES] == [None] * 3
-    assert "all streamed by an earlier run" in program(*words, "--out", lines)[1]
+    assert "all results are from an earlier run" in program(*words, "--out", lines)[1]
 
 
 def test_run_writes_the_decisions_that_run_prints(samples, tmp_path, program):

@@ -189,7 +189,7 @@ def test_the_text_names_classes_and_times_and_the_picture_is_drawn(saved, datase
 
     code, printed, _ = program("evaluate", saved, dataset, "--picture", tmp_path / "c.png")
     assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
-    assert code == 0 and "of 11 recordings right" in printed
+    assert code == 0 and "on 11 recordings" in printed
     for line in ("flat ", "slanted ", "upright ", "6 ", "60 "):
         assert any(row.startswith(line) for row in printed.splitlines()), line
     axes = draw_confusion(np.array([[90, 10], [0, 2]]), ["left", "right"], "mine").axes[0]
