@@ -30,26 +30,25 @@ def import_pyarrow() -> Any:
     return pyarrow
 
 
-def schema_of(job: Job) -> Any:
-    """The columns of `COLUMNS`, and the settings as metadata."""
+def _schema(kind: str) -> Any:
+    """The columns of `COLUMNS`."""
     pa = import_pyarrow()
 
-    def arrow(kind: Any) -> Any:
-        if isinstance(kind, list):
-            return pa.list_(arrow(kind[0]))
-        if isinstance(kind, dict):
-            return pa.struct({name: arrow(field) for name, field in kind.items()})
-        return pa.type_for_alias(kind)
+    def arrow(column: Any) -> Any:
+        if isinstance(column, list):
+            return pa.list_(arrow(column[0]))
+        if isinstance(column, dict):
+            return pa.struct({name: arrow(field) for name, field in column.items()})
+        return pa.type_for_alias(column)
 
-    metadata = json.dumps({"kind": job.kind, "about": job.metadata}, sort_keys=True)
-    columns = {name: arrow(kind) for name, kind in COLUMNS[job.kind].items()}
-    return pa.schema(columns, {KEY: metadata.encode()})
+    return pa.schema({name: arrow(column) for name, column in COLUMNS[kind].items()})
 
 
 def write_parquet(path: Path, job: Job, records: Iterable[Record]) -> None:
     """Write records, with no more than a row group of them in memory."""
     pa = import_pyarrow()
-    schema = schema_of(job)
+    metadata = json.dumps({"kind": job.kind, "about": job.metadata}, sort_keys=True)
+    schema = _schema(job.kind).with_metadata({KEY: metadata.encode()})
     with pa.parquet.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
         group: list[Record] = []
         items = 0
@@ -85,7 +84,10 @@ def read_parquet(path: Path) -> Iterator[Record]:
     pa = import_pyarrow()
     try:
         with pa.parquet.ParquetFile(path, page_checksum_verification=True) as file:
+            kind = json.loads(file.schema_arrow.metadata[KEY])["kind"]
+            if not file.schema_arrow.equals(_schema(kind)):  # no checksum covers the names of columns
+                raise ValueError(f"its columns are not those of {kind!r}")
             for group in range(file.num_row_groups):
                 yield from file.read_row_group(group).to_pylist()
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(not_ours(path, f" that can be read ({error})")) from None

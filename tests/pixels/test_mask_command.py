@@ -109,13 +109,13 @@ def test_saved_masks_load_again_or_are_refused_if_damaged(tmp_path):
     whole = path.read_bytes()
     for at in range(len(whole)):
         path.write_bytes(whole[:at])
-        with pytest.raises(ValueError, match=r"m.npy: not a readable NumPy file"):
+        with pytest.raises(ValueError, match=r"m.npy: not a mask, .*: not a readable NumPy file"):
             load_mask(path, (6, 4))
 
 
 @pytest.mark.parametrize("mask", [np.zeros((3, 4)), np.zeros(4, bool), np.zeros((0, 3), bool)])
 def test_what_is_not_a_mask_is_neither_saved_nor_loaded(mask, tmp_path):
-    rule = r"a mask must be a bool array of shape \(height, width\), sides in .1, 32768.; got "
+    rule = r".*a mask must be a bool array of shape \(height, width\), sides in .1, 32768.; got "
     with pytest.raises(ValueError, match=rule):
         save_mask(tmp_path / "m.npy", mask)
     assert list(tmp_path.iterdir()) == []
