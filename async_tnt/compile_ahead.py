@@ -61,7 +61,7 @@ def warmup(model: Model | TNTConfig | None = None) -> float:
 
 
 def compile_for(config: TNTConfig, classifier: Any, regressor: Any, *, late: str, by_event: bool) -> float:
-    """`warmup` for a Processor whose settings will not change: what it calls, and nothing else.
+    """`warmup` for a Processor with these settings: what it calls, and nothing else.
 
     Parameters
     ----------

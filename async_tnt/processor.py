@@ -103,6 +103,7 @@ class Processor:
         self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
         self._decoder = EventDecoder(self.config.sensor, late)
         self._compile(regressor)
+        self._by_event = self._triggers.by_event
         self._new_windows = partial(WindowScheduler, self.config, hop_us, start_us, replay_events, regressor)
         self._windows = self._new_windows()
         hop_us = self._windows.hop_us
@@ -156,8 +157,6 @@ class Processor:
     def _set(self, name: str, value: Any) -> None:
         """Change a trigger; it applies to the open window, too."""
         self._triggers.set(**{name: value})
-        if self._triggers.by_event and not self._by_event:
-            self._compile(None)
         self._choose_paths()
         if len(self._windows):
             oldest = self._windows.oldest
@@ -170,6 +169,8 @@ class Processor:
 
     def _choose_paths(self) -> None:
         """Whether triggers look at each event; whether single events may go straight to the one volume."""
+        if self._triggers.by_event and not self._by_event:
+            self._compile(None)
         direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
         self._by_event = self._triggers.by_event

@@ -37,7 +37,7 @@ def stream(
     """
     if isinstance(source, (str, Path)):
         raise TypeError(f"`source` must yield events, got the path {source}; open_recording(path) reads a file")
-    if not hasattr(source, "__iter__"):
+    if not hasattr(source, "__iter__") and not hasattr(source, "__getitem__"):
         raise TypeError(f"`source` must be an iterable of packets or of events, got {type(source).__name__}")
     return _stream(source, as_processor(model, **settings))  # here: errors are raised before the first event
 
@@ -59,7 +59,7 @@ def astream(
     """
     if not hasattr(source, "__aiter__"):
         raise TypeError(
-            f"`source` must be asynchronous, got {type(source).__name__}; stream(source, ...) takes one that is not"
+            f"`source` must be asynchronous, got {type(source).__name__}; `stream` takes iterables that are not"
         )
     return _astream(source, as_processor(model, **settings))  # here: errors are raised before the first event
 

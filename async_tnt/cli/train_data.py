@@ -51,8 +51,9 @@ def of_dataset(
     """DATASET, how to train on it, and what `check_run` compares; checks the run folder before reading the data."""
     if args.test and not has_part(args.dataset, "Test"):
         raise FileNotFoundError(f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither")
-    if run_folder.resolve().is_relative_to(args.dataset.resolve()):
-        raise ValueError(f"--run must lie outside of DATASET, in which a folder is a class; got {run_folder}")
+    parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()] or [args.dataset]
+    if any(run_folder.resolve().is_relative_to(part.resolve()) for part in parts):
+        raise ValueError(f"--run must lie outside of {parts[0]}, in which a folder is a class; got {run_folder}")
     pixels = _pixels_of(args, start)
     validation = 0.2 if args.validation is None else args.validation
     augmentation = _augmentation(args)

@@ -64,15 +64,33 @@ for processor in processors:
         processor.push(packet)
     processor.fire(), processor.finish()
 """,
-    "a_trigger_or_a_classifier_is_set": """
+    "a_trigger_is_set": """
 processors = [Processor(model) for model in MODELS.values() for settings in TRIGGERS]
 for processor, settings in zip(processors, TRIGGERS * len(MODELS)):
     for name in settings.keys() - {"late"}:
         setattr(processor, name, settings[name])
-other = Processor(TNTConfig(), classifier=lambda volume: [0.0], every_events=1)
-other.classifier = CompiledClassifier(MODELS["running"])
 before = compiled()
-for processor in (*processors, other):
+for processor in processors:
+    for packet in (records, columns, (300_000, 1, 1, 1)):
+        processor.push(packet)
+    processor.fire(), processor.finish()
+""",
+    "a_state_is_restored": """
+model = MODELS["running"]
+with_trigger = Processor(model.config, classifier=lambda volume: [0.0], classes=("a",), every_events=1)
+processors = [Processor(model)]
+processors[0].restore_state(with_trigger.save_state())
+before = compiled()
+for processor in processors:
+    for packet in (records, columns, (300_000, 1, 1, 1)):
+        processor.push(packet)
+    processor.fire(), processor.finish()
+""",
+    "a_classifier_is_set": """
+processors = [Processor(TNTConfig(), classifier=lambda volume: [0.0], every_events=1)]
+processors[0].classifier = CompiledClassifier(MODELS["running"])
+before = compiled()
+for processor in processors:
     for packet in (records, columns, (300_000, 1, 1, 1)):
         processor.push(packet)
     processor.fire(), processor.finish()

@@ -48,7 +48,7 @@ def test_a_child_that_hangs_or_dies_is_damage(tmp_path, monkeypatch, program):
 def sent(monkeypatch, tmp_path, *messages):
     """The recording of a child that sends these messages."""
     monkeypatch.setattr(child_source, "find_spec", lambda name: True)
-    answers = {"open": messages[:1], "read": messages[1:]}
+    answers = {"sensor": messages[:1], "events": messages[1:]}
     monkeypatch.setattr(child_source.Child, "ask", lambda child, what, *more: iter(answers[what]))
     (tmp_path / "a.aedat4").write_bytes(b"#!AER-DAT4.0\r\n")
     return open_recording(tmp_path / "a.aedat4")
@@ -78,6 +78,7 @@ def read(path):
     yield None
     for n in range(3):
         yield np.full((4, 1), n)
+        yield np.zeros((4, 0))
     raise KeyError("broken\\nat three")
 """
 
@@ -97,7 +98,7 @@ def test_the_alarm_is_set_while_a_file_is_read_and_not_while_the_parent_reads(tm
     monkeypatch.setattr(child_process.signal, "alarm", calls.append, raising=False)
     monkeypatch.setattr(child_process.signal, "signal", lambda *given: None)
     (tmp_path / "reader.py").write_text(READER)
-    commands = ["open", str(tmp_path / "reader.py"), "FILE"], ["read"]
+    commands = ([what, str(tmp_path / "reader.py"), "FILE"] for what in ("sensor", "events"))
     lines = io.BytesIO(b"".join(json.dumps(command).encode() + b"\n" for command in commands))
     monkeypatch.setattr(child_process.sys, "stdin", SimpleNamespace(buffer=lines))
     child_process.main(7)
@@ -116,7 +117,7 @@ def test_a_path_is_relative_to_the_folder_of_now(tmp_path, monkeypatch):
         np.testing.assert_array_equal(open_recording("dv.aedat4").read(), made_events(50, seed=k))
 
 
-def test_a_child_reads_the_next_file_unless_there_was_damage(tmp_path):
+def test_a_child_reads_the_next_file_unless_there_was_damage(tmp_path, monkeypatch):
     """And each file as often as asked, whichever was opened last."""
     paths = [
         written(tmp_path / "dv.aedat4", made_events(50, seed=k)).rename(tmp_path / f"{k}.aedat4") for k in range(3)
@@ -131,14 +132,18 @@ def test_a_child_reads_the_next_file_unless_there_was_damage(tmp_path):
         assert k == 0 and [len(packet) for packet in packets] == [50] * 3
     kept = child_source._idle[os.getpid()]
     next(recordings[0]._source.blocks())  # not to its end
-    assert not kept.is_alive and not child_source._idle
+    assert not kept.is_usable and not child_source._idle
     np.testing.assert_array_equal(recordings[0].read(), made_events(50, seed=0))
     kept = child_source._idle[os.getpid()]
     (tmp_path / "torn.aedat4").write_bytes(paths[0].read_bytes()[:100])
     with pytest.raises(ValueError, match=r"torn.aedat4: not a readable AEDAT4 file"):
         open_recording(tmp_path / "torn.aedat4")
-    assert not kept.is_alive
+    assert not kept.is_usable
     recordings[0].read()
+    kept = child_source._idle[os.getpid()]
+    monkeypatch.setenv("HDF5_PLUGIN_PATH", str(tmp_path))  # a child would be started otherwise
+    recordings[0].read()
+    assert child_source._idle[os.getpid()] is not kept
     child_source._idle[os.getpid()]._process.kill()  # as a system without memory does
     child_source._idle[os.getpid()]._process.wait()
     np.testing.assert_array_equal(recordings[1].read(), made_events(50, seed=1))

@@ -63,6 +63,18 @@ def test_an_empty_array_of_version_7_3_has_no_events(tmp_path):
     assert open_recording(tmp_path / "a.mat").n_events == 0
 
 
+@pytest.mark.parametrize("place", [0, 1 << 16])
+def test_damage_at_the_beginning_of_a_block_is_not_the_end_of_the_file(tmp_path, place):
+    events = made_events(70_000)
+    columns = {name: events[name].astype(float) for name in "txyp"}
+    columns["t"][place] += 0.5
+    io.savemat(tmp_path / "a.mat", columns)
+    io.savemat(tmp_path / "next.mat", COLUMNS)
+    with pytest.warns(DamagedRecording, match=f"after event {place}: t must be whole numbers"):
+        assert open_recording(tmp_path / "a.mat").n_events == place
+    np.testing.assert_array_equal(open_recording(tmp_path / "next.mat").read(), EVENTS)
+
+
 @pytest.mark.parametrize("compressed", [False, True])
 def test_a_file_that_is_cut_off_is_called_so(tmp_path, compressed):
     io.savemat(tmp_path / "a.mat", COLUMNS, do_compression=compressed)

@@ -44,7 +44,7 @@ def test_any_source_gives_the_same_decisions(source, expected):
 def test_a_source_of_the_other_kind_is_refused_at_the_call():
     with pytest.raises(TypeError, match="`source` must be an iterable of packets or of events, got int"):
         stream(5, MODEL)
-    with pytest.raises(TypeError, match=r"`source` must be asynchronous, got list; stream\(source, ...\) takes"):
+    with pytest.raises(TypeError, match=r"`source` must be asynchronous, got list; `stream` takes"):
         astream([], MODEL)
 
 

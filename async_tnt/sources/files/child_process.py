@@ -10,11 +10,10 @@ import json
 import runpy
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing import connection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,21 +33,10 @@ def main(pipe: int) -> None:
         sender.send_bytes(message)
         _alarm(READ_S)
 
-    blocks: Iterator[Any] = iter(())
     for line in sys.stdin.buffer:
         _alarm(READ_S)
-        problem = ""
         try:
-            match json.loads(line):
-                case ["open", reader, path]:
-                    blocks = runpy.run_path(str(Path(__file__).parent / reader))["read"](path)
-                    send(json.dumps(next(blocks)).encode())
-                case ["read"]:
-                    for columns in blocks:
-                        block, problem = whole_numbers(columns)
-                        send(block.tobytes())
-                        if problem:
-                            break
+            problem = _answer(send, *json.loads(line))
         except BrokenPipeError:  # the parent has read enough
             return
         except BaseException as error:  # a panic in Rust derives from BaseException alone
@@ -56,6 +44,22 @@ def main(pipe: int) -> None:
         send(b"")
         send(problem.encode())
         _alarm(0)
+
+
+def _answer(send: Callable[[bytes], None], what: str, reader: str, path: str) -> str:
+    """Send a file's sensor, or its events; returns why it cannot be read on, or ""."""
+    read = runpy.run_path(str(Path(__file__).parent / reader))["read"](path)
+    sensor = next(read)
+    if what == "sensor":
+        send(json.dumps(sensor).encode())
+        return ""
+    for columns in read:
+        block, problem = whole_numbers(columns)
+        if block.size:  # an empty message would be the end
+            send(block.tobytes())
+        if problem:
+            return problem
+    return ""
 
 
 def whole_numbers(columns: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:

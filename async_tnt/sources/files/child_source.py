@@ -4,12 +4,12 @@ faery panics on a damaged AEDAT4 file or asks for so much memory that its proces
 can crash on a damaged file, and HDF5 itself can read one forever. So `child_process.py` runs one of the readers beside
 this file, `aedat4.py`, `hdf5.py` or `mat5.py`. Commands are lines of JSON in its standard input:
 
-    ["open", READER, PATH]   it sends the sensor, as JSON: [width, height] or null
-    ["read"]                 it sends the events of that file, in blocks: columns t, x, y, p as four rows of int64
+    ["sensor", READER, PATH]   it sends the sensor, as JSON: [width, height] or null
+    ["events", READER, PATH]   it sends the events, in blocks: columns t, x, y, p as four rows of int64
 
-Each answer ends with an empty message, then why the file cannot be read on, or another empty one. The child is killed
-after a minute of silence, and where it is not left at the end of a file without damage; else it reads the next file,
-as to start it takes longer than to read a short one. It imports nothing from this package, which would take a second.
+Each answer ends with an empty message, then why the file cannot be read on, or another empty one. After damage, a
+minute of silence, or an answer that was not read to its end, the child is killed; otherwise it reads the next file, as
+starting one takes longer than reading a short file. It imports nothing from this package, which would take a second.
 """
 
 from __future__ import annotations
@@ -49,32 +49,26 @@ class ChildSource(Source):
         self._reader = reader
         path.open("rb").close()  # raises the OSError of a missing file
         with _child() as child:
-            sensor, *problem = self._open(child)
-            if isinstance(sensor, str) or problem:
-                raise ValueError(f"{path}: not a readable {format} file: {[sensor, *problem][-1]!s}")
+            sensor = list(self._ask(child, "sensor"))[-1]
+            if isinstance(sensor, str):
+                raise ValueError(f"{path}: not a readable {format} file: {sensor}")
         self.sensor = None if (sides := json.loads(sensor)) is None else (sides[0], sides[1])
 
     def blocks(self) -> Iterator[np.ndarray]:
         with _child() as child:
-            if child.opened is not self and isinstance(problem := self._open(child)[-1], str):
-                raise CorruptData(f"after event 0: {problem}")
-            child.opened = None
-            yield from valid_blocks(_columns(child.ask("read")))
+            yield from valid_blocks(_columns(self._ask(child, "events")))
 
-    def _open(self, child: Child) -> list[bytes | str]:
-        child.opened = self
-        return list(child.ask("open", self._reader, str(self.path.absolute())))  # its own folder may be another
+    def _ask(self, child: Child, what: str) -> Iterator[bytes | str]:
+        return child.ask(what, self._reader, str(self.path.absolute()))  # its own folder may be another
 
 
 class Child:
     """A process that reads one file after another."""
 
-    opened: ChildSource | None = None
-    """What it can read now."""
-
     def __init__(self) -> None:
         from multiprocessing.connection import Pipe  # 15 ms that other formats need not wait for
 
+        self._environment = _environment()
         self._receiver, sender = Pipe(duplex=False)
         with sender:
             self._process = subprocess.Popen(
@@ -82,13 +76,14 @@ class Child:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "RUST_BACKTRACE": "0"},
+                env=self._environment,
                 **_inherited(sender.fileno()),
             )
 
     @property
-    def is_alive(self) -> bool:
-        return self._process.poll() is None
+    def is_usable(self) -> bool:
+        """It is alive, and would be started in the same way."""
+        return self._process.poll() is None and self._environment == _environment()
 
     def ask(self, *command: str) -> Iterator[bytes | str]:
         """The messages of its answer; then, if the file could not be read on, a str that says why."""
@@ -122,7 +117,7 @@ _idle: dict[int, Child] = {}  # one at most, by process: a forked one must not u
 def _child() -> Iterator[Child]:
     """A child; kept for the next file, but killed after an error, or if its answer was not read to the end."""
     child = _idle.pop(os.getpid(), None)
-    if child is not None and not child.is_alive:
+    if child is not None and not child.is_usable:
         child.end()
         child = None
     child = child or Child()
@@ -139,6 +134,10 @@ def _child() -> Iterator[Child]:
 def _end_idle() -> None:
     if child := _idle.pop(os.getpid(), None):
         child.end()
+
+
+def _environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "RUST_BACKTRACE": "0"}
 
 
 def _columns(messages: Iterable[bytes | str]) -> Iterator[Four]:
