@@ -98,7 +98,7 @@ def representations() -> str:
         rows.append([title, *cells, *(cell(summary(values)) for values in shares), *costs])
     times = [f"{ms} ms" for ms in EQUAL_MS]
     head = ["", "all/all", "1/all", "1/sim", *times, "ns an event", "µs a decision"]
-    return f"{table(head, rows)}\n\nCosts: {about_machine(measured[0])}"
+    return f"{table(head, rows)}\n\nCosts: {about_machine(*measured)}"
 
 
 def without_options() -> str:

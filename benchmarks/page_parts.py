@@ -30,8 +30,11 @@ def percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def about_machine(report: dict[str, Any]) -> str:
-    about = report["machine"]
+def about_machine(*reports: dict[str, Any]) -> str:
+    """Of reports from one machine."""
+    about = reports[0]["machine"]
+    loads = sorted({report["machine"]["load_1min"] for report in reports})
+    load = f"{loads[0]}" if len(loads) == 1 else f"{loads[0]} to {loads[-1]}"
     names = {
         "torch": "torch",
         "onnxruntime": "onnxruntime",
@@ -41,6 +44,6 @@ def about_machine(report: dict[str, Any]) -> str:
     }
     versions = [f"{words} {about[name]}" for name, words in names.items() if about.get(name)]
     return (
-        f"{about['cpu']}, one thread, load {about['load_1min']}; Python {about['python']}, NumPy {about['numpy']}, "
+        f"{about['cpu']}, one thread, load {load}; Python {about['python']}, NumPy {about['numpy']}, "
         f"Numba {about['numba']}" + "".join(", " + v for v in versions) + "."
     )
