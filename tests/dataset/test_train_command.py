@@ -101,7 +101,8 @@ def test_errors_are_one_line(words, message, gestures, trained, program, tmp_pat
         (("--validation", "1"), "must be in [0, 1), got 1.0"),
         (("--groups", "("), "--groups must be a regular expression, got '('"),
         (("--test",), "trials_to_test.txt; found neither"),
-        (("--run", "DATASET/runs"), "--run must lie outside of DATASET"),
+        (("--run", "DATASET/runs"), "--run must lie outside of "),
+        (("--run", "DATASET/flat/run"), "set, in which a folder is a class; got "),
     ],
 )
 def test_options_are_refused_before_the_recordings_are_read(words, message, train, tmp_path, monkeypatch):
@@ -119,7 +120,8 @@ def test_events_are_stored_on_the_disk_of_the_run(gestures, train, tmp_path, mon
         raise ValueError("read enough")
 
     monkeypatch.setattr(train_data, "dataset_data", read)
-    assert train(gestures)[0] == 2 and stores == [tmp_path]  # its folder is made when the training begins
+    assert train(gestures)[0] == 2 and stores.pop() == tmp_path  # its folder is made when the training begins
+    assert train(gestures, "--run", gestures / "runs")[0] == 2 and stores.pop() == gestures  # beside Train
 
 
 def test_ctrl_c_keeps_the_finished_epochs(gestures, train, monkeypatch):
