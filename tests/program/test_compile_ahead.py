@@ -36,6 +36,13 @@ def stream_all(model, **networks):
 MODELS = {kind: random_model(TNTConfig(landmark=kind), widths=(2, 2, 2)) for kind in ("running", "window", "regressor")}
 
 """
+PUSH = """
+before = compiled()
+for processor in processors:
+    for packet in (records, columns, (300_000, 1, 1, 1)):
+        processor.push(packet)
+    processor.fire(), processor.finish()
+"""
 CASES = {
     "warmup_for_anything": """
 warmup()
@@ -58,43 +65,27 @@ stream_all(TNTConfig(landmark="window"), classifier=lambda volume: [0.0])
 other = {"classifier": lambda volume: [0.0], "classes": ("a",)}
 streams = [*((model, {}) for model in MODELS.values()), (TNTConfig(), other), (MODELS["regressor"], other)]
 processors = [Processor(model, **networks, **settings) for model, networks in streams for settings in TRIGGERS]
-before = compiled()
-for processor in processors:
-    for packet in (records, columns, (300_000, 1, 1, 1)):
-        processor.push(packet)
-    processor.fire(), processor.finish()
-""",
+"""
+    + PUSH,
     "a_trigger_is_set": """
 processors = [Processor(model) for model in MODELS.values() for settings in TRIGGERS]
 for processor, settings in zip(processors, TRIGGERS * len(MODELS)):
     for name in settings.keys() - {"late"}:
         setattr(processor, name, settings[name])
-before = compiled()
-for processor in processors:
-    for packet in (records, columns, (300_000, 1, 1, 1)):
-        processor.push(packet)
-    processor.fire(), processor.finish()
-""",
+"""
+    + PUSH,
     "a_state_is_restored": """
 model = MODELS["running"]
 with_trigger = Processor(model.config, classifier=lambda volume: [0.0], classes=("a",), every_events=1)
 processors = [Processor(model)]
 processors[0].restore_state(with_trigger.save_state())
-before = compiled()
-for processor in processors:
-    for packet in (records, columns, (300_000, 1, 1, 1)):
-        processor.push(packet)
-    processor.fire(), processor.finish()
-""",
+"""
+    + PUSH,
     "a_classifier_is_set": """
 processors = [Processor(TNTConfig(), classifier=lambda volume: [0.0], every_events=1)]
 processors[0].classifier = CompiledClassifier(MODELS["running"])
-before = compiled()
-for processor in processors:
-    for packet in (records, columns, (300_000, 1, 1, 1)):
-        processor.push(packet)
-    processor.fire(), processor.finish()
-""",
+"""
+    + PUSH,
 }
 
 
