@@ -1,25 +1,30 @@
-"""Whether the layers that were made of a torch module compute what the module does."""
+"""Whether the layers that were read from a network of another program compute what the network does."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt.checks import one_line
+
 if TYPE_CHECKING:
+    import onnx
     from torch import nn
 
-WAY_OUT = (
-    "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, whole at every decision"
-)
+    from async_tnt.networks.model import Model
+
+TOLERANCE = 1e-4
+Function = Callable[[np.ndarray], np.ndarray]
+"""Volume (C, H, W) -> numbers."""
 
 
-def check_conversion(
+def check_torch_layers(
     module: nn.Module, layers: Sequence[Mapping[str, Any]], weights: Mapping[str, np.ndarray], shape: tuple[int, ...]
 ) -> None:
-    """Compare a module with its layers, on two random volumes: a trace does not show everything that a module does.
+    """Compare a module with its layers, both in float64: a trace does not show everything that a module does.
 
     Parameters
     ----------
@@ -28,32 +33,107 @@ def check_conversion(
 
     Raises
     ------
-    NotImplementedError : they differ by more than 1e-3 of the largest value, or, of a module in 16 bits, its rounding.
+    NotImplementedError : see `compare`.
     """
     import torch
     from tnt_reference import LayerNetwork
 
-    like = next((w for w in module.parameters() if w.is_floating_point()), torch.empty(0))
-    volumes = torch.randn(2, *shape, generator=torch.Generator().manual_seed(0))
-    with torch.no_grad(), in_eval_mode(module):
-        expected = module(volumes.to(like)).float().cpu()
-        found = LayerNetwork(layers, weights).eval()(volumes).float().reshape(expected.shape)
-    bound = max(1e-3, 8 * torch.finfo(like.dtype).eps) * max(1.0, float(expected.abs().max()))
-    if not torch.allclose(found, expected, rtol=0.0, atol=bound, equal_nan=True):
-        difference = float((found - expected).abs().max())
-        raise NotImplementedError(
-            f"the module's layers compute other values than the module (by {difference:.2g}): it changes a value in "
-            "place that is used again, has hooks, or a layer with a forward of its own" + WAY_OUT
-        )
+    from async_tnt.networks.from_torch import WAY_OUT, own_copy
 
+    def function_of(network: nn.Module) -> Function:
+        network = network.cpu().double()
 
-@contextmanager
-def in_eval_mode(module: nn.Module) -> Iterator[None]:
-    """As `module.eval()`; the modes are restored afterwards."""
-    modes = {part: part.training for part in module.modules()}
-    module.eval()
+        def logits(volume: np.ndarray) -> np.ndarray:
+            with torch.no_grad():
+                return np.asarray(network(torch.tensor(volume, dtype=torch.float64)[None]))
+
+        return logits
+
     try:
-        yield
-    finally:
-        for part, mode in modes.items():
-            part.training = mode
+        compare(function_of(own_copy(module)), function_of(LayerNetwork(layers, weights).eval()), shape)
+    except ValueError as error:
+        raise NotImplementedError(f"the module cannot be read as layers: {error}{WAY_OUT}") from None
+
+
+def check_onnx_layers(source: str, proto: onnx.ModelProto, model: Model) -> None:
+    """Compare an ONNX network, run by onnxruntime, with the compiled layers that were read from it.
+
+    Parameters
+    ----------
+    source : the file.
+    proto : its content.
+
+    Raises
+    ------
+    ImportError : onnxruntime is not installed.
+    ValueError : see `compare`; or onnxruntime cannot open the file.
+    """
+    from async_tnt.networks.compiled import CompiledClassifier
+    from async_tnt.networks.from_onnx import ends_in_softmax, input_type
+    from async_tnt.networks.onnx_session import open_session
+
+    session, (given,), *_ = open_session(source, source, 1)
+    dtype, softmax = input_type(proto), ends_in_softmax(proto)
+    n = given.shape[0] if given.shape and isinstance(given.shape[0], int) else 1  # some files fix a batch
+    compiled = CompiledClassifier(model)
+
+    def theirs(volume: np.ndarray) -> np.ndarray:
+        answer: np.ndarray = session.run(None, {given.name: np.repeat(volume[None], n, 0).astype(dtype)})[0]
+        return answer.reshape(n, -1)[0].astype(np.float64)
+
+    def ours(volume: np.ndarray) -> np.ndarray:
+        logits = compiled(volume).astype(np.float64)
+        odds = np.exp(logits - logits.max())
+        return odds / odds.sum() if softmax else logits
+
+    compare(theirs, ours, model.config.shape, max(TOLERANCE, 8 * float(np.finfo(dtype).eps)))
+
+
+def compare(original: Function, layers: Function, shape: tuple[int, ...], tolerance: float = TOLERANCE) -> None:
+    """Compare a network with the layers that were read from it, on all of `volumes_to_compare`.
+
+    Raises
+    ------
+    ValueError : their numbers differ by more than `tolerance` of a volume's largest (or of 1 % of the largest for any
+        volume); or the network fails on a volume.
+    """
+    pairs = []
+    for volume in volumes_to_compare(shape):
+        try:
+            expected = original(volume.copy())  # which may be changed in place
+        except Exception as error:  # of any type
+            raise ValueError(f"it fails on a volume of shape {shape}: {one_line(error)}") from None
+        found = layers(volume).reshape(-1)
+        if expected.size != found.size:
+            raise ValueError(f"it gives numbers of shape {expected.shape}, its layers {found.size}")
+        pairs.append((expected.reshape(-1), found))
+    largest = [float(np.abs(expected[np.isfinite(expected)]).max(initial=0.0)) for expected, _ in pairs]
+    for (expected, found), own in zip(pairs, largest, strict=True):
+        bound = tolerance * max(own, max(largest) / 100)
+        if not np.allclose(found, expected, rtol=0.0, atol=bound, equal_nan=True):
+            difference = np.abs(found - expected).max()
+            raise ValueError(f"its layers compute other numbers (by {difference:.2g}, where the largest is {own:.2g})")
+
+
+def volumes_to_compare(shape: tuple[int, ...]) -> Iterator[np.ndarray]:
+    """Volumes (C, H, W), float32: normal numbers, sparse counts, these times 100, only negative numbers, zeros, and the
+    counts of bundled recordings."""
+    rng = np.random.default_rng(0)
+    normal = rng.normal(size=(2, *shape)).astype(np.float32)
+    counts = (rng.poisson(0.05, (2, *shape)) * rng.choice([-1, 1], (2, *shape))).astype(np.float32)
+    yield from (*normal, *counts, 100 * counts[0], -np.abs(normal[0]), np.zeros(shape, np.float32))
+    samples = resources.files("async_tnt") / "assets" / "samples"
+    for digit in (0, 3, 7):
+        yield _counts_of_recording((samples / f"{digit}.bin").read_bytes(), shape)
+
+
+def _counts_of_recording(content: bytes, shape: tuple[int, ...]) -> np.ndarray:
+    """The first 105 ms of a recording in N-MNIST's format, as counts with their sign, spread over any shape."""
+    rows = np.frombuffer(content, np.uint8).reshape(-1, 5).astype(np.int64)  # see `sources.files.nmnist`
+    t_us = (rows[:, 2] & 127) << 16 | rows[:, 3] << 8 | rows[:, 4]
+    rows, t_us = rows[t_us < 105_000], t_us[t_us < 105_000]
+    channels, height, width = shape
+    cells = t_us * channels // 105_000, rows[:, 1] * height // 34, rows[:, 0] * width // 34
+    volume = np.zeros(shape, np.float32)
+    np.add.at(volume, cells, np.where(rows[:, 2] >> 7, 1, -1))
+    return volume

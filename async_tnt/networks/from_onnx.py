@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +15,14 @@ if TYPE_CHECKING:
 
 Layers = list[dict[str, Any]]
 
+STANDARD = ("", "ai.onnx")  # the domain of ONNX's own operations
+FIRST_OPSET = 7  # before it, sums took an axis, and batch norms and dropouts trained unless told otherwise
 WAY_OUT = "; OnnxClassifier(path) runs any network, whole at every decision"
 
 
 def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tuple[Layers, dict[str, np.ndarray]]:
-    """The layers of a network of one input (N, C, H, W), here of this shape (C, H, W), and their weights; a softmax at
-    its end is left out.
+    """The layers of a network of one input (N, C, H, W), here of this shape (C, H, W), and their weights. A softmax at
+    its end is left out, see `ends_in_softmax`.
 
     Conv, Gemm, MatMul with a constant, BatchNormalization, sums and products with constants of one number or one for
     each channel; Relu, LeakyRelu, PRelu, Clip; MaxPool, AveragePool, GlobalAveragePool, ReduceMean over all places;
@@ -32,13 +35,31 @@ def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tup
     return _Conversion(model, shape).run()
 
 
+def ends_in_softmax(model: onnx.ModelProto) -> bool:
+    """Whether the network's output are probabilities instead of logits."""
+    return any(node.op_type == "Softmax" and node.output[0] == model.graph.output[0].name for node in model.graph.node)
+
+
+def input_type(model: onnx.ModelProto) -> np.dtype:
+    """The floating type of the network's input, and so of its weights."""
+    from onnx import TensorProto
+
+    types = {TensorProto.FLOAT: "float32", TensorProto.FLOAT16: "float16", TensorProto.DOUBLE: "float64"}
+    constants = {tensor.name for tensor in model.graph.initializer}
+    (given,) = (value.type.tensor_type.elem_type for value in model.graph.input if value.name not in constants)
+    if given not in types:
+        raise NotImplementedError(f"the network's input must be floating point, got type {given} of ONNX{WAY_OUT}")
+    return np.dtype(types[given])
+
+
 class _Node:
     """A node, its attributes as Python values."""
 
     def __init__(self, node: onnx.NodeProto) -> None:
         from onnx import helper
 
-        self.op, self.inputs, self.outputs = node.op_type, list(node.input), list(node.output)
+        self.op, self.inputs = node.op_type, list(node.input)
+        self.outputs = [name for name in node.output if name]
         self.where = f"node {node.name or node.output[0]!r} ({node.op_type})"
         self._attributes = {attribute.name: helper.get_attribute_value(attribute) for attribute in node.attribute}
 
@@ -52,8 +73,9 @@ class _Conversion:
         from onnx import numpy_helper
 
         self._volume = shape
-
         graph = model.graph
+        self._check_meanings(model)
+        self.opset = max(entry.version for entry in model.opset_import if entry.domain in STANDARD)
         self.constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
         values = [value for value in graph.input if value.name not in self.constants]
         inputs = [value.name for value in values]
@@ -61,6 +83,7 @@ class _Conversion:
             raise NotImplementedError(
                 f"the network must have one input and one output, got {len(inputs)} and {len(graph.output)}{WAY_OUT}"
             )
+        self._dtype = input_type(model)
         sides = [side.dim_value for side in values[0].type.tensor_type.shape.dim][1:]  # 0: not fixed
         if sides and (len(sides) != 3 or any(side not in (0, own) for side, own in zip(sides, shape, strict=True))):
             raise ValueError(f"the network's input must be the volume, N x {shape}, got N x {tuple(sides)}")
@@ -70,12 +93,23 @@ class _Conversion:
         self._layers: Layers = []
         self._tensors: dict[str, np.ndarray] = {}
 
+    @staticmethod
+    def _check_meanings(model: onnx.ModelProto) -> None:
+        """Refuse operations that are not ONNX's own of that name, or whose meaning was another one."""
+        theirs = [node for node in model.graph.node if node.domain not in STANDARD]
+        if theirs:
+            node = theirs[0]
+            raise NotImplementedError(f"{_Node(node).where} is of the domain {node.domain!r}, not ONNX's own{WAY_OUT}")
+        if any(function.domain in STANDARD for function in model.functions):
+            raise NotImplementedError(f"the network redefines operations of ONNX{WAY_OUT}")
+        versions = [entry.version for entry in model.opset_import if entry.domain in STANDARD]
+        if not versions or min(versions) < FIRST_OPSET:
+            raise NotImplementedError(f"the network must be of opset {FIRST_OPSET} or later, got {versions}{WAY_OUT}")
+
     def run(self) -> tuple[Layers, dict[str, np.ndarray]]:
         for node in self._nodes:
             rule = RULES.get(node.op)
-            if node.op == "Softmax" and node.outputs[0] == self._output:
-                rule = _nothing
-            if rule is None:
+            if rule is None or (node.op == "Softmax" and node.outputs[0] != self._output):
                 raise NotImplementedError(f"{node.where} has no compiled form{WAY_OUT}")
             try:
                 rule(self, node)
@@ -119,6 +153,7 @@ class _Conversion:
 
     def tensor(self, name: str, values: np.ndarray) -> str:
         """Keep a tensor under its own name, or where another one has it, with a `_` behind."""
+        _expect(values.dtype == self._dtype, f"{name!r} of type {values.dtype} beside an input of {self._dtype}")
         values = np.asarray(values, np.float32)
         while name in self._tensors and not np.array_equal(self._tensors[name], values):
             name += "_"
@@ -140,8 +175,10 @@ def _expect(condition: bool, what: str) -> None:
 
 def _window(node: _Node, kernel: Sequence[int]) -> dict[str, list[int]]:
     _expect(len(kernel) == 2, f"a kernel of {len(kernel)} sides")
+    _expect(list(node.get("kernel_shape", kernel)) == list(kernel), "a kernel_shape other than that of the weights")
     auto, dilation = node.get("auto_pad", "NOTSET"), node.get("dilations", [1, 1])
     stride, padding = list(node.get("strides", [1, 1])), list(node.get("pads", [0] * 4))
+    _expect(auto == "NOTSET" or not any(padding), f"auto_pad {auto} beside pads")
     if auto in ("SAME_UPPER", "SAME_LOWER"):
         _expect(stride == [1, 1], f"auto_pad {auto} with a stride of {stride}")
         total = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
@@ -159,23 +196,31 @@ def _conv(made: _Conversion, node: _Node) -> None:
 
 def _gemm(made: _Conversion, node: _Node) -> None:
     _expect(node.get("transA", 0) == 0 and node.get("alpha", 1.0) == node.get("beta", 1.0) == 1.0, "this Gemm")
-    weight, bias = made.constant(node, 1), made.constant(node, 2)
-    assert weight is not None
-    weights = {"weight": made.tensor(node.inputs[1], weight if node.get("transB", 0) else weight.T)}
+    weight, bias = _matrix(made, node), made.constant(node, 2)
+    weight = weight if node.get("transB", 0) else weight.T
+    weights = {"weight": made.tensor(node.inputs[1], weight)}
     if bias is not None:
-        n_units = weight.shape[0 if node.get("transB", 0) else 1]
-        weights["bias"] = made.tensor(node.inputs[2], np.broadcast_to(bias.reshape(-1), n_units))
+        sides = _without_leading_ones(bias.shape)
+        _expect(bias.ndim <= 2 and sides in ((), weight.shape[:1]), f"a bias of shape {bias.shape}")
+        weights["bias"] = made.tensor(node.inputs[2], np.broadcast_to(bias.reshape(-1), len(weight)))
     made.add(node, "dense", node.inputs[:1], weights=weights)
 
 
 def _matmul(made: _Conversion, node: _Node) -> None:
-    weight = made.constant(node, 1)
-    assert weight is not None
-    _expect(weight.ndim == 2, "a product with other than a matrix")
+    weight = _matrix(made, node)
     made.add(node, "dense", node.inputs[:1], weights={"weight": made.tensor(node.inputs[1], weight.T)})
 
 
+def _matrix(made: _Conversion, node: _Node) -> np.ndarray:
+    weight = made.constant(node, 1)
+    if weight is None or weight.ndim != 2:
+        raise NotImplementedError("a product with other than a constant matrix has no compiled form")
+    return weight
+
+
 def _batch_norm(made: _Conversion, node: _Node) -> None:
+    training = node.get("training_mode", 0) or len(node.outputs) > 1  # before opset 14: outputs tell
+    _expect(not training and node.get("spatial", 1) == 1, "a batch norm in training mode, or of each place,")
     weights = made.weights(node, weight=1, bias=2, mean=3, variance=4)
     made.add(node, "batch_norm", node.inputs[:1], weights=weights, epsilon=float(node.get("epsilon", 1e-5)))
 
@@ -193,10 +238,12 @@ def _affine(made: _Conversion, node: _Node, *, is_sum: bool) -> None:
     (source,) = (name for name in node.inputs if name not in made.constants)
     shape = made.shape(source)
     sides = _without_leading_ones(constant.shape)
+    _expect(constant.ndim <= len(shape) + 1, f"a constant of {constant.ndim} axes here")
     _expect(sides in ((), (shape[0], *[1] * (len(shape) - 1))), f"a constant of shape {constant.shape} here")
     n = shape[0]
     values = np.broadcast_to(constant.reshape(-1), n)
-    of_role = {"mean": np.zeros(n), "variance": np.ones(n), "bias" if is_sum else "weight": values}
+    zeros = np.zeros(n, values.dtype)
+    of_role = {"mean": zeros, "variance": zeros + 1, "bias" if is_sum else "weight": values}
     weights = {role: made.tensor(f"{node.outputs[0]}.{role}", numbers) for role, numbers in of_role.items()}
     made.add(node, "batch_norm", [source], weights=weights, epsilon=0.0)
 
@@ -225,7 +272,8 @@ def _leaky_relu(made: _Conversion, node: _Node) -> None:
 
 def _prelu(made: _Conversion, node: _Node) -> None:
     slope = made.constant(node, 1)
-    assert slope is not None
+    if slope is None:
+        raise NotImplementedError("a PRelu without slope has no compiled form")
     sides = _without_leading_ones(slope.shape)  # (C, 1, 1): ONNX would apply (n,) along the last axis
     channels, *others = made.shape(node.inputs[0])
     _expect(slope.size == 1 or sides == (channels, *[1] * len(others)), f"a slope of shape {slope.shape}")
@@ -236,6 +284,7 @@ def _clip(made: _Conversion, node: _Node) -> None:
     limits = {}
     for place, (name, attribute) in enumerate({"low": "min", "high": "max"}.items(), start=1):
         value = made.constant(node, place)
+        _expect(value is None or value.shape == (), f"a {attribute} other than one number")
         limits[name] = node.get(attribute) if value is None else float(value)
     made.add(node, "clip", node.inputs[:1], **limits)
 
@@ -243,11 +292,11 @@ def _clip(made: _Conversion, node: _Node) -> None:
 def _max_pool(made: _Conversion, node: _Node) -> None:
     _expect(len(node.outputs) == 1 and not node.get("ceil_mode", 0), "ceil_mode or indices")
     _expect(list(node.get("dilations", [1, 1])) == [1, 1], "dilation")
-    made.add(node, "max_pool", node.inputs[:1], **_window(node, node.get("kernel_shape")))
+    made.add(node, "max_pool", node.inputs[:1], **_window(node, node.get("kernel_shape", [])))
 
 
 def _average_pool(made: _Conversion, node: _Node) -> None:
-    window = _window(node, node.get("kernel_shape"))
+    window = _window(node, node.get("kernel_shape", []))
     _expect(not node.get("ceil_mode", 0), "ceil_mode")
     _expect(list(node.get("dilations", [1, 1])) == [1, 1], "dilation")
     _expect(node.get("count_include_pad", 0) == 1 or not any(window["padding"]), "padding without count_include_pad")
@@ -279,9 +328,12 @@ def _flatten(made: _Conversion, node: _Node) -> None:
 
 
 def _reshape(made: _Conversion, node: _Node) -> None:
-    shape = made.constant(node, 1)
-    assert shape is not None
-    _expect(shape.size == 2 and shape[0] in (-1, 0, 1), f"a reshape to {shape.tolist()}, not (n, -1),")
+    """To (n, -1) or (n, m), one row a volume; 0 stands for the batch, unless `allowzero` says that it is none."""
+    given = made.constant(node, 1)
+    rows, n = (None, None) if given is None or given.shape != (2,) else given.tolist()
+    fits = (rows in (0, 1) and n == -1) or (rows in (-1, 0, 1) and n == math.prod(made.shape(node.inputs[0])))
+    fits = fits and not (rows == 0 and node.get("allowzero", 0))
+    _expect(fits, f"a reshape to {None if given is None else given.tolist()}, not (n, -1), one row a volume,")
     made.add(node, "flatten", node.inputs[:1])
 
 
@@ -292,7 +344,21 @@ def _constant(made: _Conversion, node: _Node) -> None:
     made.constants[node.outputs[0]] = numpy_helper.to_array(node.get("value"))
 
 
-def _nothing(made: _Conversion, node: _Node) -> None:
+def _softmax(made: _Conversion, node: _Node) -> None:
+    """The last one, over the classes: before opset 13 over all axes from `axis` on."""
+    axis = node.get("axis", 1 if made.opset < 13 else -1)
+    n_axes = len(made.shape(node.inputs[0])) + 1
+    _expect(axis % n_axes == 1, f"a softmax over axis {axis}, not over the classes (1),")
+    made.alias(node, node.inputs[0])
+
+
+def _dropout(made: _Conversion, node: _Node) -> None:
+    training = made.constant(node, 2)
+    _expect(training is None or not training.any(), "a dropout in training mode")
+    _identity(made, node)
+
+
+def _identity(made: _Conversion, node: _Node) -> None:
     if node.inputs[0] in made.constants:
         made.constants[node.outputs[0]] = made.constants[node.inputs[0]]
     else:
@@ -319,7 +385,8 @@ RULES: dict[str, Callable[[_Conversion, _Node], None]] = {
     "Flatten": _flatten,
     "Reshape": _reshape,
     "Constant": _constant,
-    "Dropout": _nothing,
-    "Identity": _nothing,
+    "Softmax": _softmax,
+    "Dropout": _dropout,
+    "Identity": _identity,
 }
 """Type of a node -> its rule."""

@@ -2,348 +2,195 @@
 
 from __future__ import annotations
 
+import copy
 import operator
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+import torch
+from tnt_reference import LayerNetwork
+from torch import fx, nn
 
 from async_tnt.checks import one_line
-from async_tnt.networks.conversion_check import WAY_OUT, in_eval_mode
 from async_tnt.networks.graph import VOLUME
-
-if TYPE_CHECKING:
-    from torch import fx, nn
+from async_tnt.networks.torch_operations import (
+    FUNCTIONS,
+    IN_PLACE,
+    METHODS,
+    MODULES,
+    Call,
+    LayerList,
+    Operation,
+    float_array,
+)
 
 Layers = list[dict[str, Any]]
+WAY_OUT = (
+    "; TorchClassifier(module) runs any module, and OnnxClassifier what torch exports to ONNX, whole at every decision"
+)
 
 
 def layers_from_torch(module: nn.Module, prefix: str = "") -> tuple[Layers, dict[str, np.ndarray]]:
-    """The layers of a module and their weights, as in eval mode.
+    """The layers of a module and their weights, as in eval mode. The module itself stays as it is.
 
     Parameters
     ----------
     prefix : of the weights' names, which are otherwise those in `state_dict`.
-    module : volumes (N, C, H, W) -> (N, n). Convolutions, linear layers, batch norm; ReLU, LeakyReLU, PReLU, ReLU6,
+    module : volumes (1, C, H, W) -> (1, n). Convolutions, linear layers, batch norm; ReLU, LeakyReLU, PReLU, ReLU6,
         Hardtanh and clamp; max and average pooling, adaptive average pooling to one place, mean over all places; sums
-        and concatenations; flatten, dropout and identity: as modules, functions or methods.
+        and concatenations; flatten, dropout and identity: as modules, functions or methods, in place or not.
 
     Raises
     ------
-    NotImplementedError : names the first operation that is not among these.
+    TypeError : `module` is not a torch module.
+    NotImplementedError : names the first operation that is not among these, or the first module with hooks.
     """
-    from torch import fx
-
-    own: Any = module
-    if type(own).__name__ == "LayerNetwork":  # the reference's, which is made of layers
-        return [dict(layer) for layer in own.layers], {name: _array(w) for name, w in own.tensors.items()}
+    if not isinstance(module, nn.Module):
+        raise TypeError(f"`module` must be a torch.nn.Module, got {type(module).__name__}{_advice(module)}")
+    if type(module) is LayerNetwork:
+        return [dict(layer) for layer in module.layers], {name: float_array(w) for name, w in module.tensors.items()}
+    module = own_copy(module)
     try:
-        with in_eval_mode(module):
-            graph = _Tracer().trace(module)
-    except (fx.proxy.TraceError, TypeError, RuntimeError) as error:
+        graph = _Tracer().trace(module)
+    except Exception as error:  # whatever the module's own code raises
         raise NotImplementedError(f"torch.fx cannot trace this module: {one_line(error)}{WAY_OUT}") from None
     return _Conversion(module, prefix).run(graph)
 
 
-def _array(tensor: Any) -> np.ndarray:
-    array: np.ndarray = tensor.detach().cpu().float().numpy()
-    return array
+def own_copy(module: nn.Module) -> nn.Module:
+    """The module in eval mode, for tracing and running without effects on the caller's.
+
+    Raises
+    ------
+    NotImplementedError : it does something that neither a copy nor a trace shows, or cannot be copied.
+    """
+    for name, part in module.named_modules():
+        where = f"layer {name!r} ({type(part).__name__})" if name else "the module"
+        if isinstance(part, torch.jit.ScriptModule):
+            raise NotImplementedError(f"{where} is compiled by torch.jit: take what it was made from{WAY_OUT}")
+        if part._forward_hooks or part._forward_pre_hooks:  # torch has no public way to ask
+            raise NotImplementedError(f"{where} has hooks, which a trace does not show: remove them{WAY_OUT}")
+        if "forward" in vars(part) and not isinstance(part, fx.GraphModule):
+            raise NotImplementedError(f"{where} has a `forward` that is not of its class{WAY_OUT}")
+    try:
+        return copy.deepcopy(module).eval()
+    except Exception as error:  # of many types
+        raise NotImplementedError(f"the module cannot be copied: {one_line(error)}{WAY_OUT}") from None
 
 
-def _Tracer() -> fx.Tracer:
-    from torch import fx
+def _advice(module: Any) -> str:
+    return ": load the weights into their module (load_state_dict)" if isinstance(module, Mapping) else ""
 
-    class Tracer(fx.Tracer):
-        def is_leaf_module(self, m: nn.Module, module_qualified_name: str) -> bool:
-            return super().is_leaf_module(m, module_qualified_name) or type(m).__name__ in MODULES
 
-    return Tracer()
+class _Proxy(fx.Proxy):
+    """A value of the trace that also records `x += y`, where fx would record `x + y`."""
+
+
+for _function in IN_PLACE - {operator.setitem, operator.delitem}:
+
+    def _record(self: fx.Proxy, other: Any, function: Any = _function) -> fx.Proxy:
+        return self.tracer.create_proxy("call_function", function, (self, other), {})
+
+    setattr(_Proxy, f"__{_function.__name__}__", _record)
+
+
+class _Tracer(fx.Tracer):
+    proxy_buffer_attributes = True  # a change of a buffer is recorded, too
+
+    def is_leaf_module(self, m: nn.Module, module_qualified_name: str) -> bool:
+        return super().is_leaf_module(m, module_qualified_name) or type(m) in MODULES
+
+    def proxy(self, node: fx.Node) -> fx.Proxy:
+        return _Proxy(node, self)
 
 
 class _Conversion:
+    """Reads the nodes of a trace in their order.
+
+    In-place operations are read as copies, so it also keeps which nodes share memory: after one of them has been
+    written to, the others stand for the new value, or, in another shape, for none that a layer has.
+    """
+
     def __init__(self, module: nn.Module, prefix: str) -> None:
-        self._prefix, self._modules = prefix, dict(module.named_modules())
-        self._layers: Layers = []
-        self._tensors: dict[str, np.ndarray] = {}
-        self._names: dict[Any, str] = {}  # of the layer whose value a node has
+        self._module, self._made = module, LayerList(prefix)
+        self._memory: dict[fx.Node, fx.Node] = {}  # node -> the first one in the same memory
 
     def run(self, graph: fx.Graph) -> tuple[Layers, dict[str, np.ndarray]]:
         inputs = [node for node in graph.nodes if node.op == "placeholder"]
         if len(inputs) != 1:
             raise NotImplementedError(f"the module must take one volume, got {len(inputs)} arguments{WAY_OUT}")
-        self._names[inputs[0]] = VOLUME
+        self._made.names[inputs[0]] = VOLUME
         for node in graph.nodes:
-            if node.op == "output":
-                if node.args[0] not in self._names:
-                    raise NotImplementedError(f"the module must return one tensor of logits{WAY_OUT}")
-                break
-            if node.op != "placeholder" and node.users and not self._is_batch_size(node):
-                self._names[node] = self._convert(node)
-        output = self._names[node.args[0]]
-        if not self._layers or self._layers[-1]["name"] != output:
+            if node.op not in ("placeholder", "output") and not self._is_size(node):
+                self._read(node)
+        (output,) = (node.args[0] for node in graph.nodes if node.op == "output")
+        if not isinstance(output, fx.Node):
+            raise NotImplementedError(f"the module must return one tensor of logits{WAY_OUT}")
+        made = self._made
+        if not made.layers or made.names.get(output) != made.layers[-1]["name"]:
             raise NotImplementedError(f"the module's last operation must give its logits{WAY_OUT}")
-        return self._layers, self._tensors
+        return made.layers, made.weights
 
-    def _is_batch_size(self, node: fx.Node) -> bool:
-        """x.size(0), x.shape, x.shape[0]: what a view gets."""
+    def _is_size(self, node: fx.Node) -> bool:
+        """x.size(...), x.shape, and numbers taken from them: known to `_view`, unknown to all other rules."""
         if node.op == "call_method" and node.target == "size":
             return True
         if node.op == "call_function" and node.target is getattr and node.args[1] == "shape":
             return True
-        return node.target is operator.getitem and getattr(node.args[0], "target", None) in (getattr, "size")
+        of = node.args[0] if node.target is operator.getitem else None
+        return isinstance(of, fx.Node) and self._is_size(of)
 
-    def _convert(self, node: fx.Node) -> str:
-        """Add a node's layer, if it is one; returns the name of the layer whose value it has."""
-        where, rule, arguments = self._rule(node)
+    def _read(self, node: fx.Node) -> None:
+        """Add a node's layer, if it is one, and keep the name of the layer whose value it has."""
+        kind, module, operation = self._operation(node)
+        where = f"layer {node.target!r} ({kind})" if module is not None else f"operation {node.name!r} ({kind})"
+        if operation is None and node.users:
+            raise NotImplementedError(f"{where} has no compiled form{WAY_OUT}")
         try:
-            return rule(self, node, *arguments)
+            if operation is None:
+                for source in [] if _is_pure(node, module, kind) else node.all_input_nodes:
+                    self._write(source, None, where)
+                return
+            call = Call(node, operation.arguments(node, module), module)
+            if node.users or call.written is not None:
+                self._add(call, operation, where)
         except NotImplementedError as error:
             raise NotImplementedError(f"{where}: {error}{WAY_OUT}") from None
 
-    def _rule(self, node: fx.Node) -> tuple[str, Callable[..., str], tuple[Any, ...]]:
+    def _add(self, call: Call, operation: Operation, where: str) -> None:
+        name, written = operation.rule(self._made, call), call.written
+        if written is not None:
+            self._write(written, name, where)
+        shared = call.arguments["input"] if operation.is_view else written
+        if shared is not None:
+            self._memory[call.node] = self._memory.get(shared, shared)
+        self._made.names[call.node] = name
+
+    def _write(self, source: Any, name: str | None, where: str) -> None:
+        """The memory of `source` now holds the value of the layer `name`, or one that no layer has."""
+        memory, before, names = self._memory.get(source, source), self._made.source(source), self._made.names
+        for node in [node for node in names if self._memory.get(node, node) is memory]:
+            if name is not None and names[node] == before:
+                names[node] = name
+            else:
+                self._made.overwritten[node] = where
+                del names[node]
+
+    def _operation(self, node: fx.Node) -> tuple[str, nn.Module | None, Operation | None]:
+        """The name of what a node calls, the module if it is one, and what is known of it."""
         if node.op == "call_module":
-            module = self._modules[str(node.target)]
-            kind = type(module).__name__
-            if kind in MODULES:
-                return f"layer {node.target!r} ({kind})", MODULES[kind], (module,)
-            raise NotImplementedError(f"layer {node.target!r} is a {kind}, which has no compiled form{WAY_OUT}")
+            module = self._module.get_submodule(str(node.target))
+            return type(module).__name__, module, MODULES.get(type(module))
         name = node.target if isinstance(node.target, str) else getattr(node.target, "__name__", str(node.target))
-        rules = METHODS if node.op == "call_method" else FUNCTIONS
-        if node.op in ("call_method", "call_function") and name in rules:
-            return f"operation {node.name!r} ({name})", rules[name], ()
-        raise NotImplementedError(f"operation {node.name!r} ({name}) has no compiled form{WAY_OUT}")
-
-    def add(self, op: str, node: fx.Node, sources: Sequence[Any], **parameters: Any) -> str:
-        taken = {VOLUME, *(layer["name"] for layer in self._layers)}
-        name = str(node.target) if node.op == "call_module" and str(node.target) not in taken else node.name
-        while name in taken:
-            name += "_"
-        for source in sources:
-            if source not in self._names:
-                raise NotImplementedError(f"its input {source} is not computed from the volume")
-        inputs = [self._names[source] for source in sources]
-        self._layers.append({"op": op, "name": name, "inputs": inputs, **parameters})
-        return name
-
-    def source(self, node: Any) -> str:
-        """The layer that a node stands for itself: of a dropout, the one before it."""
-        return self._names[node]
-
-    def rename(self, node: Any, layer: str) -> None:
-        self._names[node] = layer
-
-    def tensors(self, node: fx.Node, module: nn.Module, **roles: str) -> dict[str, str]:
-        """Keep a module's tensors; role -> name, without those that are None."""
-        weights = {}
-        for role, attribute in roles.items():
-            tensor = getattr(module, attribute)
-            if tensor is not None:
-                weights[role] = f"{self._prefix}{node.target}.{attribute}"
-                self._tensors[weights[role]] = _array(tensor)
-        return weights
+        known = {"call_method": METHODS, "call_function": FUNCTIONS}.get(node.op, {})
+        return name, None, known.get(node.target)
 
 
-def _pair(value: Any) -> list[int]:
-    return [int(v) for v in value] if isinstance(value, (tuple, list)) else [int(value)] * 2
-
-
-def _expect(condition: bool, what: str) -> None:
-    if not condition:
-        raise NotImplementedError(f"{what} has no compiled form")
-
-
-def _argument(node: fx.Node, place: int, name: str, default: Any = None) -> Any:
-    return node.args[place] if len(node.args) > place else node.kwargs.get(name, default)
-
-
-def _conv(made: _Conversion, node: fx.Node, module: Any) -> str:
-    _expect(module.padding_mode == "zeros", f"padding_mode {module.padding_mode!r}")
-    kernel, dilation = _pair(module.kernel_size), _pair(module.dilation)
-    if module.padding == "same":
-        total = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
-        padding = [n // 2 for n in total] + [n - n // 2 for n in total]
-    else:
-        padding = 2 * _pair(0 if module.padding == "valid" else module.padding)
-    return made.add(
-        "conv",
-        node,
-        node.args,
-        weights=made.tensors(node, module, weight="weight", bias="bias"),
-        kernel=kernel,
-        stride=_pair(module.stride),
-        padding=padding,
-        dilation=dilation,
-        groups=module.groups,
-    )
-
-
-def _linear(made: _Conversion, node: fx.Node, module: Any) -> str:
-    return made.add("dense", node, node.args, weights=made.tensors(node, module, weight="weight", bias="bias"))
-
-
-def _batch_norm(made: _Conversion, node: fx.Node, module: Any) -> str:
-    _expect(module.running_mean is not None, "a batch norm without running statistics")
-    roles = {"mean": "running_mean", "variance": "running_var", "weight": "weight", "bias": "bias"}
-    return made.add("batch_norm", node, node.args, weights=made.tensors(node, module, **roles), epsilon=module.eps)
-
-
-def _relu(made: _Conversion, node: fx.Node, module: Any = None) -> str:
-    return made.add("relu", node, node.args[:1])
-
-
-def _relu6(made: _Conversion, node: fx.Node, module: Any = None) -> str:
-    return made.add("clip", node, node.args[:1], low=0.0, high=6.0)
-
-
-def _hardtanh(made: _Conversion, node: fx.Node, module: Any = None) -> str:
-    low = module.min_val if module is not None else _argument(node, 1, "min_val", -1.0)
-    high = module.max_val if module is not None else _argument(node, 2, "max_val", 1.0)
-    return made.add("clip", node, node.args[:1], low=float(low), high=float(high))
-
-
-def _clamp(made: _Conversion, node: fx.Node) -> str:
-    limits = {"low": _argument(node, 1, "min"), "high": _argument(node, 2, "max")}
-    for value in limits.values():
-        _expect(value is None or isinstance(value, (int, float)), "a limit that is no number")
-    return made.add("clip", node, node.args[:1], **limits)
-
-
-def _leaky_relu(made: _Conversion, node: fx.Node, module: Any = None) -> str:
-    slope = module.negative_slope if module is not None else _argument(node, 1, "negative_slope", 0.01)
-    return made.add("leaky_relu", node, node.args[:1], slope=float(slope))
-
-
-def _prelu(made: _Conversion, node: fx.Node, module: Any) -> str:
-    return made.add("prelu", node, node.args, weights=made.tensors(node, module, slope="weight"))
-
-
-def _pool(made: _Conversion, node: fx.Node, op: str, arguments: Mapping[str, Any]) -> str:
-    kernel, stride, padding = arguments["kernel_size"], arguments["stride"], arguments["padding"]
-    _expect(not arguments["ceil_mode"], "ceil_mode")
-    window = {"kernel": _pair(kernel), "stride": _pair(kernel if stride is None else stride)}
-    return made.add(op, node, node.args[:1], **window, padding=2 * _pair(padding))
-
-
-MAX_POOL = {"kernel_size": None, "stride": None, "padding": 0, "dilation": 1, "ceil_mode": False}
-AVERAGE_POOL = {
-    "kernel_size": None,
-    "stride": None,
-    "padding": 0,
-    "ceil_mode": False,
-    "count_include_pad": True,
-    "divisor_override": None,
-}
-
-
-def _arguments(node: fx.Node, module: Any, defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a pooling, as a module or as a function."""
-    if module is not None:
-        return {name: getattr(module, name) for name in defaults}
-    return {name: _argument(node, k + 1, name, default) for k, (name, default) in enumerate(defaults.items())}
-
-
-def _max_pool(made: _Conversion, node: fx.Node, module: Any = None) -> str:
-    arguments = _arguments(node, module, MAX_POOL)
-    _expect(_pair(arguments["dilation"]) == [1, 1], "dilation")
-    _expect(not (getattr(module, "return_indices", False) or node.kwargs.get("return_indices")), "return_indices")
-    return _pool(made, node, "max_pool", arguments)
-
-
-def _average_pool(made: _Conversion, node: fx.Node, module: Any = None) -> str:
-    arguments = _arguments(node, module, AVERAGE_POOL)
-    padded = any(_pair(arguments["padding"]))
-    _expect(bool(arguments["count_include_pad"]) or not padded, "padding with count_include_pad=False")
-    _expect(arguments["divisor_override"] in (None, 1), "divisor_override")
-    return _pool(made, node, "average_pool" if arguments["divisor_override"] is None else "sum_pool", arguments)
-
-
-def _adaptive_pool(made: _Conversion, node: fx.Node, module: Any = None) -> str:
-    size = module.output_size if module is not None else _argument(node, 1, "output_size")
-    _expect(size in (1, (1, 1), [1, 1]), f"an output size of {size}, not 1,")
-    return made.add("global_average_pool", node, node.args[:1])
-
-
-def _mean(made: _Conversion, node: fx.Node) -> str:
-    axes = _argument(node, 1, "dim")
-    axes = sorted(axis % 4 for axis in axes) if isinstance(axes, (tuple, list)) else axes
-    _expect(axes == [2, 3], f"a mean over {axes}, not over all places (2, 3),")
-    pooled = made.add("global_average_pool", node, node.args[:1])
-    if _argument(node, 2, "keepdim", False):
-        return pooled
-    made.rename(node, pooled)
-    return made.add("flatten", node, [node])
-
-
-def _add(made: _Conversion, node: fx.Node) -> str:
-    _expect(not set(node.kwargs) - {"input", "other"}, "a factor alpha")
-    return made.add("add", node, [*node.args, *node.kwargs.values()])
-
-
-def _cat(made: _Conversion, node: fx.Node) -> str:
-    axis = _argument(node, 1, "dim", 0)
-    _expect(axis in (1, -3), f"a concatenation along axis {axis}, not of channels (1),")
-    return made.add("concat", node, _argument(node, 0, "tensors"))
-
-
-def _flatten(made: _Conversion, node: fx.Node, module: Any = None) -> str:
-    first = module.start_dim if module is not None else _argument(node, 1, "start_dim", 0)
-    last = module.end_dim if module is not None else _argument(node, 2, "end_dim", -1)
-    _expect((first, last) == (1, -1), f"a flatten from axis {first} to {last}, not from 1 to -1,")
-    return made.add("flatten", node, [_argument(node, 0, "input")])
-
-
-def _view(made: _Conversion, node: fx.Node) -> str:
-    """x.view(n, -1), with the batch's size or a number, or (-1, m), which the check of a conversion compares."""
-    shape = node.args[1] if isinstance(node.args[1], (tuple, list)) else node.args[1:]
-    _expect(len(shape) == 2 and isinstance(shape[1], int), "a view other than (n, -1)")
-    return made.add("flatten", node, node.args[:1])
-
-
-def _nothing(made: _Conversion, node: fx.Node, module: Any = None) -> str:
-    return made.source(node.args[0])
-
-
-def _centroid(made: _Conversion, node: fx.Node, module: Any) -> str:
-    return made.add("heatmap_centroid", node, node.args)
-
-
-MODULES: dict[str, Callable[..., str]] = {
-    "Conv2d": _conv,
-    "Linear": _linear,
-    **dict.fromkeys(("BatchNorm1d", "BatchNorm2d"), _batch_norm),
-    "ReLU": _relu,
-    "ReLU6": _relu6,
-    "Hardtanh": _hardtanh,
-    "LeakyReLU": _leaky_relu,
-    "PReLU": _prelu,
-    "MaxPool2d": _max_pool,
-    "AvgPool2d": _average_pool,
-    "AdaptiveAvgPool2d": _adaptive_pool,
-    "Flatten": _flatten,
-    **dict.fromkeys(("Dropout", "Dropout1d", "Dropout2d", "Identity"), _nothing),
-    "HeatmapCentroid": _centroid,
-}
-"""Type of a module -> its rule."""
-FUNCTIONS: dict[str, Callable[..., str]] = {
-    **dict.fromkeys(("relu", "relu_"), _relu),
-    "relu6": _relu6,
-    "hardtanh": _hardtanh,
-    **dict.fromkeys(("clamp", "clip"), _clamp),
-    "leaky_relu": _leaky_relu,
-    "max_pool2d": _max_pool,
-    "boolean_dispatch": _max_pool,
-    "avg_pool2d": _average_pool,
-    "adaptive_avg_pool2d": _adaptive_pool,
-    "mean": _mean,
-    **dict.fromkeys(("add", "iadd"), _add),
-    **dict.fromkeys(("cat", "concat"), _cat),
-    "flatten": _flatten,
-    **dict.fromkeys(("dropout", "dropout2d"), _nothing),
-}
-METHODS: dict[str, Callable[..., str]] = {
-    **{name: FUNCTIONS[name] for name in ("relu", "relu_", "clamp", "clip", "mean", "add", "flatten")},
-    "add_": _add,
-    "view": _view,
-    "reshape": _view,
-    "contiguous": _nothing,
-}
+def _is_pure(node: fx.Node, module: nn.Module | None, name: str) -> bool:
+    """Whether an operation without a compiled form is torch's or Python's own, and changes nothing in place."""
+    if node.op == "call_function":
+        theirs = str(getattr(node.target, "__module__", "")).partition(".")[0] in ("torch", "_operator", "builtins")
+        if not theirs or node.target in IN_PLACE or "out" in node.kwargs:
+            return False
+    return not (name.endswith("_") or node.kwargs.get("inplace") or getattr(module, "inplace", False))

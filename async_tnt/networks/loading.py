@@ -14,7 +14,8 @@ from safetensors import SafetensorError
 from async_tnt.checked_tensors import read_tensors
 from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
-from async_tnt.networks.from_onnx import layers_from_onnx
+from async_tnt.networks.conversion_check import check_onnx_layers
+from async_tnt.networks.from_onnx import WAY_OUT, layers_from_onnx
 from async_tnt.networks.graph import CLASSIFIER, layer_shapes
 from async_tnt.networks.model import FORMAT, UNCHECKED_FORMAT, Model, UncheckedModelWarning, checksum_of
 from async_tnt.networks.onnx_metadata import is_damaged, read_metadata
@@ -42,7 +43,8 @@ def load_model(
     FileNotFoundError : neither; the message lists the bundled names.
     ImportError : an .onnx network, and onnx is not installed.
     TypeError : `config` or `classes` for a model that has its own, or no `config` for a network that has none.
-    NotImplementedError : names the first node of an .onnx network that has no compiled form.
+    NotImplementedError : names the first node of an .onnx network that has no compiled form; or its layers compute
+        other numbers than onnxruntime (where that is not installed, a warning says that nothing was compared).
     ValueError : the file is damaged, needs a network that this release cannot run, or is not a model of this package.
 
     Warns
@@ -135,4 +137,14 @@ def _load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | No
     if classes is None:
         shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
         classes = [str(k) for k in range(list(shapes.values())[-1][0])]
-    return Model(config, weights, tuple(classes), exported.record if exported else {}, {CLASSIFIER: layers})
+    model = Model(config, weights, tuple(classes), exported.record if exported else {}, {CLASSIFIER: layers})
+    try:
+        check_onnx_layers(str(path), proto, model)
+    except ImportError:
+        warnings.warn(
+            f"{path}: its layers were not compared with the network itself, as onnxruntime is not installed",
+            stacklevel=3,  # the caller of `load_model`
+        )
+    except ValueError as error:
+        raise NotImplementedError(f"{path} cannot be read as layers: {error}{WAY_OUT}") from None
+    return model

@@ -15,8 +15,6 @@ from async_tnt.checked_tensors import checksum, tensor_bytes
 from async_tnt.checks import plain_array
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
-from async_tnt.networks.conversion_check import check_conversion
-from async_tnt.networks.from_torch import layers_from_torch
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
 from async_tnt.networks.thesis import thesis_network
 
@@ -113,16 +111,18 @@ class Model:
         >>> CompiledClassifier(model).n_classes
         2
         """
+        from async_tnt.networks.conversion_check import check_torch_layers
+        from async_tnt.networks.from_torch import layers_from_torch
+
+        parts = {CLASSIFIER: module, **({} if regressor is None else {REGRESSOR: regressor})}
         network: dict[str, Any] = {}
         weights: dict[str, np.ndarray] = {}
-        for name, part in ((CLASSIFIER, module), (REGRESSOR, regressor)):
-            if part is not None:
-                network[name], tensors = layers_from_torch(part, prefix="" if name == CLASSIFIER else f"{name}.")
-                weights |= tensors
+        for name, part in parts.items():
+            network[name], tensors = layers_from_torch(part, prefix="" if name == CLASSIFIER else f"{name}.")
+            weights |= tensors
         model = cls(config, weights, tuple(classes), record or {}, network)
-        for name, part in ((CLASSIFIER, module), (REGRESSOR, regressor)):
-            if part is not None:
-                check_conversion(part, network[name], weights, config.shape)
+        for name, part in parts.items():
+            check_torch_layers(part, network[name], weights, config.shape)
         return model
 
     @property

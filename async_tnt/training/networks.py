@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tnt_reference import heatmap_centroid
 from torch import nn
 
 from async_tnt.checks import one_line
+from async_tnt.networks.torch_operations import HeatmapCentroid
 
 Build = Callable[[int, tuple[int, int], int], nn.Module]
 """(channels, (width, height), n_classes) -> network."""
@@ -111,14 +111,6 @@ def _separable(channels: int, n_filters: int) -> list[nn.Module]:
 
 def _head(channels: int, n_classes: int) -> list[nn.Module]:
     return [nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(channels, n_classes)]
-
-
-class HeatmapCentroid(nn.Module):
-    """Heatmaps (N, 1, H, W) to landmarks (N, 2): the mean place under a softmax over all places."""
-
-    def forward(self, exponent: torch.Tensor) -> torch.Tensor:
-        landmark: torch.Tensor = heatmap_centroid(exponent)
-        return landmark
 
 
 def landmark_network(channels: int, n_filters: int = 20) -> nn.Module:

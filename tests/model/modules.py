@@ -88,9 +88,9 @@ def module_of(name):
 VOLUMES = np.random.default_rng(0).normal(size=(3, *CONFIG.shape)).astype(np.float32)
 
 
-def logits_of(module):
+def logits_of(module, volumes=VOLUMES):
     with torch.no_grad():
-        return module.eval()(torch.tensor(VOLUMES)).numpy()
+        return module.eval()(torch.tensor(volumes)).numpy()
 
 
 EVEN_KERNEL = pytest.mark.filterwarnings("ignore:Using padding='same' with even kernel")

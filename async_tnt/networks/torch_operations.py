@@ -1,0 +1,339 @@
+"""Torch's operations that have a compiled form: modules, functions and methods, and how a call becomes layers."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from tnt_reference import heatmap_centroid
+from torch import fx, nn
+from torch.nn import functional as F
+
+from async_tnt.networks.graph import VOLUME
+
+IN_PLACE = (
+    {operator.setitem, operator.delitem}
+    | {  # and those that have a twin: iadd has add
+        value for name, value in vars(operator).items() if name.startswith("__i") and f"__{name[3:]}" in vars(operator)
+    }
+)
+
+
+class HeatmapCentroid(nn.Module):
+    """Heatmaps (N, 1, H, W) to landmarks (N, 2): the mean place under a softmax over all places."""
+
+    def forward(self, exponent: torch.Tensor) -> torch.Tensor:
+        landmark: torch.Tensor = heatmap_centroid(exponent)
+        return landmark
+
+
+@dataclass(frozen=True)
+class Call:
+    """A node of the trace that is a known operation, with all of its arguments."""
+
+    node: fx.Node
+    arguments: Mapping[str, Any]
+    module: Any
+    """The torch module that is called, or None."""
+
+    def __getitem__(self, name: str) -> Any:
+        return self.arguments[name]
+
+    @property
+    def written(self) -> Any:
+        """The node whose memory holds its result, too, as of in-place operations; or None."""
+        target = self.node.target
+        name = target if self.node.op == "call_method" else getattr(target, "__name__", "")
+        in_place = target in IN_PLACE or str(name).endswith("_") or bool(self.arguments.get("inplace"))
+        return self.arguments["input"] if in_place else self.arguments.get("out")
+
+
+class LayerList:
+    """The layers of a trace and their weights, so far."""
+
+    def __init__(self, prefix: str) -> None:
+        self._prefix = prefix
+        self.layers: list[dict[str, Any]] = []
+        self.weights: dict[str, np.ndarray] = {}
+        self.names: dict[fx.Node, str] = {}
+        """Of the layer whose value a node has."""
+        self.overwritten: dict[fx.Node, str] = {}
+        """What changed a node's value to one that no layer has."""
+
+    def add(self, op: str, call: Call, sources: Iterable[Any] | None = None, **parameters: Any) -> str:
+        """Add a layer of a call; returns its name. `sources` are by default its only input."""
+        taken = {VOLUME, *(layer["name"] for layer in self.layers)}
+        node = call.node
+        name = str(node.target) if call.module is not None and str(node.target) not in taken else node.name
+        while name in taken:
+            name += "_"
+        inputs = [self.source(node) for node in ([call["input"]] if sources is None else sources)]
+        self.layers.append({"op": op, "name": name, "inputs": inputs, **parameters})
+        return name
+
+    def source(self, node: Any) -> str:
+        """The layer whose value a node has; a layer's name stays."""
+        if isinstance(node, str):
+            return node
+        if not isinstance(node, fx.Node) or node not in self.names:
+            by = self.overwritten.get(node) if isinstance(node, fx.Node) else None
+            why = "not computed from the volume" if by is None else f"changed in place by {by}"
+            raise NotImplementedError(f"its input {node} is {why}")
+        return self.names[node]
+
+    def tensors(self, call: Call, **roles: str) -> dict[str, str]:
+        """Keep a module's tensors; role -> name, without those that are None."""
+        weights = {}
+        for role, attribute in roles.items():
+            tensor = getattr(call.module, attribute)
+            if tensor is not None:
+                weights[role] = f"{self._prefix}{call.node.target}.{attribute}"
+                self.weights[weights[role]] = float_array(tensor)
+        return weights
+
+
+def float_array(tensor: torch.Tensor) -> np.ndarray:
+    if not tensor.is_floating_point():
+        raise NotImplementedError(f"weights of type {tensor.dtype}, not floating point, have no compiled form")
+    array: np.ndarray = tensor.detach().cpu().float().numpy()
+    return array
+
+
+def _pair(value: Any) -> list[int]:
+    return [int(v) for v in value] if isinstance(value, (tuple, list)) else [int(value)] * 2
+
+
+def _expect(condition: bool, what: str) -> None:
+    if not condition:
+        raise NotImplementedError(f"{what} has no compiled form")
+
+
+def _conv(made: LayerList, call: Call) -> str:
+    module = call.module
+    _expect(module.padding_mode == "zeros", f"padding_mode {module.padding_mode!r}")
+    kernel, dilation = _pair(module.kernel_size), _pair(module.dilation)
+    if module.padding == "same":
+        total = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
+        padding = [n // 2 for n in total] + [n - n // 2 for n in total]
+    else:
+        padding = 2 * _pair(0 if module.padding == "valid" else module.padding)
+    return made.add(
+        "conv",
+        call,
+        weights=made.tensors(call, weight="weight", bias="bias"),
+        kernel=kernel,
+        stride=_pair(module.stride),
+        padding=padding,
+        dilation=dilation,
+        groups=module.groups,
+    )
+
+
+def _linear(made: LayerList, call: Call) -> str:
+    return made.add("dense", call, weights=made.tensors(call, weight="weight", bias="bias"))
+
+
+def _batch_norm(made: LayerList, call: Call) -> str:
+    without = call.module.running_mean is None or call.module.training
+    _expect(not without, "a batch norm that does not use running statistics")
+    roles = {"mean": "running_mean", "variance": "running_var", "weight": "weight", "bias": "bias"}
+    return made.add("batch_norm", call, weights=made.tensors(call, **roles), epsilon=call.module.eps)
+
+
+def _relu(made: LayerList, call: Call) -> str:
+    return made.add("relu", call)
+
+
+def _relu6(made: LayerList, call: Call) -> str:
+    return made.add("clip", call, low=0.0, high=6.0)
+
+
+def _hardtanh(made: LayerList, call: Call) -> str:
+    return _clip(made, call, call["min_val"], call["max_val"])
+
+
+def _clamp(made: LayerList, call: Call) -> str:
+    return _clip(made, call, call["min"], call["max"])
+
+
+def _clip(made: LayerList, call: Call, low: Any, high: Any) -> str:
+    for value in (low, high):
+        _expect(value is None or isinstance(value, (int, float)), "a limit that is no number")
+    return made.add("clip", call, low=low, high=high)
+
+
+def _leaky_relu(made: LayerList, call: Call) -> str:
+    return made.add("leaky_relu", call, slope=float(call["negative_slope"]))
+
+
+def _prelu(made: LayerList, call: Call) -> str:
+    return made.add("prelu", call, weights=made.tensors(call, slope="weight"))
+
+
+def _pool(made: LayerList, call: Call, op: str) -> str:
+    _expect(not call["ceil_mode"], "ceil_mode")
+    kernel, stride = _pair(call["kernel_size"]), _pair(call["stride"] or call["kernel_size"])
+    return made.add(op, call, kernel=kernel, stride=stride, padding=2 * _pair(call["padding"]))
+
+
+def _max_pool(made: LayerList, call: Call) -> str:
+    _expect(_pair(call["dilation"]) == [1, 1], "dilation")
+    _expect(not call.arguments.get("return_indices"), "return_indices")
+    return _pool(made, call, "max_pool")
+
+
+def _average_pool(made: LayerList, call: Call) -> str:
+    padded = any(_pair(call["padding"]))
+    _expect(bool(call["count_include_pad"]) or not padded, "padding with count_include_pad=False")
+    _expect(call["divisor_override"] in (None, 1), "divisor_override")
+    return _pool(made, call, "average_pool" if call["divisor_override"] is None else "sum_pool")
+
+
+def _adaptive_pool(made: LayerList, call: Call) -> str:
+    size = call["output_size"]
+    _expect(size in (1, (1, 1), [1, 1]), f"an output size of {size}, not 1,")
+    return made.add("global_average_pool", call)
+
+
+def _mean(made: LayerList, call: Call) -> str:
+    axes = call["dim"]
+    axes = sorted(axis % 4 for axis in axes) if isinstance(axes, (tuple, list)) else axes
+    _expect(axes == [2, 3], f"a mean over {axes}, not over all places (2, 3),")
+    pooled = made.add("global_average_pool", call)
+    return pooled if call["keepdim"] else made.add("flatten", call, [pooled])
+
+
+def _add(made: LayerList, call: Call) -> str:
+    _expect(call.arguments.get("alpha", 1) == 1, "a factor alpha")
+    return made.add("add", call, [call["input"], call["other"]])
+
+
+def _cat(made: LayerList, call: Call) -> str:
+    _expect(call["dim"] in (1, -3), f"a concatenation along axis {call['dim']}, not of channels (1),")
+    _expect(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
+    return made.add("concat", call, call["tensors"])
+
+
+def _flatten(made: LayerList, call: Call) -> str:
+    axes = (call["start_dim"], call["end_dim"])
+    _expect(axes == (1, -1), f"a flatten from axis {axes[0]} to {axes[1]}, not from 1 to -1,")
+    return made.add("flatten", call)
+
+
+def _view(made: LayerList, call: Call) -> str:
+    """x.view(n, -1), with the batch's size, or 1; or (-1, m), where `check_torch_layers` finds out whether m fits."""
+    shape = call["shape"]
+    n, m = shape if len(shape) == 2 else (None, None)
+    _expect(isinstance(m, int) and (n in (1, -1) or _is_batch_size(n)), "a view other than (n, -1), one row a volume,")
+    return made.add("flatten", call)
+
+
+def _is_batch_size(node: Any) -> bool:
+    """x.size(0), x.size()[0], x.shape[0]."""
+    if not isinstance(node, fx.Node):
+        return False
+    if node.target is operator.getitem:
+        of, index = node.args
+        return isinstance(of, fx.Node) and (of.target is getattr or len(of.args) == 1) and bool(index == 0)
+    return node.target == "size" and list(node.args[1:]) == [0]
+
+
+def _same(made: LayerList, call: Call) -> str:
+    return made.source(call["input"])
+
+
+def _dropout(made: LayerList, call: Call) -> str:
+    _expect(not call["training"], "a dropout in training mode, also in evaluation,")
+    return _same(made, call)
+
+
+def _centroid(made: LayerList, call: Call) -> str:
+    return made.add("heatmap_centroid", call)
+
+
+@dataclass(frozen=True)
+class Operation:
+    """How an operation becomes layers, and its arguments."""
+
+    rule: Callable[[LayerList, Call], str]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """After the inputs, in torch's order: name -> default. A module has them as attributes."""
+    inputs: tuple[str, ...] = ("input",)
+    is_view: bool = False
+    """Its value may lie in its input's memory."""
+
+    def arguments(self, node: fx.Node, module: nn.Module | None) -> dict[str, Any]:
+        if self.rule is _view:
+            shape = node.args[1:]
+            return {"input": node.args[0], "shape": shape[0] if isinstance(shape[0], (tuple, list)) else shape}
+        names = [*self.inputs, *([*self.parameters, "out"] if module is None else [])]
+        given = {**dict(zip(names, node.args, strict=False)), **node.kwargs}
+        unknown = [*node.args[len(names) :], *(name for name in given if name not in names)]
+        _expect(not unknown, f"the argument {unknown[0]!r}" if unknown else "")
+        return {**{name: getattr(module, name, default) for name, default in self.parameters.items()}, **given}
+
+
+_IN_PLACE = {"inplace": False}
+_POOL = {"kernel_size": None, "stride": None, "padding": 0}
+RELU = Operation(_relu, _IN_PLACE)
+HARDTANH = Operation(_hardtanh, {"min_val": -1.0, "max_val": 1.0, **_IN_PLACE})
+CLAMP = Operation(_clamp, {"min": None, "max": None})
+LEAKY_RELU = Operation(_leaky_relu, {"negative_slope": 0.01, **_IN_PLACE})
+MAX_POOL = Operation(_max_pool, {**_POOL, "dilation": 1, "ceil_mode": False, "return_indices": False})
+AVERAGE_POOL = Operation(
+    _average_pool, {**_POOL, "ceil_mode": False, "count_include_pad": True, "divisor_override": None}
+)
+ADAPTIVE_POOL = Operation(_adaptive_pool, {"output_size": None})
+MEAN = Operation(_mean, {"dim": None, "keepdim": False})
+ADD = Operation(_add, {"alpha": 1}, inputs=("input", "other"))
+CAT = Operation(_cat, {"dim": 0}, inputs=("tensors",))
+FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1}, is_view=True)
+VIEW = Operation(_view, is_view=True)
+DROPOUT = Operation(_dropout, {"p": 0.5, "training": True, **_IN_PLACE}, is_view=True)
+
+MODULES: dict[type, Operation] = {
+    nn.Conv2d: Operation(_conv),
+    nn.Linear: Operation(_linear),
+    **dict.fromkeys((nn.BatchNorm1d, nn.BatchNorm2d), Operation(_batch_norm)),
+    nn.ReLU: RELU,
+    **dict.fromkeys((nn.Hardtanh, nn.ReLU6), HARDTANH),
+    nn.LeakyReLU: LEAKY_RELU,
+    nn.PReLU: Operation(_prelu),
+    nn.MaxPool2d: MAX_POOL,
+    nn.AvgPool2d: AVERAGE_POOL,
+    nn.AdaptiveAvgPool2d: ADAPTIVE_POOL,
+    nn.Flatten: FLATTEN,
+    **dict.fromkeys((nn.Dropout, nn.Dropout1d, nn.Dropout2d), DROPOUT),
+    nn.Identity: Operation(_same, is_view=True),
+    HeatmapCentroid: Operation(_centroid),
+}
+"""By the very type: a subclass may compute anything."""
+FUNCTIONS: dict[Any, Operation] = {
+    **dict.fromkeys((torch.relu, torch.relu_, F.relu), RELU),
+    F.relu6: Operation(_relu6, _IN_PLACE),
+    **dict.fromkeys((F.hardtanh, F.hardtanh_), HARDTANH),
+    **dict.fromkeys((torch.clamp, torch.clamp_, torch.clip, torch.clip_), CLAMP),
+    **dict.fromkeys((F.leaky_relu, F.leaky_relu_), LEAKY_RELU),
+    **dict.fromkeys((F.max_pool2d, torch.max_pool2d), MAX_POOL),
+    F.avg_pool2d: AVERAGE_POOL,
+    F.adaptive_avg_pool2d: ADAPTIVE_POOL,
+    torch.mean: MEAN,
+    **dict.fromkeys((torch.add, operator.add, operator.iadd), ADD),
+    **dict.fromkeys((torch.cat, torch.concat, torch.concatenate), CAT),
+    torch.flatten: FLATTEN,
+    **dict.fromkeys((F.dropout, F.dropout1d, F.dropout2d, torch.dropout), DROPOUT),
+}
+"""By the very function: one of the user's may have the same name."""
+METHODS: dict[Any, Operation] = {
+    **dict.fromkeys(("relu", "relu_"), Operation(_relu)),
+    **dict.fromkeys(("clamp", "clamp_", "clip", "clip_"), CLAMP),
+    "mean": MEAN,
+    **dict.fromkeys(("add", "add_"), ADD),
+    "flatten": FLATTEN,
+    **dict.fromkeys(("view", "reshape"), VIEW),
+    "contiguous": Operation(_same, {"memory_format": None}, is_view=True),
+}
