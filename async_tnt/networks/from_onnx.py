@@ -238,7 +238,6 @@ def _affine(made: _Conversion, node: _Node, *, is_sum: bool) -> None:
     (source,) = (name for name in node.inputs if name not in made.constants)
     shape = made.shape(source)
     sides = _without_leading_ones(constant.shape)
-    _expect(constant.ndim <= len(shape) + 1, f"a constant of {constant.ndim} axes here")
     _expect(sides in ((), (shape[0], *[1] * (len(shape) - 1))), f"a constant of shape {constant.shape} here")
     n = shape[0]
     values = np.broadcast_to(constant.reshape(-1), n)

@@ -12,6 +12,7 @@ from model.small import SMALL
 
 from async_tnt import CompiledClassifier, TNTConfig, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
+from async_tnt.networks.from_onnx import RULES
 
 onnx = pytest.importorskip("onnx", reason="needs onnx: pip install '.[onnx]'")
 
@@ -123,14 +124,90 @@ def test_constants_matrices_and_a_softmax(tmp_path):
             [("one", np.ones(1, np.float32))],
             "node 'y' (Add): a sum other than of one map and a constant, or of maps, has no compiled form",
         ),
+        (
+            [node("BatchNormalization", "x w w w w", training_mode=1)],
+            [("w", np.ones(2, np.float32))],
+            "node 'y' (BatchNormalization): a batch norm in training mode, or of each place, has no compiled form",
+        ),
+        (
+            [node("Dropout", "x half yes")],
+            [("half", np.float32(0.5)), ("yes", np.bool_(True))],
+            "node 'y' (Dropout): a dropout in training mode has no compiled form",
+        ),
+        (
+            [node("Relu", domain="my")],
+            (),
+            "node 'y' (Relu) is of the domain 'my', not ONNX's own; OnnxClassifier(path) runs",
+        ),
+        (
+            [node("Flatten", "x", "f"), node("Softmax", "f", axis=0)],
+            (),
+            "node 'y' (Softmax): a softmax over axis 0, not over the classes (1), has no compiled form",
+        ),
+        (
+            [node("Conv", "x w", auto_pad="VALID", pads=[1, 1, 1, 1])],
+            [("w", np.ones((1, 2, 3, 3), np.float32))],
+            "node 'y' (Conv): auto_pad VALID beside pads has no compiled form",
+        ),
+        (
+            [node("Conv", "x w", kernel_shape=[3, 2])],
+            [("w", np.ones((1, 2, 3, 3), np.float32))],
+            "node 'y' (Conv): a kernel_shape other than that of the weights has no compiled form",
+        ),
+        *(
+            (
+                [node("Conv", "x w")],
+                [("w", np.ones((1, 2, 3, 3), dtype))],
+                f"node 'y' (Conv): 'w' of type {np.dtype(dtype)} beside an input of float32 has no compiled form",
+            )
+            for dtype in (bool, np.int64, np.complex64)
+        ),
+        (
+            [node("Clip", "x low")],
+            [("low", np.zeros(2, np.float32))],
+            "node 'y' (Clip): a min other than one number has no compiled form",
+        ),
+        (
+            [node("Reshape", "x shape")],
+            [("shape", np.int64([2, -1]))],
+            "node 'y' (Reshape): a reshape to [2, -1], not (n, -1), one row a volume, has no compiled form",
+        ),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
 )
 def test_a_node_without_a_compiled_form_is_refused_by_name(tmp_path, nodes, constants, message):
-    path = write_onnx(tmp_path / "m.onnx", nodes, constants, [nodes[-1].output[0]])
+    path = tmp_path / "m.onnx"
+    proto = graph_of(nodes, constants, [nodes[-1].output[0]])
+    proto.opset_import.append(onnx.helper.make_opsetid("my", 1))
+    if any(node.op_type == "BatchNormalization" for node in nodes):
+        proto.opset_import[0].version = 14  # the first with training_mode
+    path.write_bytes(proto.SerializeToString())
     with pytest.raises(NotImplementedError) as raised:
         load_model(path, config=SMALL)
     assert str(raised.value).startswith(f"{path}: {message}")
+
+
+def test_a_file_is_compared_with_onnxruntime(tmp_path, monkeypatch):
+    """Here with a rule that is wrong: ReLU read as nothing. Where onnxruntime is missing, a warning says so."""
+    pytest.importorskip("onnxruntime")
+    weights = [("w", np.random.default_rng(0).normal(size=(60, 3)).astype(np.float32))]
+    nodes = [node("Flatten", "x", "f"), node("MatMul", "f w", "d"), node("Relu", "d", "r"), node("Flatten", "r")]
+    path = write_onnx(tmp_path / "m.onnx", nodes, weights)
+    load_model(path, config=SMALL)
+    monkeypatch.setitem(RULES, "Relu", RULES["Identity"])
+    with pytest.raises(NotImplementedError, match=r"cannot be read as layers: its layers compute other numbers \(by"):
+        load_model(path, config=SMALL)
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.warns(UserWarning, match=r"m.onnx: its layers were not compared with the network itself, as onnxrun"):
+        load_model(path, config=SMALL)
+
+
+def test_operations_of_a_training_network_before_opset_14_are_refused(tmp_path):
+    """They were told by the number of outputs."""
+    training = onnx.helper.make_node("BatchNormalization", ["x", *4 * ["w"]], ["y", "m", "v", "sm", "sv"])
+    path = write_onnx(tmp_path / "m.onnx", [training], [("w", np.ones(2, np.float32))])
+    with pytest.raises(NotImplementedError, match="a batch norm in training mode"):
+        load_model(path, config=SMALL)
 
 
 def test_weights_in_a_file_beside_are_read_there(tmp_path, monkeypatch):

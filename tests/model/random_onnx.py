@@ -1,0 +1,226 @@
+"""ONNX files made at random, as other programs write them and as they should not: opsets 9 to 22, old and new forms of
+attributes, training mode, operations of other domains, weights of any type. Each can be made again from its seed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+SHAPE = (2, 9, 8)
+N_CLASSES = 3
+
+
+class _Builder:
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.opset = int(self.rng.integers(9, 23))
+        self.odd = seed % 3 == 0  # a third of the files
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+        self.value, self.shape = "x", SHAPE
+        self.functions: list[onnx.FunctionProto] = []
+
+    def pick(self, *choices: Any) -> Any:
+        return choices[self.rng.integers(len(choices))]
+
+    def chance(self, share: float) -> bool:
+        return self.odd and self.rng.random() < share
+
+    def weights(self, *shape: int, low: float = -1.0, dtype: Any = np.float32) -> str:
+        """A constant, as initializer or as node."""
+        if dtype is np.float32 and self.chance(0.04):
+            dtype = self.pick(bool, np.int64, np.complex64, np.float64, np.float16)
+        values = self.rng.uniform(low, 1.0, shape).astype(dtype)
+        return self.constant(values)
+
+    def constant(self, values: Any) -> str:
+        name = f"c{len(self.constants) + len(self.nodes)}"
+        tensor = numpy_helper.from_array(np.asarray(values), name)
+        if self.pick(True, True, False):
+            self.constants.append(tensor)
+        else:
+            self.nodes.append(helper.make_node("Constant", [], [name], value=tensor))
+        return name
+
+    def node(self, op: str, *inputs: str, n_outputs: int = 1, **attributes: Any) -> None:
+        name = f"v{len(self.nodes)}"
+        if self.chance(0.02):
+            attributes["domain"] = "my"
+            if self.pick(True, False):
+                negative = helper.make_node("Neg", ["a"], ["b"])
+                opsets = [helper.make_opsetid("", self.opset)]
+                self.functions.append(helper.make_function("my", op, ["a"], ["b"], [negative], opsets))
+        outputs = [name, *(f"{name}_{k}" for k in range(1, n_outputs))]
+        self.nodes.append(helper.make_node(op, [self.value, *inputs], outputs, **attributes))
+        self.value = name
+
+    def window(self, kernel: tuple[int, ...], *, strides: bool = True) -> dict[str, Any]:
+        given: dict[str, Any] = {}
+        if strides and self.pick(True, False):
+            given["strides"] = [self.pick(1, 2), self.pick(1, 2)]
+        if self.pick(True, False):
+            given["pads"] = [int(self.rng.integers(0, k)) for k in (*kernel, *kernel)]
+        elif self.pick(True, False):
+            given["auto_pad"] = self.pick("SAME_UPPER", "SAME_LOWER", "VALID", "NOTSET")
+        if self.chance(0.2):
+            given["auto_pad"] = "VALID"
+        return given
+
+    def conv(self) -> None:
+        channels = self.shape[0]
+        group = self.pick(1, 1, channels)
+        kernel = self.pick((3, 3), (1, 1), (2, 3))
+        attributes = self.window(kernel)
+        filters = group * self.pick(1, 2, 3)
+        inputs = [self.weights(filters, channels // group, *kernel)]
+        if self.pick(True, False):
+            inputs.append(self.weights(filters))
+        if self.pick(True, False):
+            attributes["kernel_shape"] = [3, 2] if self.chance(0.2) else list(kernel)
+        if self.chance(0.3):
+            attributes["dilations"] = [2, 1]
+        self.node("Conv", *inputs, **attributes, **({"group": group} if group > 1 else {}))
+
+    def batch_norm(self) -> None:
+        n = self.shape[0]
+        inputs = [self.weights(n), self.weights(n), self.weights(n), self.weights(n, low=0.3)]
+        training = self.chance(0.3)
+        if training and self.opset >= 14:
+            self.node("BatchNormalization", *inputs, n_outputs=self.pick(1, 3), training_mode=1)
+        else:
+            self.node("BatchNormalization", *inputs, n_outputs=5 if training else 1, epsilon=self.pick(1e-5, 1e-3))
+
+    def clip(self) -> None:
+        low, high = self.pick(None, -0.5, 0.0), self.pick(None, 1.0, 6.0)
+        if self.opset < 11:
+            limits = {name: value for name, value in (("min", low), ("max", high)) if value is not None}
+            self.node("Clip", **limits)
+            return
+        shape = (1,) if self.chance(0.2) else (2,) if self.chance(0.1) else ()
+        self.node("Clip", *("" if v is None else self.constant(np.full(shape, v, np.float32)) for v in (low, high)))
+
+    def dropout(self) -> None:
+        if self.opset < 12:
+            self.node("Dropout", ratio=0.5, n_outputs=self.pick(1, 2))
+            return
+        mode = [self.constant(self.chance(0.6))] if self.pick(True, False) else []
+        self.node("Dropout", self.constant(np.float32(0.5)), *mode, n_outputs=self.pick(1, 2))
+
+    def pool(self) -> None:
+        op, kernel = self.pick("MaxPool", "AveragePool"), self.pick((2, 2), (2, 3))
+        attributes = self.window(kernel)
+        if op == "AveragePool":
+            attributes["count_include_pad"] = self.pick(0, 1)
+        elif self.chance(0.2):
+            attributes["dilations"] = [2, 1]
+        if self.opset >= 10 and self.chance(0.2):
+            attributes["ceil_mode"] = 1
+        self.node(op, kernel_shape=list(kernel), **attributes)
+
+    def affine(self) -> None:
+        n, rest = self.shape[0], [1] * (len(self.shape) - 1)
+        shape = self.pick((), (1,), (n, *rest), (1, n, *rest), (1,) * 4)
+        if self.chance(0.3):
+            shape = self.pick((self.shape[-1],), (1, 1, 1, n, *rest), (2, n, *rest))
+        self.node(self.pick("Add", "Mul"), self.weights(*shape))
+
+    def activation(self) -> None:
+        n, rest = self.shape[0], [1] * (len(self.shape) - 1)
+        slopes = self.pick((n, *rest), (1,), (1, *rest))
+        self.pick(
+            lambda: self.node("Relu"),
+            lambda: self.node("LeakyRelu", **self.pick({}, {"alpha": 0.3})),
+            lambda: self.node("PRelu", self.weights(*((self.shape[-1],) if self.chance(0.2) else slopes))),
+            self.clip,
+            self.dropout,
+            lambda: self.node("Identity"),
+        )()
+
+    def join(self) -> None:
+        before = self.value
+        self.activation()
+        if self.pick(True, False):
+            self.node(self.pick("Add", "Sum"), before)
+        else:
+            self.node("Concat", before, axis=self.pick(1, 1, 1, -3, 2))
+
+    def flatten(self) -> None:
+        choice = self.pick("pool", "mean", "flatten", "reshape")
+        n = int(np.prod(self.shape))
+        if choice == "mean":
+            axes, keep = self.pick([2, 3], [-2, -1], [3, 2]), self.pick(0, 1)
+            if self.opset < 18:
+                self.node("ReduceMean", axes=axes, keepdims=keep)
+            else:
+                self.node("ReduceMean", self.constant(np.int64(axes)), keepdims=keep)
+            if not keep:
+                return
+        elif choice == "pool":
+            self.node("GlobalAveragePool")
+        if choice != "reshape":
+            self.node("Flatten", **self.pick({}, {"axis": 1}, {"axis": 2} if self.chance(0.3) else {}))
+            return
+        shape = self.pick([1, -1], [0, -1], [-1, n], [1, n])
+        if self.chance(0.3):
+            shape = self.pick([2, -1], [-1, max(n // 2, 1)], [0, n // 2 or 1])
+        allow = {"allowzero": 1} if self.opset >= 14 and self.chance(0.3) else {}
+        self.node("Reshape", self.constant(np.int64(shape)), **allow)
+
+    def dense(self, n: int, units: int) -> None:
+        if self.pick(True, False):
+            self.node("MatMul", self.weights(n, units))
+            return
+        transposed = self.pick(0, 1)
+        weight = self.weights(*((units, n) if transposed else (n, units)))
+        bias = [self.weights(*self.pick((units,), (1, units), (1,), ()))] if self.pick(True, False) else []
+        odd = self.pick({"alpha": 0.5}, {"beta": 2.0}, {}) if self.chance(0.3) else {}
+        self.node("Gemm", weight, *bias, **({"transB": 1} if transposed else {}), **odd)
+
+    def softmax(self) -> None:
+        self.node("Softmax", **self.pick({}, {"axis": 1}, {"axis": -1}, {"axis": 0} if self.chance(0.5) else {}))
+
+    def file(self, output_shape: list[str] | None = None) -> onnx.ModelProto:
+        opsets = [helper.make_opsetid("", self.opset), helper.make_opsetid("my", 1)]
+        given = [helper.make_tensor_value_info("x", TensorProto.FLOAT, [self.pick(1, "N"), *SHAPE])]
+        output = helper.make_tensor_value_info(self.value, TensorProto.FLOAT, output_shape)
+        graph = helper.make_graph(self.nodes, "made", given, [output], self.constants)
+        return helper.make_model(graph, opset_imports=opsets, ir_version=8, functions=self.functions[:1])
+
+
+def _shape(proto: onnx.ModelProto) -> tuple[int, ...] | None:
+    """(C, H, W) or (N,) of the output, by ONNX's own rules; None where they do not tell."""
+    try:
+        output = onnx.shape_inference.infer_shapes(proto).graph.output[0].type.tensor_type.shape.dim
+    except Exception:  # of the many that a wrong file may raise
+        return None
+    sides = tuple(side.dim_value for side in output)[1:]
+    return sides if sides and min(sides) > 0 else None
+
+
+def random_onnx(seed: int) -> onnx.ModelProto:
+    """A network of one input (1 or N, *SHAPE), whose output is (1, N_CLASSES) in most cases."""
+    builder = _Builder(seed)
+    steps = builder.batch_norm, builder.pool, builder.affine, builder.activation, builder.join
+    for _ in range(builder.rng.integers(0, 6)):
+        before = list(builder.nodes), builder.value
+        builder.pick(*2 * [builder.conv], *steps)()
+        shape = _shape(builder.file())
+        if shape is None and not builder.odd:  # a window larger than the map
+            builder.nodes, builder.value = before
+        builder.shape = shape or builder.shape
+    builder.flatten()
+    shape = _shape(builder.file())
+    n = int(np.prod(shape or (builder.shape[0],)))
+    if builder.pick(True, False):
+        builder.shape = (n,)
+        builder.pick(builder.activation, builder.affine)()
+    builder.dense(n, N_CLASSES)
+    if builder.pick(True, False):
+        builder.shape = (N_CLASSES,)
+        builder.affine()
+    if builder.pick(True, False, False):
+        builder.softmax()
+    return builder.file(["a", "b"])
