@@ -22,8 +22,6 @@ WINDOW_US = 105_000
 MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
 MAX_WINDOW_EVENTS = 1 << 30
 MAX_CELLS = 1 << 31
-LEFT_OUT = {"window_events": None, "representation": "volume"}
-"""What `to_dict` leaves out, because version 0.1.0 does not know it."""
 
 
 @dataclass(frozen=True)
@@ -190,9 +188,8 @@ class TNTConfig:
         return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; without those of `LEFT_OUT`."""
-        values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
-        return {name: value for name, value in values.items() if name not in LEFT_OUT or value != LEFT_OUT[name]}
+        """Plain values, for JSON."""
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:

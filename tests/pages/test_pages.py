@@ -207,8 +207,8 @@ def test_the_committed_table_is_that_of_the_code():
     record = json.loads((ROOT / "benchmarks" / "results" / "table.json").read_text(encoding="utf-8"))
     for name, row in record["rows"].items():
         of = ROWS[name]
-        assert (of.config.to_dict(), asdict(of.augmentation), of.iterations) == (
-            row["config"],
+        assert (of.config, asdict(of.augmentation), of.iterations) == (
+            TNTConfig.from_dict(row["config"]),
             row["augmentation"],
             row["iterations"],
         ), name
