@@ -71,7 +71,7 @@ def load_model(
 
 
 def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> Model:
-    """The model in a file, checked; raises NotImplementedError for a network that only another release can run."""
+    """The model in a file, checked; raises NotImplementedError for a network that this release cannot run."""
     missing = [name for name in ("config", "classes", "record", "network", "sha256") if name not in metadata]
     if missing:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")
