@@ -34,9 +34,9 @@ class TNTConfig:
     grid : the volume's pixels; a sensor of another size is mapped onto it corner to corner.
     bins : B, time bins of the volume, by default 9; of an image, its channels of one polarity.
     window_us : length of a window in microseconds; by default 105,000, one saccade of N-MNIST.
-    window_events : windows of so many events instead, as in the thesis' second way of slicing. Such a window begins
-        with an event, and times are scaled by its newest one, which is known only when the volume is read: the events
-        are stored, and replayed then. `window_us` is the longest that it may last, by default an hour.
+    window_events : windows of so many events instead. Such a window begins with an event, and times are scaled by its
+        newest one, as in the thesis, which is known only when the volume is read: the events are stored, and replayed
+        then. `window_us` is the longest that it may last, by default an hour.
     t_max : TNT time at the end of a window. An object shrinks by this factor until then; a smaller value loses
         fewer events over the border early in the window.
     landmark : the point that events are normalized about: `center` of the grid, `running` centroid of the window's
