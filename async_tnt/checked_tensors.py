@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 import reprlib
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -40,13 +40,13 @@ def tensor_bytes(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str])
     return len(text).to_bytes(8, "little") + text + content[end:]
 
 
-def read_tensors(file: BinaryIO, formats: Collection[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+def read_tensors(file: BinaryIO, expected: str) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Tensors and metadata of an open file, which is read once.
 
     Raises
     ------
     SafetensorError : it is not a .safetensors file, or NumPy lacks the type of a tensor.
-    ValueError : `format` in its metadata is not one of `formats`. Only the header has been read then, as tensors of
+    ValueError : `format` in its metadata is not the expected one. Only the header has been read then, as tensors of
         other programs may be huge.
     """
     size = file.read(8)
@@ -59,8 +59,8 @@ def read_tensors(file: BinaryIO, formats: Collection[str]) -> tuple[dict[str, np
         written = metadata.get("format")
     except (AttributeError, ValueError, RecursionError):
         raise SafetensorError("its header is not a JSON object") from None
-    if written not in formats:
-        raise ValueError(f"`format` must be {' or '.join(map(repr, formats))}, got {written!r}")
+    if written != expected:
+        raise ValueError(f"`format` must be {expected!r}, got {written!r}")
     try:
         tensors = load(size + text + file.read())
     except KeyError as error:
@@ -96,7 +96,7 @@ def read_state(content: bytes, fixed: Mapping[str, Any] | None = None) -> tuple[
     ValueError : it is something else, damaged, or has other settings, which the message names.
     """
     try:
-        arrays, metadata = read_tensors(io.BytesIO(bytes(content)), (STATE_FORMAT,))
+        arrays, metadata = read_tensors(io.BytesIO(bytes(content)), STATE_FORMAT)
     except (SafetensorError, TypeError, ValueError) as error:
         raise ValueError(f"`state` must be what `save_state` returned, got something else: {one_line(error)}") from None
     text = metadata.get("about", "")

@@ -22,8 +22,6 @@ WINDOW_US = 105_000
 MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
 MAX_WINDOW_EVENTS = 1 << 30
 MAX_CELLS = 1 << 31
-LEFT_OUT = {"window_events": None, "representation": "volume"}
-"""What `to_dict` leaves out, because version 0.1.0 does not know it."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +34,9 @@ class TNTConfig:
     grid : the volume's pixels; a sensor of another size is mapped onto it corner to corner.
     bins : B, time bins of the volume, by default 9; of an image, its channels of one polarity.
     window_us : length of a window in microseconds; by default 105,000, one saccade of N-MNIST.
-    window_events : windows of so many events instead, as in the thesis' second way of slicing. Such a window begins
-        with an event, and times are scaled by its newest one, which is known only when the volume is read: the events
-        are stored, and replayed then. `window_us` is the longest that it may last, by default an hour.
+    window_events : windows of so many events instead. Such a window begins with an event, and times are scaled by its
+        newest one, as in the thesis, which is known only when the volume is read: the events are stored, and replayed
+        then. `window_us` is the longest that it may last, by default an hour.
     t_max : TNT time at the end of a window. An object shrinks by this factor until then; a smaller value loses
         fewer events over the border early in the window.
     landmark : the point that events are normalized about: `center` of the grid, `running` centroid of the window's
@@ -190,9 +188,8 @@ class TNTConfig:
         return (width - 1) / (sensor_w - 1), (height - 1) / (sensor_h - 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON; without those of `LEFT_OUT`."""
-        values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
-        return {name: value for name, value in values.items() if name not in LEFT_OUT or value != LEFT_OUT[name]}
+        """Plain values, for JSON."""
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:

@@ -24,8 +24,8 @@ class LeakyIntegrator:
 
         v <- v exp(-dt / leak_us) + charge
 
-    A steady rate of r events per microsecond holds the potential at r leak_us charge. Below the threshold the trigger
-    never fires; above it, the busier the scene, the more often.
+    Events dt apart bring it to charge / (1 - exp(-dt / leak_us)), about charge (leak_us / dt + 1/2). They never fire if
+    that is below the threshold; above it, the denser, the more often. Irregular ones of the same rate may fire below.
 
     Parameters
     ----------

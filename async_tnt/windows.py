@@ -186,8 +186,7 @@ class WindowScheduler:
         """All volumes, which of them are open, and the counts."""
         order = [self.volumes.index(volume) for volume in (*self._open, *self._free)]
         next_us = -1 if self._next_start_us is None else self._next_start_us
-        unused = -1  # version 0.1 had the end of the newest window that was closed early here
-        counts = [len(self._open), next_us, unused, self._n_received, self._n_late, self._n_decided]
+        counts = [len(self._open), next_us, self._n_received, self._n_late, self._n_decided]
         arrays = {"order": np.array(order, np.int64), "counts": np.array(counts, np.int64)}
         closed_early = self._closed_early.to_bytes(REMEMBERED // 8, "little")
         arrays["closed_early"] = np.frombuffer(closed_early, np.uint8)
@@ -205,7 +204,7 @@ class WindowScheduler:
         order = checked_array(arrays, "order", np.int64, (len(self.volumes),)).tolist()
         if sorted(order) != list(range(len(order))):
             raise ValueError(f"its volumes cannot be in the order {order}")
-        n_open, next_start_us, decided_us, *counted = checked_array(arrays, "counts", np.int64, (6,)).tolist()
+        n_open, next_start_us, *counted = checked_array(arrays, "counts", np.int64, (5,)).tolist()
         if not 0 <= n_open <= len(order):
             raise ValueError(f"it has {n_open} open windows of {len(order)}")
         if min(counted) < 0 or not sum(counted[1:]) <= counted[0] <= MAX_EVENTS:
@@ -226,13 +225,8 @@ class WindowScheduler:
         self._n_received, self._n_late, self._n_decided = counted
         self._open = deque(self.volumes[number] for number in order[:n_open])
         self._free = [self.volumes[number] for number in order[n_open:]]
-        self._closed_early = 0
-        if "closed_early" in arrays:
-            words = checked_array(arrays, "closed_early", np.uint8, (REMEMBERED // 8,))
-            self._closed_early = int.from_bytes(words.tobytes(), "little")
-        elif 0 <= decided_us < first_us:  # states of version 0.1 know only the newest such window
-            self._closed_early = 1
-            self._remember((first_us - decided_us) // self.hop_us - 1, early=False)
+        words = checked_array(arrays, "closed_early", np.uint8, (REMEMBERED // 8,))
+        self._closed_early = int.from_bytes(words.tobytes(), "little")
         if self._closed_early and self._window_events is not None:
             raise ValueError("its windows of events cannot have been closed before their end")
         self._inform_oldest()

@@ -22,9 +22,9 @@ from script_options import script_parser, write_outputs
 from async_tnt.checking.timing import machine
 from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.progress import progress
-from async_tnt.representations import segment
 from async_tnt.simulation.comparison import recordings_by_image
 from async_tnt.simulation.mnist import load_mnist
+from async_tnt.simulation.saccades import segment
 from async_tnt.simulation.scene import render
 from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist

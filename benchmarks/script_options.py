@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.checking.interleaved import WorkDiffers
-from async_tnt.cli.options import writable_file
-from async_tnt.files import write_text
+from async_tnt.files import check_writable, write_text
 from async_tnt.views.figure_style import check_picture, save, styled
 
 
@@ -25,6 +24,14 @@ def script_parser(description: str | None, quick: str, *, draws: bool = False) -
         help_from = "take the figures from such a JSON file instead of measuring"
         parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help=help_from)
     return parser
+
+
+def writable_file(text: str) -> Path:
+    """An argparse type: a path that can be written or replaced."""
+    try:
+        return check_writable(Path(text))
+    except (OSError, ValueError) as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def report_of(args: argparse.Namespace, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:

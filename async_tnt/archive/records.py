@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +18,6 @@ from async_tnt.archive.early import FiringProcessor, early_fields
 from async_tnt.archive.job import Job, Task, sha256_of
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine, choose_engine
-from async_tnt.networks.model import UncheckedModelWarning
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
 from async_tnt.version import __version__
@@ -174,9 +172,7 @@ def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
             raise ValueError(
                 f"a worker has async_tnt {__version__}, but this program is {job.version}: install the same"
             )
-        with warnings.catch_warnings():  # the program has shown it when it made the job; each worker would repeat it
-            warnings.simplefilter("ignore", UncheckedModelWarning)
-            engine = choose_engine(job.model, job.engine)
+        engine = choose_engine(job.model, job.engine)
         if sha256_of(engine, job.model) != job.model_sha256:
             raise ValueError(
                 f"{job.model}: not the model that the job was made for; it has changed, or a worker reads another file"

@@ -83,9 +83,6 @@ class ResultFile:
     """
 
     def __init__(self, out: Path, job: Job, *, restart: bool = False) -> None:
-        former = out.with_name(out.name + ".partial")
-        if former.exists():
-            raise ValueError(f"{former} was left by an earlier version, which cannot be resumed: delete it")
         self.versions: dict[str, tuple[int, int, str | None] | None] = {}
         """Recording -> (bytes, modified_ns) of the file that its record is of, and the class that it was compared with;
         None where that has an error."""

@@ -3,7 +3,10 @@
 (a) the streamed volume is bit for bit the same however the stream was cut into packets;
 (b) at every prefix it equals the batch reference, to 1e-6 of its largest cell, the landmark to 1e-9 px;
 (c) logits equal the reference pipeline's to 1e-4, and the class is the same;
-(d) a decision after every event, for which only what changed is computed, has the bits of the whole network's.
+(d) a decision after every event, for which only what changed is computed, has the bits of the whole network's;
+
+but for (b) where the tolerance of the border ends, 1e-9 px beyond it, where rounding decides whether an event is kept,
+and for (d) if the caller switches `torch.set_flush_denormal` between two decisions.
 
 Needs torch (extra `reference`), which is imported only when something is checked.
 """

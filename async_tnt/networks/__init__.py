@@ -12,7 +12,7 @@ onnx, onnxruntime (extra `onnx`) and torch are imported only when they are neede
 
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.loading import bundled_models, load_model
-from async_tnt.networks.model import Model, UncheckedModelWarning
+from async_tnt.networks.model import Model
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
 from async_tnt.networks.torch_modules import TorchClassifier
@@ -24,7 +24,6 @@ __all__ = [
     "OnnxClassifier",
     "OnnxRegressor",
     "TorchClassifier",
-    "UncheckedModelWarning",
     "bundled_models",
     "load_model",
     "regressor_to_onnx",

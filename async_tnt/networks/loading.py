@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -17,7 +16,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.networks.conversion_check import check_onnx_layers
 from async_tnt.networks.from_onnx import WAY_OUT, layers_from_onnx
 from async_tnt.networks.graph import CLASSIFIER, layer_shapes
-from async_tnt.networks.model import FORMAT, UNCHECKED_FORMAT, Model, UncheckedModelWarning, checksum_of
+from async_tnt.networks.model import FORMAT, Model, checksum_of
 from async_tnt.networks.onnx_metadata import is_damaged, read_metadata
 
 
@@ -46,10 +45,6 @@ def load_model(
     NotImplementedError : names the first node of an .onnx network that has no compiled form; or its layers compute
         other numbers than onnxruntime (where that is not installed, a warning says that nothing was compared).
     ValueError : the file is damaged, needs a network that this release cannot run, or is not a model of this package.
-
-    Warns
-    -----
-    UncheckedModelWarning : the file has format 1, which has no checksum.
     """
     if str(name_or_path) in bundled_models():
         path = Path(str(resources.files("async_tnt") / "assets" / f"{name_or_path}.safetensors"))
@@ -64,44 +59,31 @@ def load_model(
         raise TypeError(f"`config` and `classes` are for .onnx networks; {path} has its own")
     try:
         with path.open("rb") as file:
-            weights, metadata = read_tensors(file, (FORMAT, UNCHECKED_FORMAT))
+            weights, metadata = read_tensors(file, FORMAT)
     except ValueError as error:
         raise ValueError(f"{path} is not a model that this release can read: {one_line(error)}") from None
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path} is not a readable .safetensors file: {one_line(error)}") from None
     try:
-        model = _model_of(weights, metadata)
+        return _model_of(weights, metadata)
     except NotImplementedError as error:
         raise ValueError(f"{path} holds a network that this release cannot run: {one_line(error)}") from None
     except (TypeError, ValueError, RecursionError) as error:  # the last: JSON nested too deep
         raise ValueError(f"{path} holds a damaged model: {one_line(error, 1000)}") from None
-    if metadata["format"] == UNCHECKED_FORMAT:
-        warnings.warn(
-            f"{path} has no checksum, so damage to it would go unnoticed; load_model(path).save(path) adds one",
-            UncheckedModelWarning,
-            stacklevel=2,
-        )
-    return model
 
 
 def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> Model:
-    """The model in a file, checked; raises NotImplementedError for a network that only another release can run."""
-    checked = metadata["format"] == FORMAT
-    needed = ("config", "classes", "record", "network", "sha256") if checked else ("config", "classes")
-    missing = [name for name in needed if name not in metadata]
+    """The model in a file, checked; raises NotImplementedError for a network that this release cannot run."""
+    missing = [name for name in ("config", "classes", "record", "network", "sha256") if name not in metadata]
     if missing:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")
-    if checked and metadata["sha256"] != checksum_of(weights, metadata):
+    if metadata["sha256"] != checksum_of(weights, metadata):
         raise ValueError("its checksum differs; copy or download it again")
-    if not checked and ("sha256" in metadata or "network" in metadata):
-        raise ValueError(f"its `format` must be {FORMAT!r}, as it has a checksum, got {UNCHECKED_FORMAT!r}")
     for name, values in weights.items():
         if values.dtype != np.float32:
             raise ValueError(f"`{name}` must be float32, got {values.dtype}")
-    config = TNTConfig.from_dict(json.loads(metadata["config"]))
-    record = json.loads(metadata.get("record", "{}"))
-    network = json.loads(metadata["network"]) if checked else None
-    return Model(config, weights, json.loads(metadata["classes"]), record, network)
+    classes, record, network = (json.loads(metadata[name]) for name in ("classes", "record", "network"))
+    return Model(TNTConfig.from_dict(json.loads(metadata["config"])), weights, classes, record, network)
 
 
 def _load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | None) -> Model:

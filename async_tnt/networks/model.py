@@ -22,12 +22,7 @@ if TYPE_CHECKING:
     from torch import nn
 
 FORMAT = "async_tnt 2"
-UNCHECKED_FORMAT = "async_tnt 1"  # the one before, without a checksum
 CENTROID = "heatmap_centroid"
-
-
-class UncheckedModelWarning(UserWarning):
-    """A model file has no checksum, so damage to its weights cannot be detected."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from async_tnt.checked_tensors import checksum
 from async_tnt.config import TNTConfig
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
-from async_tnt.networks.model import FORMAT, UNCHECKED_FORMAT, Model
+from async_tnt.networks.model import FORMAT, Model
 
 if TYPE_CHECKING:
     import onnx
@@ -58,8 +58,8 @@ def seal(made: onnx.ModelProto) -> None:
 
 
 def is_damaged(metadata: Mapping[str, str], content: bytes) -> bool:
-    """Whether a file of ours differs from what `seal` wrote; False where it never had a checksum."""
-    return "sha256" in metadata and metadata["sha256"] != _checksum(content, metadata["sha256"])
+    """Whether a file of ours differs from what `seal` wrote."""
+    return metadata["sha256"] != _checksum(content, metadata["sha256"])
 
 
 def _checksum(content: bytes, sha256: str) -> str:
@@ -76,9 +76,9 @@ def read_metadata(metadata: Mapping[str, str]) -> Exported | None:
     written = metadata.get("format", "")
     if not written.startswith(FORMAT.split()[0] + " "):
         return None
-    if written not in (FORMAT, UNCHECKED_FORMAT):
-        raise ValueError(f"metadata `format` must be {FORMAT!r} or {UNCHECKED_FORMAT!r}, got {written!r}")
-    needed = ["network", "config", "classes", "record", "weights", *(["sha256"] if written == FORMAT else [])]
+    if written != FORMAT:
+        raise ValueError(f"metadata `format` must be {FORMAT!r}, got {written!r}")
+    needed = ("network", "config", "classes", "record", "weights", "sha256")
     missing = [name for name in needed if name not in metadata]
     if missing:
         raise ValueError(f"no {' and no '.join(missing)} in its metadata")

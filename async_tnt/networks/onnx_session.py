@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,6 @@ import numpy as np
 
 from async_tnt.checks import one_line, positive_int
 from async_tnt.config import MAX_CELLS
-from async_tnt.networks.model import UncheckedModelWarning
 from async_tnt.networks.onnx_metadata import Exported, is_damaged, read_metadata
 
 if TYPE_CHECKING:
@@ -77,18 +75,11 @@ def open_session(
         exported = read_metadata(metadata)
     except ValueError as error:
         raise ValueError(f"{name} is damaged: {one_line(error)}") from None
-    if exported is not None:
-        if is_damaged(metadata, Path(source).read_bytes() if isinstance(source, str) else source):
-            raise ValueError(
-                f"{name} is damaged: its checksum differs; copy or export it again (where another program has changed "
-                "it, remove `format` from its metadata)"
-            )
-        if "sha256" not in metadata:
-            warnings.warn(
-                f"{name} has no checksum, so damage to it would go unnoticed; export it again",
-                UncheckedModelWarning,
-                stacklevel=4,  # the caller of OnnxClassifier
-            )
+    if exported is not None and is_damaged(metadata, Path(source).read_bytes() if isinstance(source, str) else source):
+        raise ValueError(
+            f"{name} is damaged: its checksum differs; copy or export it again (where another program has changed "
+            "it, remove `format` from its metadata)"
+        )
     return session, inputs, outputs, exported
 
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from async_tnt.progress import progress
-from async_tnt.representations.saccades import SACCADE_CUTS_US
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
+from async_tnt.simulation.saccades import SACCADE_CUTS_US
 from async_tnt.simulation.set_manifest import MovingMnist
 from async_tnt.simulation.shards import Shard, open_shard
 from async_tnt.simulation.statistics import describe

@@ -4,9 +4,9 @@ The thesis moves each digit of MNIST in 30 ways, but gives neither directions no
 directions of 0, 36, ... 324 degrees (0 to the right, 90 downwards: y grows downwards) and distances of 3, 5
 and 8 pixels in one window of 105 ms, 29 to 76 px/s. N-MNIST's own saccades cover about 5 px in such a window.
 Each motion is a straight line through the centre at half time, so the mean position of a digit is the same for all
-motions, and a network cannot tell them apart by it. As these pass the landmark at half time, TNT about the image centre
-does not turn them into translations (Proposition 2 asks for a motion that starts at the landmark). Motions from the
-centre do start there; the thesis seems to have used such motions, of constant velocity.
+motions, and a network cannot tell them apart by it. As these start at different places, TNT about the image centre does
+not turn them into translations of each other (Proposition 2 asks for motions from one place). Motions from the centre
+have one start; the thesis seems to have used such motions, of constant velocity.
 """
 
 from __future__ import annotations

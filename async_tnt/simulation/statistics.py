@@ -25,7 +25,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from async_tnt.representations.saccades import SACCADE_CUTS_US
+from async_tnt.simulation.saccades import SACCADE_CUTS_US
 
 UNITS = {"active pixels": "%", "same-pixel interval": "ms", "ON share": "%", "ON - OFF centroid": "px"}
 """What a number's name starts with, before a comma -> its unit; the others have none."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import LEFT_OUT, TNTConfig
+from async_tnt.config import TNTConfig
 from async_tnt.files import replacing, write_text
 from async_tnt.networks.model import Model
 from async_tnt.training.settings import TrainSettings
@@ -128,9 +128,6 @@ def check_run(
     differ = [
         name for part, values in wanted.items() for name, value in values.items() if found[part].get(name) != value
     ]
-    either = (found["config"], wanted["config"])
-    if config:
-        differ += [name for name, default in LEFT_OUT.items() if len({of.get(name, default) for of in either}) > 1]
     then, now = state["sources"], dict(sources or {})
     pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
     for name in {**pixels_then, **pixels_now}:

@@ -7,7 +7,7 @@ optimizer. The comparison crosses
   landmark, or the fitted line with its flow removed,
 - polarity: signed or not,
 - augmentation: events are thinned at random, which moves nothing, and windows are moved by up to 4 whole pixels or
-  not. The thesis moves them for its regressor alone; what one row may have, every row may have.
+  not. The thesis moves them (it names no size) for its regressor alone; what one row may have, every row may have.
 
 t_max is 2 there: of 2, 3, 4 and 8 the one with the lowest loss on held-out digits of the training motion
 (docs/results.md has the numbers). The thesis has B - 1 = 8, which other rows have.

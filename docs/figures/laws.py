@@ -42,10 +42,11 @@ def bell(f: np.ndarray) -> np.ndarray:
     return f**3 * (10 - 15 * f + 6 * f**2)
 
 
-def points(seed: int) -> np.ndarray:
-    """An object: events at random in a disc of radius 10 px about the grid's centre, as x coordinates."""
+def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """An object: events at random in a disc of radius 10 px about the grid's centre, x and y."""
     rng = np.random.default_rng(seed)
-    return 100 + 10 * np.sqrt(rng.random(N)) * np.cos(2 * np.pi * rng.random(N))
+    radius, angle = 10 * np.sqrt(rng.random(N)), 2 * np.pi * rng.random(N)
+    return 100 + radius * np.cos(angle), 100 + radius * np.sin(angle)
 
 
 @functools.cache
@@ -57,7 +58,7 @@ def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: 
     y = np.full(N, 100.0)
     u = [
         tnt_reference.tnt_coordinates(
-            t, points(0) + dx, y, **AT, t_max=1.0, landmark=landmark, remove_flow=remove_flow
+            t, points(0)[0] + dx, y, **AT, t_max=1.0, landmark=landmark, remove_flow=remove_flow
         ).u.numpy()
         for dx in (moved, 0 * moved)
     ]
@@ -114,15 +115,14 @@ def ridge_table() -> None:
 
 
 def wander_table() -> None:
-    """How far the landmark of an object at rest is from the object's middle, over 40 random objects."""
+    """How far the landmark of an object at rest is from the object's middle, over 400 random objects."""
     t = (np.arange(N) + 1) * (WINDOW_US // N)
-    y = np.full(N, 100.0)
     rows = []
     for landmark in ("running", "line"):
         strays = np.array(
-            [tnt_reference.landmark(landmark, t, points(seed), y, **AT)[:, 0].numpy() - 100 for seed in range(40)]
-        )
-        rms = np.sqrt((strays**2).mean(0))
+            [tnt_reference.landmark(landmark, t, *points(seed), **AT).numpy() - 100 for seed in range(400)]
+        )  # (objects, N, 2)
+        rms = np.sqrt((strays**2).sum(2).mean(0))
         rows.append([f"`{landmark}`", *(f"{rms[round(f * N) - 1]:.2f}" for f in FRACTIONS)])
     print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)
 

@@ -12,7 +12,7 @@ from .landmarks import fitted_flow, landmark
 from .layers import LayerNetwork, heatmap_centroid
 from .motion import move_by_flow
 from .networks import Classifier, LandmarkRegressor, Pipeline
-from .saccades import find_pauses, segment_index
+from .saccades import segment_index
 from .transform import TNTCoordinates, tnt_coordinates
 from .volume import event_volume, tnt_volume
 from .window import until_newest, windows_of_events
@@ -26,7 +26,6 @@ __all__ = [
     "count_image",
     "count_timestamp_image",
     "event_volume",
-    "find_pauses",
     "fitted_flow",
     "hats",
     "heatmap_centroid",

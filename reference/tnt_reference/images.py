@@ -29,7 +29,7 @@ def count_image(t: Column, x: Column, y: Column, p: Column, *, sensor: tuple[int
 
     References
     ----------
-    Maqueda et al. 2018, arXiv:1804.01310.
+    Maqueda et al. 2018, arXiv:1804.01310; Zhu et al. 2018, arXiv:1802.06898.
 
     Example
     -------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import torch
 
@@ -32,15 +31,3 @@ def segment_index(t: Column, cuts_us: Sequence[int]) -> torch.Tensor:
     """
     cuts = torch.as_tensor(cuts_us, dtype=torch.int64)  # (K,)
     return (cuts <= as_column("t", t)[:, None]).sum(1)
-
-
-def find_pauses(t: Column, gap_us: int) -> list[int]:
-    """The time of the first event after each pause of at least `gap_us`:  {t_i : t_i - t_(i-1) >= gap_us}.
-
-    Example
-    -------
-    >>> find_pauses([51, 5, 9, 50, 99], gap_us=30)
-    [50, 99]
-    """
-    times = sorted(as_column("t", t).tolist())
-    return [t for before, t in pairwise(times) if t - before >= gap_us]

@@ -55,7 +55,7 @@ def event_volume(
 
     References
     ----------
-    Zhu et al. 2019, arXiv:1902.06820, the event volume; Wang 2019, arXiv:1911.12801, with B = 9.
+    Zhu et al. 2018, arXiv:1812.08156, the event volume; Wang 2019, arXiv:1911.12801, with B = 9.
 
     Example
     -------

@@ -189,11 +189,7 @@ def configs(draw):
 @given(configs())
 def test_any_configuration_survives_json(config):
     values = config.to_dict()
-    unknown_to_0_1_0 = {
-        "window_events": config.window_events is None,
-        "representation": config.representation == "volume",
-    }
-    assert list(values) == [field.name for field in fields(TNTConfig) if not unknown_to_0_1_0.get(field.name)]
+    assert list(values) == [field.name for field in fields(TNTConfig)]
     restored = TNTConfig.from_dict(json.loads(json.dumps(values)))
     assert restored == config and restored.to_dict() == values
     assert config.shape == (config.bins * (1 + (config.polarity == "split")), *config.grid[::-1])

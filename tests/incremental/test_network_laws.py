@@ -9,12 +9,13 @@ import pickle
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from incremental.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network, of_all
 from made import nasty_streams, random_events
 
-from async_tnt import TNTConfig, TNTVolume, volume_state
+from async_tnt import CompiledClassifier, Model, TNTConfig, TNTVolume, volume_state
 from async_tnt.kernels import program as P
 from async_tnt.kernels import state as S
 from async_tnt.kernels.sync_input import CELLS_PER_LOGGED
@@ -55,6 +56,30 @@ def test_after_long_packets(network):
     events = random_events(5000, seed=3, duration_us=9000, sensor=network.config.sensor)
     events["t"][::17] = np.maximum(events["t"][::17] - 500, 0)  # out of order within a block
     logits_after_packets(network, events, [100, 2, 1300, 7])
+
+
+def test_a_caller_who_switches_denormal_numbers_off_between_two_calls_breaks_the_law():
+    """What had been computed before stays as it was; a whole forward pass computes it again, as zero."""
+    config = TNTConfig(sensor=(12, 10), grid=(12, 10), bins=2, transform="none")
+    network = torch.nn.Sequential(
+        torch.nn.Conv2d(2, 1, 1), torch.nn.Conv2d(1, 1, 1), torch.nn.Flatten(), torch.nn.Linear(120, 1)
+    )
+    for part, weight in ((0, 1e-20), (1, 1e-20), (3, 1e37)):  # 1e-40 between them is denormal in float32
+        torch.nn.init.constant_(network[part].weight, weight)
+        torch.nn.init.zeros_(network[part].bias)
+    model = Model.from_torch(network, config, classes=["any"])
+    classifier, volume = CompiledClassifier(model), TNTVolume(config)
+    volume.open(0)
+    volume.update_one(10, 3, 3, 1)
+    (before,) = classifier.refresh(volume)
+    assert before == CompiledClassifier(model)(volume.array)[0] > 5e-4
+    if not torch.set_flush_denormal(True):
+        pytest.skip("this processor cannot switch them off")
+    try:
+        volume.update_one(20, 9, 8, 1)
+        assert classifier.refresh(volume)[0] == before and CompiledClassifier(model)(volume.array)[0] == 0
+    finally:
+        torch.set_flush_denormal(False)
 
 
 # -- in any order, with copies -----------------------------------------------------------------------------------

@@ -50,8 +50,3 @@ def write_file(path, weights, of=SMALL, /, **changes):
     sha256 = {} if "sha256" in changes else {"sha256": checksum(weights, text)}
     path.write_bytes(tensor_bytes(weights, values | sha256))
     return path
-
-
-def write_format_1(path, weights, **changes):
-    """The file before checksums."""
-    return write_file(path, weights, **{"format": "async_tnt 1", "network": None, "sha256": None, **changes})

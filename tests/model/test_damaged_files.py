@@ -9,13 +9,14 @@ import torch
 from engines.foreign import network, onnx
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from model.small import SMALL, WITH_REGRESSOR, assert_same, changed, small_model, write_file, write_format_1
+from model.small import SMALL, WITH_REGRESSOR, assert_same, changed, small_model, write_file
 from safetensors.numpy import save, save_file
 from safetensors.torch import save_file as save_tensors
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.checked_tensors import read_tensors
-from async_tnt.networks import OnnxClassifier, OnnxRegressor, UncheckedModelWarning, regressor_to_onnx, to_onnx
+from async_tnt.networks import OnnxClassifier, OnnxRegressor, regressor_to_onnx, to_onnx
+from async_tnt.networks.model import FORMAT
 from async_tnt.networks.onnx_metadata import seal
 from async_tnt.networks.thesis import thesis_network
 
@@ -162,7 +163,7 @@ def test_anything_under_a_valid_checksum(files, data):
 
 
 DAMAGED = "holds a damaged model: "
-FOREIGN = "is not a model that this release can read: `format` must be 'async_tnt 2' or 'async_tnt 1', got "
+FOREIGN = "is not a model that this release can read: `format` must be 'async_tnt 2', got "
 KNOWN = (
     "known: bins, grid, landmark, polarity, remove_flow, representation, sensor, t_max, transform, window_events, "
     "window_us"
@@ -182,10 +183,6 @@ KNOWN = (
         ({"network": None}, DAMAGED + "no network in its metadata"),
         ({"sha256": None}, DAMAGED + "no sha256 in its metadata"),
         ({"sha256": 64 * "0"}, DAMAGED + "its checksum differs; copy or download it again"),
-        (
-            {"format": "async_tnt 1"},
-            DAMAGED + "its `format` must be 'async_tnt 2', as it has a checksum, got 'async_tnt 1'",
-        ),
         ({"format": "async_tnt 3"}, FOREIGN + "'async_tnt 3'"),
     ],
 )
@@ -200,7 +197,7 @@ def test_tensors_of_other_programs_and_types(tmp_path):
     path.write_bytes(save({"weight": np.zeros(3)}, {"format": "pt"}))
     with open(path, "rb") as file:
         with pytest.raises(ValueError, match=r"^`format` must be 'a', got 'pt'$"):
-            read_tensors(file, ("a",))
+            read_tensors(file, "a")
         assert len(file.read()) == 24  # the weights: only the header is read
     save_file({"weight": np.zeros(3)}, path)
     with pytest.raises(ValueError, match=re.escape(f"{path} {FOREIGN}None")):
@@ -209,15 +206,12 @@ def test_tensors_of_other_programs_and_types(tmp_path):
         save_tensors({"weight": torch.zeros(3, dtype=dtype)}, path, {"format": "pt"})
         with pytest.raises(ValueError, match=re.escape(f"{path} {FOREIGN}'pt'")):
             load_model(path)
-    _, metadata, _ = split(write_format_1(path, changed()).read_bytes())
-    weights = {key: torch.from_numpy(values) for key, values in changed().items()}
-    for dtype, message in (
-        (torch.bfloat16, "f is not a readable .safetensors file: NumPy has no type BF16"),
-        (torch.float64, "f holds a damaged model: `fc1.bias` must be float32, got float64"),
-        (torch.int32, "f holds a damaged model: `fc1.bias` must be float32, got int32"),
-    ):
-        save_tensors({**weights, "fc1.bias": torch.zeros(4, dtype=dtype)}, path, metadata)
-        with pytest.raises(ValueError, match=f"{re.escape(message)}$"):
+    save_tensors({"fc1.bias": torch.zeros(4, dtype=torch.bfloat16)}, path, {"format": FORMAT})
+    with pytest.raises(ValueError, match=r"f is not a readable .safetensors file: NumPy has no type BF16$"):
+        load_model(path)
+    for dtype in ("float64", "int32"):
+        write_file(path, changed(fc1__bias=np.zeros(4, dtype)))
+        with pytest.raises(ValueError, match=f"f holds a damaged model: `fc1.bias` must be float32, got {dtype}$"):
             load_model(path)
 
 
@@ -239,7 +233,7 @@ def with_metadata(**changes):
 @pytest.mark.parametrize(
     "changes, message",
     [
-        ({"format": "async_tnt 3"}, "metadata `format` must be 'async_tnt 2' or 'async_tnt 1', got 'async_tnt 3'"),
+        ({"format": "async_tnt 3"}, "metadata `format` must be 'async_tnt 2', got 'async_tnt 3'"),
         ({"sha256": None}, "no sha256 in its metadata"),
         ({"config": '{"a\\nb": 1}'}, "unknown configuration a b"),
         ({"weights": None, "record": None}, "no record and no weights in its metadata"),
@@ -252,13 +246,6 @@ def test_wrong_metadata_of_an_onnx_file(changes, message, files):
     files[0].write_bytes(with_metadata(**changes))
     with pytest.raises(ValueError, match=f"^{re.escape(f'{files[0]} is damaged: {message}')}"):
         OnnxClassifier(files[0])
-
-
-def test_onnx_files_from_before_the_checksum_run_with_one_warning(files):
-    files[0].write_bytes(with_metadata(format="async_tnt 1", sha256=None))
-    with pytest.warns(UncheckedModelWarning, match=f"^{re.escape(str(files[0]))} has no checksum") as caught:
-        assert OnnxClassifier(files[0]).config == SMALL
-    assert len(caught) == 1 and caught[0].filename == __file__
 
 
 def test_onnx_files_of_other_programs_have_no_configuration():

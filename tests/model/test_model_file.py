@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made import random_model
-from model.small import CLASSES, SMALL, WITH_REGRESSOR, assert_same, changed, small_model, write_format_1
+from model.small import CLASSES, SMALL, WITH_REGRESSOR, assert_same, changed, small_model
 from safetensors import safe_open
 from safetensors.numpy import load_file
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, TNTConfig, bundled_models, load_model
-from async_tnt.networks.model import UncheckedModelWarning
 
 MODELS = [
     random_model(),
@@ -108,7 +107,7 @@ def test_what_cannot_be_saved_leaves_nothing(tmp_path):
     assert os.listdir(tmp_path) == ["folder"] and os.listdir(tmp_path / "folder") == []
 
 
-# -- not there, and from before checksums --------------------------------------------------------------------
+# -- not there -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["nonsense", "", "no\0name"])
@@ -127,15 +126,3 @@ def test_only_a_regular_file_is_a_model(tmp_path):
     for path in (tmp_path, tmp_path / "fifo", tmp_path / "link", "/dev/zero", "/dev/null"):
         with pytest.raises(FileNotFoundError, match=f"^no model file {path}, "):
             load_model(path)
-
-
-UNCHECKED = "has no checksum, so damage to it would go unnoticed; load_model(path).save(path) adds one"
-
-
-def test_a_file_of_format_1_loads_with_one_warning_that_a_save_ends(tmp_path):
-    path = write_format_1(tmp_path / "m", changed(), classes='["class 0", "class 1", "class 2"]', record=None)
-    with pytest.warns(UncheckedModelWarning) as caught:
-        model = load_model(path)
-    assert [str(w.message) for w in caught] == [f"{path} {UNCHECKED}"] and caught[0].filename == __file__
-    assert_same(model, Model(SMALL, changed(), small_model().classes))  # without a record
-    assert_same(load_model(model.save(path)), model)  # without a warning, which would be an error here

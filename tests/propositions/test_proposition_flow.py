@@ -134,7 +134,7 @@ def test_a_3d_convolution_of_the_transform_is_equivariant_to_flow():
     assert difference(moving, translated(still)) > 1
 
 
-def test_proposition_2_asks_for_a_motion_that_starts_at_the_landmark():
+def test_proposition_2_asks_for_a_motion_that_starts_where_the_object_at_rest_is():
     """An object that passes the centre at half time is translated as one that started elsewhere: not as itself.
 
     With d(f) = v (f - 1/2) about a fixed landmark, u = [the object at rest] + v / t_max - v / (2 t_max f). The last

@@ -5,14 +5,13 @@ That the same volumes and decisions follow, bit for bit, is a law of tests/test_
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from deciding import CONFIG, at, key, total_and_size
 from made import random_events, random_model
 
-from async_tnt import LeakyIntegrator, Processor, TNTConfig
+from async_tnt import LeakyIntegrator, Processor
 from async_tnt.checked_tensors import read_state, state_bytes
 
 
@@ -49,27 +48,6 @@ def test_which_windows_were_closed_early_is_restored():
         assert (stream.counts.dropped_decided, stream.counts.dropped_late) == (3, 1)
 
 
-def attracted(volume):
-    return [0.3 * float(np.abs(volume).sum()), 2.0]
-
-
-@pytest.mark.parametrize(
-    "landmark, settings",
-    [("line", {"confidence": 0.9, "every_us": 130}), ("window", {"hop_us": 400, "every_events": 7})],
-)
-def test_states_of_earlier_versions(landmark, settings):
-    """Written after 90 of these events."""
-    config = TNTConfig(sensor=(12, 10), grid=(12, 10), bins=2, window_us=1000, t_max=2.0, landmark=landmark)
-    events = random_events(160, seed=1, duration_us=4000, sensor=(12, 10))
-    events["t"][::13] = np.maximum(0, events["t"][::13] - 700)
-    whole, resumed = (Processor(config, classifier=attracted, **settings) for _ in range(2))
-    whole.push(events[:90])
-    resumed.restore_state(Path(__file__).with_name("written_before").joinpath(f"{landmark}.state").read_bytes())
-    assert whole.fire().events > 10
-    assert seen(whole) == seen(resumed)
-    assert seen(whole, whole.push(events[90:])) == seen(resumed, resumed.push(events[90:]))
-
-
 # -- what is refused -----------------------------------------------------------------------------------------
 
 
@@ -77,7 +55,7 @@ def test_states_of_earlier_versions(landmark, settings):
     ("change", "message"),
     [
         ({"config": CONFIG.replace(bins=3)}, r"bins = 9 \(here 3\)"),
-        ({"config": CONFIG.replace(representation="count", bins=1)}, r".*representation = None \(here 'count'\)"),
+        ({"config": CONFIG.replace(representation="count", bins=1)}, r".*representation = 'volume' \(here 'count'\)"),
         ({"hop_us": None}, r"hop_us = 500 \(here 1000\)"),
         ({"late": "drop"}, r"late = 'accept' \(here 'drop'\)"),
     ],

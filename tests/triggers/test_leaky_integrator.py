@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from deciding import at, key
+from deciding import CONFIG, at, key, total_and_size
 from made import random_model
 
 from async_tnt import LeakyIntegrator, Processor, TNTConfig
@@ -25,6 +25,22 @@ def test_it_fires_where_it_reaches_the_threshold(make):
     assert fired(make, times, LeakyIntegrator(1.36, 10.0)) == [2, 4, 6, 8, 10]
     assert fired(make, times, LeakyIntegrator(1.37, 10.0)) == [3, 6, 9]
     assert fired(make, times, LeakyIntegrator(1.54, 10.0)) == [4, 8]
+
+
+def test_even_events_fire_from_their_own_level_on_and_irregular_ones_below_the_rate_of_the_threshold():
+    """60 events in 4,000 us are the rate at which the mean potential is 60; after an event it is 1/2 more."""
+    integrator = LeakyIntegrator(60.0, 4000.0)
+    rate = 60 / 4000
+    even = np.arange(2_000) / rate
+    irregular = np.cumsum(np.random.default_rng(0).exponential(1 / (0.8 * rate), 20_000))
+
+    def n_fired(t_us):
+        processor = Processor(CONFIG, classifier=total_and_size, activity=integrator)
+        return sum(d.trigger == "activity" for d in processor.push(at(np.round(t_us).astype(np.int64))))
+
+    assert 1 / -math.expm1(-1 / (0.991 * rate * 4000)) < 60 < 1 / -math.expm1(-1 / (0.998 * rate * 4000))
+    assert n_fired(even / 0.991) == 0 and n_fired(even / 0.998) == 6
+    assert n_fired(irregular) == 22
 
 
 def test_it_counts_across_windows(make):

@@ -1,4 +1,4 @@
-"""Cut a recording into pieces: at given times, at N-MNIST's three saccades, or where nothing happens for a while."""
+"""Cut a recording into pieces: at given times, or at N-MNIST's three saccades."""
 
 from __future__ import annotations
 
@@ -87,36 +87,3 @@ def split_saccades(events: Any, *, start_us: int = 0) -> list[np.ndarray]:
     """
     start_us = checked_time("start_us", start_us)
     return segment(events, [start_us + cut for cut in SACCADE_CUTS_US[1:]])
-
-
-def find_pauses(events: Any, gap_us: int) -> list[int]:
-    """Where to cut a recording whose parts are not known: after each pause of at least `gap_us` without events.
-
-        cuts = {t_i : t_i - t_(i-1) >= gap_us}        times in order
-
-    A single noise event ends a pause, so this is for filtered recordings, or for a `gap_us` far below the sensor's
-    mean time between noise events. It does not find the saccades of N-MNIST, between which events never stop
-    (docs/theory.md).
-
-    Parameters
-    ----------
-    events : in any form that `async_tnt.event_forms` lists, on any sensor; in any order.
-    gap_us : in microseconds, at least 1.
-
-    Returns
-    -------
-    list of int, increasing: the time of the first event after each pause, for `segment`.
-
-    Examples
-    --------
-    >>> events = ([5, 9, 50, 51, 99], [1] * 5, [2] * 5, [0] * 5)  # t, x, y, p
-    >>> find_pauses(events, gap_us=30)
-    [50, 99]
-    >>> [len(piece) for piece in segment(events, find_pauses(events, gap_us=30))]
-    [2, 2, 1]
-    """
-    if checked_time("gap_us", gap_us) < 1:
-        raise ValueError(f"`gap_us` must be at least 1, got {gap_us}")
-    t = np.sort(as_events(events, _ANY_SENSOR)["t"])
-    after = t[1:][np.diff(t) >= gap_us]
-    return [int(cut) for cut in after]

@@ -1,7 +1,5 @@
 """Cutting recordings: nothing is lost, an event at a cut belongs to the piece after it; N-MNIST's saccades."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 import tnt_reference
@@ -10,7 +8,7 @@ from hypothesis import strategies as st
 from made import events_of, nasty_streams
 
 from async_tnt import EVENT_DTYPE
-from async_tnt.representations.saccades import find_pauses, segment, split_saccades
+from async_tnt.simulation import segment, split_saccades
 
 
 def at_times(*t):
@@ -56,36 +54,10 @@ def test_split_saccades_at_105_210_and_315_ms_on_any_clock():
     assert [len(piece) for piece in before] == [1, 0, 0, 0]
 
 
-def test_pauses_by_hand():
-    """A gap of exactly the threshold is a pause; the cut is the first event after it."""
-    events = at_times(0, 5, 15, 24, 34, 35)
-    assert find_pauses(events, 10) == [15, 34]
-    assert find_pauses(events, 11) == []
-    assert find_pauses(events[::-1], 10) == [15, 34]  # in order of time, whatever their order
-    assert find_pauses(events[:1], 1) == find_pauses(None, 1) == []
-
-
-@given(st.data())
-def test_pauses_equal_the_reference_and_lie_between_pieces(data):
-    window_us = data.draw(st.sampled_from([16, 800]))
-    events = data.draw(nasty_streams((34, 34), window_us, 1_000))
-    gap_us = data.draw(st.integers(1, window_us))
-    cuts = find_pauses(events, gap_us)
-    assert cuts == tnt_reference.find_pauses(events["t"], gap_us)
-    pieces = segment(events, cuts)
-    assert sum(map(len, pieces)) == len(events)
-    for before, after in pairwise(pieces):
-        assert after["t"].min() - before["t"].max() >= gap_us
-    for piece in pieces:
-        assert (np.diff(np.sort(piece["t"])) < gap_us).all()
-
-
 def test_bad_arguments():
     with pytest.raises(ValueError, match=r"`cuts_us` must increase, got 10 after 10"):
         segment(at_times(1, 2), [10, 10])
     with pytest.raises(ValueError, match=r"`cuts_us` must be in \[0, 2\*\*62\), got -5"):
         segment(at_times(1, 2), [-5])
     with pytest.raises(ValueError, match=r"`p` must be 0 or 1, or -1 or \+1, got 3 at event 1"):
-        find_pauses(([1, 2], [0, 0], [0, 0], [1, 3]), 5)
-    with pytest.raises(ValueError, match=r"`gap_us` must be at least 1, got 0"):
-        find_pauses(at_times(1), 0)
+        segment(([1, 2], [0, 0], [0, 0], [1, 3]), [5])
