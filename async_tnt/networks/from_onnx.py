@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.networks.graph import VOLUME, layer_shapes
+from async_tnt.networks.onnx_operations import RULES, Node, OnnxLayers
 
 if TYPE_CHECKING:
     import onnx
@@ -32,7 +30,37 @@ def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tup
     ------
     NotImplementedError : names the first node that is not among these.
     """
-    return _Conversion(model, shape).run()
+    from onnx import numpy_helper
+
+    graph, opset = model.graph, _check_meanings(model)
+    inputs = _inputs(model)
+    if len(inputs) != 1 or len(graph.output) != 1:
+        raise NotImplementedError(
+            f"the network must have one input and one output, got {len(inputs)} and {len(graph.output)}{WAY_OUT}"
+        )
+    sides = [side.dim_value for side in inputs[0].type.tensor_type.shape.dim][1:]  # 0: not fixed
+    if sides and (len(sides) != 3 or any(side not in (0, own) for side, own in zip(sides, shape, strict=True))):
+        raise ValueError(f"the network's input must be the volume, N x {shape}, got N x {tuple(sides)}")
+    constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
+    made = OnnxLayers(inputs[0].name, shape, input_type(model), constants, opset)
+    output = graph.output[0].name
+    for node in map(Node, graph.node):
+        rule = RULES.get(node.op)
+        if rule is None or (node.op == "Softmax" and node.outputs[0] != output):
+            raise NotImplementedError(f"{node.where} has no compiled form{WAY_OUT}")
+        try:
+            rule(made, node)
+        except NotImplementedError as error:
+            raise NotImplementedError(f"{node.where}: {error}{WAY_OUT}") from None
+    if not made.layers or made.names.get(output) != made.layers[-1]["name"]:
+        raise NotImplementedError(f"the network's last layer must compute its output{WAY_OUT}")
+    return made.layers, made.tensors
+
+
+def _inputs(model: onnx.ModelProto) -> list[onnx.ValueInfoProto]:
+    """Without the weights, which old files list, too."""
+    constants = {tensor.name for tensor in model.graph.initializer}
+    return [value for value in model.graph.input if value.name not in constants]
 
 
 def ends_in_softmax(model: onnx.ModelProto) -> bool:
@@ -44,348 +72,26 @@ def input_type(model: onnx.ModelProto) -> np.dtype:
     """The floating type of the network's input, and so of its weights."""
     from onnx import TensorProto
 
-    types = {TensorProto.FLOAT: "float32", TensorProto.FLOAT16: "float16", TensorProto.DOUBLE: "float64"}
-    constants = {tensor.name for tensor in model.graph.initializer}
-    (given,) = (value.type.tensor_type.elem_type for value in model.graph.input if value.name not in constants)
+    types: dict[int, str] = {
+        TensorProto.FLOAT: "float32",
+        TensorProto.FLOAT16: "float16",
+        TensorProto.DOUBLE: "float64",
+    }
+    given = _inputs(model)[0].type.tensor_type.elem_type
     if given not in types:
         raise NotImplementedError(f"the network's input must be floating point, got type {given} of ONNX{WAY_OUT}")
     return np.dtype(types[given])
 
 
-class _Node:
-    """A node, its attributes as Python values."""
-
-    def __init__(self, node: onnx.NodeProto) -> None:
-        from onnx import helper
-
-        self.op, self.inputs = node.op_type, list(node.input)
-        self.outputs = [name for name in node.output if name]
-        self.where = f"node {node.name or node.output[0]!r} ({node.op_type})"
-        self._attributes = {attribute.name: helper.get_attribute_value(attribute) for attribute in node.attribute}
-
-    def get(self, name: str, default: Any = None) -> Any:
-        value = self._attributes.get(name, default)
-        return value.decode() if isinstance(value, bytes) else value
-
-
-class _Conversion:
-    def __init__(self, model: onnx.ModelProto, shape: tuple[int, int, int]) -> None:
-        from onnx import numpy_helper
-
-        self._volume = shape
-        graph = model.graph
-        self._check_meanings(model)
-        self.opset = max(entry.version for entry in model.opset_import if entry.domain in STANDARD)
-        self.constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-        values = [value for value in graph.input if value.name not in self.constants]
-        inputs = [value.name for value in values]
-        if len(inputs) != 1 or len(graph.output) != 1:
-            raise NotImplementedError(
-                f"the network must have one input and one output, got {len(inputs)} and {len(graph.output)}{WAY_OUT}"
-            )
-        self._dtype = input_type(model)
-        sides = [side.dim_value for side in values[0].type.tensor_type.shape.dim][1:]  # 0: not fixed
-        if sides and (len(sides) != 3 or any(side not in (0, own) for side, own in zip(sides, shape, strict=True))):
-            raise ValueError(f"the network's input must be the volume, N x {shape}, got N x {tuple(sides)}")
-        self._nodes = [_Node(node) for node in graph.node]
-        self._names = {inputs[0]: VOLUME}  # value -> the layer that computes it
-        self._output = graph.output[0].name
-        self._layers: Layers = []
-        self._tensors: dict[str, np.ndarray] = {}
-
-    @staticmethod
-    def _check_meanings(model: onnx.ModelProto) -> None:
-        """Refuse operations that are not ONNX's own of that name, or whose meaning was another one."""
-        theirs = [node for node in model.graph.node if node.domain not in STANDARD]
-        if theirs:
-            node = theirs[0]
-            raise NotImplementedError(f"{_Node(node).where} is of the domain {node.domain!r}, not ONNX's own{WAY_OUT}")
-        if any(function.domain in STANDARD for function in model.functions):
-            raise NotImplementedError(f"the network redefines operations of ONNX{WAY_OUT}")
-        versions = [entry.version for entry in model.opset_import if entry.domain in STANDARD]
-        if not versions or min(versions) < FIRST_OPSET:
-            raise NotImplementedError(f"the network must be of opset {FIRST_OPSET} or later, got {versions}{WAY_OUT}")
-
-    def run(self) -> tuple[Layers, dict[str, np.ndarray]]:
-        for node in self._nodes:
-            rule = RULES.get(node.op)
-            if rule is None or (node.op == "Softmax" and node.outputs[0] != self._output):
-                raise NotImplementedError(f"{node.where} has no compiled form{WAY_OUT}")
-            try:
-                rule(self, node)
-            except NotImplementedError as error:
-                raise NotImplementedError(f"{node.where}: {error}{WAY_OUT}") from None
-        if not self._layers or self._names.get(self._output) != self._layers[-1]["name"]:
-            raise NotImplementedError(f"the network's last layer must compute its output{WAY_OUT}")
-        return self._layers, self._tensors
-
-    def add(self, node: _Node, op: str, sources: Sequence[str], **parameters: Any) -> None:
-        """A layer named after the node's output; one that follows in the same node takes its place."""
-        taken = {VOLUME, *(layer["name"] for layer in self._layers)}
-        name = node.outputs[0]
-        while name in taken:
-            name += "_"
-        self._layers.append(
-            {"op": op, "name": name, "inputs": [self.layer(source) for source in sources], **parameters}
-        )
-        self._names[node.outputs[0]] = name
-
-    def layer(self, value: str) -> str:
-        if value not in self._names:
-            raise NotImplementedError(f"its input {value!r} is not computed from the volume")
-        return self._names[value]
-
-    def shape(self, value: str) -> tuple[int, ...]:
-        """(C, H, W) or (N,)."""
-        tensors = {name: values.shape for name, values in self._tensors.items()}
-        return layer_shapes(self._layers, self._volume, tensors, partial=True)[self.layer(value)]
-
-    def alias(self, node: _Node, value: str) -> None:
-        self._names[node.outputs[0]] = self.layer(value)
-
-    def constant(self, node: _Node, place: int) -> np.ndarray | None:
-        """A constant input; None where there is no input at this place."""
-        if place >= len(node.inputs) or not node.inputs[place]:
-            return None
-        if node.inputs[place] not in self.constants:
-            raise NotImplementedError(f"its input {node.inputs[place]!r} is not a constant")
-        return self.constants[node.inputs[place]]
-
-    def tensor(self, name: str, values: np.ndarray) -> str:
-        """Keep a tensor under its own name, or where another one has it, with a `_` behind."""
-        _expect(values.dtype == self._dtype, f"{name!r} of type {values.dtype} beside an input of {self._dtype}")
-        values = np.asarray(values, np.float32)
-        while name in self._tensors and not np.array_equal(self._tensors[name], values):
-            name += "_"
-        self._tensors[name] = values
-        return name
-
-    def weights(self, node: _Node, **places: int) -> dict[str, str]:
-        """Role -> name of the tensor at this place of the inputs."""
-        found = {role: self.constant(node, place) for role, place in places.items()}
-        return {
-            role: self.tensor(node.inputs[places[role]], values) for role, values in found.items() if values is not None
-        }
-
-
-def _expect(condition: bool, what: str) -> None:
-    if not condition:
-        raise NotImplementedError(f"{what} has no compiled form")
-
-
-def _window(node: _Node, kernel: Sequence[int]) -> dict[str, list[int]]:
-    _expect(len(kernel) == 2, f"a kernel of {len(kernel)} sides")
-    _expect(list(node.get("kernel_shape", kernel)) == list(kernel), "a kernel_shape other than that of the weights")
-    auto, dilation = node.get("auto_pad", "NOTSET"), node.get("dilations", [1, 1])
-    stride, padding = list(node.get("strides", [1, 1])), list(node.get("pads", [0] * 4))
-    _expect(auto == "NOTSET" or not any(padding), f"auto_pad {auto} beside pads")
-    if auto in ("SAME_UPPER", "SAME_LOWER"):
-        _expect(stride == [1, 1], f"auto_pad {auto} with a stride of {stride}")
-        total = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
-        less, more = [n // 2 for n in total], [n - n // 2 for n in total]
-        padding = less + more if auto == "SAME_UPPER" else more + less
-    return {"kernel": list(kernel), "stride": stride, "padding": padding}
-
-
-def _conv(made: _Conversion, node: _Node) -> None:
-    weights = made.weights(node, weight=1, bias=2)
-    window = _window(node, made.constants[node.inputs[1]].shape[2:])
-    more = {"dilation": list(node.get("dilations", [1, 1])), "groups": node.get("group", 1)}
-    made.add(node, "conv", node.inputs[:1], weights=weights, **window, **more)
-
-
-def _gemm(made: _Conversion, node: _Node) -> None:
-    _expect(node.get("transA", 0) == 0 and node.get("alpha", 1.0) == node.get("beta", 1.0) == 1.0, "this Gemm")
-    weight, bias = _matrix(made, node), made.constant(node, 2)
-    weight = weight if node.get("transB", 0) else weight.T
-    weights = {"weight": made.tensor(node.inputs[1], weight)}
-    if bias is not None:
-        sides = _without_leading_ones(bias.shape)
-        _expect(bias.ndim <= 2 and sides in ((), weight.shape[:1]), f"a bias of shape {bias.shape}")
-        weights["bias"] = made.tensor(node.inputs[2], np.broadcast_to(bias.reshape(-1), len(weight)))
-    made.add(node, "dense", node.inputs[:1], weights=weights)
-
-
-def _matmul(made: _Conversion, node: _Node) -> None:
-    weight = _matrix(made, node)
-    made.add(node, "dense", node.inputs[:1], weights={"weight": made.tensor(node.inputs[1], weight.T)})
-
-
-def _matrix(made: _Conversion, node: _Node) -> np.ndarray:
-    weight = made.constant(node, 1)
-    if weight is None or weight.ndim != 2:
-        raise NotImplementedError("a product with other than a constant matrix has no compiled form")
-    return weight
-
-
-def _batch_norm(made: _Conversion, node: _Node) -> None:
-    training = node.get("training_mode", 0) or len(node.outputs) > 1  # before opset 14: outputs tell
-    _expect(not training and node.get("spatial", 1) == 1, "a batch norm in training mode, or of each place,")
-    weights = made.weights(node, weight=1, bias=2, mean=3, variance=4)
-    made.add(node, "batch_norm", node.inputs[:1], weights=weights, epsilon=float(node.get("epsilon", 1e-5)))
-
-
-def _without_leading_ones(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """What is left of a shape as ONNX broadcasts it."""
-    while shape[:1] == (1,):
-        shape = shape[1:]
-    return shape
-
-
-def _affine(made: _Conversion, node: _Node, *, is_sum: bool) -> None:
-    """A sum or product with a constant, of one number or of one for each channel, as a batch norm."""
-    (constant,) = (made.constants[name] for name in node.inputs if name in made.constants)
-    (source,) = (name for name in node.inputs if name not in made.constants)
-    shape = made.shape(source)
-    sides = _without_leading_ones(constant.shape)
-    _expect(sides in ((), (shape[0], *[1] * (len(shape) - 1))), f"a constant of shape {constant.shape} here")
-    n = shape[0]
-    values = np.broadcast_to(constant.reshape(-1), n)
-    zeros = np.zeros(n, values.dtype)
-    of_role = {"mean": zeros, "variance": zeros + 1, "bias" if is_sum else "weight": values}
-    weights = {role: made.tensor(f"{node.outputs[0]}.{role}", numbers) for role, numbers in of_role.items()}
-    made.add(node, "batch_norm", [source], weights=weights, epsilon=0.0)
-
-
-def _add(made: _Conversion, node: _Node) -> None:
-    if any(name in made.constants for name in node.inputs):
-        constants = sum(name in made.constants for name in node.inputs)
-        _expect((len(node.inputs), constants) == (2, 1), "a sum other than of one map and a constant, or of maps,")
-        _affine(made, node, is_sum=True)
-    else:
-        made.add(node, "add", node.inputs)
-
-
-def _mul(made: _Conversion, node: _Node) -> None:
-    _expect(sum(name in made.constants for name in node.inputs) == 1, "a product of two maps")
-    _affine(made, node, is_sum=False)
-
-
-def _relu(made: _Conversion, node: _Node) -> None:
-    made.add(node, "relu", node.inputs[:1])
-
-
-def _leaky_relu(made: _Conversion, node: _Node) -> None:
-    made.add(node, "leaky_relu", node.inputs[:1], slope=float(node.get("alpha", 0.01)))
-
-
-def _prelu(made: _Conversion, node: _Node) -> None:
-    slope = made.constant(node, 1)
-    if slope is None:
-        raise NotImplementedError("a PRelu without slope has no compiled form")
-    sides = _without_leading_ones(slope.shape)  # (C, 1, 1): ONNX would apply (n,) along the last axis
-    channels, *others = made.shape(node.inputs[0])
-    _expect(slope.size == 1 or sides == (channels, *[1] * len(others)), f"a slope of shape {slope.shape}")
-    made.add(node, "prelu", node.inputs[:1], weights={"slope": made.tensor(node.inputs[1], slope.reshape(-1))})
-
-
-def _clip(made: _Conversion, node: _Node) -> None:
-    limits = {}
-    for place, (name, attribute) in enumerate({"low": "min", "high": "max"}.items(), start=1):
-        value = made.constant(node, place)
-        _expect(value is None or value.shape == (), f"a {attribute} other than one number")
-        limits[name] = node.get(attribute) if value is None else float(value)
-    made.add(node, "clip", node.inputs[:1], **limits)
-
-
-def _max_pool(made: _Conversion, node: _Node) -> None:
-    _expect(len(node.outputs) == 1 and not node.get("ceil_mode", 0), "ceil_mode or indices")
-    _expect(list(node.get("dilations", [1, 1])) == [1, 1], "dilation")
-    made.add(node, "max_pool", node.inputs[:1], **_window(node, node.get("kernel_shape", [])))
-
-
-def _average_pool(made: _Conversion, node: _Node) -> None:
-    window = _window(node, node.get("kernel_shape", []))
-    _expect(not node.get("ceil_mode", 0), "ceil_mode")
-    _expect(list(node.get("dilations", [1, 1])) == [1, 1], "dilation")
-    _expect(node.get("count_include_pad", 0) == 1 or not any(window["padding"]), "padding without count_include_pad")
-    made.add(node, "average_pool", node.inputs[:1], **window)
-
-
-def _global_average_pool(made: _Conversion, node: _Node) -> None:
-    made.add(node, "global_average_pool", node.inputs[:1])
-
-
-def _reduce_mean(made: _Conversion, node: _Node) -> None:
-    axes = node.get("axes")
-    if axes is None and (given := made.constant(node, 1)) is not None:
-        axes = given.tolist()
-    _expect(sorted(axis % 4 for axis in axes or []) == [2, 3], f"a mean over axes {axes}, not (2, 3),")
-    made.add(node, "global_average_pool", node.inputs[:1])
-    if not node.get("keepdims", 1):
-        made.add(node, "flatten", node.outputs)
-
-
-def _concat(made: _Conversion, node: _Node) -> None:
-    _expect(node.get("axis") in (1, -3), f"axis {node.get('axis')}, not channels (1),")
-    made.add(node, "concat", node.inputs)
-
-
-def _flatten(made: _Conversion, node: _Node) -> None:
-    _expect(node.get("axis", 1) == 1, f"axis {node.get('axis')}, not 1,")
-    made.add(node, "flatten", node.inputs[:1])
-
-
-def _reshape(made: _Conversion, node: _Node) -> None:
-    """To (n, -1) or (n, m), one row a volume; 0 stands for the batch, unless `allowzero` says that it is none."""
-    given = made.constant(node, 1)
-    rows, n = (None, None) if given is None or given.shape != (2,) else given.tolist()
-    fits = (rows in (0, 1) and n == -1) or (rows in (-1, 0, 1) and n == math.prod(made.shape(node.inputs[0])))
-    fits = fits and not (rows == 0 and node.get("allowzero", 0))
-    _expect(fits, f"a reshape to {None if given is None else given.tolist()}, not (n, -1), one row a volume,")
-    made.add(node, "flatten", node.inputs[:1])
-
-
-def _constant(made: _Conversion, node: _Node) -> None:
-    from onnx import numpy_helper
-
-    _expect(node.get("value") is not None, "a constant without `value`")
-    made.constants[node.outputs[0]] = numpy_helper.to_array(node.get("value"))
-
-
-def _softmax(made: _Conversion, node: _Node) -> None:
-    """The last one, over the classes: before opset 13 over all axes from `axis` on."""
-    axis = node.get("axis", 1 if made.opset < 13 else -1)
-    n_axes = len(made.shape(node.inputs[0])) + 1
-    _expect(axis % n_axes == 1, f"a softmax over axis {axis}, not over the classes (1),")
-    made.alias(node, node.inputs[0])
-
-
-def _dropout(made: _Conversion, node: _Node) -> None:
-    training = made.constant(node, 2)
-    _expect(training is None or not training.any(), "a dropout in training mode")
-    _identity(made, node)
-
-
-def _identity(made: _Conversion, node: _Node) -> None:
-    if node.inputs[0] in made.constants:
-        made.constants[node.outputs[0]] = made.constants[node.inputs[0]]
-    else:
-        made.alias(node, node.inputs[0])
-
-
-RULES: dict[str, Callable[[_Conversion, _Node], None]] = {
-    "Conv": _conv,
-    "Gemm": _gemm,
-    "MatMul": _matmul,
-    "BatchNormalization": _batch_norm,
-    "Add": _add,
-    "Sum": _add,
-    "Mul": _mul,
-    "Relu": _relu,
-    "LeakyRelu": _leaky_relu,
-    "PRelu": _prelu,
-    "Clip": _clip,
-    "MaxPool": _max_pool,
-    "AveragePool": _average_pool,
-    "GlobalAveragePool": _global_average_pool,
-    "ReduceMean": _reduce_mean,
-    "Concat": _concat,
-    "Flatten": _flatten,
-    "Reshape": _reshape,
-    "Constant": _constant,
-    "Softmax": _softmax,
-    "Dropout": _dropout,
-    "Identity": _identity,
-}
-"""Type of a node -> its rule."""
+def _check_meanings(model: onnx.ModelProto) -> int:
+    """The opset; refuses operations that are not ONNX's own of that name, or whose meaning was another one."""
+    theirs = [node for node in model.graph.node if node.domain not in STANDARD]
+    if theirs:
+        where = Node(theirs[0]).where
+        raise NotImplementedError(f"{where} is of the domain {theirs[0].domain!r}, not ONNX's own{WAY_OUT}")
+    if any(function.domain in STANDARD for function in model.functions):
+        raise NotImplementedError(f"the network redefines operations of ONNX{WAY_OUT}")
+    versions = [entry.version for entry in model.opset_import if entry.domain in STANDARD]
+    if not versions or min(versions) < FIRST_OPSET:
+        raise NotImplementedError(f"the network must be of opset {FIRST_OPSET} or later, got {versions}{WAY_OUT}")
+    return max(versions)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from tnt_reference import LayerNetwork
 from torch import fx, nn
 
 from async_tnt.checks import one_line
+from async_tnt.networks.conversion_check import Function, compare
 from async_tnt.networks.graph import VOLUME
 from async_tnt.networks.torch_operations import (
     FUNCTIONS,
@@ -56,6 +57,36 @@ def layers_from_torch(module: nn.Module, prefix: str = "") -> tuple[Layers, dict
     except Exception as error:  # whatever the module's own code raises
         raise NotImplementedError(f"torch.fx cannot trace this module: {one_line(error)}{WAY_OUT}") from None
     return _Conversion(module, prefix).run(graph)
+
+
+def check_torch_layers(
+    module: nn.Module, layers: Sequence[Mapping[str, Any]], weights: Mapping[str, np.ndarray], shape: tuple[int, ...]
+) -> None:
+    """Compare a module with its layers, both in float64: a trace does not show everything that a module does.
+
+    Parameters
+    ----------
+    layers, weights : as `layers_from_torch` made them.
+    shape : of a volume, (C, H, W).
+
+    Raises
+    ------
+    NotImplementedError : see `compare`.
+    """
+
+    def function_of(network: nn.Module) -> Function:
+        network = network.cpu().double()
+
+        def logits(volume: np.ndarray) -> np.ndarray:
+            with torch.no_grad():
+                return np.asarray(network(torch.tensor(volume, dtype=torch.float64)[None]))
+
+        return logits
+
+    try:
+        compare(function_of(own_copy(module)), function_of(LayerNetwork(layers, weights).eval()), shape)
+    except ValueError as error:
+        raise NotImplementedError(f"the module cannot be read as layers: {error}{WAY_OUT}") from None
 
 
 def own_copy(module: nn.Module) -> nn.Module:

@@ -46,6 +46,12 @@ Shape = tuple[int, ...]
 """(C, H, W), or (N,)."""
 
 
+def expect_form(condition: bool, what: str) -> None:
+    """Refuse what a network of another program does, and this package cannot, by its name."""
+    if not condition:
+        raise NotImplementedError(f"{what} has no compiled form")
+
+
 class UnknownOperation(NotImplementedError):
     """A layer that this release cannot run."""
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from safetensors import SafetensorError
@@ -13,11 +15,16 @@ from safetensors import SafetensorError
 from async_tnt.checked_tensors import read_tensors
 from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
-from async_tnt.networks.conversion_check import check_onnx_layers
-from async_tnt.networks.from_onnx import WAY_OUT, layers_from_onnx
+from async_tnt.networks.compiled import CompiledClassifier
+from async_tnt.networks.conversion_check import TOLERANCE, compare
+from async_tnt.networks.from_onnx import WAY_OUT, ends_in_softmax, input_type, layers_from_onnx
 from async_tnt.networks.graph import CLASSIFIER, layer_shapes
 from async_tnt.networks.model import FORMAT, Model, checksum_of
 from async_tnt.networks.onnx_metadata import is_damaged, read_metadata
+from async_tnt.networks.onnx_session import open_session
+
+if TYPE_CHECKING:
+    import onnx
 
 
 def bundled_models() -> tuple[str, ...]:
@@ -121,7 +128,7 @@ def _load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | No
         classes = [str(k) for k in range(list(shapes.values())[-1][0])]
     model = Model(config, weights, tuple(classes), exported.record if exported else {}, {CLASSIFIER: layers})
     try:
-        check_onnx_layers(str(path), proto, model)
+        _compare_with_onnxruntime(path, proto, model)
     except ImportError:
         warnings.warn(
             f"{path}: its layers were not compared with the network itself, as onnxruntime is not installed",
@@ -130,3 +137,28 @@ def _load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | No
     except ValueError as error:
         raise NotImplementedError(f"{path} cannot be read as layers: {error}{WAY_OUT}") from None
     return model
+
+
+def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) -> None:
+    """Compare an ONNX network, run by onnxruntime, with the compiled layers that were read from it.
+
+    Raises
+    ------
+    ImportError : onnxruntime is not installed.
+    ValueError : see `compare`; or onnxruntime cannot open the file.
+    """
+    session, (given,), *_ = open_session(str(path), str(path), 1)
+    dtype, softmax = input_type(proto), ends_in_softmax(proto)
+    n = given.shape[0] if given.shape and isinstance(given.shape[0], int) else 1  # some files fix a batch
+    compiled = CompiledClassifier(model)
+
+    def theirs(volume: np.ndarray) -> np.ndarray:
+        answer: np.ndarray = session.run(None, {given.name: np.repeat(volume[None], n, 0).astype(dtype)})[0]
+        return answer.reshape(n, -1)[0].astype(np.float64)
+
+    def ours(volume: np.ndarray) -> np.ndarray:
+        logits = compiled(volume).astype(np.float64)
+        odds = np.exp(logits - logits.max())
+        return odds / odds.sum() if softmax else logits
+
+    compare(theirs, ours, model.config.shape, max(TOLERANCE, 8 * float(np.finfo(dtype).eps)))

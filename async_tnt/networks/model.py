@@ -106,8 +106,7 @@ class Model:
         >>> CompiledClassifier(model).n_classes
         2
         """
-        from async_tnt.networks.conversion_check import check_torch_layers
-        from async_tnt.networks.from_torch import layers_from_torch
+        from async_tnt.networks.from_torch import check_torch_layers, layers_from_torch
 
         parts = {CLASSIFIER: module, **({} if regressor is None else {REGRESSOR: regressor})}
         network: dict[str, Any] = {}

@@ -13,7 +13,7 @@ from tnt_reference import heatmap_centroid
 from torch import fx, nn
 from torch.nn import functional as F
 
-from async_tnt.networks.graph import VOLUME
+from async_tnt.networks.graph import VOLUME, expect_form
 
 IN_PLACE = (
     {operator.setitem, operator.delitem}
@@ -107,14 +107,9 @@ def _pair(value: Any) -> list[int]:
     return [int(v) for v in value] if isinstance(value, (tuple, list)) else [int(value)] * 2
 
 
-def _expect(condition: bool, what: str) -> None:
-    if not condition:
-        raise NotImplementedError(f"{what} has no compiled form")
-
-
 def _conv(made: LayerList, call: Call) -> str:
     module = call.module
-    _expect(module.padding_mode == "zeros", f"padding_mode {module.padding_mode!r}")
+    expect_form(module.padding_mode == "zeros", f"padding_mode {module.padding_mode!r}")
     kernel, dilation = _pair(module.kernel_size), _pair(module.dilation)
     if module.padding == "same":
         total = [(k - 1) * d for k, d in zip(kernel, dilation, strict=True)]
@@ -139,7 +134,7 @@ def _linear(made: LayerList, call: Call) -> str:
 
 def _batch_norm(made: LayerList, call: Call) -> str:
     without = call.module.running_mean is None or call.module.training
-    _expect(not without, "a batch norm that does not use running statistics")
+    expect_form(not without, "a batch norm that does not use running statistics")
     roles = {"mean": "running_mean", "variance": "running_var", "weight": "weight", "bias": "bias"}
     return made.add("batch_norm", call, weights=made.tensors(call, **roles), epsilon=call.module.eps)
 
@@ -162,7 +157,7 @@ def _clamp(made: LayerList, call: Call) -> str:
 
 def _clip(made: LayerList, call: Call, low: Any, high: Any) -> str:
     for value in (low, high):
-        _expect(value is None or isinstance(value, (int, float)), "a limit that is no number")
+        expect_form(value is None or isinstance(value, (int, float)), "a limit that is no number")
     return made.add("clip", call, low=low, high=high)
 
 
@@ -175,52 +170,52 @@ def _prelu(made: LayerList, call: Call) -> str:
 
 
 def _pool(made: LayerList, call: Call, op: str) -> str:
-    _expect(not call["ceil_mode"], "ceil_mode")
+    expect_form(not call["ceil_mode"], "ceil_mode")
     kernel, stride = _pair(call["kernel_size"]), _pair(call["stride"] or call["kernel_size"])
     return made.add(op, call, kernel=kernel, stride=stride, padding=2 * _pair(call["padding"]))
 
 
 def _max_pool(made: LayerList, call: Call) -> str:
-    _expect(_pair(call["dilation"]) == [1, 1], "dilation")
-    _expect(not call.arguments.get("return_indices"), "return_indices")
+    expect_form(_pair(call["dilation"]) == [1, 1], "dilation")
+    expect_form(not call.arguments.get("return_indices"), "return_indices")
     return _pool(made, call, "max_pool")
 
 
 def _average_pool(made: LayerList, call: Call) -> str:
     padded = any(_pair(call["padding"]))
-    _expect(bool(call["count_include_pad"]) or not padded, "padding with count_include_pad=False")
-    _expect(call["divisor_override"] in (None, 1), "divisor_override")
+    expect_form(bool(call["count_include_pad"]) or not padded, "padding with count_include_pad=False")
+    expect_form(call["divisor_override"] in (None, 1), "divisor_override")
     return _pool(made, call, "average_pool" if call["divisor_override"] is None else "sum_pool")
 
 
 def _adaptive_pool(made: LayerList, call: Call) -> str:
     size = call["output_size"]
-    _expect(size in (1, (1, 1), [1, 1]), f"an output size of {size}, not 1,")
+    expect_form(size in (1, (1, 1), [1, 1]), f"an output size of {size}, not 1,")
     return made.add("global_average_pool", call)
 
 
 def _mean(made: LayerList, call: Call) -> str:
     axes = call["dim"]
     axes = sorted(axis % 4 for axis in axes) if isinstance(axes, (tuple, list)) else axes
-    _expect(axes == [2, 3], f"a mean over {axes}, not over all places (2, 3),")
+    expect_form(axes == [2, 3], f"a mean over {axes}, not over all places (2, 3),")
     pooled = made.add("global_average_pool", call)
     return pooled if call["keepdim"] else made.add("flatten", call, [pooled])
 
 
 def _add(made: LayerList, call: Call) -> str:
-    _expect(call.arguments.get("alpha", 1) == 1, "a factor alpha")
+    expect_form(call.arguments.get("alpha", 1) == 1, "a factor alpha")
     return made.add("add", call, [call["input"], call["other"]])
 
 
 def _cat(made: LayerList, call: Call) -> str:
-    _expect(call["dim"] in (1, -3), f"a concatenation along axis {call['dim']}, not of channels (1),")
-    _expect(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
+    expect_form(call["dim"] in (1, -3), f"a concatenation along axis {call['dim']}, not of channels (1),")
+    expect_form(isinstance(call["tensors"], (tuple, list)), "a concatenation of other than a list")
     return made.add("concat", call, call["tensors"])
 
 
 def _flatten(made: LayerList, call: Call) -> str:
     axes = (call["start_dim"], call["end_dim"])
-    _expect(axes == (1, -1), f"a flatten from axis {axes[0]} to {axes[1]}, not from 1 to -1,")
+    expect_form(axes == (1, -1), f"a flatten from axis {axes[0]} to {axes[1]}, not from 1 to -1,")
     return made.add("flatten", call)
 
 
@@ -228,7 +223,9 @@ def _view(made: LayerList, call: Call) -> str:
     """x.view(n, -1), with the batch's size, or 1; or (-1, m), where `check_torch_layers` finds out whether m fits."""
     shape = call["shape"]
     n, m = shape if len(shape) == 2 else (None, None)
-    _expect(isinstance(m, int) and (n in (1, -1) or _is_batch_size(n)), "a view other than (n, -1), one row a volume,")
+    expect_form(
+        isinstance(m, int) and (n in (1, -1) or _is_batch_size(n)), "a view other than (n, -1), one row a volume,"
+    )
     return made.add("flatten", call)
 
 
@@ -247,7 +244,7 @@ def _same(made: LayerList, call: Call) -> str:
 
 
 def _dropout(made: LayerList, call: Call) -> str:
-    _expect(not call["training"], "a dropout in training mode, also in evaluation,")
+    expect_form(not call["training"], "a dropout in training mode, also in evaluation,")
     return _same(made, call)
 
 
@@ -273,7 +270,7 @@ class Operation:
         names = [*self.inputs, *([*self.parameters, "out"] if module is None else [])]
         given = {**dict(zip(names, node.args, strict=False)), **node.kwargs}
         unknown = [*node.args[len(names) :], *(name for name in given if name not in names)]
-        _expect(not unknown, f"the argument {unknown[0]!r}" if unknown else "")
+        expect_form(not unknown, f"the argument {unknown[0]!r}" if unknown else "")
         return {**{name: getattr(module, name, default) for name, default in self.parameters.items()}, **given}
 
 

@@ -12,7 +12,7 @@ from model.small import SMALL
 
 from async_tnt import CompiledClassifier, TNTConfig, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
-from async_tnt.networks.from_onnx import RULES
+from async_tnt.networks.onnx_operations import RULES
 
 onnx = pytest.importorskip("onnx", reason="needs onnx: pip install '.[onnx]'")
 
