@@ -48,7 +48,8 @@ def layers_from_torch(module: nn.Module, prefix: str = "") -> tuple[Layers, dict
     NotImplementedError : names the first operation that is not among these, or the first module with hooks.
     """
     if not isinstance(module, nn.Module):
-        raise TypeError(f"`module` must be a torch.nn.Module, got {type(module).__name__}{_advice(module)}")
+        advice = ": load it into its module (load_state_dict)" if isinstance(module, Mapping) else ""
+        raise TypeError(f"`module` must be a torch.nn.Module, got {type(module).__name__}{advice}")
     if type(module) is LayerNetwork:
         return [dict(layer) for layer in module.layers], {name: float_array(w) for name, w in module.tensors.items()}
     module = own_copy(module)
@@ -108,10 +109,6 @@ def own_copy(module: nn.Module) -> nn.Module:
         return copy.deepcopy(module).eval()
     except Exception as error:  # of many types
         raise NotImplementedError(f"the module cannot be copied: {one_line(error)}{WAY_OUT}") from None
-
-
-def _advice(module: Any) -> str:
-    return ": load the weights into their module (load_state_dict)" if isinstance(module, Mapping) else ""
 
 
 class _Proxy(fx.Proxy):
