@@ -9,7 +9,7 @@ import pytest
 from made import random_events
 
 import async_tnt
-from async_tnt.sources import open_recording, sample_recordings
+from async_tnt.sources import UdpSource, open_recording, sample_recordings
 from async_tnt.sources.labelled_recordings import find_recordings
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -71,6 +71,20 @@ def test_stream_equals_batch(lines_of):
     assert events.startswith(f"{n} events, one by one and at once")
     largest, difference, n_cells = re.findall(r"\d[\d.e+-]*", cells)
     assert float(difference) <= 1e-6 * float(largest) and float(largest) > 1 and int(n_cells) > 1000
+
+
+def test_send_recordings(lines_of, tmp_path):
+    """Whole, in order, each from the start of a window on."""
+    first, second = random_events(400, duration_us=3000), random_events(300, duration_us=2000, start_us=50)
+    for name, events in (("a.npy", first), ("b.npy", second)):
+        np.save(tmp_path / name, events)
+    with UdpSource(port=0, timeout_s=0.15) as source:
+        (line,) = lines_of("send_recordings.py", f"udp://127.0.0.1:{source.port}", "a.npy", "b.npy")
+        received = np.concatenate(list(source))
+    assert line.startswith("sent 700 events in ") and line.endswith(f" to 127.0.0.1:{source.port}, 0 refused")
+    first["t"] -= first["t"].min()
+    second["t"] += 105_000 - second["t"].min()
+    np.testing.assert_array_equal(received, np.concatenate([first, second]))
 
 
 def test_hots_characters(lines_of, tmp_path):

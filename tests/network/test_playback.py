@@ -1,0 +1,70 @@
+"""Playback at recording pace, on a made clock."""
+
+import math
+
+import numpy as np
+import pytest
+from made import events_of, random_events
+
+from async_tnt.sources import playback, replay
+
+EVENTS = random_events(2500, duration_us=50_000, start_us=7_000_000)
+
+
+class Clock:
+    """Stands still, but for sleeping, which takes 150 us longer than asked."""
+
+    now_ns = 123
+
+    def monotonic_ns(self):
+        return self.now_ns
+
+    def sleep(self, seconds):
+        assert seconds > 0
+        self.now_ns += round(seconds * 1e9) + 150_000
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(playback, "time", clock)
+    return clock
+
+
+def at(*times):
+    return events_of(times, [0] * len(times), [0] * len(times), [0] * len(times))
+
+
+@pytest.mark.parametrize(("speed", "size"), [(0.5, 60), (1.0, 1), (7.0, 2500)])
+def test_packets_come_when_they_are_due_without_drift(clock, speed, size):
+    packets = [EVENTS[first : first + size] for first in range(0, len(EVENTS), size)]
+    started_ns, parts = clock.now_ns, []
+    for packet in replay(packets, speed):
+        due_ns = (int(packet["t"][-1]) - int(EVENTS["t"][0])) * 1000 / speed
+        assert 0 <= clock.now_ns - started_ns - due_ns + 1 <= 150_002  # late by one sleep, not by all of them
+        assert packet["t"][-1] - packet["t"][0] < 1000
+        parts.append(packet)
+    assert np.concatenate(parts).tobytes() == EVENTS.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("packets", "played"),
+    [
+        ([at(0, 5000, 100, 5100, 200, 9000)], [[0], [5000, 100, 5100, 200], [9000]]),
+        ([at(0, 5000), at(100, 5100), at(200, 9000)], [[0], [5000], [100, 5100], [200], [9000]]),
+        ([at(), at(5), at()], [[5]]),
+        ([at()], []),
+    ],
+)
+def test_an_event_out_of_order_is_due_with_the_newest_before(clock, packets, played):
+    assert [packet["t"].tolist() for packet in replay(packets)] == played
+
+
+def test_speeds_at_which_nothing_comes_are_refused_at_once(monkeypatch):
+    with pytest.raises(ValueError, match=r"`speed` must be above 0 \(math.inf: as fast as possible\), got"):
+        replay(EVENTS, math.nan)
+    monkeypatch.setattr("async_tnt.sources.playback.time.sleep", lambda seconds: waited.append(seconds))
+    waited = []
+    assert list(replay(EVENTS[:2], 1e-310)) and max(waited) < 1 << 33  # what `sleep` can hold
+    with pytest.raises(ValueError, match="`packet_us` must be at least 1, got 0"):
+        replay(EVENTS, packet_us=0)
