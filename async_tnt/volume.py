@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from async_tnt.events import Columns, EventDecoder
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
+from async_tnt.one_call import Running
 from async_tnt.replay_buffer import Regressor, ReplayBuffer, check_regressor
 from async_tnt.volume_state import new_state, next_epoch, restore_counts, restore_window, save_window
 
@@ -71,6 +73,7 @@ class TNTVolume:
         self._ints = self._buffer.view(np.int64)
         self._array = np.zeros(config.shape, np.float32)
         self._view = _read_only(self._array)
+        self._running = Running("TNTVolume")
         self._replay = None
         if config.needs_replay:
             regressor_and_raw = None
@@ -140,17 +143,24 @@ class TNTVolume:
         ------
         ValueError, TypeError : the packet is invalid. None of it is added then.
         """
-        return self._update(self._decoder.decode(events))
+        return self._update(self._decoder.decode, events)
 
-    def _update(self, columns: Columns) -> int:
-        n = columns.n
-        first = self.absorb(columns, 0, n)
-        n_closed = 0
-        while first < n:
-            n_closed += self._open_next(int(columns.t[first]))
-            first = self.absorb(columns, first, n)
-        self.warn()
-        return n_closed
+    def _update(self, decode: Callable[..., Columns], *events: Any) -> int:
+        if self._running.now:  # as `one_at_a_time`, in one call less
+            raise self._running.overlap()
+        self._running.now = True
+        try:
+            columns = decode(*events)
+            n = columns.n
+            first = self.absorb(columns, 0, n)
+            n_closed = 0
+            while first < n:
+                n_closed += self._open_next(int(columns.t[first]))
+                first = self.absorb(columns, first, n)
+            self.warn()
+            return n_closed
+        finally:
+            self._running.now = False
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
         """`update` for one event: microseconds, pixels, polarity 0/1 or -1/+1."""
@@ -159,7 +169,7 @@ class TNTVolume:
                 return 0
         except (TypeError, OverflowError):
             pass
-        return self._update(self._decoder.decode_one(t, x, y, p))
+        return self._update(self._decoder.decode_one, t, x, y, p)
 
     def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
         """`update_one` for callers that manage windows themselves.

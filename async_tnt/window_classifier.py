@@ -11,7 +11,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.events import Columns
 from async_tnt.kernels import trigger as T
-from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, absorb_and_decide, softmax
+from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.volume import TNTVolume
@@ -134,16 +134,8 @@ class WindowClassifier:
             logits = np.empty((min(ROWS, n_rows), n_classes), np.float32)
             probabilities = np.empty(logits.shape)
             notes = np.empty((len(logits), DECISION_FIELDS), np.int64)
-            absorbed, n, end = absorb_and_decide(
-                volume.buffer,
-                *columns[:4],
-                absorbed,
-                last,
-                triggers,
-                *self._compiled.network,
-                logits,
-                probabilities,
-                notes,
+            absorbed, n, end = self._compiled.decide_stretch(
+                volume.buffer, columns, absorbed, last, triggers, logits, probabilities, notes
             )
             blocks.append((notes[:n].tolist(), probabilities, logits))
         start_us, trigger_names = volume.start_us, TRIGGER_NAMES
