@@ -1,8 +1,9 @@
 """Every command: help, wrong options, and errors of one line."""
 
+import numpy as np
 import pytest
 
-from async_tnt.cli import main
+from async_tnt.cli import main, run
 from async_tnt.cli.program import COMMANDS
 from async_tnt.sources.files.recording import sample_recordings
 
@@ -101,3 +102,11 @@ def test_what_cannot_be_done_is_one_line(words, message, refused, tmp_path):
 def test_an_error_is_one_line_whatever_the_name(words, refused, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert "no\\n\\x1b[31mwhere" in refused(*words.split(), "no\n\x1b[31mwhere")
+
+
+@pytest.mark.parametrize("allocate", [np.empty, bytearray])
+def test_memory_that_is_not_there_is_one_line(allocate, refused, monkeypatch):
+    """Of more than any machine addresses; NumPy says for what, Python nothing at all."""
+    monkeypatch.setattr(run, "main", lambda args: allocate(1 << 57))
+    about = " Unable to allocate 1.00 EiB for an array" if allocate is np.empty else "\n"
+    assert refused("run", SAMPLE).startswith(f"async-tnt: not enough memory.{about}")
