@@ -21,7 +21,9 @@ MAX_SIDE = 1 << 15
 WINDOW_US = 105_000
 MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
 MAX_WINDOW_EVENTS = 1 << 30
-MAX_CELLS = 1 << 31
+MAX_CELLS = 1 << 28
+"""Of a volume, float64: 2 GB. 1280 x 720 pixels with 128 bins have 2**27.8. A program may set
+`async_tnt.config.MAX_CELLS = 1 << 30`, before it makes or loads a configuration."""
 LEFT_OUT = {"window_events": None, "representation": "volume"}
 """What `to_dict` leaves out, because version 0.1.0 does not know it."""
 
@@ -143,9 +145,12 @@ class TNTConfig:
                 "`grid` must have no more cells than the sensor has pixels with representation='hats', "
                 f"got {self.grid} on {self.sensor}"
             )
-        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1)
-        if cells >= MAX_CELLS:
-            raise ValueError(f"`grid` and `bins` must give fewer than 2**31 cells, got {cells}")
+        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1) + self.remembered
+        if cells > MAX_CELLS:
+            raise ValueError(
+                f"`grid` and `bins` must give at most {MAX_CELLS:_} cells, got {cells:_} (a program may raise "
+                "async_tnt.config.MAX_CELLS)"
+            )
 
     @property
     def channels(self) -> int:
@@ -156,6 +161,14 @@ class TNTConfig:
     def shape(self) -> tuple[int, int, int]:
         """(C, H, W), the shape of `TNTVolume.array`."""
         return self.channels, self.grid[1], self.grid[0]
+
+    @property
+    def remembered(self) -> int:
+        """Numbers that histograms remember: events by polarity and pixel, events by cell, sums by bin and cell."""
+        if self.representation != "hats":
+            return 0
+        n_polarities, n_cells = self.channels // self.bins, math.prod(self.grid)
+        return n_polarities * math.prod(self.sensor) + (1 + self.channels) * n_cells
 
     @property
     def needs_regressor(self) -> bool:
