@@ -65,8 +65,8 @@ class Processor:
     activity : a `LeakyIntegrator`: decide also when much happens in little time.
     late, replay_events : see `TNTVolume`.
 
-    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too; they may change between calls.
-    A call while another one is running, in another thread or further up in the same, is a RuntimeError.
+    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change between
+    calls. A call while another one is running, in another thread or further up in the same, is a RuntimeError.
 
     Examples
     --------

@@ -8,7 +8,6 @@ landmark `regressor`   is a network's estimate from the raw volume, which is kep
 from __future__ import annotations
 
 import math
-import reprlib
 import warnings
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -16,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from async_tnt.checked_tensors import Arrays, checked_array
+from async_tnt.checks import positive_int, short
 from async_tnt.config import TNTConfig
 from async_tnt.events import Columns, checked_columns, empty_columns
 from async_tnt.kernels import state as S
@@ -61,9 +61,7 @@ class ReplayBuffer:
     """
 
     def __init__(self, config: TNTConfig, capacity: int, regressor: tuple[Regressor, RawVolume] | None) -> None:
-        if capacity < 1:
-            raise ValueError(f"`replay_events` must be at least 1, got {capacity}")
-        self.capacity = config.window_events or capacity
+        self.capacity = config.window_events or positive_int("replay_events", capacity)
         self._n_most = config.window_events or MAX_EVENTS
         self._config = config
         self._regressor: Regressor | None
@@ -231,8 +229,7 @@ def checked_landmark(answer: Any) -> tuple[float, float]:
     try:
         x, y = (float(value) for value in answer)
     except (TypeError, ValueError, OverflowError):
-        got = " ".join(reprlib.repr(answer).split())  # short, and on one line
-        raise ValueError(f"`regressor` must return two numbers (x, y) in grid pixels, got {got}") from None
+        raise ValueError(f"`regressor` must return two numbers (x, y) in grid pixels, got {short(answer)}") from None
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"`regressor` must return a finite landmark, got {(x, y)}")
     return x, y

@@ -30,10 +30,11 @@ release that cannot run it refuses the file.
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from async_tnt.checks import short
 
 VOLUME = "volume"
 CLASSIFIER, REGRESSOR = "classifier", "regressor"
@@ -81,7 +82,7 @@ def layer_shapes(
     for place, layer in enumerate(layers):
         name = layer.get("name") if isinstance(layer, Mapping) else None
         if not isinstance(layer, Mapping) or not isinstance(name, str) or not isinstance(layer.get("op"), str):
-            raise ValueError(f"layer {place} must be an object with `name` and `op`, got {reprlib.repr(layer)}")
+            raise ValueError(f"layer {place} must be an object with `name` and `op`, got {short(layer)}")
         try:
             if name in shapes:
                 raise ValueError("another layer has this name")
@@ -153,10 +154,10 @@ def _shape_of(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, S
         raise ValueError(f"must have {', '.join(missing)}")
     for name, check in op.parameters.items():
         if not check.holds(layer[name]):
-            raise ValueError(f"`{name}` must be {check.words}, got {reprlib.repr(layer[name])}")
+            raise ValueError(f"`{name}` must be {check.words}, got {short(layer[name])}")
     inputs = layer["inputs"]
     if not isinstance(inputs, Sequence) or isinstance(inputs, str) or not all(isinstance(name, str) for name in inputs):
-        raise ValueError(f"`inputs` must be a list of names, got {reprlib.repr(inputs)}")
+        raise ValueError(f"`inputs` must be a list of names, got {short(inputs)}")
     unknown = [name for name in inputs if name not in shapes]
     if unknown:
         raise ValueError(f"no earlier layer is named {unknown[0]!r}")
@@ -172,7 +173,7 @@ def _weights(layer: Layer, op: _Operation, tensors: Mapping[str, Shape]) -> dict
         return {}
     weights = layer["weights"]
     if not isinstance(weights, Mapping) or not all(isinstance(name, str) for name in weights.values()):
-        raise ValueError(f"`weights` must map roles to names of tensors, got {reprlib.repr(weights)}")
+        raise ValueError(f"`weights` must map roles to names of tensors, got {short(weights)}")
     unknown = set(weights) - set(op.roles)
     missing = [role for role, needed in op.roles.items() if needed and role not in weights]
     if unknown or missing:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.checked_tensors import checksum, tensor_bytes
-from async_tnt.checks import plain_array
+from async_tnt.checks import plain_array, short
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
 from async_tnt.networks.conversion_check import check_conversion
@@ -64,9 +63,9 @@ class Model:
 
     def __post_init__(self) -> None:
         if not isinstance(self.classes, (tuple, list)):
-            raise TypeError(f"`classes` must be a tuple or list of names, got {self.classes!r}")
+            raise TypeError(f"`classes` must be a tuple or list of names, got {short(self.classes)}")
         if not isinstance(self.record, Mapping):
-            raise TypeError(f"`record` must be a mapping, got {self.record!r}")
+            raise TypeError(f"`record` must be a mapping, got {short(self.record)}")
         object.__setattr__(self, "classes", tuple(str(name) for name in self.classes))
         weights = {name: _float32(name, w) for name, w in self.weights.items()}
         object.__setattr__(self, "weights", weights)
@@ -75,7 +74,7 @@ class Model:
         if not self.classes:
             raise ValueError("`classes` must hold at least one name")
         if len(set(self.classes)) < len(self.classes):
-            raise ValueError(f"`classes` must have different names, got {reprlib.repr(self.classes)}")
+            raise ValueError(f"`classes` must have different names, got {short(self.classes)}")
         _check_network(self.layers, weights, self.config, len(self.classes))
 
     @classmethod
@@ -171,7 +170,7 @@ def _float32(name: str, values: Any) -> np.ndarray:
 
 def _check_network(network: Any, weights: Mapping[str, np.ndarray], config: TNTConfig, n_classes: int) -> None:
     if not isinstance(network, Mapping) or not all(isinstance(layers, Sequence) for layers in network.values()):
-        raise TypeError(f"`network` must map names to lists of layers, got {reprlib.repr(network)}")
+        raise TypeError(f"`network` must map names to lists of layers, got {short(network)}")
     expected = {CLASSIFIER, *([REGRESSOR] if config.needs_regressor else [])}
     if set(network) != expected:
         raise ValueError(f"`network` must hold {', '.join(sorted(expected))} here, got {', '.join(sorted(network))}")

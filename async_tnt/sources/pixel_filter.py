@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numba import int64, uint8
 
-from async_tnt.checks import is_whole
+from async_tnt.checks import is_whole, short
 from async_tnt.events import EVENT_DTYPE, EventDecoder
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixels import MASKED, OUTSIDE, keep_events
@@ -145,7 +145,7 @@ def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int
     except TypeError:
         numbers = ()
     if len(numbers) != 4 or not all(map(is_whole, numbers)):
-        raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {roi!r}")
+        raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {short(roi)}")
     left, top, width, height = map(int, numbers)
     if min(left, top) < 0 or min(width, height) < 1:
         raise ValueError(
