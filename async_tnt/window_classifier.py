@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.events import Columns
@@ -92,7 +93,15 @@ class WindowClassifier:
         if self._compiled is not None:
             index, logits, probabilities = self._compiled.answer(volume)
         else:
-            logits = np.asarray(self._classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
+            try:
+                logits = np.asarray(self._classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
+            except Exception as error:
+                if not hasattr(self._classifier, "state_dict"):
+                    raise
+                raise TypeError(
+                    "`classifier` must take an array (C, H, W); a torch module is wrapped, TorchClassifier(module), or "
+                    f"compiled, Model.from_torch(module, config, classes): it failed with {one_line(error)!r}"
+                ) from error
             probabilities = np.empty(logits.size)
             index = softmax(logits, probabilities) if logits.size else -1
         classes = self._classes_for(logits.size)
