@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,7 @@ from async_tnt.networks.conversion_check import check_conversion
 from async_tnt.networks.from_torch import layers_from_torch
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
 from async_tnt.networks.thesis import thesis_network
+from async_tnt.notebook import html_table
 
 if TYPE_CHECKING:
     from torch import nn
@@ -129,6 +131,22 @@ class Model:
         """`network`, which is never None once the model is made."""
         assert self.network is not None
         return self.network
+
+    def __repr__(self) -> str:
+        return f"Model({len(self.classes)} classes, {', '.join(self._in_short())})"
+
+    def _repr_html_(self) -> str:
+        volume, network = self._in_short()
+        return html_table(
+            {"Model": volume, "network": network, f"{len(self.classes)} classes": ", ".join(self.classes)}
+        )
+
+    def _in_short(self) -> tuple[str, str]:
+        """What becomes a volume of which shape; the network: its layers with weights."""
+        ops = Counter(layer["op"] for layers in self.layers.values() for layer in layers if layer.get("weights"))
+        volume = f"{'x'.join(map(str, self.config.sensor))} -> {'x'.join(map(str, self.config.shape))}"
+        n_weights = sum(w.size for w in self.weights.values())
+        return volume, ", ".join([*(f"{n} {op}" for op, n in ops.items()), f"{n_weights:,} weights"])
 
     def save(self, path: str | Path) -> Path:
         """Write the model to a .safetensors file; returns its path.

@@ -43,6 +43,7 @@ def test_a_batch_of_one_goes_in_and_numpy_comes_out():
             assert np.allclose(logits, expected(net), atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_bare_module_as_a_classifier_says_how_it_is_passed():
     """One that takes arrays is fine as it is."""
 
