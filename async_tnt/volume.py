@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -143,24 +142,21 @@ class TNTVolume:
         ------
         ValueError, TypeError : the packet is invalid. None of it is added then.
         """
-        return self._update(self._decoder.decode, events)
-
-    def _update(self, decode: Callable[..., Columns], *events: Any) -> int:
-        if self._running.now:  # as `one_at_a_time`, in one call less
-            raise self._running.overlap()
-        self._running.now = True
+        self._running.begin()
         try:
-            columns = decode(*events)
-            n = columns.n
-            first = self.absorb(columns, 0, n)
-            n_closed = 0
-            while first < n:
-                n_closed += self._open_next(int(columns.t[first]))
-                first = self.absorb(columns, first, n)
-            self.warn()
-            return n_closed
+            return self._update(self._decoder.decode(events))
         finally:
             self._running.now = False
+
+    def _update(self, columns: Columns) -> int:
+        n = columns.n
+        first = self.absorb(columns, 0, n)
+        n_closed = 0
+        while first < n:
+            n_closed += self._open_next(int(columns.t[first]))
+            first = self.absorb(columns, first, n)
+        self.warn()
+        return n_closed
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
         """`update` for one event: microseconds, pixels, polarity 0/1 or -1/+1."""
@@ -169,7 +165,11 @@ class TNTVolume:
                 return 0
         except (TypeError, OverflowError):
             pass
-        return self._update(self._decoder.decode_one, t, x, y, p)
+        self._running.begin()
+        try:
+            return self._update(self._decoder.decode_one(t, x, y, p))
+        finally:
+            self._running.now = False
 
     def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
         """`update_one` for callers that manage windows themselves.

@@ -87,14 +87,11 @@ class CompiledClassifier:
         """`refresh` for a volume whose shape is known to fit: class (-1 if a logit is not finite), logits, and
         probabilities (float64, shape (n_classes,))."""
         logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)
-        running = self._running  # as `one_at_a_time`
-        if running.now:
-            raise running.overlap()
-        running.now = True
+        self._running.begin()
         try:
             return classify_cells(volume.state(), *self.network, logits, probabilities), logits, probabilities
         finally:
-            running.now = False
+            self._running.now = False
 
     @one_at_a_time
     def decide_stretch(
