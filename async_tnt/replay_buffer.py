@@ -61,7 +61,8 @@ class ReplayBuffer:
     """
 
     def __init__(self, config: TNTConfig, capacity: int, regressor: tuple[Regressor, RawVolume] | None) -> None:
-        self.capacity = config.window_events or positive_int("replay_events", capacity)
+        capacity = positive_int("replay_events", capacity)
+        self.capacity = config.window_events or capacity
         self._n_most = config.window_events or MAX_EVENTS
         self._config = config
         self._regressor: Regressor | None

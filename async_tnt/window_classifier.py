@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import one_line
+from async_tnt.checks import one_line, short
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.events import Columns
@@ -57,7 +57,7 @@ class WindowClassifier:
 
     def __init__(self, config: TNTConfig, classifier: Classifier, classes: Sequence[str] | None) -> None:
         if isinstance(classes, str):
-            raise TypeError(f"`classes` must be a sequence of names, got the single string {classes!r}")
+            raise TypeError(f"`classes` must be a sequence of names, got the single string {short(classes)}")
         self._config = config
         self.classes = None if classes is None else tuple(classes)
         self.classifier = classifier
@@ -176,4 +176,4 @@ class WindowClassifier:
 
 
 def _not_finite(logits: np.ndarray) -> ValueError:
-    return ValueError(f"`classifier` must return finite logits, got {logits.tolist()}")
+    return ValueError(f"`classifier` must return finite logits, got {short(logits.tolist())}")

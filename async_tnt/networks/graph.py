@@ -115,9 +115,10 @@ def _cost(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape
     n_numbers, n_each = n_output + sum(map(math.prod, weights.values())), len(layer["inputs"])
     if "padding" in layer:
         top, left, bottom, right = layer["padding"]
-        n_each = 16 * math.prod(layer["kernel"])
+        n_taps = math.prod(layer["kernel"])
+        n_each = 16 * n_taps
         n_numbers += source[0] * (source[1] + top + bottom) * (source[2] + left + right) - math.prod(source)
-        n_numbers += 6 * n_each  # measured: lists of the kernel's places, while a program is made
+        n_numbers += 100 * n_taps  # measured: Python's lists of them, while a program is made
     if "weight" in weights and layer["op"] != "batch_norm":
         n_each = math.prod(weights["weight"][1:])
     return n_numbers, max(n_output * n_each, math.prod(source))

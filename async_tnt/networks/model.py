@@ -53,7 +53,8 @@ class Model:
     Raises
     ------
     ValueError, TypeError : weights are missing or not finite numbers, or do not fit the network, or that does not fit
-        the configuration or `classes`; the layer is named.
+        the configuration or `classes`, or is larger than `networks.graph.MAX_NUMBERS` or `MAX_PRODUCTS` allow; the
+        layer is named.
     NotImplementedError : names a layer that this release cannot run.
     """
 
