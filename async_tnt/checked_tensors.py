@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import reprlib
 from collections.abc import Mapping
 from typing import Any, BinaryIO
 
@@ -13,7 +12,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from async_tnt.checks import one_line
+from async_tnt.checks import one_line, short
 
 ALIGNMENT = 8
 MAX_HEADER = 100_000_000  # bytes; safetensors' own limit
@@ -110,7 +109,7 @@ def read_state(content: bytes, fixed: Mapping[str, Any] | None = None) -> tuple[
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:  # the last: nested too deep
         raise ValueError(f"`state` is damaged: {one_line(error)}") from None
     if differ:
-        wrong = ", ".join(f"{name} = {reprlib.repr(saved.get(name))} (here {ours.get(name)!r})" for name in differ)
+        wrong = ", ".join(f"{name} = {short(saved.get(name))} (here {ours.get(name)!r})" for name in differ)
         raise ValueError(f"`state` is of another processor, with {wrong}")
     return arrays, about
 

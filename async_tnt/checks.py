@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import operator
+import reprlib
 import sys
 from numbers import Real
 from typing import Any
@@ -22,30 +24,33 @@ def is_whole(value: Any) -> bool:
     return True
 
 
-def check_number(name: str, value: Any) -> None:
-    """Refuse anything but a real number of any type, which True and False are not."""
+def real_number(name: str, value: Any) -> float:
+    """A real number of any type, which True and False are not; one beyond float is infinite."""
     if not isinstance(value, Real) or isinstance(value, bool):
-        raise TypeError(f"`{name}` must be a number, got {value!r}")
+        raise TypeError(f"`{name}` must be a number, got {short(value)}")
+    try:
+        return float(value)
+    except OverflowError:
+        return -math.inf if value < 0 else math.inf
+
+
+def whole_number(name: str, value: Any, low: int, end: int, rule: str = "") -> int:
+    """A whole number in [low, end), or as `rule` puts it."""
+    if not is_whole(value):
+        raise TypeError(f"`{name}` must be a whole number, got {short(value)}")
+    if not low <= value < end:
+        raise ValueError(f"`{name}` must be {rule or f'in [{low}, {end - 1}]'}, got {short(value)}")
+    return int(value)
 
 
 def positive_int(name: str, value: Any) -> int:
     """A whole number of at least 1 that compiled code can hold."""
-    if not is_whole(value):
-        raise TypeError(f"`{name}` must be a whole number, got {value!r}")
-    if value < 1:
-        raise ValueError(f"`{name}` must be at least 1, got {value}")
-    if value >= 1 << 62:
-        raise ValueError(f"`{name}` must be below 2**62, got {value}")
-    return int(value)
+    return whole_number(name, value, 1, 1 << 62, "at least 1" if is_whole(value) and value < 1 else "below 2**62")
 
 
 def checked_time(name: str, t_us: Any) -> int:
     """A time in microseconds that a window may start at."""
-    if not is_whole(t_us):
-        raise TypeError(f"`{name}` must be a whole number of microseconds, got {t_us!r}")
-    if not 0 <= t_us < 1 << 62:
-        raise ValueError(f"`{name}` must be in [0, 2**62), got {t_us}")
-    return int(t_us)
+    return whole_number(name, t_us, 0, 1 << 62, "in [0, 2**62)")
 
 
 def plain_array(name: str, values: Any, dtype: DTypeLike | None = None) -> np.ndarray:
@@ -66,3 +71,20 @@ def one_line(error: Exception, limit: int = 300) -> str:
     """Text from a library or a file for a message: on one line, cut after `limit` characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= limit else text[:limit] + " ..."
+
+
+class _Short(reprlib.Repr):
+    def repr_int(self, x: int, level: int) -> str:
+        try:
+            return super().repr_int(x, level)
+        except ValueError:  # Python prints no integer of more than 4300 digits
+            return f"{'-' * (x < 0)}10**{round(x.bit_length() * math.log10(2))} or so"
+
+
+_short = _Short()
+_short.maxstring = _short.maxother = 120
+
+
+def short(value: Any) -> str:
+    """What came, for a message: its `repr`, on one line, without the middle of what is long."""
+    return " ".join(_short.repr(value.item() if isinstance(value, np.generic) else value).split())

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
-from async_tnt.checks import check_number, is_whole
+from async_tnt.checks import is_whole, real_number, short, whole_number
 
 LANDMARKS = ("center", "running", "line", "window", "regressor")
 POLARITIES = ("signed", "unsigned", "split")
@@ -21,7 +21,9 @@ MAX_SIDE = 1 << 15
 WINDOW_US = 105_000
 MAX_WINDOW_US = 3600 * 1_000_000  # an hour: sums of times then hold a billion events
 MAX_WINDOW_EVENTS = 1 << 30
-MAX_CELLS = 1 << 31
+MAX_CELLS = 1 << 28
+"""Of a volume, float64: 2 GB. 1280 x 720 pixels with 128 bins have 2**27.8. A program may set
+`async_tnt.config.MAX_CELLS = 1 << 30`, before it makes or loads a configuration."""
 
 
 @dataclass(frozen=True)
@@ -92,37 +94,28 @@ class TNTConfig:
         for name, allowed in {**choices, "representation": REPRESENTATIONS}.items():
             value = getattr(self, name)
             if not isinstance(value, str) or value not in allowed:
-                raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {value!r}")
+                raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {short(value)}")
         if self.bins is None:
             object.__setattr__(self, "bins", IMAGE_BINS.get(self.representation, BINS))
         for name in ("sensor", "grid"):
             side = getattr(self, name)
             if not (isinstance(side, (tuple, list)) and len(side) == 2 and all(is_whole(s) for s in side)):
-                raise TypeError(f"`{name}` must be two whole numbers (width, height), got {side!r}")
+                raise TypeError(f"`{name}` must be two whole numbers (width, height), got {short(side)}")
             side = int(side[0]), int(side[1])
             object.__setattr__(self, name, side)
             if not all(2 <= s <= MAX_SIDE for s in side):
-                raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {side}")
+                raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {short(side)}")
         ranges = {"bins": (1, 1024), "window_us": (1, MAX_WINDOW_US)}
         if self.window_events is not None:
             ranges["window_events"] = (1, MAX_WINDOW_EVENTS)
         for name, (low, high) in ranges.items():
-            value = getattr(self, name)
-            if not is_whole(value):
-                raise TypeError(f"`{name}` must be a whole number, got {value!r}")
-            if not low <= value <= high:
-                raise ValueError(f"`{name}` must be in [{low}, {high}], got {value}")
-            object.__setattr__(self, name, int(value))
-        check_number("t_max", self.t_max)
-        try:
-            t_max = float(self.t_max)
-        except OverflowError:
-            t_max = math.inf
+            object.__setattr__(self, name, whole_number(name, getattr(self, name), low, high + 1))
+        t_max = real_number("t_max", self.t_max)
         if not 1e-6 <= t_max <= 1e6:
             raise ValueError(f"`t_max` must be in [1e-6, 1e6], got {t_max}")
         object.__setattr__(self, "t_max", t_max)
         if not isinstance(self.remove_flow, bool):
-            raise TypeError(f"`remove_flow` must be True or False, got {self.remove_flow!r}")
+            raise TypeError(f"`remove_flow` must be True or False, got {short(self.remove_flow)}")
         if self.remove_flow and (self.landmark != "line" or self.transform != "tnt"):
             raise ValueError(
                 '`remove_flow` needs landmark="line" and transform="tnt", '
@@ -141,9 +134,12 @@ class TNTConfig:
                 "`grid` must have no more cells than the sensor has pixels with representation='hats', "
                 f"got {self.grid} on {self.sensor}"
             )
-        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1)
-        if cells >= MAX_CELLS:
-            raise ValueError(f"`grid` and `bins` must give fewer than 2**31 cells, got {cells}")
+        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1) + self.remembered
+        if cells > MAX_CELLS:
+            raise ValueError(
+                f"`grid` and `bins` must give at most {MAX_CELLS:_} cells, got {cells:_} (a program may raise "
+                "async_tnt.config.MAX_CELLS)"
+            )
 
     @property
     def channels(self) -> int:
@@ -154,6 +150,14 @@ class TNTConfig:
     def shape(self) -> tuple[int, int, int]:
         """(C, H, W), the shape of `TNTVolume.array`."""
         return self.channels, self.grid[1], self.grid[0]
+
+    @property
+    def remembered(self) -> int:
+        """Numbers that histograms remember: events by polarity and pixel, events by cell, sums by bin and cell."""
+        if self.representation != "hats":
+            return 0
+        n_polarities, n_cells = self.channels // self.bins, math.prod(self.grid)
+        return n_polarities * math.prod(self.sensor) + (1 + self.channels) * n_cells
 
     @property
     def needs_regressor(self) -> bool:
@@ -195,7 +199,7 @@ class TNTConfig:
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:
         """The inverse of `to_dict`; an unknown name is an error."""
         if not isinstance(values, Mapping):
-            raise TypeError(f"a configuration must be a mapping of names to values, got {values!r}")
+            raise TypeError(f"a configuration must be a mapping of names to values, got {short(values)}")
         known = {field.name for field in fields(cls)}
         unknown = sorted(str(name) for name in set(values) - known)
         if unknown:

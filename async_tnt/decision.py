@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.notebook import html_table
+
 
 @dataclass(frozen=True, slots=True, eq=False)  # arrays have no truth value to compare by
 class Decision:
@@ -35,6 +37,11 @@ class Decision:
     def probability(self) -> float:
         """Probability of the likeliest class."""
         return float(self.probabilities[self.index])
+
+    def _repr_html_(self) -> str:
+        rows: dict[str, str | float] = {self.label: self.probability}
+        rows["time"] = f"{self.time_us / 1e3:,.3f} ms, window from {self.window_start_us / 1e3:,.3f} ms on"
+        return html_table(rows | {"events": f"{self.events:,}", "trigger": self.trigger})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON; probabilities to six decimals, no logits."""

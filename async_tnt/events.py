@@ -13,6 +13,7 @@ import numpy as np
 from numba import NumbaError
 
 from async_tnt.checked_tensors import Arrays, checked_array
+from async_tnt.checks import short
 from async_tnt.event_forms import NAMES, named_columns
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.records import (
@@ -70,7 +71,7 @@ class EventDecoder:
 
     def __init__(self, sensor: tuple[int, int], late: str = "accept") -> None:
         if late not in LATE_POLICIES:
-            raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {late!r}")
+            raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {short(late)}")
         compile_only(check_columns, *CHECK_TYPES)
         compile_only(load_records, *LOAD_TYPES)
         self.sensor = sensor
@@ -258,7 +259,7 @@ def _check_type(field: str, column: np.ndarray) -> None:
     if kind == "O":
         for i, value in enumerate(column):
             if type(value) is int and not -(1 << 63) <= value < 1 << 63:
-                raise ValueError(f"`{field}` must fit in int64, got {value} at event {i}")
+                raise ValueError(f"`{field}` must fit in int64, got {short(value)} at event {i}")
     got = str(column.dtype)
     if column.size:
         value = column[0]

@@ -24,6 +24,7 @@ from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
+from async_tnt.one_call import Running, one_at_a_time
 from async_tnt.replay_buffer import Regressor
 from async_tnt.triggers import LeakyIntegrator, Triggers
 from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
@@ -31,7 +32,7 @@ from async_tnt.windows import WindowScheduler
 
 
 def _trigger(name: str) -> property:
-    doc = f"The trigger `{name}`, see `Processor`; may be changed at any time."
+    doc = f"The trigger `{name}`, see `Processor`; may be changed between calls."
     return property(attrgetter(f"_triggers.{name}"), lambda self, value: self._set(name, value), doc=doc)
 
 
@@ -64,7 +65,8 @@ class Processor:
     activity : a `LeakyIntegrator`: decide also when much happens in little time.
     late, replay_events : see `TNTVolume`.
 
-    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change at any time.
+    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change between
+    calls. A call while another one is running, in another thread or further up in the same, is a RuntimeError.
 
     Examples
     --------
@@ -76,8 +78,8 @@ class Processor:
     """
 
     __slots__ = (  # so that a mistyped trigger is an error
-        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_fixed", "_new_windows", "_start_us",
-        "_triggers", "_windows", "config",
+        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_fixed", "_new_windows", "_running",
+        "_start_us", "_triggers", "_windows", "config",
     )  # fmt: skip
 
     def __init__(
@@ -98,6 +100,7 @@ class Processor:
     ) -> None:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         self._classifier = WindowClassifier(self.config, classifier, classes)
+        self._running = Running("Processor")
         self._start_us = start_us = None if start_us is None else checked_time("start_us", start_us)
         self._triggers = Triggers()
         self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
@@ -113,6 +116,7 @@ class Processor:
     def __repr__(self) -> str:
         return f"Processor({self.config}, {len(self._windows)} open windows, {self.counts.received} events received)"
 
+    @one_at_a_time
     def reset(self) -> None:
         """Forget the stream: no window open, all counts zero. Classifier and settings stay."""
         self._decoder.reset()
@@ -130,6 +134,7 @@ class Processor:
         return self._classifier.classifier
 
     @classifier.setter
+    @one_at_a_time
     def classifier(self, classifier: Classifier) -> None:
         self._classifier.classifier = classifier
         self._compile(None)
@@ -154,6 +159,7 @@ class Processor:
     confidence = _trigger("confidence")
     activity = _trigger("activity")
 
+    @one_at_a_time
     def _set(self, name: str, value: Any) -> None:
         """Change a trigger; it applies to the open window, too."""
         self._triggers.set(**{name: value})
@@ -195,22 +201,35 @@ class Processor:
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
-        return self._absorb(self._decoder.decode(events))
+        self._running.begin()
+        try:
+            return self._absorb(self._decoder.decode(events))
+        finally:
+            self._running.now = False
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
         """`push` for one event: microseconds, pixels, polarity 0/1 or -1/+1."""
-        n_before = self._windows.oldest.n_events if self._by_event else 0
-        answer = self._absorb_one(t, x, y, p)
-        decisions: list[Decision] = []
-        if answer == AT_LIMIT:
-            self._advance(t, decisions)
-            n_before = self._windows.oldest.n_events
+        running = self._running  # `begin`, whose call would take another 30 ns
+        if running.now:
+            raise running.overlap()
+        running.now = True
+        try:
+            n_before = self._windows.oldest.n_events if self._by_event else -1
             answer = self._absorb_one(t, x, y, p)
-        if answer != ABSORBED:
-            return decisions + self._absorb(self._decoder.decode_one(t, x, y, p))
-        if self._by_event:
-            self._accept(self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions)
-        return decisions
+            if answer == ABSORBED and n_before < 0:
+                return []
+            decisions: list[Decision] = []
+            if answer == AT_LIMIT:
+                self._advance(t, decisions)
+                n_before = self._windows.oldest.n_events
+                answer = self._absorb_one(t, x, y, p)
+            if answer != ABSORBED:
+                return decisions + self._absorb(self._decoder.decode_one(t, x, y, p))
+            if self._by_event:
+                self._accept(self._decide_if_due(n_before), self._windows.oldest.newest_us, decisions)
+            return decisions
+        finally:
+            running.now = False
 
     def _absorb(self, columns: Columns) -> list[Decision]:
         """Add checked events and make the decisions that become due."""
@@ -313,8 +332,13 @@ class Processor:
 
     def fire(self) -> Decision:
         """Classify the open window as it is now: an empty one before the first event. Changes nothing."""
-        return self._classifier.decide(self._windows.oldest, "fire")
+        self._running.begin()
+        try:
+            return self._classifier.decide(self._windows.oldest, "fire")
+        finally:
+            self._running.now = False
 
+    @one_at_a_time
     def finish(self) -> list[Decision]:
         """End the stream: classify the open windows that hold events, and close them.
 
@@ -329,6 +353,7 @@ class Processor:
             self._windows.close_oldest()
         return decisions
 
+    @one_at_a_time
     def volume(self) -> np.ndarray:
         """The (oldest) open window's volume as it is now: float32, shape (C, H, W), read-only. Copy it to keep it."""
         return self._windows.oldest.array
@@ -344,12 +369,14 @@ class Processor:
         event once, the others once per window that contains it."""
         return self._windows.counts(self._decoder.n_dropped)
 
+    @one_at_a_time
     def save_state(self) -> bytes:
         """The state of the stream: open windows, counts and triggers, but not the classifier. Another processor with
         the same configuration and settings, in any process, continues from it bit for bit (`restore_state`)."""
         arrays = self._windows.save() | with_prefix("triggers", self._triggers.save()) | self._decoder.save()
         return state_bytes(arrays, {"fixed": self._fixed, "triggers": self._triggers.settings()})
 
+    @one_at_a_time
     def restore_state(self, state: bytes) -> None:
         """Continue where `save_state` was called, with the triggers that were set there.
 

@@ -8,7 +8,6 @@ landmark `regressor`   is a network's estimate from the raw volume, which is kep
 from __future__ import annotations
 
 import math
-import reprlib
 import warnings
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -16,11 +15,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from async_tnt.checked_tensors import Arrays, checked_array
+from async_tnt.checks import positive_int, short
 from async_tnt.config import TNTConfig
 from async_tnt.events import Columns, checked_columns, empty_columns
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import absorb, store_events
 from async_tnt.kernels.readout import empty_volume
+from async_tnt.one_call import Running, one_at_a_time
 from async_tnt.volume_state import MAX_EVENTS, next_epoch, set_duration
 
 Regressor = Callable[[np.ndarray], Any]
@@ -60,8 +61,7 @@ class ReplayBuffer:
     """
 
     def __init__(self, config: TNTConfig, capacity: int, regressor: tuple[Regressor, RawVolume] | None) -> None:
-        if capacity < 1:
-            raise ValueError(f"`replay_events` must be at least 1, got {capacity}")
+        capacity = positive_int("replay_events", capacity)
         self.capacity = config.window_events or capacity
         self._n_most = config.window_events or MAX_EVENTS
         self._config = config
@@ -69,6 +69,7 @@ class ReplayBuffer:
         self._raw: RawVolume | None
         self._regressor, self._raw = regressor or (None, None)
         self._columns = empty_columns(min(FIRST_CAPACITY, self.capacity))
+        self._running = Running("Processor or TNTVolume")
         self.reset()
 
     def reset(self) -> None:
@@ -87,6 +88,7 @@ class ReplayBuffer:
         if self._raw is not None:
             self._raw.open(start_us)
 
+    @one_at_a_time
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
         """Absorb events up to the volume's limit; returns the first one not absorbed."""
         if min(self.n + last - first, self.capacity) > self._columns.t.size:
@@ -120,24 +122,33 @@ class ReplayBuffer:
     def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
         """The landmark (x, y) in grid pixels of a window with events, where it is deferred; computed once, until new
         events arrive."""
-        if self._landmark is None:
-            if self._regressor is not None and self._raw is not None:
-                self._landmark = checked_landmark(self._regressor(self._raw.array))
-            else:
-                ints, n = buffer.view(np.int64), _n_events(buffer)
-                self._landmark = self._config.to_grid(int(ints[S.SUM_X]) / n, int(ints[S.SUM_Y]) / n)
+        return self._landmark or self._find_landmark(buffer)
+
+    @one_at_a_time
+    def _find_landmark(self, buffer: np.ndarray) -> tuple[float, float]:
+        self._landmark = self._estimate(buffer)
         return self._landmark
+
+    def _estimate(self, buffer: np.ndarray) -> tuple[float, float]:
+        if self._regressor is not None and self._raw is not None:
+            return checked_landmark(self._regressor(self._raw.array))
+        ints, n = buffer.view(np.int64), _n_events(buffer)
+        return self._config.to_grid(int(ints[S.SUM_X]) / n, int(ints[S.SUM_Y]) / n)
 
     def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
         """Replay the stored events, if needed: the volume's cells and counts are then up to date.
 
         buffer, array : the volume's, see `kernels.readout.empty_volume`.
         """
-        if self._is_replayed:
-            return
+        if not self._is_replayed:
+            self._replay(buffer, array)
+
+    @one_at_a_time
+    def _replay(self, buffer: np.ndarray, array: np.ndarray) -> None:
         config, ints = self._config, buffer.view(np.int64)
         if config.defers_landmark:
-            buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*self.landmark(buffer))
+            self._landmark = self._landmark or self._estimate(buffer)
+            buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*self._landmark)
         if config.window_events is not None:
             set_duration(buffer, config, max(1, int(ints[S.NEWEST_US] - ints[S.START_US])))
         saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
@@ -219,8 +230,7 @@ def checked_landmark(answer: Any) -> tuple[float, float]:
     try:
         x, y = (float(value) for value in answer)
     except (TypeError, ValueError, OverflowError):
-        got = " ".join(reprlib.repr(answer).split())  # short, and on one line
-        raise ValueError(f"`regressor` must return two numbers (x, y) in grid pixels, got {got}") from None
+        raise ValueError(f"`regressor` must return two numbers (x, y) in grid pixels, got {short(answer)}") from None
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"`regressor` must return a finite landmark, got {(x, y)}")
     return x, y

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.checked_tensors import Arrays, checked_array
-from async_tnt.checks import check_number, positive_int
+from async_tnt.checks import positive_int, real_number, short
 from async_tnt.kernels import trigger as T
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.kernels.state import NEVER_US
@@ -40,10 +40,10 @@ class LeakyIntegrator:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            check_number(name, value)
-            if not value > 0 or (value == math.inf and name != "leak_us"):
-                raise ValueError(f"`{name}` must be a positive number, got {value}")
-            object.__setattr__(self, name, float(value))  # for JSON
+            number = real_number(name, value)
+            if not number > 0 or (number == math.inf and name != "leak_us"):
+                raise ValueError(f"`{name}` must be a positive number, got {short(value)}")
+            object.__setattr__(self, name, number)
 
 
 class Triggers:
@@ -148,15 +148,15 @@ class Triggers:
 
 
 def _level(name: str, value: Any) -> float:
-    check_number(name, value)
-    if not 0 < value <= 1:
-        raise ValueError(f"`{name}` must be a probability in (0, 1], got {value}")
-    return float(value)
+    number = real_number(name, value)
+    if not 0 < number <= 1:
+        raise ValueError(f"`{name}` must be a probability in (0, 1], got {short(value)}")
+    return number
 
 
 def _integrator(name: str, value: Any) -> LeakyIntegrator:
     if not isinstance(value, LeakyIntegrator):
-        raise TypeError(f"`{name}` must be a LeakyIntegrator(threshold, leak_us), got {value!r}")
+        raise TypeError(f"`{name}` must be a LeakyIntegrator(threshold, leak_us), got {short(value)}")
     return value
 
 

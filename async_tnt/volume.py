@@ -15,6 +15,7 @@ from async_tnt.events import Columns, EventDecoder
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
+from async_tnt.one_call import Running
 from async_tnt.replay_buffer import Regressor, ReplayBuffer, check_regressor
 from async_tnt.volume_state import new_state, next_epoch, restore_counts, restore_window, save_window
 
@@ -71,6 +72,7 @@ class TNTVolume:
         self._ints = self._buffer.view(np.int64)
         self._array = np.zeros(config.shape, np.float32)
         self._view = _read_only(self._array)
+        self._running = Running("TNTVolume")
         self._replay = None
         if config.needs_replay:
             regressor_and_raw = None
@@ -140,7 +142,11 @@ class TNTVolume:
         ------
         ValueError, TypeError : the packet is invalid. None of it is added then.
         """
-        return self._update(self._decoder.decode(events))
+        self._running.begin()
+        try:
+            return self._update(self._decoder.decode(events))
+        finally:
+            self._running.now = False
 
     def _update(self, columns: Columns) -> int:
         n = columns.n
@@ -159,7 +165,11 @@ class TNTVolume:
                 return 0
         except (TypeError, OverflowError):
             pass
-        return self._update(self._decoder.decode_one(t, x, y, p))
+        self._running.begin()
+        try:
+            return self._update(self._decoder.decode_one(t, x, y, p))
+        finally:
+            self._running.now = False
 
     def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
         """`update_one` for callers that manage windows themselves.

@@ -7,7 +7,6 @@ writes. Only cells that are not zero are saved.
 from __future__ import annotations
 
 import itertools
-import math
 
 import numpy as np
 
@@ -52,7 +51,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     plane = 2 * (width + 1) * (height + 1)
     n_cells = config.channels * plane
     log_size = 1 << (max(S.BLOCK, n_cells // S.NUMBERS_PER_LOGGED) - 1).bit_length()
-    buffer = np.zeros(S.CELLS + n_cells + log_size + _n_memory(config))
+    buffer = np.zeros(S.CELLS + n_cells + log_size + config.remembered)
     ints = buffer.view(np.int64)
     raw = config.transform == "none"
     set_duration(buffer, config, config.window_us)
@@ -78,16 +77,8 @@ def new_state(config: TNTConfig) -> np.ndarray:
     ints[S.LOG] = S.CELLS + n_cells
     ints[S.BIN_LO], ints[S.BIN_HI] = S.NO_BIN, -1
     ints[S.LOG_SIZE] = log_size
-    ints[S.MEMORY] = S.CELLS + n_cells + log_size if _n_memory(config) else 0
+    ints[S.MEMORY] = S.CELLS + n_cells + log_size if config.remembered else 0
     return buffer
-
-
-def _n_memory(config: TNTConfig) -> int:
-    """Numbers that histograms remember: events by polarity and pixel, events by cell, sums by bin and cell."""
-    if config.representation != "hats":
-        return 0
-    n_polarities, n_cells = config.channels // config.bins, math.prod(config.grid)
-    return n_polarities * math.prod(config.sensor) + (1 + config.channels) * n_cells
 
 
 def set_duration(buffer: np.ndarray, config: TNTConfig, window_us: int) -> None:
@@ -154,7 +145,7 @@ def restore_window(buffer: np.ndarray, arrays: Arrays, config: TNTConfig) -> Non
         if np.any((counts < 0) | (times < 0) | (times > 1) | ((counts == 0) & (times != 0))):
             raise ValueError("its cells are not counts and times of such a window")
     if config.representation == "hats" and not config.needs_replay:
-        memory = checked_array(arrays, "memory", np.float64, (_n_memory(config),))
+        memory = checked_array(arrays, "memory", np.float64, (config.remembered,))
         if not (np.all(memory >= 0) and np.all(memory <= float(n) ** 2) and np.all(memory % 1 == 0)):
             raise ValueError("its memory is not that of histograms of such a window")
         buffer[ints[S.MEMORY] :] = memory

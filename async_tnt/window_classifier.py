@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import one_line, short
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
 from async_tnt.events import Columns
 from async_tnt.kernels import trigger as T
-from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, absorb_and_decide, softmax
+from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.volume import TNTVolume
@@ -56,7 +57,7 @@ class WindowClassifier:
 
     def __init__(self, config: TNTConfig, classifier: Classifier, classes: Sequence[str] | None) -> None:
         if isinstance(classes, str):
-            raise TypeError(f"`classes` must be a sequence of names, got the single string {classes!r}")
+            raise TypeError(f"`classes` must be a sequence of names, got the single string {short(classes)}")
         self._config = config
         self.classes = None if classes is None else tuple(classes)
         self.classifier = classifier
@@ -92,7 +93,15 @@ class WindowClassifier:
         if self._compiled is not None:
             index, logits, probabilities = self._compiled.answer(volume)
         else:
-            logits = np.asarray(self._classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
+            try:
+                logits = np.asarray(self._classifier(volume.array)).astype(np.float32).reshape(-1)  # a copy
+            except Exception as error:
+                if not hasattr(self._classifier, "state_dict"):
+                    raise
+                raise TypeError(
+                    "`classifier` must take an array (C, H, W); a torch module is wrapped, TorchClassifier(module), or "
+                    f"compiled, Model.from_torch(module, config, classes): it failed with {one_line(error)!r}"
+                ) from error
             probabilities = np.empty(logits.size)
             index = softmax(logits, probabilities) if logits.size else -1
         classes = self._classes_for(logits.size)
@@ -134,16 +143,8 @@ class WindowClassifier:
             logits = np.empty((min(ROWS, n_rows), n_classes), np.float32)
             probabilities = np.empty(logits.shape)
             notes = np.empty((len(logits), DECISION_FIELDS), np.int64)
-            absorbed, n, end = absorb_and_decide(
-                volume.buffer,
-                *columns[:4],
-                absorbed,
-                last,
-                triggers,
-                *self._compiled.network,
-                logits,
-                probabilities,
-                notes,
+            absorbed, n, end = self._compiled.decide_stretch(
+                volume.buffer, columns, absorbed, last, triggers, logits, probabilities, notes
             )
             blocks.append((notes[:n].tolist(), probabilities, logits))
         start_us, trigger_names = volume.start_us, TRIGGER_NAMES
@@ -175,4 +176,4 @@ class WindowClassifier:
 
 
 def _not_finite(logits: np.ndarray) -> ValueError:
-    return ValueError(f"`classifier` must return finite logits, got {logits.tolist()}")
+    return ValueError(f"`classifier` must return finite logits, got {short(logits.tolist())}")

@@ -13,7 +13,7 @@ from itertools import islice
 import numpy as np
 
 from async_tnt.checked_tensors import Arrays, checked_array, with_prefix, without_prefix
-from async_tnt.checks import positive_int
+from async_tnt.checks import positive_int, short
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts
 from async_tnt.events import Columns
@@ -50,11 +50,11 @@ class WindowScheduler:
             for name, value in (("hop_us", hop_us), ("start_us", start_us)):
                 if value is not None:
                     raise ValueError(
-                        f"`{name}` must not be given with window_events={config.window_events}, got {value}"
+                        f"`{name}` must not be given with window_events={config.window_events}, got {short(value)}"
                     )
         self.hop_us = window_us if hop_us is None else positive_int("hop_us", hop_us)
         if self.hop_us > window_us:
-            raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {hop_us}")
+            raise ValueError(f"`hop_us` must be at most window_us = {window_us}, got {short(hop_us)}")
         n_volumes = math.ceil(window_us / self.hop_us)
         if n_volumes > MAX_OPEN_WINDOWS:
             smallest = f"window_us / {MAX_OPEN_WINDOWS} = {math.ceil(window_us / MAX_OPEN_WINDOWS)}"

@@ -28,6 +28,5 @@ def one_after_the_other():
 with UdpSender(url.host, url.port, url.format) as sender:
     for packet in replay(one_after_the_other()):
         sender.send(packet)
-print(
-    f"sent {sender.events:,} events in {sender.datagrams:,} datagrams to {url.host}:{url.port}; {sender.refused} refused"
-)
+sent = f"{sender.events:,} events in {sender.datagrams:,} datagrams"
+print(f"sent {sent} to {url.host}:{url.port}, {sender.refused} refused")

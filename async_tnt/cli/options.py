@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from async_tnt.checks import short
 from async_tnt.config import MAX_SIDE
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
@@ -98,16 +99,16 @@ def positive_int(text: str) -> int:
     try:
         value = int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a whole number, got {text!r}") from None
+        raise argparse.ArgumentTypeError(f"must be a whole number, got {short(text)}") from None
     if value < 1:
-        raise argparse.ArgumentTypeError(f"must be at least 1, got {value}")
+        raise argparse.ArgumentTypeError(f"must be at least 1, got {short(value)}")
     return value
 
 
 def whole_number(text: str) -> int:
     """An argparse type: a whole number of at least 0."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {text!r}")
+    if not text.isdecimal() or len(text) > 4300:  # which Python does not read
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {short(text)}")
     return int(text)
 
 
@@ -116,7 +117,7 @@ def number(text: str, holds: Callable[[float], bool], rule: str) -> float:
     with contextlib.suppress(ValueError):
         if holds(value := float(text)):
             return value
-    raise argparse.ArgumentTypeError(f"must be {rule}, got {text!r}")
+    raise argparse.ArgumentTypeError(f"must be {rule}, got {short(text)}")
 
 
 def positive_number(text: str) -> float:
@@ -131,8 +132,8 @@ def _probability(text: str) -> float:
 def size_of(text: str) -> tuple[int, int]:
     """An argparse type: `346x260` as two numbers."""
     width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT in pixels, such as 346x260, got {text!r}")
+    if not (width.isdecimal() and height.isdecimal() and len(text) < 20):
+        raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT in pixels, such as 346x260, got {short(text)}")
     size = int(width), int(height)
     if not all(1 <= side <= MAX_SIDE for side in size):
         raise argparse.ArgumentTypeError(f"must be WIDTHxHEIGHT with sides in [1, {MAX_SIDE}] pixels, got {text!r}")
@@ -150,5 +151,5 @@ def _integrator(text: str) -> LeakyIntegrator:
         return LeakyIntegrator(threshold, leak_us)
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"must be two positive numbers, events:microseconds, such as 60:4000, got {text!r}"
+            f"must be two positive numbers, events:microseconds, such as 60:4000, got {short(text)}"
         ) from None

@@ -89,6 +89,9 @@ def _run(argv: Sequence[str]) -> int:
     except (OSError, ValueError, ImportError) as error:
         complain(error)
         code = 2
+    except MemoryError as error:  # NumPy's says of what, Python's is empty
+        complain(f"not enough memory. {error}".strip())
+        code = 2
     except KeyboardInterrupt as error:
         complain(str(error) or "interrupted")
         code = 130

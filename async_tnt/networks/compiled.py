@@ -7,12 +7,14 @@ from typing import Any, Protocol
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.kernels.classify import classify_cells
+from async_tnt.events import Columns
+from async_tnt.kernels.classify import absorb_and_decide, classify_cells
 from async_tnt.kernels.heatmap import centroid
 from async_tnt.kernels.program import EPOCH, OUTPUT_DY
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
 from async_tnt.networks.program import StepWork, VolumeInput, make_program
+from async_tnt.one_call import Running, one_at_a_time
 
 
 class Volume(Protocol):
@@ -33,6 +35,7 @@ class CompiledClassifier:
     Raises
     ------
     ValueError : (when called) the volume's shape is not the model's.
+    RuntimeError : (when called) another call is running.
 
     Examples
     --------
@@ -47,14 +50,21 @@ class CompiledClassifier:
     def __init__(self, model: Model) -> None:
         self.shape = model.config.shape
         self.n_classes = len(model.classes)
+        self._running = Running("CompiledClassifier")
         self._program = make_program(model.layers[CLASSIFIER], self.shape, model.weights)
         self.network = self._program.arrays
         self._input = VolumeInput(self.shape)
+
+    def __repr__(self) -> str:
+        shape, steps = "x".join(map(str, self.shape)), self._program.steps
+        n_products = sum(step.places * step.products for step in steps)
+        return f"CompiledClassifier({shape} -> {self.n_classes} logits, {len(steps)} steps, {n_products:,} products)"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self.network.program[EPOCH] = 0  # in another process, another window may have this number
 
+    @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """Logits of one volume: float32, shape (n_classes,), a new array."""
         return self._program.run(self._input(volume))[: self.n_classes].copy()
@@ -77,7 +87,20 @@ class CompiledClassifier:
         """`refresh` for a volume whose shape is known to fit: class (-1 if a logit is not finite), logits, and
         probabilities (float64, shape (n_classes,))."""
         logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)
-        return classify_cells(volume.state(), *self.network, logits, probabilities), logits, probabilities
+        self._running.begin()
+        try:
+            return classify_cells(volume.state(), *self.network, logits, probabilities), logits, probabilities
+        finally:
+            self._running.now = False
+
+    @one_at_a_time
+    def decide_stretch(
+        self, buffer: np.ndarray, columns: Columns, first: int, last: int, trigger: np.ndarray, *answers: np.ndarray
+    ) -> tuple[int, int, int]:
+        """`kernels.classify.absorb_and_decide`; `answers` are its arrays for logits, probabilities and notes."""
+        found: tuple[int, int, int]
+        found = absorb_and_decide(buffer, *columns[:4], first, last, trigger, *self.network, *answers)
+        return found
 
 
 class CompiledRegressor:
@@ -90,6 +113,7 @@ class CompiledRegressor:
     Raises
     ------
     ValueError : the model has no regressor; (when called) the volume's shape is not the model's.
+    RuntimeError : (when called) another call is running.
     """
 
     def __init__(self, model: Model) -> None:
@@ -100,19 +124,22 @@ class CompiledRegressor:
                 f"got landmark={config.landmark!r}, transform={config.transform!r}"
             )
         self.shape = config.shape
+        self._running = Running("CompiledRegressor")
         self._program = make_program(model.layers[REGRESSOR], self.shape, model.weights)
         self._input = VolumeInput(self.shape)
 
+    @one_at_a_time
     def __call__(self, volume: np.ndarray) -> tuple[float, float]:
         """The landmark of one raw volume, float64; nan where the network's float32 numbers overflow."""
         exponent, (_, height, width) = self._program.run(self._input(volume)), self.shape
         x, y = centroid(exponent, int(self._program.arrays.program[OUTPUT_DY]), width, height)
         return x, y
 
+    @one_at_a_time
     def heatmap(self, volume: np.ndarray) -> np.ndarray:
         """How much each pixel counts in the landmark of one raw volume, which is their centroid: float64, shape (H, W),
         sum 1."""
-        self(volume)
+        self._program.run(self._input(volume))
         exponent = self._program.output_map()[..., 0].astype(np.float64)
         heat: np.ndarray = np.exp(exponent - exponent.max())
         return heat / heat.sum()

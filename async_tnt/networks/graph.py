@@ -30,15 +30,22 @@ release that cannot run it refuses the file.
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from async_tnt.checks import short
+
 VOLUME = "volume"
 CLASSIFIER, REGRESSOR = "classifier", "regressor"
 MAX_SIDE = 1 << 15
-MAX_NUMBERS = 1 << 28  # of a map with its padding: a gigabyte
+MAX_NUMBERS = 1 << 28
+"""Of all maps of a network with their padding, and of its layers' weights: a gigabyte. A kilobyte of layers can ask for
+any amount. At 640 x 480 ResNet-50 has 2**27.9. It and the next limit are a program's to set, before it makes or loads a
+model: `async_tnt.networks.graph.MAX_NUMBERS = 1 << 30`."""
+MAX_PRODUCTS = 1 << 37
+"""Multiplications of one pass, an addition in a pool counting as 16: some seconds on one core. At 640 x 480
+VGG16 has 2**36.5."""
 
 Layer = Mapping[str, Any]
 Network = Mapping[str, Sequence[Layer]]
@@ -75,18 +82,25 @@ def layer_shapes(
     """
     shapes: dict[str, Shape] = {VOLUME: volume}
     flat_maps: set[str] = set()  # of more than one place
+    n_numbers = n_products = 0
     if not layers and not partial:
         raise ValueError("a network must have at least one layer")
     for place, layer in enumerate(layers):
         name = layer.get("name") if isinstance(layer, Mapping) else None
         if not isinstance(layer, Mapping) or not isinstance(name, str) or not isinstance(layer.get("op"), str):
-            raise ValueError(f"layer {place} must be an object with `name` and `op`, got {reprlib.repr(layer)}")
+            raise ValueError(f"layer {place} must be an object with `name` and `op`, got {short(layer)}")
         try:
             if name in shapes:
                 raise ValueError("another layer has this name")
             shapes[name] = _shape_of(layer, shapes, tensors)
-            if math.prod(shapes[name]) > MAX_NUMBERS or max(shapes[name][1:], default=1) >= MAX_SIDE:
-                raise ValueError(f"{shapes[name]} are more than {MAX_NUMBERS:_} numbers, or {MAX_SIDE:_} a side")
+            if max(shapes[name][1:], default=1) >= MAX_SIDE:
+                raise ValueError(f"its map {shapes[name]} must have sides below {MAX_SIDE}")
+            numbers, products = _cost(layer, shapes, tensors)
+            n_numbers, n_products = n_numbers + numbers, n_products + products
+            if n_numbers > MAX_NUMBERS:
+                raise ValueError(f"up to here maps and weights are {n_numbers:_} numbers, {_more_than('MAX_NUMBERS')}")
+            if n_products > MAX_PRODUCTS:
+                raise ValueError(f"up to here a pass has {n_products:_} multiplications, {_more_than('MAX_PRODUCTS')}")
             if _is_flat_map(layer, shapes, flat_maps):
                 flat_maps.add(name)
         except ValueError as error:
@@ -94,6 +108,26 @@ def layer_shapes(
     if not partial and name in flat_maps:
         raise ValueError(f"layer {name!r} is the output, and a flattened map: a dense layer belongs behind it")
     return shapes
+
+
+def _more_than(limit: str) -> str:
+    return f"more than {globals()[limit]:_} (a program may raise async_tnt.networks.graph.{limit})"
+
+
+def _cost(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape]) -> tuple[int, int]:
+    """What counts for MAX_NUMBERS and for MAX_PRODUCTS."""
+    source, n_output = shapes[layer["inputs"][0]], math.prod(shapes[layer["name"]])
+    weights = {role: tensors[name] for role, name in layer.get("weights", {}).items()}
+    n_numbers, n_each = n_output + sum(map(math.prod, weights.values())), len(layer["inputs"])
+    if "padding" in layer:
+        top, left, bottom, right = layer["padding"]
+        n_taps = math.prod(layer["kernel"])
+        n_each = 16 * n_taps
+        n_numbers += source[0] * (source[1] + top + bottom) * (source[2] + left + right) - math.prod(source)
+        n_numbers += 100 * n_taps  # measured: Python's lists of them, while a program is made
+    if "weight" in weights and layer["op"] != "batch_norm":
+        n_each = math.prod(weights["weight"][1:])
+    return n_numbers, max(n_output * n_each, math.prod(source))
 
 
 def tensors_of(layers: Sequence[Layer]) -> set[str]:
@@ -127,10 +161,10 @@ def _shape_of(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, S
         raise ValueError(f"must have {', '.join(missing)}")
     for name, check in op.parameters.items():
         if not check.holds(layer[name]):
-            raise ValueError(f"`{name}` must be {check.words}, got {reprlib.repr(layer[name])}")
+            raise ValueError(f"`{name}` must be {check.words}, got {short(layer[name])}")
     inputs = layer["inputs"]
     if not isinstance(inputs, Sequence) or isinstance(inputs, str) or not all(isinstance(name, str) for name in inputs):
-        raise ValueError(f"`inputs` must be a list of names, got {reprlib.repr(inputs)}")
+        raise ValueError(f"`inputs` must be a list of names, got {short(inputs)}")
     unknown = [name for name in inputs if name not in shapes]
     if unknown:
         raise ValueError(f"no earlier layer is named {unknown[0]!r}")
@@ -146,7 +180,7 @@ def _weights(layer: Layer, op: _Operation, tensors: Mapping[str, Shape]) -> dict
         return {}
     weights = layer["weights"]
     if not isinstance(weights, Mapping) or not all(isinstance(name, str) for name in weights.values()):
-        raise ValueError(f"`weights` must map roles to names of tensors, got {reprlib.repr(weights)}")
+        raise ValueError(f"`weights` must map roles to names of tensors, got {short(weights)}")
     unknown = set(weights) - set(op.roles)
     missing = [role for role, needed in op.roles.items() if needed and role not in weights]
     if unknown or missing:
@@ -205,8 +239,6 @@ def _windowed(layer: Layer, shape: Shape, dilation: Sequence[int] = (1, 1)) -> t
     if len(shape) != 3:
         raise ValueError(f"its input must be a map (C, H, W), got {shape}")
     top, left, bottom, right = layer["padding"]
-    if shape[0] * (shape[1] + top + bottom) * (shape[2] + left + right) > MAX_NUMBERS:
-        raise ValueError(f"its input {shape} with padding {layer['padding']} has more than {MAX_NUMBERS:_} numbers")
     sides = []
     for axis, side in enumerate((shape[1] + top + bottom, shape[2] + left + right)):
         reach = (layer["kernel"][axis] - 1) * dilation[axis] + 1

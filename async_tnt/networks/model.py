@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import reprlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.checked_tensors import checksum, tensor_bytes
-from async_tnt.checks import plain_array
+from async_tnt.checks import plain_array, short
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
 from async_tnt.networks.thesis import thesis_network
+from async_tnt.notebook import html_table
 
 if TYPE_CHECKING:
     from torch import nn
@@ -45,7 +46,8 @@ class Model:
     Raises
     ------
     ValueError, TypeError : weights are missing or not finite numbers, or do not fit the network, or that does not fit
-        the configuration or `classes`; the layer is named.
+        the configuration or `classes`, or is larger than `networks.graph.MAX_NUMBERS` or `MAX_PRODUCTS` allow; the
+        layer is named.
     NotImplementedError : names a layer that this release cannot run.
     """
 
@@ -57,9 +59,9 @@ class Model:
 
     def __post_init__(self) -> None:
         if not isinstance(self.classes, (tuple, list)):
-            raise TypeError(f"`classes` must be a tuple or list of names, got {self.classes!r}")
+            raise TypeError(f"`classes` must be a tuple or list of names, got {short(self.classes)}")
         if not isinstance(self.record, Mapping):
-            raise TypeError(f"`record` must be a mapping, got {self.record!r}")
+            raise TypeError(f"`record` must be a mapping, got {short(self.record)}")
         object.__setattr__(self, "classes", tuple(str(name) for name in self.classes))
         weights = {name: _float32(name, w) for name, w in self.weights.items()}
         object.__setattr__(self, "weights", weights)
@@ -68,7 +70,7 @@ class Model:
         if not self.classes:
             raise ValueError("`classes` must hold at least one name")
         if len(set(self.classes)) < len(self.classes):
-            raise ValueError(f"`classes` must have different names, got {reprlib.repr(self.classes)}")
+            raise ValueError(f"`classes` must have different names, got {short(self.classes)}")
         _check_network(self.layers, weights, self.config, len(self.classes))
 
     @classmethod
@@ -125,6 +127,22 @@ class Model:
         assert self.network is not None
         return self.network
 
+    def __repr__(self) -> str:
+        return f"Model({len(self.classes)} classes, {', '.join(self._in_short())})"
+
+    def _repr_html_(self) -> str:
+        volume, network = self._in_short()
+        return html_table(
+            {"Model": volume, "network": network, f"{len(self.classes)} classes": ", ".join(self.classes)}
+        )
+
+    def _in_short(self) -> tuple[str, str]:
+        """What becomes a volume of which shape; the network: its layers with weights."""
+        ops = Counter(layer["op"] for layers in self.layers.values() for layer in layers if layer.get("weights"))
+        volume = f"{'x'.join(map(str, self.config.sensor))} -> {'x'.join(map(str, self.config.shape))}"
+        n_weights = sum(w.size for w in self.weights.values())
+        return volume, ", ".join([*(f"{n} {op}" for op, n in ops.items()), f"{n_weights:,} weights"])
+
     def save(self, path: str | Path) -> Path:
         """Write the model to a .safetensors file; returns its path.
 
@@ -165,7 +183,7 @@ def _float32(name: str, values: Any) -> np.ndarray:
 
 def _check_network(network: Any, weights: Mapping[str, np.ndarray], config: TNTConfig, n_classes: int) -> None:
     if not isinstance(network, Mapping) or not all(isinstance(layers, Sequence) for layers in network.values()):
-        raise TypeError(f"`network` must map names to lists of layers, got {reprlib.repr(network)}")
+        raise TypeError(f"`network` must map names to lists of layers, got {short(network)}")
     expected = {CLASSIFIER, *([REGRESSOR] if config.needs_regressor else [])}
     if set(network) != expected:
         raise ValueError(f"`network` must hold {', '.join(sorted(expected))} here, got {', '.join(sorted(network))}")

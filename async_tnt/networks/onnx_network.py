@@ -12,6 +12,7 @@ from async_tnt.checks import one_line, positive_int
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.onnx_metadata import Exported
 from async_tnt.networks.onnx_session import DTYPES, check_input, check_output, open_session, source_of
+from async_tnt.one_call import Running, one_at_a_time
 
 
 class _OnnxNetwork:
@@ -24,6 +25,7 @@ class _OnnxNetwork:
 
     def __init__(self, path_or_bytes: Any, *, threads: int = 1, shape: Sequence[int] | None = None) -> None:
         self.threads = positive_int("threads", threads)
+        self._running = Running(type(self).__name__)
         self._source = source = source_of(path_or_bytes)
         self._name = name = f"the ONNX network of {len(source):_} bytes" if isinstance(source, bytes) else source
         self._session, inputs, outputs, exported = open_session(source, name, self.threads)
@@ -70,8 +72,9 @@ class _OnnxNetwork:
         binding.bind_output(output.name, "cpu", 0, answer.dtype.type, answer.shape, answer.ctypes.data)
         return volume[0], answer.reshape(-1), binding
 
+    @one_at_a_time
     def _run(self, volume: np.ndarray) -> np.ndarray:
-        """The network's numbers, in memory that the next call overwrites."""
+        """The network's numbers, a new array."""
         if volume.shape != self.shape:
             raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
         np.copyto(self._volume, volume)
@@ -79,7 +82,7 @@ class _OnnxNetwork:
             self._session.run_with_iobinding(self._binding)
         except Exception as error:  # as above
             raise ValueError(f"{self._name}: the network fails on this volume: {one_line(error)}") from None
-        return self._answer
+        return self._answer.copy()
 
 
 class OnnxClassifier(_OnnxNetwork):
@@ -128,7 +131,7 @@ class OnnxClassifier(_OnnxNetwork):
 
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """Logits of one volume: float32, shape (n_classes,), a new array."""
-        return self._run(volume).copy()
+        return self._run(volume)
 
 
 class OnnxRegressor(_OnnxNetwork):

@@ -107,8 +107,8 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
     for side, wanted in zip(sides[1:], (channels, height, width), strict=True):
         if isinstance(side, int) and side != wanted:
             raise ValueError(f"`shape` must fit the network's input {_spelled(sides)}, got {tuple(shape)}")
-    if channels * height * width >= MAX_CELLS:
-        raise ValueError(f"the network's input must have fewer than 2**31 cells, got {_spelled(sides)}")
+    if channels * height * width > MAX_CELLS:
+        raise ValueError(f"the network's input must have at most {MAX_CELLS:_} cells, got {_spelled(sides)}")
     return channels, height, width
 
 

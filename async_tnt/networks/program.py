@@ -14,6 +14,7 @@ from async_tnt.kernels.changes import MAX_ROW
 from async_tnt.kernels.forward import forward
 from async_tnt.kernels.simd import LANES
 from async_tnt.kernels.sync_input import set_input
+from async_tnt.networks import graph
 from async_tnt.networks.graph import Layer
 from async_tnt.networks.steps import Map, Step, steps_of
 
@@ -91,6 +92,8 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
     numbers = _Arena()
     program[P.PLANES] = numbers.take(channels * height * width)
     firsts = {part: numbers.take(_size(part)) + _first(part) for part in maps}
+    if numbers.size > 2 * graph.MAX_NUMBERS:  # maps that are added have one frame, that of the widest padding
+        raise ValueError(f"the network's maps need {numbers.size:_} numbers, more than 2 * {graph.MAX_NUMBERS:_}")
     program[[P.INPUT, P.INPUT_DY]] = firsts[volume], _pitch(volume)
     program[[P.OUTPUT, P.OUTPUT_DY]] = firsts[output], _pitch(output)
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numba import int64, uint8
 
-from async_tnt.checks import is_whole
+from async_tnt.checks import is_whole, short
 from async_tnt.events import EVENT_DTYPE, EventDecoder
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixels import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.records import COLUMN_TYPES
+from async_tnt.one_call import Running, one_at_a_time
 from async_tnt.sources.pixel_masks import checked_mask, load_mask
 from async_tnt.sources.sensor import checked_sensor, format_size
 
@@ -91,8 +92,10 @@ class PixelFilter:
         self._verdicts[inside] = 0 if mask is None else mask[inside] * np.uint8(MASKED)
         self._corner = (left, top) if crop else (0, 0)
         self._decoder = EventDecoder((width, height))
+        self._running = Running("PixelFilter")
         self.reset()
 
+    @one_at_a_time
     def __call__(self, events: Any) -> np.ndarray:
         """The events to keep of a packet in any form that `async_tnt.event_forms` lists: a new array of `EVENT_DTYPE`.
 
@@ -142,7 +145,7 @@ def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int
     except TypeError:
         numbers = ()
     if len(numbers) != 4 or not all(map(is_whole, numbers)):
-        raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {roi!r}")
+        raise ValueError(f"`roi` must be (x, y, width, height) in whole pixels, got {short(roi)}")
     left, top, width, height = map(int, numbers)
     if min(left, top) < 0 or min(width, height) < 1:
         raise ValueError(

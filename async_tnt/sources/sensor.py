@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from async_tnt.checks import is_whole
+from async_tnt.checks import is_whole, short
 from async_tnt.config import MAX_SIDE
 from async_tnt.events import as_events
 
@@ -31,9 +31,9 @@ def checked_sensor(sensor: Any) -> Sensor:
     except (TypeError, ValueError):
         width = height = None
     if not (is_whole(width) and is_whole(height)):
-        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {sensor!r}")
+        raise ValueError(f"`sensor` must be (width, height) in whole pixels, got {short(sensor)}")
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise ValueError(f"`sensor` must have sides in [1, {MAX_SIDE}] pixels, got {sensor!r}")
+        raise ValueError(f"`sensor` must have sides in [1, {MAX_SIDE}] pixels, got {short(sensor)}")
     return int(width), int(height)
 
 

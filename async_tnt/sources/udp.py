@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import positive_int, whole_number
 from async_tnt.sources.datagrams import Decoder
 from async_tnt.sources.udp_socket import (
     Waiter,
@@ -121,16 +122,12 @@ class UdpSource:
         max_jump_s: float | None = 10.0,
         spin_us: float = 0.0,
     ) -> None:
-        if not 0 <= port < 1 << 16:
-            raise ValueError(f"`port` must be in [0, 65535], got {port}")
-        if not 1 <= buffer_bytes < 1 << 30:
-            raise ValueError(f"`buffer_bytes` must be in [1, 2**30), got {buffer_bytes}")
-        if max_datagrams < 1:
-            raise ValueError(f"`max_datagrams` must be at least 1, got {max_datagrams}")
+        port = whole_number("port", port, 0, 1 << 16)
+        buffer_bytes = whole_number("buffer_bytes", buffer_bytes, 1, 1 << 30, "in [1, 2**30)")
         if not 0 <= spin_us <= 1e6:
             raise ValueError(f"`spin_us` must be in [0, 1,000,000] microseconds, got {spin_us}")
         self.timeout_s = None if timeout_s is None else checked_timeout(timeout_s)
-        self.max_datagrams = max_datagrams
+        self.max_datagrams = positive_int("max_datagrams", max_datagrams)
         self.spin_us = spin_us
         self._decoder = Decoder(format, sensor, max_jump_s)
         self._memory = memoryview(bytearray(BATCH_BYTES))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import whole_number
 from async_tnt.sources.datagrams import EVENT_BYTES, MAX_DATAGRAM_BYTES, checked_format, encode
 from async_tnt.sources.udp_socket import resolve
 
@@ -37,12 +38,9 @@ class UdpSender:
         packet_events: int = PACKET_EVENTS,
     ) -> None:
         most = MAX_DATAGRAM_BYTES // EVENT_BYTES[checked_format(format)]
-        if not 1 <= packet_events <= most:
-            raise ValueError(f"`packet_events` must be in [1, {most}] for {format}, got {packet_events}")
-        if not 1 <= port < 1 << 16:
-            raise ValueError(f"`port` must be in [1, 65535] to send to, got {port}")
+        self.packet_events = whole_number("packet_events", packet_events, 1, most + 1, f"in [1, {most}] for {format}")
+        port = whole_number("port", port, 1, 1 << 16)
         self.format = format
-        self.packet_events = packet_events
         self.events = self.datagrams = self.bytes = 0
         """Sent so far."""
         self.refused = 0

@@ -34,7 +34,9 @@ OTHER = {
 SIZE = "`{}` must be two whole numbers (width, height), got {!r}"
 WHOLE = "`{}` must be a whole number, got {!r}"
 ONE_OF = "`{}` must be one of {}, got {!r}"
-CELLS = "`grid` and `bins` must give fewer than 2**31 cells, got {}"
+CELLS = (
+    "`grid` and `bins` must give at most 268_435_456 cells, got {:_} (a program may raise async_tnt.config.MAX_CELLS)"
+)
 FLOW = '`remove_flow` needs landmark="line" and transform="tnt", got landmark={!r}, transform={!r}'
 
 
@@ -99,8 +101,13 @@ WRONG = [
     ({"remove_flow": 1}, TypeError, "`remove_flow` must be True or False, got 1"),
     flow("center", "tnt"),
     flow("line", "none"),
-    ({"grid": (32768, 32767), "bins": 1}, ValueError, CELLS.format(2147549184)),
-    ({"grid": (1023, 1023), "bins": 512, "polarity": "split"}, ValueError, CELLS.format(2147483648)),
+    ({"grid": (32768, 16000)}, ValueError, CELLS.format(18 * 32769 * 16001)),
+    ({"grid": (1023, 1023), "bins": 65, "polarity": "split"}, ValueError, CELLS.format(260 << 20)),
+    (
+        {"representation": "hats", "sensor": (16384, 16384), "grid": (9, 9)},
+        ValueError,
+        CELLS.format(2 * 98 * 100 + 2 * (1 << 28) + 99 * 81),
+    ),
 ]
 
 
@@ -116,7 +123,12 @@ def test_the_limits_themselves_are_allowed():
     assert TNTConfig(sensor=(2, 32768), grid=(2, 32768)).shape == (9, 32768, 2)
     assert TNTConfig(bins=1).shape == (1, 34, 34)
     assert TNTConfig(window_us=1, t_max=1e-6) != TNTConfig(window_us=3600 * 10**6, t_max=1e6)
-    assert TNTConfig(grid=(1023, 1022), bins=1024).channels == 1024  # 2,145,386,496 cells
+    assert TNTConfig(grid=(1023, 1023), bins=128).channels == 128  # 2**28 cells
+
+
+def test_a_program_may_raise_the_limit_of_cells(monkeypatch):
+    monkeypatch.setattr("async_tnt.config.MAX_CELLS", 1 << 30)
+    assert TNTConfig(grid=(1023, 1023), bins=512).channels == 512
 
 
 def test_defaults_are_the_thesis():
@@ -171,7 +183,7 @@ def test_a_configuration_is_a_value_and_cannot_be_changed():
 @st.composite
 def configs(draw):
     landmark, transform = draw(st.sampled_from(LANDMARKS)), draw(st.sampled_from(TRANSFORMS))
-    side = st.integers(2, 300)
+    side = st.integers(2, 200)
     return TNTConfig(
         sensor=(draw(side), draw(side)),
         grid=(draw(side), draw(side)),

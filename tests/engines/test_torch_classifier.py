@@ -43,6 +43,24 @@ def test_a_batch_of_one_goes_in_and_numpy_comes_out():
             assert np.allclose(logits, expected(net), atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_bare_module_as_a_classifier_says_how_it_is_passed():
+    """One that takes arrays is fine as it is."""
+
+    class OfArrays(torch.nn.Module):
+        def forward(self, volume):
+            return net(torch.tensor(volume)[None]).detach()
+
+    net, config = module(), TNTConfig(sensor=(5, 6), grid=(5, 6), bins=2)
+    for bare in (net, torch.jit.trace(net, torch.zeros(1, 2, 6, 5))):
+        with pytest.raises(
+            TypeError, match=r"a torch module is wrapped, TorchClassifier\(module\), or compiled"
+        ) as raised:
+            Processor(config, classifier=bare).fire()
+        assert raised.value.__cause__ is not None and "\n" not in str(raised.value)
+    assert Processor(config, classifier=OfArrays()).fire().logits.shape == (3,)
+
+
 @pytest.mark.parametrize("dtype, atol", [(torch.float64, 1e-6), (torch.bfloat16, 0.1)])
 def test_a_module_of_another_type_than_float32(dtype, atol):
     reference = expected(module())

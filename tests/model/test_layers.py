@@ -12,6 +12,8 @@ from model.small import SMALL, WITH_REGRESSOR, assert_same, changed, small_model
 from tnt_reference import Classifier, LandmarkRegressor, LayerNetwork
 
 from async_tnt import CompiledClassifier, Model, load_model
+from async_tnt.networks import graph
+from async_tnt.networks.graph import layer_shapes
 from async_tnt.networks.thesis import thesis_network
 
 
@@ -185,8 +187,69 @@ def test_a_heatmap_of_other_places_than_the_volumes_is_refused():
         Model(WITH_REGRESSOR, changed(WITH_REGRESSOR), ("a", "b", "c"), network=network)
 
 
-@pytest.mark.parametrize("padding", [[20_000] * 4, [30_000, 0, 30_000, 0], [0, 16_384, 0, 16_384]])
-def test_padding_that_would_fill_the_memory_or_the_numbers_of_places_is_refused(padding):
-    network = edited(update(0, padding=padding))
-    with pytest.raises(ValueError, match=r"^layer 'conv1' \(conv\): .* more than 268_435_456 numbers"):
-        Model(SMALL, changed(), ("a", "b", "c"), network=network)
+def window(kernel, padding=0, stride=1):
+    return {"kernel": [kernel] * 2, "padding": [padding] * 4, "stride": [stride] * 2}
+
+
+def conv(kernel=1, padding=0, stride=1, weight="w"):
+    more = {"weights": {"weight": weight}, "dilation": [1, 1], "groups": 1}
+    return "conv", window(kernel, padding, stride) | more
+
+
+def chain(*layers, source="volume"):
+    """Each of the one before."""
+    made = []
+    for k, (op, parameters) in enumerate(layers):
+        made.append({"op": op, "name": f"{op} {k}", "inputs": [made[-1]["name"] if made else source], **parameters})
+    return made
+
+
+@pytest.mark.parametrize(
+    "layers, limit, at",
+    [
+        ([conv(padding=8013)], "MAX_NUMBERS", "conv 0"),  # a large map
+        ([conv(padding=4092, stride=8191)] * 9, "MAX_NUMBERS", "conv 4"),  # small maps in large frames
+        ([conv(weight="shared")] * 17, "MAX_NUMBERS", "conv 15"),  # a megabyte of weights, many times
+        ([("max_pool", window(1700, 1699, 1700))], "MAX_NUMBERS", "max_pool 0"),  # tables of places
+        ([("average_pool", window(99, 98))] * 9, "MAX_PRODUCTS", "average_pool 5"),
+        ([conv(3, 1, weight="wide")] * 60, "MAX_PRODUCTS", "conv 56"),
+    ],
+)
+def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(layers, limit, at, monkeypatch):
+    shapes = {"w": (1, 1, 1, 1), "shared": (4096, 4096, 1, 1), "wide": (512, 512, 3, 3)}
+    volume = {"shared": (4096, 1, 1), "wide": (512, 32, 32)}.get(str(layers[0][1].get("weights", {}).get("weight")))
+    arguments = chain(*layers), volume or (1, 8, 8), shapes
+    name = at.split()[0]
+    words = r"up to here .* [\d_]+ (numbers|multiplications), more than [\d_]+ \(a program may raise async_tnt.networks"
+    with pytest.raises(ValueError, match=rf"^layer '{at}' \({name}\): {words}.graph.{limit}\)$"):
+        layer_shapes(*arguments)
+    monkeypatch.setattr(graph, limit, 1 << 40)
+    assert len(layer_shapes(*arguments)) == len(layers) + 1
+
+
+def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):
+    """So many of them take more memory than the layers say; known once a program is made, before it takes any."""
+    many = [{**chain(conv())[0], "name": f"map {k}"} for k in range(12)]
+    layers = [
+        *many,
+        *chain(conv(padding=60, stride=120), ("global_average_pool", {}), source="map 0"),
+        {"op": "add", "name": "sum", "inputs": [layer["name"] for layer in many]},
+        {**chain(("global_average_pool", {}), source="sum")[0], "name": "mean"},
+        {"op": "add", "name": "last", "inputs": ["global_average_pool 1", "mean"]},
+    ]
+    model = Model(SMALL.replace(bins=1), {"w": np.ones((1, 1, 1, 1))}, ["a"], network={"classifier": layers})
+    assert CompiledClassifier(model)(np.ones((1, 6, 5))).shape == (1,)
+    monkeypatch.setattr(graph, "MAX_NUMBERS", 1 << 16)
+    with pytest.raises(ValueError, match=r"^the network's maps need [\d_]+ numbers, more than 2 \* 65_536"):
+        CompiledClassifier(model)
+
+
+def test_vgg16_at_640_x_480_is_within_the_limits():
+    layers, shapes, channels = [], {}, 5
+    for n_filters, n in ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3)):
+        for _ in range(n):
+            shapes[f"w{len(layers)}"] = n_filters, channels, 3, 3
+            layers += [conv(3, 1, weight=f"w{len(layers)}"), ("relu", {})]
+            channels = n_filters
+        layers.append(("max_pool", window(2, 0, 2)))
+    assert layer_shapes(chain(*layers), (5, 480, 640), shapes)["max_pool 30"] == (512, 15, 20)

@@ -1,8 +1,9 @@
 """Every command: help, wrong options, and errors of one line."""
 
+import numpy as np
 import pytest
 
-from async_tnt.cli import main
+from async_tnt.cli import main, run
 from async_tnt.cli.program import COMMANDS
 from async_tnt.sources.files.recording import sample_recordings
 
@@ -48,11 +49,16 @@ def test_help_has_a_description_and_options(command, capsys):
         ("train --epochs 0", "argument --epochs: must be at least 1, got 0"),
         ("run --landmark line", "async-tnt run: unrecognized arguments: --landmark (async-tnt run --help)"),
         ("run --roi 1,2,3", "must be four whole numbers X,Y,WIDTH,HEIGHT"),
+        ("run --every-us " + "9" * 5000, "argument --every-us: must be a whole number, got '999"),
+        ("run --every-us -" + "9" * 4000, "argument --every-us: must be at least 1, got -999"),
+        ("train --patience " + "9" * 5000, "argument --patience: must be a whole number of at least 0, got '999"),
+        ("plot events --grid " + "9" * 5000 + "x2", "must be WIDTHxHEIGHT in pixels, such as 346x260, got '999"),
     ],
+    ids=lambda text: text[:40],
 )
 def test_bad_usage_refers_to_help(words, message, refused):
     err = refused(*words.split())
-    assert message in err and err.endswith("--help)\n")
+    assert message in err and err.endswith("--help)\n") and len(err) < 450
 
 
 @pytest.mark.parametrize(
@@ -99,3 +105,11 @@ def test_what_cannot_be_done_is_one_line(words, message, refused, tmp_path):
 def test_an_error_is_one_line_whatever_the_name(words, refused, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert "no\\n\\x1b[31mwhere" in refused(*words.split(), "no\n\x1b[31mwhere")
+
+
+@pytest.mark.parametrize("allocate", [np.empty, bytearray])
+def test_memory_that_is_not_there_is_one_line(allocate, refused, monkeypatch):
+    """Of more than any machine addresses; NumPy says for what, Python nothing at all."""
+    monkeypatch.setattr(run, "main", lambda args: allocate(1 << 57))
+    about = " Unable to allocate 1.00 EiB for an array" if allocate is np.empty else "\n"
+    assert refused("run", SAMPLE).startswith(f"async-tnt: not enough memory.{about}")

@@ -199,3 +199,17 @@ def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path):
     path.write_bytes(archive)
     with pytest.raises(ValueError, match=r"a\.npz: not a readable NumPy file: events\.npy ends before its array does$"):
         open_recording(path)
+
+
+@pytest.mark.parametrize("method, name", [(zipfile.ZIP_BZIP2, "bzip2"), (zipfile.ZIP_LZMA, "lzma")])
+def test_compression_that_python_unpacks_as_a_whole_is_refused_by_name(tmp_path, method, name):
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("events.npy", npy((10**6,))[:-8] + bytes(8 * 10**6))
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=rf"events\.npy is compressed by {name}, not as np\.savez_compressed does"):
+            open_recording(path)
+        assert tracemalloc.get_traced_memory()[1] < 1e6
+    finally:
+        tracemalloc.stop()

@@ -8,7 +8,7 @@ import pytest
 from deciding import CONFIG, at, total_and_size
 from made import random_events
 
-from async_tnt import LeakyIntegrator, Processor, ReplayBufferFull
+from async_tnt import LeakyIntegrator, Processor, ReplayBufferFull, TNTConfig, TNTVolume
 
 
 def test_decision_carries_logits_probabilities_and_label():
@@ -101,3 +101,42 @@ def test_bad_integrators(place, name):
     for value, error in ((0, ValueError), (math.nan, ValueError), ("3", TypeError)):
         with pytest.raises(error, match=f"^`{name}` must be a .*number, got {value!r}$"):
             LeakyIntegrator(*[value if k == place else 3.0 for k in range(3)])
+
+
+HUGE = 10**5000  # Python prints no integer of more than 4300 digits
+PROCESSOR, VOLUME = Processor(CONFIG, classifier=total_and_size), TNTVolume(CONFIG)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        *(
+            lambda value, name=name: Processor(CONFIG, classifier=total_and_size, **{name: value})
+            for name in ("start_us", "hop_us", "every_us", "every_events", "confidence", "activity", "late")
+        ),
+        lambda value: Processor(CONFIG.replace(landmark="window"), classifier=total_and_size, replay_events=value),
+        lambda value: Processor(CONFIG.replace(window_events=5), classifier=total_and_size, hop_us=value),
+        *(
+            lambda value, name=name: TNTConfig(**{name: value})
+            for name in ("sensor", "grid", "bins", "window_us", "window_events", "landmark", "remove_flow")
+        ),
+        lambda value: TNTConfig(grid=(34, value)),
+        lambda value: TNTConfig.from_dict([value]),
+        lambda value: VOLUME.open(value),
+        lambda value: VOLUME.update_one(value, 1, 1, 1),
+        lambda value: PROCESSOR.push(([value], [1], [1], [1])),
+        lambda value: PROCESSOR.push_one(1, value, 1, 1),
+    ],
+)
+@pytest.mark.parametrize("value, shown", [(HUGE, "10**5000 or so"), (-HUGE, "-10**5000 or so")], ids=["+", "-"])
+def test_a_number_of_thousands_of_digits_is_refused_in_a_short_line(call, value, shown):
+    with pytest.raises((TypeError, ValueError), match=rf"^[^\n]{{0,200}}{re.escape(shown)}[^\n]{{0,50}}$"):
+        call(value)
+
+
+def test_numbers_beyond_float_are_infinite():
+    with pytest.raises(ValueError, match=r"^`t_max` must be in \[1e-6, 1e6\], got inf$"):
+        TNTConfig(t_max=HUGE)
+    with pytest.raises(ValueError, match=r"^`threshold` must be a positive number, got 10\*\*5000 or so$"):
+        LeakyIntegrator(HUGE, 5.0)
+    assert LeakyIntegrator(3.0, HUGE).leak_us == math.inf

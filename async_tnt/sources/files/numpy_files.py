@@ -92,6 +92,11 @@ class _Array:
         self, files: ExitStack, archive: zipfile.ZipFile, info: zipfile.ZipInfo, column: int | None = None
     ) -> None:
         self._name = info.filename
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others unpack all of it at once
+            method = {zipfile.ZIP_BZIP2: "bzip2", zipfile.ZIP_LZMA: "lzma"}.get(info.compress_type, "something else")
+            raise ValueError(
+                f"{self._name} is compressed by {method}, not as np.savez_compressed does: save it by that"
+            )
         self._file = files.enter_context(archive.open(info))
         try:
             self.claimed, is_fortran = read_npy_header(self._file, info.file_size)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from async_tnt.checks import positive_int
 from async_tnt.events import EVENT_DTYPE, LATE_POLICIES
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
@@ -221,8 +222,7 @@ def open_recording(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if packet_events < 1:
-        raise ValueError(f"`packet_events` must be at least 1, got {packet_events}")
+    packet_events = positive_int("packet_events", packet_events)
     if unsorted not in LATE_POLICIES:
         raise ValueError(f"`unsorted` must be one of {', '.join(LATE_POLICIES)}, got {unsorted!r}")
     if sensor is not None:
