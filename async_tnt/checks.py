@@ -1,9 +1,11 @@
-"""Checks of arguments: whole numbers as Python's int, arrays without a mask; and text for messages."""
+"""Checks of arguments: whole numbers as Python's int, arrays without a mask; of installed extras; text for messages."""
 
 from __future__ import annotations
 
 import operator
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from numbers import Real
 from typing import Any
 
@@ -66,3 +68,12 @@ def one_line(error: Exception, limit: int = 300) -> str:
     """Text from a library or a file for a message: on one line, cut after `limit` characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= limit else text[:limit] + " ..."
+
+
+@contextmanager
+def needs_extra(extra: str, what: str) -> Iterator[None]:
+    """Imports within the block that fail raise an ImportError in one line: `what` needs it, and how to install it."""
+    try:
+        yield
+    except ImportError as error:
+        raise ImportError(f"{what}: pip install 'async_tnt[{extra}]' ({error})") from None

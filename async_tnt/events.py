@@ -29,6 +29,7 @@ from async_tnt.kernels.records import (
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0 = OFF."""
 
+LARGER_CAMERA = "; `PixelFilter` cuts a part out of a larger camera's image"
 LATE_POLICIES = ("accept", "drop", "raise")
 
 
@@ -120,7 +121,7 @@ class EventDecoder:
         elif type(events) in _RECORDS:
             columns = self._decode_records(events)
         if columns is None:
-            columns = _decode_any(events, self.sensor)
+            columns = _decode_any(events, self.sensor, LARGER_CAMERA)
         return self._apply_policy(columns) if self.late != "accept" and columns.n else columns
 
     def decode_one(self, t: int, x: int, y: int, p: int) -> Columns:
@@ -198,13 +199,16 @@ class EventDecoder:
         return Columns(t, x, y, p, t.size)
 
 
-def _decode_any(events: Any, sensor: tuple[int, int]) -> Columns:
+def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Columns:
     columns = named_columns(events)
-    return _NO_EVENTS if columns is None else checked_columns(*columns, sensor)
+    return _NO_EVENTS if columns is None else checked_columns(*columns, sensor, advice)
 
 
-def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> Columns:
-    """Four columns of any integer type as `Columns`, or an error that names the first invalid event."""
+def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int], advice: str = "") -> Columns:
+    """Four columns of any integer type as `Columns`, or an error that names the first invalid event.
+
+    advice : ends the message about an event beyond the sensor.
+    """
     columns = dict(zip(NAMES, map(np.asarray, (t, x, y, p)), strict=True))
     for field, column in columns.items():
         if column.ndim != 1:
@@ -216,8 +220,8 @@ def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> 
     if sizes[0] == 0:
         return _NO_EVENTS
     _check_range("t", columns["t"], MAX_TIME_US, "2**62) microseconds")
-    _check_range("x", columns["x"], sensor[0], f"{sensor[0]})")
-    _check_range("y", columns["y"], sensor[1], f"{sensor[1]})")
+    for field, side in zip("xy", sensor, strict=True):
+        _check_range(field, columns[field], side, f"{side})", advice)
     polarity = columns["p"]
     off = polarity == 0
     allowed = off | (polarity == 1)
@@ -271,13 +275,14 @@ def _check_type(field: str, column: np.ndarray) -> None:
     raise TypeError(f"`{field}` must be whole numbers, got {got}")
 
 
-def _check_range(field: str, column: np.ndarray, end: int, rule: str) -> None:
+def _check_range(field: str, column: np.ndarray, end: int, rule: str, advice: str = "") -> None:
     bad = column >= end
     if column.dtype.kind == "i":
         bad |= column < 0
     if bad.any():
         i = int(np.argmax(bad))
-        raise ValueError(f"`{field}` must be in [0, {rule}, got {column[i]} at event {i}")
+        advice = advice if column[i] >= end else ""
+        raise ValueError(f"`{field}` must be in [0, {rule}, got {column[i]} at event {i}{advice}")
 
 
 def _record_layout(dtype: np.dtype) -> np.ndarray | None:

@@ -42,7 +42,7 @@ examples:
   async-tnt bench --quick --json      a few seconds, for scripts
   async-tnt bench --landmark line     another landmark
 """
-NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for batch processing)"
+NO_TORCH = "torch is not installed: only our own times (pip install 'async_tnt[reference]' for batch processing)"
 PACKAGES = ("torch", "onnxruntime", "openvino")
 SIZES: dict[str, tuple[Any, Any]] = {  # name: in full, with --quick
     "rounds": (31, 5),

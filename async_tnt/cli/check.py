@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
+from async_tnt.checks import needs_extra
 from async_tnt.cli.options import add_files, add_start, model_of, paths_of
 from async_tnt.cli.output import printable
 from async_tnt.progress import progress
@@ -43,13 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    try:
+    with needs_extra("reference", "check needs the batch reference, which needs torch"):
         import tnt_reference  # noqa: F401
         import torch
-    except ImportError as error:
-        raise ImportError(
-            f"check needs the batch reference, which needs torch: pip install '.[reference]' ({error})"
-        ) from None
     torch.set_num_threads(1)
     model = model_of(args)
     paths = paths_of(args)

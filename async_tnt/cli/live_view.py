@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import needs_extra
 from async_tnt.cli.output import Queue
 from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
@@ -33,10 +34,8 @@ class LiveView:
     """
 
     def __init__(self, classes: Sequence[str], title: str, console: Any = None) -> None:
-        try:
+        with needs_extra("view", "run --live draws with rich"):
             from rich.live import Live
-        except ImportError as error:
-            raise ImportError(f"run --live draws with rich: pip install '.[view]' ({error})") from None
         self._classes, self._title = tuple(classes), title
         self._decision: Decision | None = None
         self._latencies: list[float] = []

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from async_tnt.checks import needs_extra
 from async_tnt.cli.options import positive_int, size_of
 from async_tnt.cli.output import complain, printable
 from async_tnt.config import LANDMARKS, POLARITIES, UNTRANSFORMED, TNTConfig
@@ -127,10 +128,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    try:
+    with needs_extra("plot", "plot draws with matplotlib"):
         import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"plot draws with matplotlib: pip install '.[plot]' ({error})") from None
     _check_options(args)
     paths = _paths(args)
     out = args.out or Path("-".join(path.stem for path in paths) + f"-{args.figure}.png")

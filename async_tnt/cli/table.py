@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.checking.timing import machine
+from async_tnt.checks import needs_extra
 from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder
 from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.files import check_folder, write_text
@@ -144,11 +145,9 @@ def main(args: argparse.Namespace) -> int:
     if args.list:
         print(_listed(runs, args.iterations))
         return 0
-    try:
+    with needs_extra("train", "the table needs torch"):
         import torch
         from tnt_reference import Classifier  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"the table needs torch ({error}); install it with: pip install '.[train]'") from None
     from async_tnt.training.table import aggregate, differences, markdown_table, text_table
     from async_tnt.training.table_data import RealFolder
     from async_tnt.training.table_runs import is_finished, run_networks

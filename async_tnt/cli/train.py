@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.archive.scores import Scores
+from async_tnt.checks import needs_extra
 from async_tnt.cli.data_options import command_words
 from async_tnt.cli.output import complain, printable
 from async_tnt.cli.train_data import config_of, of_dataset, of_digits
@@ -44,11 +45,9 @@ TITLES = {
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt train`. Returns the exit code: 0, or 130 when interrupted."""
-    try:
+    with needs_extra("train", "training needs torch"):
         import torch
         from tnt_reference import Classifier  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"training needs torch ({error}); install it with: pip install '.[train]'") from None
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
     run_folder = args.run_folder or Path("runs") / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
@@ -186,7 +185,7 @@ def _draw(out: Path, scores: Scores | None, history: list[dict[str, float]]) -> 
     """Draw <out>.curves.png and <out>.confusion.png where matplotlib is installed; returns the files."""
     curves, confusion = (out.with_suffix(suffix) for suffix in PICTURES)
     if not plot_curves(history, curves):
-        print("no pictures: matplotlib is not installed (pip install '.[plot]')", file=sys.stderr)
+        print("no pictures: matplotlib is not installed (pip install 'async_tnt[plot]')", file=sys.stderr)
         return []
     if scores is None:
         return [curves]

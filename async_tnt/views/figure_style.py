@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from async_tnt.checks import needs_extra
 from async_tnt.files import check_writable, replacing
 
 if TYPE_CHECKING:
@@ -85,10 +86,8 @@ def check_picture(path: Path) -> None:
     ------
     ImportError : matplotlib is missing. ValueError, OSError : see `check_writable`.
     """
-    try:
+    with needs_extra("plot", "--picture draws with matplotlib"):
         import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"--picture draws with matplotlib: pip install '.[plot]' ({error})") from None
     check_writable(path, FORMATS, option="--picture")
 
 

@@ -157,7 +157,7 @@ def test_a_killed_training_resumes_to_the_same_model(tmp_path, monkeypatch, prog
 def test_without_matplotlib_one_line_says_so(gestures, train, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     code, err, out = train(gestures)
-    assert code == 0 and err.count("matplotlib") == 1 and "pip install '.[plot]'" in err
+    assert code == 0 and err.count("matplotlib") == 1 and "pip install 'async_tnt[plot]'" in err
     assert out.with_suffix(".json").exists() and not out.with_suffix(".curves.png").exists()
 
 

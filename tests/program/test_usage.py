@@ -1,5 +1,8 @@
 """Every command: help, wrong options, and errors of one line."""
 
+import subprocess
+import sys
+
 import pytest
 
 from async_tnt.cli import main
@@ -23,6 +26,12 @@ def refused(capsys):
         return err
 
     return run
+
+
+@pytest.mark.parametrize("module", ["async_tnt", "async_tnt.cli"])
+def test_the_program_is_also_a_module(module):
+    done = subprocess.run([sys.executable, "-m", module, "fly"], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("async-tnt: argument COMMAND: invalid choice: 'fly'")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
