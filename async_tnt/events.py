@@ -7,7 +7,7 @@ checks bounds, so packets are brought into one form here, once, and rejected her
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numba import NumbaError
@@ -30,7 +30,8 @@ EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0 = OFF."""
 
 LARGER_CAMERA = "; `PixelFilter` cuts a part out of a larger camera's image"
-LATE_POLICIES = ("accept", "drop", "raise")
+Late = Literal["accept", "drop", "raise"]
+LATE_POLICIES = get_args(Late)
 
 
 class Columns(NamedTuple):
@@ -69,7 +70,7 @@ class EventDecoder:
     late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or `raise`.
     """
 
-    def __init__(self, sensor: tuple[int, int], late: str = "accept") -> None:
+    def __init__(self, sensor: tuple[int, int], late: Late = "accept") -> None:
         if late not in LATE_POLICIES:
             raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {late!r}")
         compile_only(check_columns, *CHECK_TYPES)

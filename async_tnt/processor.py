@@ -19,7 +19,7 @@ from async_tnt.checks import checked_time
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
-from async_tnt.events import Columns, EventDecoder
+from async_tnt.events import Columns, EventDecoder, Late
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
@@ -93,7 +93,7 @@ class Processor:
         every_events: int | None = None,
         confidence: float | None = None,
         activity: LeakyIntegrator | None = None,
-        late: str = "accept",
+        late: Late = "accept",
         replay_events: int = 1 << 20,
     ) -> None:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
@@ -145,7 +145,7 @@ class Processor:
         return self._start_us
 
     @property
-    def late(self) -> str:
+    def late(self) -> Late:
         """What is done with an event older than the newest one seen: `accept`, `drop` or `raise`."""
         return self._decoder.late
 

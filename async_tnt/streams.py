@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator
+from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
+from async_tnt.events import Late
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
+from async_tnt.replay_buffer import Regressor
+from async_tnt.triggers import LeakyIntegrator
+from async_tnt.window_classifier import Classifier
+
+
+class Settings(TypedDict, total=False):
+    """The keyword arguments of `Processor`, for type checkers."""
+
+    classifier: Classifier | None
+    regressor: Regressor | None
+    classes: Sequence[str] | None
+    start_us: int | None
+    hop_us: int | None
+    every_us: int | None
+    every_events: int | None
+    confidence: float | None
+    activity: LeakyIntegrator | None
+    late: Late
+    replay_events: int
 
 
 def stream(
-    source: Iterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any
+    source: Iterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
 ) -> Iterator[Decision]:
     """Classify a source of events, lazily.
 
@@ -49,7 +69,7 @@ def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
 
 
 def astream(
-    source: AsyncIterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any
+    source: AsyncIterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
 ) -> AsyncIterator[Decision]:
     """`stream` for an asynchronous source. The classifier runs in the event loop, for microseconds at a time.
 
@@ -72,7 +92,7 @@ async def _astream(source: AsyncIterable[Any], processor: Processor) -> AsyncIte
         yield decision
 
 
-def as_processor(model: Model | TNTConfig | str | Path | Processor, **settings: Any) -> Processor:
+def as_processor(model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]) -> Processor:
     """A Processor from the arguments of `stream`."""
     if isinstance(model, Processor):
         if settings:

@@ -1,12 +1,14 @@
 """stream and astream: a source of events in, decisions out."""
 
 import asyncio
+from typing import get_type_hints
 
 import pytest
 from deciding import key
 from made import random_events, random_model
 
 from async_tnt import Processor, TNTConfig, astream, stream
+from async_tnt.streams import Settings
 
 MODEL = random_model(TNTConfig(window_us=1000))
 EVENTS = random_events(400, seed=1, duration_us=4000)
@@ -76,3 +78,8 @@ def test_mistakes_show_before_the_first_event():
         stream([EVENTS], "digitz")
     with pytest.raises(TypeError, match=r"`source` must yield events, got the path five.bin; open_recording"):
         stream("five.bin", MODEL)
+
+
+def test_settings_are_the_keywords_of_a_processor():
+    keywords = get_type_hints(Processor.__init__)
+    assert get_type_hints(Settings) == {name: keywords[name] for name in keywords if name not in ("model", "return")}
