@@ -70,6 +70,17 @@ def one_line(error: Exception, limit: int = 300) -> str:
     return text if len(text) <= limit else text[:limit] + " ..."
 
 
+def printable(text: str) -> str:
+    """The text on one line, unprintable characters escaped.
+
+    Examples
+    --------
+    >>> print(printable("a\\nb: no events"))
+    a\\nb: no events
+    """
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 @contextmanager
 def needs_extra(extra: str, what: str) -> Iterator[None]:
     """Imports within the block that fail raise an ImportError in one line: `what` needs it, and how to install it."""

@@ -18,6 +18,7 @@ from async_tnt.checking.bench_volumes import GRIDS, PACKETS, bench_volume
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
+from async_tnt.cli.output import say
 from async_tnt.compile_ahead import warmup
 from async_tnt.config import LANDMARKS, UNTRANSFORMED
 from async_tnt.networks.loading import load_model
@@ -85,9 +86,9 @@ def main(args: argparse.Namespace) -> int:
             warmup(model)
             report = _measure(args, model, with_torch, bar)
     except WorkDiffers as error:
-        print(f"async-tnt bench: {error}", file=sys.stderr)
+        say(f"async-tnt bench: {error}", file=sys.stderr)
         return 1
-    print(json.dumps(report) if args.json else "\n".join(table(report)))
+    say(*([json.dumps(report)] if args.json else table(report)))
     return 0
 
 

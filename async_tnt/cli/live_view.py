@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import needs_extra
+from async_tnt.checks import needs_extra, printable
 from async_tnt.cli.output import Queue
 from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
@@ -36,7 +36,7 @@ class LiveView:
     def __init__(self, classes: Sequence[str], title: str, console: Any = None) -> None:
         with needs_extra("view", "run --live draws with rich"):
             from rich.live import Live
-        self._classes, self._title = tuple(classes), title
+        self._classes, self._title = tuple(map(printable, classes)), printable(title)
         self._decision: Decision | None = None
         self._latencies: list[float] = []
         self._rates = _Rates()
@@ -86,7 +86,7 @@ class LiveView:
             return [f"no decision yet, {counts.received:,} events"]
         events_per_s, decisions_per_s = self._rates.per_second()
         lines = [
-            f"{self._decision.label} at {self._decision.time_us / 1e6:.3f} s, {self._decision.trigger}; "
+            f"{self._classes[self._decision.index]} at {self._decision.time_us / 1e6:.3f} s, {self._decision.trigger}; "
             f"{np.median(self._latencies):.0f} us to a decision",
             f"{events_per_s:,.0f} events/s, {decisions_per_s:,.0f} decisions/s",
             f"{counts.received:,} events, {counts.moved_off:,} moved off the grid, {counts.lost:,} dropped",

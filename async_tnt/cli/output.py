@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TextIO
 
+from async_tnt.checks import printable
 from async_tnt.decision import Decision
 
 
@@ -36,7 +37,7 @@ def complain(error: BaseException | str) -> None:
     """One line on stderr."""
     if isinstance(error, OSError) and error.filename is not None:
         error = f"{error.filename}: {error.strerror}"
-    print(f"async-tnt: {printable(str(error))}", file=sys.stderr, flush=True)
+    say(f"async-tnt: {error}", file=sys.stderr, flush=True)
 
 
 def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
@@ -45,22 +46,17 @@ def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
         complain(f"{name}: {n_late} of {n_events} events were too late and dropped (see {see})")
 
 
-def printable(text: str) -> str:
-    """The text on one line, unprintable characters escaped: a file name may contain a line break.
-
-    Examples
-    --------
-    >>> print(printable("a\\nb: no events"))
-    a\\nb: no events
-    """
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+def say(*lines: str, file: TextIO | None = None, flush: bool = False) -> None:
+    """Print lines on stdout, or another stream, each as `printable`. All that a command prints passes through here:
+    names of files and classes are data, and may contain line breaks and what a terminal obeys."""
+    print("\n".join(map(printable, lines)), file=file, flush=flush)
 
 
 def text_line(name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str:
     start_ms = decision.window_start_us / 1e3
     window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
     return (
-        f"{printable(Path(name).name):<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
+        f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
         f"{decision.probability:>5.3f} {decision.events:>7} {latency_us:>7.1f}  {decision.trigger}"
     )
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from async_tnt.checks import needs_extra
 from async_tnt.cli.options import positive_int, size_of
-from async_tnt.cli.output import complain, printable
+from async_tnt.cli.output import complain, say
 from async_tnt.config import LANDMARKS, POLARITIES, UNTRANSFORMED, TNTConfig
 from async_tnt.events import as_events
 from async_tnt.files import check_writable
@@ -145,7 +145,7 @@ def main(args: argparse.Namespace) -> int:
     if args.figure == "overview" and subjects[0].model is None:
         sensor = format_size(subjects[0].config.sensor)
         complain(f"{paths[0]}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
-    print(f"{printable(str(out))} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
+    say(f"{out} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
     return 0
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.output import Line, complain, complain_late, printable
+from async_tnt.cli.output import Line, complain, complain_late, say
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
@@ -73,16 +73,14 @@ def print_decisions(
     closed = []
     seen, before = Seen(packets), pixels.counts
     for decision, latency_us in timed_decisions(seen, processor):
-        print(line(str(recording.path), decision, latency_us), flush=True)
+        say(line(str(recording.path), decision, latency_us), flush=True)
         if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
     if closed and summary:
         mean = np.mean(closed, axis=0)
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
-        print(
-            f"{printable(recording.path.name)}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})"
-        )
+        say(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
     late = processor.counts.dropped_late
     complain_late(str(recording.path), late, seen.n_events, "--late, --start-us")
     if seen.n_unsorted and not late:

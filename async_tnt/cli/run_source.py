@@ -7,7 +7,7 @@ import time
 
 from async_tnt.cli.live_packets import LivePackets, live_packets
 from async_tnt.cli.live_view import draw_stream
-from async_tnt.cli.output import Line, complain
+from async_tnt.cli.output import Line, complain, say
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
@@ -44,7 +44,7 @@ def run_source(
         finally:  # also if a camera was unplugged
             for decision in processor.finish():
                 if not live:
-                    print(line(name, decision, 0.0), flush=True)
+                    say(line(name, decision, 0.0), flush=True)
             counts = processor.counts
             took = (
                 f"{counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
@@ -60,6 +60,6 @@ def _print_all(stream: LivePackets, name: str, processor: Processor, line: Line)
         decisions = processor.push(packet)
         latency_us = (time.perf_counter_ns() - handed_over) / 1e3
         for decision in decisions:
-            print(line(name, decision, latency_us, stream.reader))
+            say(line(name, decision, latency_us, stream.reader))
         if decisions:
             sys.stdout.flush()

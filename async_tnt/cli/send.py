@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.cli.options import number, paths_of, positive_int, positive_number
-from async_tnt.cli.output import complain
+from async_tnt.cli.output import complain, say
 from async_tnt.sources.datagrams import EVENT_BYTES
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.playback import replay, wait_until
@@ -132,9 +132,9 @@ def _report(sender: UdpSender, args: argparse.Namespace, seconds: float) -> None
         "events_per_s": round(sender.events / max(seconds, 1e-9)),
     }
     if args.json:
-        print(json.dumps(sent), flush=True)
+        say(json.dumps(sent), flush=True)
     else:
-        print(
+        say(
             f"sent {sender.events:,} events in {sender.datagrams:,} datagrams ({sender.bytes:,} bytes, "
             f"{sender.format}) in {seconds:.3f} s to {args.url}: {sent['events_per_s']:,} events/s",
             flush=True,

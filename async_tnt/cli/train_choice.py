@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import one_line
+from async_tnt.cli.output import say
 from async_tnt.config import TNTConfig
 from async_tnt.files import write_text
 from async_tnt.progress import progress
@@ -84,13 +85,13 @@ class Choice:
 
         best = start
         if len(data.validation):
-            print("trying volumes and networks (--quick leaves that out)", file=sys.stderr)
+            say("trying volumes and networks (--quick leaves that out)", file=sys.stderr)
             trials = choose(start, questions, try_out)
             self.trials = [trial.to_dict() for trial in trials]
             best = trials[-1].candidate
-            print(f"chosen: {best}", file=sys.stderr)
+            say(f"chosen: {best}", file=sys.stderr)
         else:
-            print(
+            say(
                 "no recording is held out (--validation) to compare volumes and networks on: what no option gives "
                 "takes its default",
                 file=sys.stderr,
@@ -118,7 +119,7 @@ def _try_out(
     try:
         check_network(candidate.network, candidate.config)
     except ValueError as error:
-        print(f"  {candidate}: left out: {error}", file=sys.stderr)
+        say(f"  {candidate}: left out: {error}", file=sys.stderr)
         return None
     started = time.monotonic()
     result = train(
@@ -132,7 +133,7 @@ def _try_out(
     )
     row = result.history[-1]
     seconds = time.monotonic() - started
-    print(
+    say(
         f"  {candidate!s:<44} {row['per_moment']:.4f} held out after {steps:,} steps  ({seconds:.0f} s)",
         file=sys.stderr,
     )

@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from async_tnt.cli.output import say
 from async_tnt.networks.model import Model
 from async_tnt.process import available_cores
 from async_tnt.progress import progress
@@ -51,9 +52,10 @@ def other_motions(
         progress=progress,
     )
     record = motions.record
-    print(
-        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only\n"
-        f"recorded windows, and the same motion simulated again:\n{side_by_side(record['match'])}",
+    say(
+        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only",
+        "recorded windows, and the same motion simulated again:",
+        *side_by_side(record["match"]).splitlines(),
         file=sys.stderr,
     )
     _draw(motions, data, folder / PICTURE)
