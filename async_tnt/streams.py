@@ -15,6 +15,7 @@ from async_tnt.processor import Processor
 from async_tnt.replay_buffer import Regressor
 from async_tnt.triggers import LeakyIntegrator
 from async_tnt.window_classifier import Classifier
+from async_tnt.windows import FirstWindows
 
 
 class Settings(TypedDict, total=False):
@@ -63,8 +64,9 @@ def stream(
 
 
 def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
+    first = FirstWindows(processor.config)
     for events in source:
-        yield from processor.push(events)
+        yield from first.watch(processor.push(events))
     yield from processor.finish()
 
 
@@ -85,8 +87,9 @@ def astream(
 
 
 async def _astream(source: AsyncIterable[Any], processor: Processor) -> AsyncIterator[Decision]:
+    first = FirstWindows(processor.config)
     async for events in source:
-        for decision in processor.push(events):
+        for decision in first.watch(processor.push(events)):
             yield decision
     for decision in processor.finish():
         yield decision

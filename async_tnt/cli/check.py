@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
 from async_tnt.checks import needs_extra
 from async_tnt.cli.options import add_files, add_start, model_of, paths_of
-from async_tnt.cli.output import say
+from async_tnt.cli.output import note, say
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.sensor import check_events, check_sensor
@@ -91,7 +90,7 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
     for path, comparisons in results.items():
         for c in comparisons:
             if not c.holds:
-                say(f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons", file=sys.stderr)
+                note(f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons")
     say(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
 
 

@@ -13,6 +13,7 @@ from async_tnt.checks import needs_extra, printable
 from async_tnt.cli.output import Queue
 from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
+from async_tnt.windows import FirstWindows
 
 BAR = 32  # characters of a probability of 1
 MOST_CLASSES = 12  # more are not shown: the likeliest ones are
@@ -105,11 +106,12 @@ def draw_stream(
     triggers = (processor.every_us, processor.every_events, processor.confidence, processor.activity)
     if triggers == (None, None, None, None):
         processor.every_us = 20_000
+    first = FirstWindows(processor.config)
     with LiveView(classes, title) as view:
         for packet in packets:
             handed_over = time.perf_counter_ns()
             decisions = processor.push(packet)
-            view.show(decisions, (time.perf_counter_ns() - handed_over) / 1e3, processor.counts, queue)
+            view.show(first.watch(decisions), (time.perf_counter_ns() - handed_over) / 1e3, processor.counts, queue)
         view.show(processor.finish(), 0.0, processor.counts, queue)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Protocol, TextIO
+from typing import Protocol
 
 from async_tnt.checks import printable
 from async_tnt.decision import Decision
@@ -37,7 +37,7 @@ def complain(error: BaseException | str) -> None:
     """One line on stderr."""
     if isinstance(error, OSError) and error.filename is not None:
         error = f"{error.filename}: {error.strerror}"
-    say(f"async-tnt: {error}", file=sys.stderr, flush=True)
+    note(f"async-tnt: {error}")
 
 
 def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
@@ -46,10 +46,15 @@ def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
         complain(f"{name}: {n_late} of {n_events} events were too late and dropped (see {see})")
 
 
-def say(*lines: str, file: TextIO | None = None, flush: bool = False) -> None:
-    """Print lines on stdout, or another stream, each as `printable`. All that a command prints passes through here:
-    names of files and classes are data, and may contain line breaks and what a terminal obeys."""
-    print("\n".join(map(printable, lines)), file=file, flush=flush)
+def say(*lines: str) -> None:
+    """Print lines on stdout, at once. All that a command prints passes through here or `note`: names of files and of
+    classes are data, and may contain line breaks and what a terminal obeys."""
+    print("\n".join(map(printable, lines)), flush=True)
+
+
+def note(*lines: str) -> None:
+    """`say` on stderr."""
+    print("\n".join(map(printable, lines)), file=sys.stderr, flush=True)
 
 
 def text_line(name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str:

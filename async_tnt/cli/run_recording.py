@@ -14,6 +14,7 @@ from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.windows import FirstWindows
 
 
 def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
@@ -73,7 +74,7 @@ def print_decisions(
     closed = []
     seen, before = Seen(packets), pixels.counts
     for decision, latency_us in timed_decisions(seen, processor):
-        say(line(str(recording.path), decision, latency_us), flush=True)
+        say(line(str(recording.path), decision, latency_us))
         if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
     if closed and summary:
@@ -94,14 +95,14 @@ def print_decisions(
 
 def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:
     """Each decision, and its latency in microseconds, from the call with the event that caused it."""
-    clock = time.perf_counter_ns
+    clock, first = time.perf_counter_ns, FirstWindows(processor.config)
     for packet in packets:
         for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
             handed_over = clock()
             decisions = processor.push_one(t, x, y, p)
             if decisions:
                 latency_us = (clock() - handed_over) / 1e3
-                for decision in decisions:
+                for decision in first.watch(decisions):
                     yield decision, latency_us
     handed_over = clock()
     decisions = processor.finish()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 
 from async_tnt.cli.live_packets import LivePackets, live_packets
@@ -11,6 +10,7 @@ from async_tnt.cli.output import Line, complain, say
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.windows import FirstWindows
 
 
 def run_source(
@@ -44,7 +44,7 @@ def run_source(
         finally:  # also if a camera was unplugged
             for decision in processor.finish():
                 if not live:
-                    say(line(name, decision, 0.0), flush=True)
+                    say(line(name, decision, 0.0))
             counts = processor.counts
             took = (
                 f"{counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
@@ -55,11 +55,10 @@ def run_source(
 
 
 def _print_all(stream: LivePackets, name: str, processor: Processor, line: Line) -> None:
+    first = FirstWindows(processor.config)
     for packet in stream.packets:
         handed_over = time.perf_counter_ns()
         decisions = processor.push(packet)
         latency_us = (time.perf_counter_ns() - handed_over) / 1e3
-        for decision in decisions:
+        for decision in first.watch(decisions):
             say(line(name, decision, latency_us, stream.reader))
-        if decisions:
-            sys.stdout.flush()

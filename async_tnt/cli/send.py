@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -132,13 +131,11 @@ def _report(sender: UdpSender, args: argparse.Namespace, seconds: float) -> None
         "events_per_s": round(sender.events / max(seconds, 1e-9)),
     }
     if args.json:
-        say(json.dumps(sent), flush=True)
+        say(json.dumps(sent))
     else:
         say(
             f"sent {sender.events:,} events in {sender.datagrams:,} datagrams ({sender.bytes:,} bytes, "
-            f"{sender.format}) in {seconds:.3f} s to {args.url}: {sent['events_per_s']:,} events/s",
-            flush=True,
+            f"{sender.format}) in {seconds:.3f} s to {args.url}: {sent['events_per_s']:,} events/s"
         )
     if sender.refused:
-        sys.stdout.flush()
         complain(f"{sender.refused:,} datagrams were refused or not sent; does a program listen at {args.url}?")

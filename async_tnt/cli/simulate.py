@@ -6,13 +6,12 @@ import argparse
 import json
 import math
 import os
-import sys
 import time
 from pathlib import Path
 
 from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.cli.options import positive_int, whole_number
-from async_tnt.cli.output import complain, say
+from async_tnt.cli.output import complain, note, say
 from async_tnt.files import check_folder
 from async_tnt.process import available_cores
 from async_tnt.progress import progress
@@ -139,7 +138,7 @@ def main(args: argparse.Namespace) -> int:
         + " under N-MNIST's own motion"
     )
     if nmnist is None:
-        say("no N-MNIST to compare with; give --nmnist FOLDER", file=sys.stderr)
+        note("no N-MNIST to compare with; give --nmnist FOLDER")
     return 0
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +13,7 @@ from async_tnt.checking.timing import machine
 from async_tnt.checks import needs_extra
 from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder
 from async_tnt.cli.options import positive_int, whole_number
-from async_tnt.cli.output import say
+from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder, write_text
 from async_tnt.process import available_cores
 from async_tnt.training.settings import TrainSettings
@@ -167,7 +166,7 @@ def main(args: argparse.Namespace) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     simulated = _by_name(args.simulated or [_simulate(args, args.out / "simulated")])
     descriptions = {name: _set_description(folder, data) for name, folder in simulated.items()}
-    say(*_listed(runs, args.iterations), file=sys.stderr)
+    note(*_listed(runs, args.iterations))
     settings = TrainSettings(iterations=args.iterations, batch=args.batch, precision=args.precision)
     workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
     started = time.monotonic()
