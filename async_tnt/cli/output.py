@@ -4,32 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from async_tnt.checks import printable
 from async_tnt.decision import Decision
 
+if TYPE_CHECKING:
+    from async_tnt.sources.background_reader import BackgroundReader
 
-class Line(Protocol):
-    """A decision as a line, with the name of its source, its latency, and the state of the queue before it."""
-
-    def __call__(self, name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str: ...
-
-
-class Queue(Protocol):
-    """A `BackgroundReader`, or a `PacketQueue`."""
-
-    @property
-    def delay_us(self) -> int: ...
-
-    @property
-    def backlog(self) -> int: ...
-
-    @property
-    def n_skipped(self) -> int: ...
-
-
+Line = Callable[..., str]  # `text_line` or `json_line`
 HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} {'events':>7} {'us':>7}  why"
 
 
@@ -57,7 +42,7 @@ def note(*lines: str) -> None:
     print("\n".join(map(printable, lines)), file=sys.stderr, flush=True)
 
 
-def text_line(name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str:
+def text_line(name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None = None) -> str:
     start_ms = decision.window_start_us / 1e3
     window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
     return (
@@ -66,7 +51,7 @@ def text_line(name: str, decision: Decision, latency_us: float, queue: Queue | N
     )
 
 
-def json_line(name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str:
+def json_line(name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None = None) -> str:
     queued = {}
     if queue is not None:
         queued = {"delay_us": queue.delay_us, "backlog": queue.backlog, "n_skipped": queue.n_skipped}

@@ -111,7 +111,7 @@ def main(args: argparse.Namespace) -> int:
             if args.live:
                 processor.reset()
                 packets = replay(packets, args.speed or 1.0)
-                draw_stream(recording.path.name, engine.classes, packets, processor)
+                draw_stream(recording.path.name, engine.classes, packets, processor, None)
             else:
                 print_decisions(recording, packets, processor, engine, pixels, line, summary=not args.json)
         except BrokenPipeError:

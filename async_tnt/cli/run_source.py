@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
-from async_tnt.cli.live_packets import LivePackets, live_packets
+from async_tnt.cli.live_packets import live_packets, timed_packets
 from async_tnt.cli.live_view import draw_stream
 from async_tnt.cli.output import Line, complain, say
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
-from async_tnt.windows import FirstWindows
 
 
 def run_source(
@@ -38,7 +35,9 @@ def run_source(
             if live:
                 draw_stream(name, engine.classes, stream.packets, processor, stream.reader)
             else:
-                _print_all(stream, name, processor, line)
+                for decisions, latency_us in timed_packets(stream.packets, processor):
+                    for decision in decisions:
+                        say(line(name, decision, latency_us, stream.reader))
         except KeyboardInterrupt:
             stopped = True
         finally:  # also if a camera was unplugged
@@ -52,13 +51,3 @@ def run_source(
             )
             complain(f"{name}: {stream.summary()}; {took}")
     return stopped
-
-
-def _print_all(stream: LivePackets, name: str, processor: Processor, line: Line) -> None:
-    first = FirstWindows(processor.config)
-    for packet in stream.packets:
-        handed_over = time.perf_counter_ns()
-        decisions = processor.push(packet)
-        latency_us = (time.perf_counter_ns() - handed_over) / 1e3
-        for decision in first.watch(decisions):
-            say(line(name, decision, latency_us, stream.reader))

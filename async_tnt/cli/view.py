@@ -11,7 +11,7 @@ from typing import Any
 from async_tnt.checks import printable
 from async_tnt.cli.live_packets import add_latest, check_pace, live_packets
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
-from async_tnt.cli.output import complain, say
+from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected
 from async_tnt.engines import choose_engine
@@ -131,9 +131,8 @@ def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: 
     else:
         for packet in replay(packets, speed):
             view.push(packet)
-    if late := view.processor.counts.dropped_late:
-        n_events = view.n_events - n_before
-        complain(f"{recording.path}: {late} of {n_events} events were too late and dropped (see --start-us)")
+    late = view.processor.counts.dropped_late
+    complain_late(str(recording.path), late, view.n_events - n_before, "--start-us")
 
 
 def _show_live(name: str, view: RerunView, pixels: PixelSelector, latest: int | None) -> bool:

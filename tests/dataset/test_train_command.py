@@ -145,7 +145,7 @@ def test_a_killed_training_resumes_to_the_same_model(tmp_path, monkeypatch, prog
     words = ["train", str(tmp_path / "set"), "--quick", "--out", "m.safetensors", "--epochs", "20", "--patience", "0"]
     for name in ("whole", "cut"):
         (tmp_path / name).mkdir()
-    with started("-m", "async_tnt.cli", *words, cwd=tmp_path / "cut"):
+    with started("-m", "async_tnt", *words, cwd=tmp_path / "cut"):
         until(lambda: any((tmp_path / "cut").rglob("*.pt")))
     for name in ("whole", "cut"):
         monkeypatch.chdir(tmp_path / name)

@@ -123,7 +123,7 @@ def test_mistakes_are_one_line(words, message, program):
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to another process")
 def test_ctrl_c_reports_what_was_sent_and_exits_with_130():
     with UdpSource(port=0) as source:
-        argv = [sys.executable, "-m", "async_tnt.cli", "send", "samples", f"udp://127.0.0.1:{source.port}", "--loop"]
+        argv = [sys.executable, "-m", "async_tnt", "send", "samples", f"udp://127.0.0.1:{source.port}", "--loop"]
         with subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as sending:
             try:
                 assert source.receive(60) is not None
