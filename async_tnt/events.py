@@ -68,15 +68,16 @@ class EventDecoder:
     ----------
     sensor : (width, height) in pixels, 2**15 at most.
     late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or `raise`.
+    advice : ends the message about an event beyond the sensor.
     """
 
-    def __init__(self, sensor: tuple[int, int], late: Late = "accept") -> None:
+    def __init__(self, sensor: tuple[int, int], late: Late = "accept", advice: str = "") -> None:
         if late not in LATE_POLICIES:
             raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {late!r}")
         compile_only(check_columns, *CHECK_TYPES)
         compile_only(load_records, *LOAD_TYPES)
         self.sensor = sensor
-        self.late = late
+        self.late, self._advice = late, advice
         self.reset()
         self._scratch = empty_columns(1024)
         self._dtype: np.dtype | None = None
@@ -122,7 +123,7 @@ class EventDecoder:
         elif type(events) in _RECORDS:
             columns = self._decode_records(events)
         if columns is None:
-            columns = _decode_any(events, self.sensor, LARGER_CAMERA)
+            columns = _decode_any(events, self.sensor, self._advice)
         return self._apply_policy(columns) if self.late != "accept" and columns.n else columns
 
     def decode_one(self, t: int, x: int, y: int, p: int) -> Columns:
@@ -206,10 +207,7 @@ def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Colum
 
 
 def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int], advice: str = "") -> Columns:
-    """Four columns of any integer type as `Columns`, or an error that names the first invalid event.
-
-    advice : ends the message about an event beyond the sensor.
-    """
+    """Four columns of any integer type as `Columns`, or an error that names the first invalid event."""
     columns = dict(zip(NAMES, map(np.asarray, (t, x, y, p)), strict=True))
     for field, column in columns.items():
         if column.ndim != 1:

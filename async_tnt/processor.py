@@ -19,7 +19,7 @@ from async_tnt.checks import checked_time
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
-from async_tnt.events import Columns, EventDecoder, Late
+from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
@@ -101,7 +101,7 @@ class Processor:
         self._start_us = start_us = None if start_us is None else checked_time("start_us", start_us)
         self._triggers = Triggers()
         self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
-        self._decoder = EventDecoder(self.config.sensor, late)
+        self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._compile(regressor)
         self._by_event = self._triggers.by_event
         self._new_windows = partial(WindowScheduler, self.config, hop_us, start_us, replay_events, regressor)

@@ -47,7 +47,7 @@ FORMS = {
 def assert_refused(events, error, message, advice=""):
     """With exactly this message, also when the decoder, which adds advice, knows the layout; packet and decoder are as
     before."""
-    decoder = EventDecoder(SENSOR, "drop")
+    decoder = EventDecoder(SENSOR, "drop", LARGER_CAMERA)
     decoder.decode((T, X, Y, P))
     arrays = [a for a in (events if isinstance(events, tuple) else (events,)) if type(a) is np.ndarray]
     before = [a.tobytes() for a in arrays]
@@ -216,7 +216,7 @@ ONE = [
 @pytest.mark.parametrize(("event", "error", "message"), ONE)
 def test_single_events(event, error, message):
     volume, processor = TNTVolume(CONFIG), Processor(CONFIG, classifier=lambda volume: volume.sum((1, 2)))
-    for take in (EventDecoder(SENSOR).decode_one, volume.update_one, processor.push_one):
+    for take in (EventDecoder(SENSOR, advice=LARGER_CAMERA).decode_one, volume.update_one, processor.push_one):
         with pytest.raises(error, match=f"^{re.escape(message)}$"):
             take(*event)
         take(14, 4, 4, 1)
