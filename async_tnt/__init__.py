@@ -9,36 +9,31 @@ Start with `Processor` (events in, decisions out), `TNTVolume` (the representati
 (what it holds). The batch reference is the package `tnt_reference`.
 """
 
+from async_tnt.version import __version__ as __version__
+
 TYPE_CHECKING = False  # type checkers assume True, as for `typing.TYPE_CHECKING`, whose import takes milliseconds
-if TYPE_CHECKING:  # for type checkers and editors; `X as X` re-exports
-    from async_tnt.compile_ahead import warmup as warmup
-    from async_tnt.config import TNTConfig as TNTConfig
-    from async_tnt.decision import Counts as Counts
-    from async_tnt.decision import Decision as Decision
-    from async_tnt.events import EVENT_DTYPE as EVENT_DTYPE
-    from async_tnt.networks.compiled import CompiledClassifier as CompiledClassifier
-    from async_tnt.networks.compiled import CompiledRegressor as CompiledRegressor
-    from async_tnt.networks.loading import bundled_models as bundled_models
-    from async_tnt.networks.loading import load_model as load_model
-    from async_tnt.networks.model import Model as Model
-    from async_tnt.processor import Processor as Processor
-    from async_tnt.replay_buffer import ReplayBufferFull as ReplayBufferFull
-    from async_tnt.sources.background_reader import BackgroundReader as BackgroundReader
-    from async_tnt.sources.files.recording import open_recording as open_recording
-    from async_tnt.sources.pixel_filter import PixelFilter as PixelFilter
-    from async_tnt.sources.playback import replay as replay
-    from async_tnt.sources.queue import PacketQueue as PacketQueue
-    from async_tnt.streams import astream as astream
-    from async_tnt.streams import stream as stream
-    from async_tnt.triggers import LeakyIntegrator as LeakyIntegrator
-    from async_tnt.volume import TNTVolume as TNTVolume
-
-from async_tnt.version import __version__ as __version__  # noqa: E402
-
-if not TYPE_CHECKING:  # type checkers use the imports above; __getattr__ would let every name pass
+if TYPE_CHECKING:  # for type checkers and editors
+    from async_tnt.compile_ahead import warmup
+    from async_tnt.config import TNTConfig
+    from async_tnt.decision import Counts, Decision
+    from async_tnt.events import EVENT_DTYPE
+    from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
+    from async_tnt.networks.loading import bundled_models, load_model
+    from async_tnt.networks.model import Model
+    from async_tnt.processor import Processor
+    from async_tnt.replay_buffer import ReplayBufferFull
+    from async_tnt.sources.background_reader import BackgroundReader
+    from async_tnt.sources.files.recording import open_recording
+    from async_tnt.sources.pixel_filter import PixelFilter
+    from async_tnt.sources.playback import replay
+    from async_tnt.sources.queue import PacketQueue
+    from async_tnt.streams import astream, stream
+    from async_tnt.triggers import LeakyIntegrator
+    from async_tnt.volume import TNTVolume
+else:  # type checkers use the imports above; __getattr__ would let every name pass
     from async_tnt.lazy_names import lazy_names
 
-    __all__, __getattr__, __dir__ = lazy_names(
+    __getattr__, __dir__ = lazy_names(
         globals(),
         {
             "compile_ahead": "warmup",
@@ -60,3 +55,9 @@ if not TYPE_CHECKING:  # type checkers use the imports above; __getattr__ would 
             "volume": "TNTVolume",
         },
     )
+
+__all__ = [
+    "EVENT_DTYPE", "BackgroundReader", "CompiledClassifier", "CompiledRegressor", "Counts", "Decision",
+    "LeakyIntegrator", "Model", "PacketQueue", "PixelFilter", "Processor", "ReplayBufferFull", "TNTConfig", "TNTVolume",
+    "astream", "bundled_models", "load_model", "open_recording", "replay", "stream", "warmup",
+]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Checks of arguments: whole numbers as Python's int, arrays without a mask; and text for messages."""
+"""Checks of arguments: whole numbers as Python's int, arrays without a mask; of installed extras; text for messages."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 import operator
 import reprlib
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from numbers import Real
 from typing import Any
 
@@ -88,3 +90,23 @@ _short.maxstring = _short.maxother = 120
 def short(value: Any) -> str:
     """What came, for a message: its `repr`, on one line, without the middle of what is long."""
     return " ".join(_short.repr(value.item() if isinstance(value, np.generic) else value).split())
+
+
+def printable(text: str) -> str:
+    """The text on one line, unprintable characters escaped.
+
+    Examples
+    --------
+    >>> print(printable("a\\nb: no events"))
+    a\\nb: no events
+    """
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+@contextmanager
+def needs_extra(extra: str, what: str) -> Iterator[None]:
+    """Imports within the block that fail raise an ImportError in one line: `what` needs it, and how to install it."""
+    try:
+        yield
+    except ImportError as error:
+        raise ImportError(f"{what}: pip install 'async_tnt[{extra}]' ({error})") from None

@@ -166,8 +166,12 @@ def _ending(child: subprocess.Popen[bytes]) -> Iterator[None]:
 
 
 def _explain_wait() -> None:
-    if _is_compiling():
-        print("async_tnt: compiling kernels, once on this machine (about 10 s) ...", file=sys.stderr, flush=True)
+    if not _is_compiling():
+        return
+    how_often = "once on this machine"
+    if not can_be_cached(ENTRY_POINTS["absorb"][0]):
+        how_often = "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR to one that can"
+    print(f"async_tnt: compiling kernels, {how_often} (about 10 s) ...", file=sys.stderr, flush=True)
 
 
 def _is_compiling() -> bool:

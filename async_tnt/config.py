@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 from async_tnt.checks import is_whole, real_number, short, whole_number
 
-LANDMARKS = ("center", "running", "line", "window", "regressor")
-POLARITIES = ("signed", "unsigned", "split")
-TRANSFORMS = ("tnt", "none")
+Landmark = Literal["center", "running", "line", "window", "regressor"]
+Polarity = Literal["signed", "unsigned", "split"]
+Transform = Literal["tnt", "none"]
+Representation = Literal["volume", "count", "count_time", "mean_time", "time_surface", "hats"]
+LANDMARKS, POLARITIES, TRANSFORMS, REPRESENTATIONS = map(get_args, (Landmark, Polarity, Transform, Representation))
 IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1, "hats": 49}  # channels of one polarity
-REPRESENTATIONS = ("volume", *IMAGE_BINS)
 TIME_IMAGES = ("count_time", "mean_time", "time_surface")
 UNTRANSFORMED = (*TIME_IMAGES, "hats")
 BINS = 9
@@ -74,12 +75,12 @@ class TNTConfig:
     bins: int = None  # type: ignore[assignment]  # set below, as are the other three: never None from then on
     window_us: int = None  # type: ignore[assignment]
     t_max: float = 8.0
-    landmark: str = "running"
-    polarity: str = None  # type: ignore[assignment]
-    transform: str = None  # type: ignore[assignment]
+    landmark: Landmark = "running"
+    polarity: Polarity = None  # type: ignore[assignment]
+    transform: Transform = None  # type: ignore[assignment]
     remove_flow: bool = False
     window_events: int | None = None
-    representation: str = "volume"
+    representation: Representation = "volume"
 
     def __post_init__(self) -> None:
         is_image = self.representation != "volume"

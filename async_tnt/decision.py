@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from async_tnt.notebook import html_table
+
+Trigger = Literal["window", "every_us", "every_events", "activity", "confidence", "fire", "end"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)  # arrays have no truth value to compare by
@@ -29,7 +31,7 @@ class Decision:
     """Events in the window so far."""
     complete: bool
     """Whether the window is closed: this is its last decision."""
-    trigger: str
+    trigger: Trigger
     """What caused it: `window` (which closed), `every_us`, `every_events`, `activity`, `confidence` (which closed the
     window), `fire` (on demand), `end` (of the stream)."""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from async_tnt.checks import needs_extra
 from async_tnt.config import TNTConfig
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
@@ -106,13 +107,9 @@ def _onnx_networks(model: Model) -> dict[str, Any]:
 
 
 def _torch_networks(model: Model) -> dict[str, Any]:
-    try:
+    with needs_extra("reference", "engine torch runs the reference network, which needs torch"):
         import tnt_reference  # noqa: F401
         import torch  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            f"engine torch runs the reference network, which needs torch: pip install '.[reference]' ({error})"
-        ) from None
     networks: dict[str, Any] = {"classifier": TorchClassifier(torch_classifier(model))}
     if model.config.needs_regressor:
         networks["regressor"] = landmark_function(model)

@@ -7,7 +7,7 @@ checks bounds, so packets are brought into one form here, once, and rejected her
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numba import NumbaError
@@ -30,7 +30,9 @@ from async_tnt.kernels.records import (
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """How this package writes events: t in microseconds, x, y in pixels from the top left, p 1 = ON, 0 = OFF."""
 
-LATE_POLICIES = ("accept", "drop", "raise")
+LARGER_CAMERA = "; `PixelFilter` cuts a part out of a larger camera's image"
+Late = Literal["accept", "drop", "raise"]
+LATE_POLICIES = get_args(Late)
 
 
 class Columns(NamedTuple):
@@ -67,15 +69,16 @@ class EventDecoder:
     ----------
     sensor : (width, height) in pixels, 2**15 at most.
     late : what to do with an event older than the newest seen: `accept` it, `drop` and count it, or `raise`.
+    advice : ends the message about an event beyond the sensor.
     """
 
-    def __init__(self, sensor: tuple[int, int], late: str = "accept") -> None:
+    def __init__(self, sensor: tuple[int, int], late: Late = "accept", advice: str = "") -> None:
         if late not in LATE_POLICIES:
             raise ValueError(f"`late` must be one of {', '.join(LATE_POLICIES)}, got {short(late)}")
         compile_only(check_columns, *CHECK_TYPES)
         compile_only(load_records, *LOAD_TYPES)
         self.sensor = sensor
-        self.late = late
+        self.late, self._advice = late, advice
         self.reset()
         self._scratch = empty_columns(1024)
         self._dtype: np.dtype | None = None
@@ -121,7 +124,7 @@ class EventDecoder:
         elif type(events) in _RECORDS:
             columns = self._decode_records(events)
         if columns is None:
-            columns = _decode_any(events, self.sensor)
+            columns = _decode_any(events, self.sensor, self._advice)
         return self._apply_policy(columns) if self.late != "accept" and columns.n else columns
 
     def decode_one(self, t: int, x: int, y: int, p: int) -> Columns:
@@ -199,12 +202,12 @@ class EventDecoder:
         return Columns(t, x, y, p, t.size)
 
 
-def _decode_any(events: Any, sensor: tuple[int, int]) -> Columns:
+def _decode_any(events: Any, sensor: tuple[int, int], advice: str = "") -> Columns:
     columns = named_columns(events)
-    return _NO_EVENTS if columns is None else checked_columns(*columns, sensor)
+    return _NO_EVENTS if columns is None else checked_columns(*columns, sensor, advice)
 
 
-def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> Columns:
+def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int], advice: str = "") -> Columns:
     """Four columns of any integer type as `Columns`, or an error that names the first invalid event."""
     columns = dict(zip(NAMES, map(np.asarray, (t, x, y, p)), strict=True))
     for field, column in columns.items():
@@ -217,8 +220,8 @@ def checked_columns(t: Any, x: Any, y: Any, p: Any, sensor: tuple[int, int]) -> 
     if sizes[0] == 0:
         return _NO_EVENTS
     _check_range("t", columns["t"], MAX_TIME_US, "2**62) microseconds")
-    _check_range("x", columns["x"], sensor[0], f"{sensor[0]})")
-    _check_range("y", columns["y"], sensor[1], f"{sensor[1]})")
+    for field, side in zip("xy", sensor, strict=True):
+        _check_range(field, columns[field], side, f"{side})", advice)
     polarity = columns["p"]
     off = polarity == 0
     allowed = off | (polarity == 1)
@@ -272,13 +275,14 @@ def _check_type(field: str, column: np.ndarray) -> None:
     raise TypeError(f"`{field}` must be whole numbers, got {got}")
 
 
-def _check_range(field: str, column: np.ndarray, end: int, rule: str) -> None:
+def _check_range(field: str, column: np.ndarray, end: int, rule: str, advice: str = "") -> None:
     bad = column >= end
     if column.dtype.kind == "i":
         bad |= column < 0
     if bad.any():
         i = int(np.argmax(bad))
-        raise ValueError(f"`{field}` must be in [0, {rule}, got {column[i]} at event {i}")
+        advice = advice if column[i] >= end else ""
+        raise ValueError(f"`{field}` must be in [0, {rule}, got {column[i]} at event {i}{advice}")
 
 
 def _record_layout(dtype: np.dtype) -> np.ndarray | None:

@@ -6,12 +6,13 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-def lazy_names(package: "dict[str, Any]", modules: "dict[str, str]") -> "tuple[list[str], Callable, Callable]":
-    """`__all__`, `__getattr__` and `__dir__` of a package.
+def lazy_names(package: "dict[str, Any]", modules: "dict[str, str]") -> "tuple[Callable, Callable]":
+    """`__getattr__` and `__dir__` of a package.
 
-        __all__, __getattr__, __dir__ = lazy_names(globals(), {"module": "Name other_name", ...})
+        __getattr__, __dir__ = lazy_names(globals(), {"module": "Name other_name", ...})
 
-    Type checkers do not see through it: for them the package imports the same names `if TYPE_CHECKING`.
+    Type checkers do not see through it: for them the package imports the same names `if TYPE_CHECKING`, and lists them
+    in `__all__`.
 
     Parameters
     ----------
@@ -36,4 +37,4 @@ def lazy_names(package: "dict[str, Any]", modules: "dict[str, str]") -> "tuple[l
         package[name] = value
         return value
 
-    return sorted(module_of), get, lambda: sorted({*package, *module_of})
+    return get, lambda: sorted({*package, *module_of})

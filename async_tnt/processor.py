@@ -19,7 +19,7 @@ from async_tnt.checks import checked_time
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
-from async_tnt.events import Columns, EventDecoder
+from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
@@ -95,7 +95,7 @@ class Processor:
         every_events: int | None = None,
         confidence: float | None = None,
         activity: LeakyIntegrator | None = None,
-        late: str = "accept",
+        late: Late = "accept",
         replay_events: int = 1 << 20,
     ) -> None:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
@@ -104,7 +104,7 @@ class Processor:
         self._start_us = start_us = None if start_us is None else checked_time("start_us", start_us)
         self._triggers = Triggers()
         self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
-        self._decoder = EventDecoder(self.config.sensor, late)
+        self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._compile(regressor)
         self._by_event = self._triggers.by_event
         self._new_windows = partial(WindowScheduler, self.config, hop_us, start_us, replay_events, regressor)
@@ -150,7 +150,7 @@ class Processor:
         return self._start_us
 
     @property
-    def late(self) -> str:
+    def late(self) -> Late:
         """What is done with an event older than the newest one seen: `accept`, `drop` or `raise`."""
         return self._decoder.late
 

@@ -2,19 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator
+from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
+from async_tnt.events import Late
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
+from async_tnt.replay_buffer import Regressor
+from async_tnt.triggers import LeakyIntegrator
+from async_tnt.window_classifier import Classifier
+from async_tnt.windows import FirstWindows
+
+
+class Settings(TypedDict, total=False):
+    """The keyword arguments of `Processor`, for type checkers."""
+
+    classifier: Classifier | None
+    regressor: Regressor | None
+    classes: Sequence[str] | None
+    start_us: int | None
+    hop_us: int | None
+    every_us: int | None
+    every_events: int | None
+    confidence: float | None
+    activity: LeakyIntegrator | None
+    late: Late
+    replay_events: int
 
 
 def stream(
-    source: Iterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any
+    source: Iterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
 ) -> Iterator[Decision]:
     """Classify a source of events, lazily.
 
@@ -43,13 +64,14 @@ def stream(
 
 
 def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
+    first = FirstWindows(processor.config)
     for events in source:
-        yield from processor.push(events)
+        yield from first.watch(processor.push(events))
     yield from processor.finish()
 
 
 def astream(
-    source: AsyncIterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Any
+    source: AsyncIterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
 ) -> AsyncIterator[Decision]:
     """`stream` for an asynchronous source. The classifier runs in the event loop, for microseconds at a time.
 
@@ -65,14 +87,15 @@ def astream(
 
 
 async def _astream(source: AsyncIterable[Any], processor: Processor) -> AsyncIterator[Decision]:
+    first = FirstWindows(processor.config)
     async for events in source:
-        for decision in processor.push(events):
+        for decision in first.watch(processor.push(events)):
             yield decision
     for decision in processor.finish():
         yield decision
 
 
-def as_processor(model: Model | TNTConfig | str | Path | Processor, **settings: Any) -> Processor:
+def as_processor(model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]) -> Processor:
     """A Processor from the arguments of `stream`."""
     if isinstance(model, Processor):
         if settings:

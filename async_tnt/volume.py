@@ -11,7 +11,7 @@ from async_tnt.checked_tensors import Arrays, with_prefix, without_prefix
 from async_tnt.checks import checked_time
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts
-from async_tnt.events import Columns, EventDecoder
+from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
@@ -61,13 +61,13 @@ class TNTVolume:
         self,
         config: TNTConfig,
         *,
-        late: str = "accept",
+        late: Late = "accept",
         replay_events: int = 1 << 20,
         regressor: Regressor | None = None,
     ) -> None:
         check_regressor(config, regressor)
         self.config = config
-        self._decoder = EventDecoder(config.sensor, late)
+        self._decoder = EventDecoder(config.sensor, late, LARGER_CAMERA)
         self._buffer = new_state(config)
         self._ints = self._buffer.view(np.int64)
         self._array = np.zeros(config.shape, np.float32)

@@ -9,7 +9,7 @@ import numpy as np
 
 from async_tnt.checks import one_line, short
 from async_tnt.config import TNTConfig
-from async_tnt.decision import Decision
+from async_tnt.decision import Decision, Trigger
 from async_tnt.events import Columns
 from async_tnt.kernels import trigger as T
 from async_tnt.kernels.classify import DECISION_FIELDS, FULL, NOT_FINITE, softmax
@@ -18,7 +18,12 @@ from async_tnt.networks.model import Model
 from async_tnt.volume import TNTVolume
 
 Classifier = Callable[[np.ndarray], Any]
-TRIGGER_NAMES = {T.LOOK: "", T.BY_EVENTS: "every_events", T.BY_ACTIVITY: "activity", T.BY_CONFIDENCE: "confidence"}
+TRIGGER_NAMES: dict[int, Any] = {
+    T.LOOK: "",
+    T.BY_EVENTS: "every_events",
+    T.BY_ACTIVITY: "activity",
+    T.BY_CONFIDENCE: "confidence",
+}
 ROWS = 256  # decisions made in one compiled call, at most
 
 
@@ -78,7 +83,7 @@ class WindowClassifier:
         self.decides_in_stretches = compiled is not None and not self._config.needs_replay
 
     def decide(
-        self, volume: TNTVolume, trigger: str, complete: bool = False, confidence: float | None = None
+        self, volume: TNTVolume, trigger: Trigger, complete: bool = False, confidence: float | None = None
     ) -> Decision:
         """The decision about a volume's open window.
 

@@ -6,6 +6,7 @@ Windows of a duration lie end to end. One of `window_events` begins with the fir
 from __future__ import annotations
 
 import math
+import warnings
 from collections import deque
 from dataclasses import replace
 from itertools import islice
@@ -15,7 +16,7 @@ import numpy as np
 from async_tnt.checked_tensors import Arrays, checked_array, with_prefix, without_prefix
 from async_tnt.checks import positive_int, short
 from async_tnt.config import TNTConfig
-from async_tnt.decision import Counts
+from async_tnt.decision import Counts, Decision
 from async_tnt.events import Columns
 from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.kernels.state import REMEMBERED
@@ -24,6 +25,34 @@ from async_tnt.volume import TNTVolume
 from async_tnt.volume_state import MAX_EVENTS
 
 MAX_OPEN_WINDOWS = 256
+FIRST, FEW = 32, 2  # the windows by which a stream is judged, and the events that are too few for one
+
+
+class FirstWindows:
+    """Warns once if most of a stream's first windows hold next to nothing: its times may be in another unit."""
+
+    def __init__(self, config: TNTConfig) -> None:
+        self._window_us = config.window_us
+        self._left = FIRST if config.window_events is None else 0
+        self._n_small = 0
+
+    def watch(self, decisions: list[Decision]) -> list[Decision]:
+        """Returns these next decisions of the stream, and looks at the windows that they closed at their ends."""
+        for decision in decisions if self._left > 0 else ():
+            if decision.trigger == "window":
+                self.add(decision.events)
+        return decisions
+
+    def add(self, n_events: int) -> None:
+        """The next window holds so many events."""
+        self._left -= 1
+        self._n_small += n_events <= FEW
+        if self._left == 0 and 2 * self._n_small > FIRST:
+            warnings.warn(
+                f"{self._n_small} of the first {FIRST} windows hold {FEW} events or fewer: times are read as "
+                f"microseconds, divide nanoseconds by 1000; or windows of {self._window_us} us are too short",
+                stacklevel=4,
+            )
 
 
 class WindowScheduler:

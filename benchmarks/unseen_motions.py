@@ -83,7 +83,7 @@ def measure(seeds: int, n_train: int, n_test: int, extra: tuple[str, ...] = ()) 
 
 def command(*words: object) -> dict[str, Any]:
     """What `async-tnt` prints as JSON."""
-    done = subprocess.run([sys.executable, "-m", "async_tnt.cli", *map(str, words)], stdout=subprocess.PIPE, check=True)
+    done = subprocess.run([sys.executable, "-m", "async_tnt", *map(str, words)], stdout=subprocess.PIPE, check=True)
     result: dict[str, Any] = json.loads(done.stdout)
     return result
 

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from async_tnt.archive.executor import Lost
+from async_tnt.checks import needs_extra
 from async_tnt.version import __version__
 
 Task = TypeVar("Task")
@@ -148,10 +149,8 @@ def _run_chunk(function: Callable[[Any], Any], chunk: list[Any]) -> tuple[float,
 
 @contextlib.contextmanager
 def _connected(address: str) -> Iterator[Any]:
-    try:
+    with needs_extra("cluster", "--dask needs Dask"):
         from distributed import Client, rpc
-    except ImportError as error:
-        raise ImportError(f"--dask needs Dask: pip install '.[cluster]' ({error})") from None
     _check_address(address)
 
     async def identify() -> None:

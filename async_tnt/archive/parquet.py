@@ -9,6 +9,7 @@ from typing import Any
 
 from async_tnt.archive.job import Job
 from async_tnt.archive.records import COLUMNS, Record
+from async_tnt.checks import needs_extra
 
 KEY = b"async_tnt"  # of the metadata
 GROUP_ROWS = 512
@@ -22,11 +23,9 @@ def not_ours(path: Path, more: str = "") -> str:
 
 def import_pyarrow() -> Any:
     """The library, or one line on how to get it."""
-    try:
+    with needs_extra("cluster", "Parquet, unlike .jsonl, needs pyarrow"):
         import pyarrow
         import pyarrow.parquet
-    except ImportError as error:
-        raise ImportError(f"Parquet needs pyarrow: pip install '.[cluster]', or write .jsonl ({error})") from None
     return pyarrow
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from async_tnt.checking.moments import made_columns
 from async_tnt.checking.timing import interleave, spread, work_clock
-from async_tnt.config import TNTConfig
+from async_tnt.config import Landmark, TNTConfig
 from async_tnt.events import structured
 from async_tnt.volume import TNTVolume
 
@@ -21,7 +21,7 @@ CAMERA_DTYPE = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")]
 
 
 def bench_volume(
-    grid: tuple[int, int], landmark: str, rng: np.random.Generator, *, n_events: int, rounds: int
+    grid: tuple[int, int], landmark: Landmark, rng: np.random.Generator, *, n_events: int, rounds: int
 ) -> dict[str, Any]:
     """Time one window of `n_events` events, fed in every way.
 

@@ -15,7 +15,7 @@ from async_tnt.archive.job import Task, job_of, recordings_under, task_of
 from async_tnt.archive.records import Record, run_recording
 from async_tnt.archive.results import check_out
 from async_tnt.cli.options import paths_of, triggers_of
-from async_tnt.cli.output import complain, complain_late, printable
+from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import selector_of
 from async_tnt.engines import choose_engine
 from async_tnt.progress import progress as progress_bar
@@ -124,11 +124,11 @@ def run_archive(args: argparse.Namespace) -> int:
     took = time.monotonic() - started
     unread = f" ({len(errors):,} of them with an error)" if errors else ""
     recordings = counted(progress.total, "recording") + unread
-    print(f"{printable(str(args.out))}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
+    say(f"{args.out}: {recordings}, {counted(n_decisions, 'decision')}, {counted(n_events, 'event')}")
     if progress.done:
-        print(f"{counted(progress.done, 'recording')} streamed now, {progress.done / took:,.1f} a second")
+        say(f"{counted(progress.done, 'recording')} streamed now, {progress.done / took:,.1f} a second")
     if any(labels.values()):
-        print(", ".join(f"{name} {n:,}" for name, n in labels.items() if n))
+        say(", ".join(f"{name} {n:,}" for name, n in labels.items() if n))
     complain_late(str(args.out), n_late, n_events, "--late, --start-us, and `late` in that file")
     for error in errors[:SHOWN]:
         complain(error)

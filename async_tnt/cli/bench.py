@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,6 +17,7 @@ from async_tnt.checking.bench_volumes import GRIDS, PACKETS, bench_volume
 from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
 from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
+from async_tnt.cli.output import note, say
 from async_tnt.compile_ahead import warmup
 from async_tnt.config import LANDMARKS, UNTRANSFORMED
 from async_tnt.networks.loading import load_model
@@ -42,7 +42,7 @@ examples:
   async-tnt bench --quick --json      a few seconds, for scripts
   async-tnt bench --landmark line     another landmark
 """
-NO_TORCH = "torch is not installed: only our own times (pip install '.[reference]' for batch processing)"
+NO_TORCH = "torch is not installed: only our own times (pip install 'async_tnt[reference]' for batch processing)"
 PACKAGES = ("torch", "onnxruntime", "openvino")
 SIZES: dict[str, tuple[Any, Any]] = {  # name: in full, with --quick
     "rounds": (31, 5),
@@ -85,9 +85,9 @@ def main(args: argparse.Namespace) -> int:
             warmup(model)
             report = _measure(args, model, with_torch, bar)
     except WorkDiffers as error:
-        print(f"async-tnt bench: {error}", file=sys.stderr)
+        note(f"async-tnt bench: {error}")
         return 1
-    print(json.dumps(report) if args.json else "\n".join(table(report)))
+    say(*([json.dumps(report)] if args.json else table(report)))
     return 0
 
 

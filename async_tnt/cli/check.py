@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
 from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recording, configurations
+from async_tnt.checks import needs_extra
 from async_tnt.cli.options import add_files, add_start, model_of, paths_of
-from async_tnt.cli.output import printable
+from async_tnt.cli.output import note, say
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.sensor import check_events, check_sensor
@@ -43,13 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    try:
+    with needs_extra("reference", "check needs the batch reference, which needs torch"):
         import tnt_reference  # noqa: F401
         import torch
-    except ImportError as error:
-        raise ImportError(
-            f"check needs the batch reference, which needs torch: pip install '.[reference]' ({error})"
-        ) from None
     torch.set_num_threads(1)
     model = model_of(args)
     paths = paths_of(args)
@@ -68,7 +64,7 @@ def main(args: argparse.Namespace) -> int:
             )
     failed = [c for comparisons in results.values() for c in comparisons if not c.holds]
     if args.json:
-        print(json.dumps(_as_json(results, args.prefixes, not failed)))
+        say(json.dumps(_as_json(results, args.prefixes, not failed)))
     else:
         _print_table(results, equal=not failed)
     return 1 if failed else 0
@@ -87,16 +83,15 @@ def _print_table(results: dict[Path, list[Comparison]], equal: bool) -> None:
     merged: dict[tuple[str, str], Comparison] = {}
     for c in (c for comparisons in results.values() for c in comparisons):
         merged.setdefault((c.what, c.config), Comparison(c.what, c.config, c.bound)).include(c)
-    print(f"{'what is compared':<46} {'landmark':<19} {'times':>7} {'worst':>9} {'bound':>7}")
+    say(f"{'what is compared':<46} {'landmark':<19} {'times':>7} {'worst':>9} {'bound':>7}")
     for c in merged.values():
         mark = "ok" if c.holds else "FAILS"
-        print(f"{c.what:<46} {c.config:<19} {c.n:>7} {c.worst:>9.2g} {c.bound:>7.0g}  {mark}")
+        say(f"{c.what:<46} {c.config:<19} {c.n:>7} {c.worst:>9.2g} {c.bound:>7.0g}  {mark}")
     for path, comparisons in results.items():
         for c in comparisons:
             if not c.holds:
-                failure = f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons"
-                print(printable(failure), file=sys.stderr)
-    print(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
+                note(f"{path}: {c.what} ({c.config}): {c.worst:.3g} in {c.n} comparisons")
+    say(f"{len(results)} recordings: stream and batch are {'equal' if equal else 'NOT equal'}")
 
 
 def _as_json(results: dict[Path, list[Comparison]], prefixes: int | None, equal: bool) -> dict[str, object]:

@@ -18,7 +18,7 @@ from async_tnt.archive.scores import score_recordings
 from async_tnt.cli.archive_options import add_archive
 from async_tnt.cli.archives import Interrupted, archive_executor, stream_archive
 from async_tnt.cli.options import model_of
-from async_tnt.cli.output import complain, complain_late, printable
+from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.engines import Engine
 from async_tnt.networks.loading import bundled_models
@@ -111,11 +111,11 @@ def main(args: argparse.Namespace) -> int:
         title = f"{args.dataset.name}: {report['accuracy']:.1%} of {len(good)} recordings right"
         write_confusion(np.array(report["confusion"]), model.classes, args.picture, title, early_panels(report))
     if args.json:
-        print(json.dumps(report))
+        say(json.dumps(report))
     else:
-        print(text_of(report))
+        say(*lines_of(report))
         if args.picture is not None:
-            print(f"wrote {printable(str(args.picture))}")
+            say(f"wrote {args.picture}")
     where = f"`late` in {args.out}" if args.out else "`late` in the records of --out"
     complain_late(str(args.dataset), report["late"], report["events"], where)
     for line in skipped:
@@ -168,7 +168,7 @@ def report_of(model: Model, records: list[Record], labels: list[int], skipped: l
     }
 
 
-def text_of(report: dict[str, Any]) -> str:
+def lines_of(report: dict[str, Any]) -> list[str]:
     """The report for people."""
     lines = [
         f"accuracy {report['accuracy']:.4f} on {report['recordings']} recordings, "
@@ -206,4 +206,4 @@ def text_of(report: dict[str, Any]) -> str:
     else:
         rates = f"{report['decisions_per_second']:,.0f} decisions and {report['events_per_second']:,.0f} events"
         lines += ["", f"{rates} per second on one core"]
-    return "\n".join(lines)
+    return lines

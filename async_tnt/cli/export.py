@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.cli.options import model_of
-from async_tnt.cli.output import printable
+from async_tnt.cli.output import say
 from async_tnt.files import Replacement, check_writable
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
@@ -81,20 +81,20 @@ def main(args: argparse.Namespace) -> int:
         "largest_landmark_difference_px": agreement.landmarks.worst if agreement.landmarks.n else None,
         "onnxruntime": onnxruntime.__version__,
     }
-    print(json.dumps(report)) if args.json else _print(report, model)
+    say(json.dumps(report)) if args.json else _print(report, model)
     return 0 if agreement.holds else 1
 
 
 def _print(report: dict[str, Any], model: Model) -> None:
     gives = (f"logits (1, {len(model.classes)})", "landmark (1, 2)")
     for (path, n_bytes), what in zip(report["files"].items(), gives, strict=False):
-        print(f"{printable(str(path))} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> {what}")
+        say(f"{path} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> {what}")
     landmark = report["largest_landmark_difference_px"]
-    print(
+    say(
         f"onnxruntime {report['onnxruntime']} against the compiled network, {report['windows']} windows of "
         f"{report['recordings']}: logits within {report['largest_logit_difference']:.2g}, "
         + ("" if landmark is None else f"landmarks within {landmark:.2g} px, ")
         + f"{report['classes_that_differ'] or 'no'} classes differ"
     )
     if not report["agrees"]:
-        print("they do NOT agree: nothing is written")
+        say("they do NOT agree: nothing is written")

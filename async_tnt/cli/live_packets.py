@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from async_tnt.cli.options import paths_of, positive_int
 from async_tnt.cli.output import complain
+from async_tnt.decision import Decision
+from async_tnt.processor import Processor
 from async_tnt.sources.opening import LiveSource, open_source
 from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.windows import FirstWindows
 
 if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
@@ -81,3 +85,12 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
             reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
             packets = stack.enter_context(reader)
         yield LivePackets(name, source, packets, reader)
+
+
+def timed_packets(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[list[Decision], float]]:
+    """The decisions of each packet, and the microseconds that they took."""
+    first = FirstWindows(processor.config)
+    for packet in packets:
+        handed_over = time.perf_counter_ns()
+        decisions = processor.push(packet)
+        yield first.watch(decisions), (time.perf_counter_ns() - handed_over) / 1e3

@@ -5,13 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Sequence
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.cli.output import Queue
+from async_tnt.checks import needs_extra, printable
+from async_tnt.cli.live_packets import timed_packets
 from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
+
+if TYPE_CHECKING:
+    from async_tnt.sources.background_reader import BackgroundReader
 
 BAR = 32  # characters of a probability of 1
 MOST_CLASSES = 12  # more are not shown: the likeliest ones are
@@ -33,16 +37,14 @@ class LiveView:
     """
 
     def __init__(self, classes: Sequence[str], title: str, console: Any = None) -> None:
-        try:
+        with needs_extra("view", "run --live draws with rich"):
             from rich.live import Live
-        except ImportError as error:
-            raise ImportError(f"run --live draws with rich: pip install '.[view]' ({error})") from None
-        self._classes, self._title = tuple(classes), title
+        self._classes, self._title = tuple(map(printable, classes)), printable(title)
         self._decision: Decision | None = None
         self._latencies: list[float] = []
         self._rates = _Rates()
         self._counts = Counts()
-        self._queue: Queue | None = None
+        self._queue: BackgroundReader | None = None
         self._live = Live(
             get_renderable=self._draw, console=console, refresh_per_second=REFRESHES_PER_S, redirect_stdout=False
         )
@@ -57,7 +59,7 @@ class LiveView:
         self._live.__exit__(kind, error, traceback)
 
     def show(
-        self, decisions: Sequence[Decision], latency_us: float, counts: Counts, queue: Queue | None = None
+        self, decisions: Sequence[Decision], latency_us: float, counts: Counts, queue: BackgroundReader | None = None
     ) -> None:
         """Show the results of a packet: its decisions, their latency, the counts so far, and the queue it waited in."""
         self._counts = counts
@@ -87,7 +89,7 @@ class LiveView:
             return [f"no decision yet, {counts.received:,} events"]
         events_per_s, decisions_per_s = self._rates.per_second()
         lines = [
-            f"{self._decision.label} at {self._decision.time_us / 1e6:.3f} s, {self._decision.trigger}; "
+            f"{self._classes[self._decision.index]} at {self._decision.time_us / 1e6:.3f} s, {self._decision.trigger}; "
             f"{np.median(self._latencies):.0f} us to a decision",
             f"{events_per_s:,.0f} events/s, {decisions_per_s:,.0f} decisions/s",
             f"{counts.received:,} events, {counts.moved_off:,} moved off the grid, {counts.lost:,} dropped",
@@ -100,17 +102,15 @@ class LiveView:
 
 
 def draw_stream(
-    title: str, classes: Sequence[str], packets: Iterable[Any], processor: Processor, queue: Queue | None = None
+    title: str, classes: Sequence[str], packets: Iterable[Any], processor: Processor, queue: BackgroundReader | None
 ) -> None:
     """Draw the decisions on these packets, every 20 ms if no trigger is set, until they end."""
     triggers = (processor.every_us, processor.every_events, processor.confidence, processor.activity)
     if triggers == (None, None, None, None):
         processor.every_us = 20_000
     with LiveView(classes, title) as view:
-        for packet in packets:
-            handed_over = time.perf_counter_ns()
-            decisions = processor.push(packet)
-            view.show(decisions, (time.perf_counter_ns() - handed_over) / 1e3, processor.counts, queue)
+        for decisions, latency_us in timed_packets(packets, processor):
+            view.show(decisions, latency_us, processor.counts, queue)
         view.show(processor.finish(), 0.0, processor.counts, queue)
 
 

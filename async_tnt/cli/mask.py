@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.cli.options import number, size_of
-from async_tnt.cli.output import printable
+from async_tnt.cli.output import say
 from async_tnt.progress import progress
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import open_recording
@@ -122,18 +122,18 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
     if args.json:
         pixels = [{"x": int(x[k]), "y": int(y[k]), "events": int(events[k])} for k in busiest]
         result = {"sensor": [width, height], "events": n_events, "hot_pixels": pixels, "share": share}
-        print(json.dumps(result | {"out": str(args.out)}))
+        say(json.dumps(result | {"out": str(args.out)}))
         return
-    size, out = format_size((width, height)), printable(str(args.out))
+    size = format_size((width, height))
     if not hot.any():
-        print(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {out}, which masks nothing")
+        say(f"no hot pixels: none of {size} stands out in {n_events} events; wrote {args.out}, which masks nothing")
         return
     for k in busiest[:10]:
-        print(f"x {x[k]:>5}  y {y[k]:>5}  {events[k]:>9} events  {events[k] / n_events:6.2%}")
+        say(f"x {x[k]:>5}  y {y[k]:>5}  {events[k]:>9} events  {events[k] / n_events:6.2%}")
     if len(busiest) > 10:
-        print(f"... and {len(busiest) - 10} more")
+        say(f"... and {len(busiest) - 10} more")
     pixels_word = "1 hot pixel" if len(busiest) == 1 else f"{len(busiest)} hot pixels"
-    print(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {out}")
+    say(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")
 
 
 def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:

@@ -4,31 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
+from async_tnt.checks import printable
 from async_tnt.decision import Decision
 
+if TYPE_CHECKING:
+    from async_tnt.sources.background_reader import BackgroundReader
 
-class Line(Protocol):
-    """A decision as a line, with the name of its source, its latency, and the state of the queue before it."""
-
-    def __call__(self, name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str: ...
-
-
-class Queue(Protocol):
-    """A `BackgroundReader`, or a `PacketQueue`."""
-
-    @property
-    def delay_us(self) -> int: ...
-
-    @property
-    def backlog(self) -> int: ...
-
-    @property
-    def n_skipped(self) -> int: ...
-
-
+Line = Callable[..., str]  # `text_line` or `json_line`
 HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} {'events':>7} {'us':>7}  why"
 
 
@@ -36,7 +22,7 @@ def complain(error: BaseException | str) -> None:
     """One line on stderr."""
     if isinstance(error, OSError) and error.filename is not None:
         error = f"{error.filename}: {error.strerror}"
-    print(f"async-tnt: {printable(str(error))}", file=sys.stderr, flush=True)
+    note(f"async-tnt: {error}")
 
 
 def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
@@ -45,27 +31,27 @@ def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:
         complain(f"{name}: {n_late} of {n_events} events were too late and dropped (see {see})")
 
 
-def printable(text: str) -> str:
-    """The text on one line, unprintable characters escaped: a file name may contain a line break.
-
-    Examples
-    --------
-    >>> print(printable("a\\nb: no events"))
-    a\\nb: no events
-    """
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+def say(*lines: str) -> None:
+    """Print lines on stdout, at once. All that a command prints passes through here or `note`: names of files and of
+    classes are data, and may contain line breaks and what a terminal obeys."""
+    print("\n".join(map(printable, lines)), flush=True)
 
 
-def text_line(name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str:
+def note(*lines: str) -> None:
+    """`say` on stderr."""
+    print("\n".join(map(printable, lines)), file=sys.stderr, flush=True)
+
+
+def text_line(name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None = None) -> str:
     start_ms = decision.window_start_us / 1e3
     window = f"{start_ms:.3f}+{(decision.time_us - decision.window_start_us) / 1e3:.3f}"
     return (
-        f"{printable(Path(name).name):<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
+        f"{Path(name).name:<16} {decision.time_us / 1e3:>9.3f} {window:>19}  {decision.label:<8} "
         f"{decision.probability:>5.3f} {decision.events:>7} {latency_us:>7.1f}  {decision.trigger}"
     )
 
 
-def json_line(name: str, decision: Decision, latency_us: float, queue: Queue | None = None) -> str:
+def json_line(name: str, decision: Decision, latency_us: float, queue: BackgroundReader | None = None) -> str:
     queued = {}
     if queue is not None:
         queued = {"delay_us": queue.delay_us, "backlog": queue.backlog, "n_skipped": queue.n_skipped}

@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from async_tnt.checks import needs_extra
 from async_tnt.cli.options import positive_int, size_of
-from async_tnt.cli.output import complain, printable
+from async_tnt.cli.output import complain, say
 from async_tnt.config import LANDMARKS, POLARITIES, UNTRANSFORMED, TNTConfig
 from async_tnt.events import as_events
 from async_tnt.files import check_writable
@@ -127,10 +128,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    try:
+    with needs_extra("plot", "plot draws with matplotlib"):
         import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"plot draws with matplotlib: pip install '.[plot]' ({error})") from None
     _check_options(args)
     paths = _paths(args)
     out = args.out or Path("-".join(path.stem for path in paths) + f"-{args.figure}.png")
@@ -146,7 +145,7 @@ def main(args: argparse.Namespace) -> int:
     if args.figure == "overview" and subjects[0].model is None:
         sensor = format_size(subjects[0].config.sensor)
         complain(f"{paths[0]}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
-    print(f"{printable(str(out))} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
+    say(f"{out} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
     return 0
 
 

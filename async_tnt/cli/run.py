@@ -17,7 +17,7 @@ from async_tnt.cli.options import (
     positive_number,
     triggers_of,
 )
-from async_tnt.cli.output import HEADER, complain, json_line, text_line
+from async_tnt.cli.output import HEADER, complain, json_line, say, text_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected, print_decisions
 from async_tnt.engines import ENGINES, choose_engine
@@ -95,7 +95,7 @@ def main(args: argparse.Namespace) -> int:
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line
     failed = stopped = False
-    header = "" if args.json or args.live else HEADER + "\n"
+    headers = [] if args.json or args.live else [HEADER]
     for path in paths_of(args):
         try:
             if isinstance(path, str):
@@ -106,12 +106,12 @@ def main(args: argparse.Namespace) -> int:
                     break
                 continue
             recording, packets = open_selected(path, pixels)
-            print(end=header)
-            header = ""
+            if headers:
+                say(headers.pop())
             if args.live:
                 processor.reset()
                 packets = replay(packets, args.speed or 1.0)
-                draw_stream(recording.path.name, engine.classes, packets, processor)
+                draw_stream(recording.path.name, engine.classes, packets, processor, None)
             else:
                 print_decisions(recording, packets, processor, engine, pixels, line, summary=not args.json)
         except BrokenPipeError:

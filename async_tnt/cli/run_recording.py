@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.output import Line, complain, complain_late, printable
+from async_tnt.cli.output import Line, complain, complain_late, say
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.windows import FirstWindows
 
 
 def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
@@ -73,16 +74,14 @@ def print_decisions(
     closed = []
     seen, before = Seen(packets), pixels.counts
     for decision, latency_us in timed_decisions(seen, processor):
-        print(line(str(recording.path), decision, latency_us), flush=True)
+        say(line(str(recording.path), decision, latency_us))
         if decision.complete or decision.trigger == "end":
             closed.append(decision.probabilities)
     if closed and summary:
         mean = np.mean(closed, axis=0)
         best = int(mean.argmax())
         windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
-        print(
-            f"{printable(recording.path.name)}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})"
-        )
+        say(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
     late = processor.counts.dropped_late
     complain_late(str(recording.path), late, seen.n_events, "--late, --start-us")
     if seen.n_unsorted and not late:
@@ -96,14 +95,14 @@ def print_decisions(
 
 def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:
     """Each decision, and its latency in microseconds, from the call with the event that caused it."""
-    clock = time.perf_counter_ns
+    clock, first = time.perf_counter_ns, FirstWindows(processor.config)
     for packet in packets:
         for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
             handed_over = clock()
             decisions = processor.push_one(t, x, y, p)
             if decisions:
                 latency_us = (clock() - handed_over) / 1e3
-                for decision in decisions:
+                for decision in first.watch(decisions):
                     yield decision, latency_us
     handed_over = clock()
     decisions = processor.finish()

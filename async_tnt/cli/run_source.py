@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-import time
-
-from async_tnt.cli.live_packets import LivePackets, live_packets
+from async_tnt.cli.live_packets import live_packets, timed_packets
 from async_tnt.cli.live_view import draw_stream
-from async_tnt.cli.output import Line, complain
+from async_tnt.cli.output import Line, complain, say
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
@@ -38,13 +35,15 @@ def run_source(
             if live:
                 draw_stream(name, engine.classes, stream.packets, processor, stream.reader)
             else:
-                _print_all(stream, name, processor, line)
+                for decisions, latency_us in timed_packets(stream.packets, processor):
+                    for decision in decisions:
+                        say(line(name, decision, latency_us, stream.reader))
         except KeyboardInterrupt:
             stopped = True
         finally:  # also if a camera was unplugged
             for decision in processor.finish():
                 if not live:
-                    print(line(name, decision, 0.0), flush=True)
+                    say(line(name, decision, 0.0))
             counts = processor.counts
             took = (
                 f"{counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
@@ -52,14 +51,3 @@ def run_source(
             )
             complain(f"{name}: {stream.summary()}; {took}")
     return stopped
-
-
-def _print_all(stream: LivePackets, name: str, processor: Processor, line: Line) -> None:
-    for packet in stream.packets:
-        handed_over = time.perf_counter_ns()
-        decisions = processor.push(packet)
-        latency_us = (time.perf_counter_ns() - handed_over) / 1e3
-        for decision in decisions:
-            print(line(name, decision, latency_us, stream.reader))
-        if decisions:
-            sys.stdout.flush()

@@ -6,13 +6,12 @@ import argparse
 import json
 import math
 import os
-import sys
 import time
 from pathlib import Path
 
 from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.cli.options import positive_int, whole_number
-from async_tnt.cli.output import complain
+from async_tnt.cli.output import complain, note, say
 from async_tnt.files import check_folder
 from async_tnt.process import available_cores
 from async_tnt.progress import progress
@@ -124,22 +123,22 @@ def main(args: argparse.Namespace) -> int:
             for title, column in columns.items()
         }
         answer = {"out": str(args.out), "recordings": len(made), "shards": len(made.shards), "bytes": n_bytes}
-        print(json.dumps({**answer, "seconds": round(seconds, 3), "motions": args.motions, "statistics": numbers}))
+        say(json.dumps({**answer, "seconds": round(seconds, 3), "motions": args.motions, "statistics": numbers}))
         return 0
-    print(
+    say(
         f"{args.out}: {len(made)} recordings ({made.parameters['digits']} images x {len(made.motions)} motions) in "
         f"{len(made.shards)} files, {n_bytes / 1e6:.1f} MB; {seconds:.1f} s"
     )
     if args.bin is not None:
-        print(f"{args.bin}: the same in N-MNIST's format")
-    print(side_by_side(columns))
-    print(
+        say(f"{args.bin}: the same in N-MNIST's format")
+    say(*side_by_side(columns).splitlines())
+    say(
         "simulated: "
         + ("the images of the first column" if nmnist is not None else "the set's first images")
         + " under N-MNIST's own motion"
     )
     if nmnist is None:
-        print("no N-MNIST to compare with; give --nmnist FOLDER", file=sys.stderr)
+        note("no N-MNIST to compare with; give --nmnist FOLDER")
     return 0
 
 

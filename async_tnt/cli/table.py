@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.checking.timing import machine
+from async_tnt.checks import needs_extra
 from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder
 from async_tnt.cli.options import positive_int, whole_number
+from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder, write_text
 from async_tnt.process import available_cores
 from async_tnt.training.settings import TrainSettings
@@ -142,13 +143,11 @@ def main(args: argparse.Namespace) -> int:
     if not runs:
         raise ValueError(f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}")
     if args.list:
-        print(_listed(runs, args.iterations))
+        say(*_listed(runs, args.iterations))
         return 0
-    try:
+    with needs_extra("train", "the table needs torch"):
         import torch
         from tnt_reference import Classifier  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"the table needs torch ({error}); install it with: pip install '.[train]'") from None
     from async_tnt.training.table import aggregate, differences, markdown_table, text_table
     from async_tnt.training.table_data import RealFolder
     from async_tnt.training.table_runs import is_finished, run_networks
@@ -167,7 +166,7 @@ def main(args: argparse.Namespace) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     simulated = _by_name(args.simulated or [_simulate(args, args.out / "simulated")])
     descriptions = {name: _set_description(folder, data) for name, folder in simulated.items()}
-    print(_listed(runs, args.iterations), file=sys.stderr)
+    note(*_listed(runs, args.iterations))
     settings = TrainSettings(iterations=args.iterations, batch=args.batch, precision=args.precision)
     workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
     started = time.monotonic()
@@ -202,14 +201,13 @@ def main(args: argparse.Namespace) -> int:
     groups = dict.fromkeys(ROWS[name].group for name in table)
     write_text(args.out / "table.md", "\n\n".join(markdown_table(table, group) for group in groups) + "\n")
     if args.json:
-        print(json.dumps(record))
+        say(json.dumps(record))
     else:
-        print(text_table(table))
-        print(_in_words(record, args, time.monotonic() - started))
+        say(*text_table(table).splitlines(), *_in_words(record, args, time.monotonic() - started))
     return 0
 
 
-def _listed(runs: list[Run], iterations: int | None) -> str:
+def _listed(runs: list[Run], iterations: int | None) -> list[str]:
     """The networks, a line for each row: what it is trained on, with how many seeds, for how many steps."""
     lines = [f"{len(runs)} networks:"]
     for name in dict.fromkeys(run.row for run in runs):
@@ -218,7 +216,7 @@ def _listed(runs: list[Run], iterations: int | None) -> str:
         seeds = len({run.seed for run in of})
         steps = f"{iterations or row.iterations:,} steps"
         lines.append(f"  {name:<30} trained on {on:<10} {seeds} seed{'s' if seeds > 1 else ' '}  {steps}")
-    return "\n".join(lines)
+    return lines
 
 
 def _by_name(folders: list[Path]) -> dict[str, Path]:
@@ -262,22 +260,22 @@ def _set_description(folder: Path, data: RealData) -> dict[str, Any]:
     return {"motions": len(made.motions), "images_tested_on": n_unseen, **made.parameters}
 
 
-def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) -> str:
+def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) -> list[str]:
     from async_tnt.training.table_data import set_name
 
     data = record["data"]
     seeds = ", ".join(map(str, record["seeds"]))
     counts = {name: min(len(part["seeds"]) for part in columns.values()) for name, columns in record["table"].items()}
     fewer = ", ".join(f"{name} {n}" for name, n in counts.items() if n < len(record["seeds"]))
-    return (
-        f"\nmean ± deviation over seeds {seeds}{f' (fewer: {fewer})' if fewer else ''}; "
-        f"windows per step: {args.batch}.\n"
+    return [
+        "",
+        f"mean ± deviation over seeds {seeds}{f' (fewer: {fewer})' if fewer else ''}; windows per step: {args.batch}.",
         f"N-MNIST: {data['training_recordings']} recordings to train on, {data['held_out_recordings']} held out, "
-        f"{data['test_recordings']} to test on; the split is {data['split']}.\n"
-        + "".join(
+        f"{data['test_recordings']} to test on; the split is {data['split']}.",
+        *(
             f"{name}: {found['motions']} {set_name(found)} motions of {found['images_tested_on']} MNIST test images "
-            "that no training recording shows.\n"
+            "that no training recording shows."
             for name, found in data["simulated"].items()
-        )
-        + f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)"
-    )
+        ),
+        f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)",
+    ]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import platform
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.archive.scores import Scores
+from async_tnt.checks import needs_extra
 from async_tnt.cli.data_options import command_words
-from async_tnt.cli.output import complain, printable
+from async_tnt.cli.output import complain, note, say
 from async_tnt.cli.train_data import config_of, of_dataset, of_digits
 from async_tnt.cli.train_motions import other_motions
 from async_tnt.cli.train_option_checks import check_options
@@ -44,11 +44,9 @@ TITLES = {
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt train`. Returns the exit code: 0, or 130 when interrupted."""
-    try:
+    with needs_extra("train", "training needs torch"):
         import torch
         from tnt_reference import Classifier  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"training needs torch ({error}); install it with: pip install '.[train]'") from None
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
     run_folder = args.run_folder or Path("runs") / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
@@ -80,7 +78,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     read = of_dataset if args.dataset is not None else of_digits
     data, settings, sources = read(args, config, start, run_folder)
     config = data.config
-    print(f"{len(data.training)} windows to train on, {len(data.validation)} held out", file=sys.stderr)
+    note(f"{len(data.training)} windows to train on, {len(data.validation)} held out")
     n_epochs = settings.n_epochs(len(data.training))
     motions = other_motions(args, data, settings, start, run_folder)
     result = train(
@@ -100,9 +98,8 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     model = result.best if keep == "best" else result.last
     n_trained = len(result.history)
     if n_trained < n_epochs:
-        print(
-            f"stopped: no lower validation loss for {settings.patience} epochs; the best was epoch {result.best_epoch}",
-            file=sys.stderr,
+        note(
+            f"stopped: no lower validation loss for {settings.patience} epochs; the best was epoch {result.best_epoch}"
         )
     summary: dict[str, Any] = {
         "data": data.record,
@@ -125,7 +122,7 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
         times_ms = tuple(float(ms) for ms in range(10, 101, 10))
     scores = None
     if len(data.validation):
-        print("evaluating on the held-out recordings", file=sys.stderr)
+        note("evaluating on the held-out recordings")
         found = evaluate(pipeline_of(model), data.validation, times_ms=times_ms)
         model, temperature = calibrated(model, found.temperature)
         found = found.at_temperature(temperature)
@@ -153,12 +150,12 @@ def _train(args: argparse.Namespace, run_folder: Path) -> int:
     if args.dataset is not None:
         written += _draw(args.out, scores, result.history)
     if data.tests:
-        print("evaluating on Test", file=sys.stderr)
+        note("evaluating on Test")
         for name, (windows, record) in data.tests.items():
             summary[name] = {**evaluate(pipeline, windows, times_ms=times_ms).to_dict(), **record}
         save()
     for line in data.left_out:  # once more: the first time may be hours ago
-        print(f"left out: {line}", file=sys.stderr)
+        note(f"left out: {line}")
     _print_summary(summary, args, written)
     return 0
 
@@ -177,7 +174,7 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
             text += f"  held out: {row['per_window']:.4f} by window, {row['per_recording']:.4f} by recording"
         if "motions_per_window" in row:
             text += f"; in other motions {row['motions_per_window']:.4f} by window"
-        print(text, file=sys.stderr)
+        note(text)
 
     return report
 
@@ -186,7 +183,7 @@ def _draw(out: Path, scores: Scores | None, history: list[dict[str, float]]) -> 
     """Draw <out>.curves.png and <out>.confusion.png where matplotlib is installed; returns the files."""
     curves, confusion = (out.with_suffix(suffix) for suffix in PICTURES)
     if not plot_curves(history, curves):
-        print("no pictures: matplotlib is not installed (pip install '.[plot]')", file=sys.stderr)
+        note("no pictures: matplotlib is not installed (pip install 'async_tnt[plot]')")
         return []
     if scores is None:
         return [curves]
@@ -204,7 +201,7 @@ def _command(args: argparse.Namespace) -> str:
 
 def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: list[Path]) -> None:
     if args.json:
-        print(json.dumps({"out": str(args.out), **summary}))
+        say(json.dumps({"out": str(args.out), **summary}))
         return
     for name, title in TITLES.items():
         if name in summary:
@@ -212,5 +209,5 @@ def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: l
             by_recording = ""
             if "recordings" in found:
                 by_recording = f", {found['per_recording']:.4f} of {found['recordings']} recordings"
-            print(f"{title}: {found['per_window']:.4f} of {found['windows']} windows{by_recording} right")
-    print(printable(f"wrote {', '.join(map(str, written))}"))
+            say(f"{title}: {found['per_window']:.4f} of {found['windows']} windows{by_recording} right")
+    say(f"wrote {', '.join(map(str, written))}")

@@ -6,7 +6,6 @@ import argparse
 import hashlib
 import json
 import shutil
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import one_line
+from async_tnt.cli.output import note
 from async_tnt.config import TNTConfig
 from async_tnt.files import write_text
 from async_tnt.progress import progress
@@ -84,16 +84,15 @@ class Choice:
 
         best = start
         if len(data.validation):
-            print("trying volumes and networks (--quick leaves that out)", file=sys.stderr)
+            note("trying volumes and networks (--quick leaves that out)")
             trials = choose(start, questions, try_out)
             self.trials = [trial.to_dict() for trial in trials]
             best = trials[-1].candidate
-            print(f"chosen: {best}", file=sys.stderr)
+            note(f"chosen: {best}")
         else:
-            print(
+            note(
                 "no recording is held out (--validation) to compare volumes and networks on: what no option gives "
-                "takes its default",
-                file=sys.stderr,
+                "takes its default"
             )
         self.chosen = best
         kept: dict[str, Any] = {"key": self._key, "recordings": self._recordings, "trials": self.trials}
@@ -118,7 +117,7 @@ def _try_out(
     try:
         check_network(candidate.network, candidate.config)
     except ValueError as error:
-        print(f"  {candidate}: left out: {error}", file=sys.stderr)
+        note(f"  {candidate}: left out: {error}")
         return None
     started = time.monotonic()
     result = train(
@@ -132,8 +131,5 @@ def _try_out(
     )
     row = result.history[-1]
     seconds = time.monotonic() - started
-    print(
-        f"  {candidate!s:<44} {row['per_moment']:.4f} held out after {steps:,} steps  ({seconds:.0f} s)",
-        file=sys.stderr,
-    )
+    note(f"  {candidate!s:<44} {row['per_moment']:.4f} held out after {steps:,} steps  ({seconds:.0f} s)")
     return Trial(candidate, steps, row["per_moment"], row["validation_loss"])

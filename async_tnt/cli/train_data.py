@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import zlib
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 from async_tnt.cli.data_options import data_folder
 from async_tnt.cli.options import size_of
+from async_tnt.cli.output import note
 from async_tnt.cli.pixel_options import selection_of
 from async_tnt.cli.train_choice import Choice, questions_of
 from async_tnt.cli.train_options import LANDMARK, NETWORK, T_MAX
@@ -106,7 +106,7 @@ def of_dataset(
         progress=progress,
     )
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
-        print(line, file=sys.stderr)
+        note(line)
 
     def settings_of(candidate: Candidate, steps: int | None = None) -> TrainSettings:
         return settings_for(

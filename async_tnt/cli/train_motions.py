@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
+from async_tnt.cli.output import note
 from async_tnt.networks.model import Model
 from async_tnt.process import available_cores
 from async_tnt.progress import progress
@@ -51,10 +51,10 @@ def other_motions(
         progress=progress,
     )
     record = motions.record
-    print(
-        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only\n"
-        f"recorded windows, and the same motion simulated again:\n{side_by_side(record['match'])}",
-        file=sys.stderr,
+    note(
+        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only",
+        "recorded windows, and the same motion simulated again:",
+        *side_by_side(record["match"]).splitlines(),
     )
     _draw(motions, data, folder / PICTURE)
     return motions

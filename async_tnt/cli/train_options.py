@@ -8,7 +8,7 @@ from pathlib import Path
 from async_tnt.cli.data_options import add_folder, add_precision
 from async_tnt.cli.options import positive_int, positive_number, size_text, whole_number
 from async_tnt.cli.pixel_options import add_selection
-from async_tnt.config import LANDMARKS, POLARITIES, REPRESENTATIONS, TRANSFORMS
+from async_tnt.config import LANDMARKS, POLARITIES, REPRESENTATIONS, TRANSFORMS, Landmark
 from async_tnt.process import available_cores
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.settings import STREAMED
@@ -48,7 +48,8 @@ examples:
 """
 
 
-LANDMARK, T_MAX, NETWORK = "running", 3.0, "thesis"  # where nothing is chosen
+LANDMARK: Landmark = "running"  # where nothing is chosen
+T_MAX, NETWORK = 3.0, "thesis"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

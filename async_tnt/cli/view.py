@@ -8,9 +8,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from async_tnt.checks import printable
 from async_tnt.cli.live_packets import add_latest, check_pace, live_packets
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
-from async_tnt.cli.output import complain, printable
+from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected
 from async_tnt.engines import choose_engine
@@ -108,8 +109,8 @@ def main(args: argparse.Namespace) -> int:
         left_out = pixels.nothing_left()
         raise ValueError(f"{names}: {left_out}" if left_out else f"no event in {names}: nothing to show")
     if args.out is not None:
-        out = printable(str(args.out))
-        print(f"{out}: {view.n_events:,} events, {view.n_pictures:,} pictures; open it with: rerun {out}")
+        n_pictures = f"{view.n_pictures:,} pictures"
+        say(f"{args.out}: {view.n_events:,} events, {n_pictures}; open it with: rerun {args.out}")
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
     return 130 if stopped else 0
@@ -123,16 +124,15 @@ def _recording_name(sources: Sequence[Path | str]) -> str:
 def _show(recording: Recording, packets: Iterable[Any], view: RerunView, speed: float) -> None:
     n_before = view.n_events
     if speed == math.inf:
-        with progress(recording.n_events, recording.path.name) as bar:
+        with progress(recording.n_events, printable(recording.path.name)) as bar:
             for packet in packets:
                 view.push(packet)
                 bar.update(len(packet))
     else:
         for packet in replay(packets, speed):
             view.push(packet)
-    if late := view.processor.counts.dropped_late:
-        n_events = view.n_events - n_before
-        complain(f"{recording.path}: {late} of {n_events} events were too late and dropped (see --start-us)")
+    late = view.processor.counts.dropped_late
+    complain_late(str(recording.path), late, view.n_events - n_before, "--start-us")
 
 
 def _show_live(name: str, view: RerunView, pixels: PixelSelector, latest: int | None) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from safetensors import SafetensorError
 
 from async_tnt.checked_tensors import read_tensors
-from async_tnt.checks import one_line
+from async_tnt.checks import needs_extra, one_line
 from async_tnt.config import TNTConfig
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.conversion_check import TOLERANCE, compare
@@ -95,10 +95,8 @@ def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) ->
 
 def _load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | None) -> Model:
     """See `load_model`."""
-    try:
+    with needs_extra("onnx", "ONNX networks are read by onnx"):
         import onnx
-    except ImportError as error:
-        raise ImportError(f"ONNX networks are read by onnx: pip install '.[onnx]' ({error})") from None
     content = path.read_bytes()
     try:
         proto = onnx.load(path)  # and weights in files beside it

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt.checks import needs_extra
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, VOLUME, Layer, layer_shapes, tensors_of
 from async_tnt.networks.model import Model
 from async_tnt.networks.onnx_metadata import metadata_of, seal
@@ -170,12 +171,8 @@ def _window(layer: Layer) -> dict[str, list[int]]:
 
 def _makers() -> tuple[Any, Any]:
     """`onnx.helper.make_node`, and onnx."""
-    try:
+    with needs_extra("onnx", "ONNX networks are written by onnx and run by onnxruntime"):
         import onnx
-    except ImportError as error:
-        raise ImportError(
-            f"ONNX networks are written by onnx and run by onnxruntime: pip install '.[onnx]' ({error})"
-        ) from None
     return onnx.helper.make_node, onnx
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.checks import one_line, positive_int
+from async_tnt.checks import needs_extra, one_line, positive_int
 from async_tnt.config import MAX_CELLS
 from async_tnt.networks.onnx_metadata import Exported, is_damaged, read_metadata
 
@@ -43,10 +43,8 @@ def import_onnxruntime() -> Any:
     ImportError : it is not installed.
     """
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when it is loaded: its API's own switch comes too late
-    try:
+    with needs_extra("onnx", "ONNX networks are run by onnxruntime"):
         import onnxruntime
-    except ImportError as error:
-        raise ImportError(f"ONNX networks are run by onnxruntime: pip install '.[onnx]' ({error})") from None
     return onnxruntime
 
 

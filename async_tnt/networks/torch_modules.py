@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.checks import positive_int
+from async_tnt.checks import needs_extra, positive_int
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
 
@@ -74,10 +74,8 @@ class TorchClassifier:
     """
 
     def __init__(self, module: Callable[[torch.Tensor], torch.Tensor], *, threads: int | None = 1) -> None:
-        try:
+        with needs_extra("reference", "torch modules need torch"):
             import torch
-        except ImportError as error:
-            raise ImportError(f"torch modules need torch: pip install '.[reference]' ({error})") from None
         if isinstance(module, torch.export.ExportedProgram):
             module = module.module()
         if not callable(module):

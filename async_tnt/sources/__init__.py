@@ -9,7 +9,6 @@ BackgroundReader    reads a source in a background thread; `PacketQueue` is the 
 PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in recordings
 """
 
-# ruff: noqa: F401 (the names are public by `__all__`)
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
@@ -32,11 +31,10 @@ if TYPE_CHECKING:
     from async_tnt.sources.udp import NetworkCounts, UdpSource, open_udp
     from async_tnt.sources.udp_sender import UdpSender
     from async_tnt.sources.udp_socket import UdpUrl, parse_udp_url
-
-if not TYPE_CHECKING:
+else:
     from async_tnt.lazy_names import lazy_names
 
-    __all__, __getattr__, __dir__ = lazy_names(
+    __getattr__, __dir__ = lazy_names(
         globals(),
         {
             "background_reader": "BackgroundReader",
@@ -61,3 +59,12 @@ if not TYPE_CHECKING:
             "udp_socket": "UdpUrl parse_udp_url",
         },
     )
+
+__all__ = [
+    "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock", "CorruptData",
+    "DamagedRecording", "Decoded", "Decoder", "LiveSource", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
+    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSender", "UdpSource",
+    "UdpUrl", "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
+    "open_source", "open_udp", "parse_udp_url", "read_nmnist", "replay", "sample_recordings", "save_mask",
+    "write_nmnist",
+]  # fmt: skip

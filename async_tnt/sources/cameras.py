@@ -236,7 +236,7 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driv
             opened.close()
             problems.append(f"{driver.name} found {camera}, which has {format_size(opened.sensor)} pixels")
     if n_missing == len(drivers):
-        raise ImportError(f"{name}: {'; '.join(problems)}: cameras need one of them, pip install '.[cameras]'")
+        raise ImportError(f"{name}: {'; '.join(problems)}: cameras need one of them, pip install 'async_tnt[cameras]'")
     if searched:
         problems.insert(0, f"{' and '.join(searched)} found none")
     advice = "Is it plugged in, and used by no other program?"

@@ -6,7 +6,6 @@ evaluate                    the accuracy of a model on windows; `pipeline_of` ma
 read_dataset, make_windows  the steps between: recordings in memory, and their windows
 """
 
-# ruff: noqa: F401  (the names are public by `__all__`)
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from async_tnt.training.augment import Augmentation
@@ -18,11 +17,10 @@ if TYPE_CHECKING:
     from async_tnt.training.recordings import Recordings
     from async_tnt.training.settings import TrainSettings, settings_for
     from async_tnt.training.windows import Windows, make_windows, split_recordings
-
-if not TYPE_CHECKING:
+else:
     from async_tnt.lazy_names import lazy_names
 
-    __all__, __getattr__, __dir__ = lazy_names(
+    __getattr__, __dir__ = lazy_names(
         globals(),
         {
             "augment": "Augmentation",
@@ -36,3 +34,9 @@ if not TYPE_CHECKING:
             "windows": "Windows make_windows split_recordings",
         },
     )
+
+__all__ = [
+    "Augmentation", "Dataset", "Evaluation", "Recordings", "TrainResult", "TrainSettings", "TrainingData", "Windows",
+    "dataset_data", "evaluate", "make_windows", "nmnist_data", "pipeline_of", "read_dataset", "settings_for",
+    "split_recordings", "train",
+]  # fmt: skip

@@ -25,6 +25,7 @@ from async_tnt.training.groups import (
 )
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import CLASSES, Windows, make_windows, saccade, split_recordings
+from async_tnt.windows import FIRST, FirstWindows
 
 SACCADES = (1, 2, 3)
 
@@ -100,6 +101,9 @@ def dataset_data(
     def windows_of(of: Dataset, which: np.ndarray | None = None) -> Windows:
         return make_windows(of.recordings, config.window_us, which=which, first_event=True, duration_us=None)
 
+    training, first = windows_of(dataset, learned), FirstWindows(config)
+    for i in range(len(training[:FIRST])):
+        first.add(len(training.events(i, config.window_us)[0]))
     counts = {name: int((labels == k).sum()) for k, name in enumerate(dataset.classes)}
     record: dict[str, Any] = {
         "source": f"recordings of own classes, held out by {how}",
@@ -136,7 +140,7 @@ def dataset_data(
     return TrainingData(
         config,
         dataset.classes,
-        windows_of(dataset, learned),
+        training,
         windows_of(dataset, held_out),
         record,
         tests,

@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from async_tnt.config import TNTConfig
+from async_tnt.config import Representation, TNTConfig
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.moved_windows import MotionSettings
 
@@ -45,7 +45,7 @@ INPUTS = {
     "regressor": TNTConfig(landmark="regressor", t_max=T_MAX),
     "line": TNTConfig(landmark="line", remove_flow=True, t_max=T_MAX),
 }
-IMAGES = {
+IMAGES: dict[Representation, str] = {
     "count": "image of counts",
     "count_time": "image of counts and times",
     "mean_time": "image of mean times",
@@ -177,9 +177,9 @@ def _learning() -> Iterator[Row]:
 
 def _representations() -> Iterator[Row]:
     inputs = {"window": ("`window`", TNTConfig(landmark="window", t_max=T_MAX))}
-    for name, title in IMAGES.items():
-        config = TNTConfig(representation=name, transform="none", landmark="center", polarity="split")
-        inputs[name] = title, config.replace(grid=HATS_GRID) if name == "hats" else config
+    for image, title in IMAGES.items():
+        config = TNTConfig(representation=image, transform="none", landmark="center", polarity="split")
+        inputs[image] = title, config.replace(grid=HATS_GRID) if image == "hats" else config
     augmentation = replace(THINNED, translate_px=TRANSLATE_PX)
     for name, (title, config) in inputs.items():
         yield Row(f"{name}-translated", "representations", f"{title}, translated", config, augmentation)

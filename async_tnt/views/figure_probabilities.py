@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt.checks import printable
 from async_tnt.decision import Decision
 from async_tnt.processor import Processor
 from async_tnt.progress import progress
@@ -97,7 +98,7 @@ def who_decides(subject: Subject, every_us: int | None) -> str:
     sees = transform_words(config) if config.transform == "tnt" else "raw volumes"
     every_us = default_every_us(subject) if every_us is None else every_us
     when = f"every {every_us / 1e3:g} ms" if every_us < config.window_us else "at each window's end"
-    return f"decisions of {subject.model_name} ({sees}) {when}"
+    return f"decisions of {printable(subject.model_name)} ({sees}) {when}"
 
 
 def draw_classes(axes: Any, subject: Subject, decisions: list[Decision]) -> None:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from async_tnt.checks import needs_extra, printable
 from async_tnt.files import check_writable, replacing
 
 if TYPE_CHECKING:
@@ -62,9 +63,9 @@ def axes_at(figure: Figure, left: float, top: float, width: float, height: float
 
 
 def write_at(figure: Figure, left: float, top: float, words: str, **settings: Any) -> None:
-    """Words at inches from the figure's upper left corner."""
+    """One line of words at inches from the figure's upper left corner."""
     w, h = figure.get_size_inches()
-    figure.text(left / w, 1 - top / h, words, **{"va": "center", "fontsize": LARGE, **settings})
+    figure.text(left / w, 1 - top / h, printable(words), **{"va": "center", "fontsize": LARGE, **settings})
 
 
 def headline(figure: Figure, words: str) -> None:
@@ -85,10 +86,8 @@ def check_picture(path: Path) -> None:
     ------
     ImportError : matplotlib is missing. ValueError, OSError : see `check_writable`.
     """
-    try:
+    with needs_extra("plot", "--picture draws with matplotlib"):
         import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"--picture draws with matplotlib: pip install '.[plot]' ({error})") from None
     check_writable(path, FORMATS, option="--picture")
 
 
@@ -148,7 +147,8 @@ def polarity_legend(figure: Figure, more: Sequence[Any] = ()) -> None:
 
 
 def shortened(name: str, most: int) -> str:
-    """A name, cut to at most `most` letters."""
+    """A name on one line, cut to at most `most` letters."""
+    name = printable(name)
     return name if len(name) <= most else name[: most - 1] + "…"
 
 

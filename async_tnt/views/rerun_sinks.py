@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from async_tnt.checks import needs_extra
 from async_tnt.files import Replacement, check_writable
 
 SUFFIXES = (".rrd",)
@@ -29,14 +30,12 @@ def import_rerun() -> Any:
     ------
     ImportError : it is not installed, or so old that it lacks what is used here.
     """
-    try:
+    with needs_extra("view", "views need rerun-sdk 0.23 or newer"):
         import rerun
         import rerun.blueprint
-    except ImportError as error:
-        raise ImportError(f"views are shown by rerun-sdk: pip install '.[view]' ({error})") from None
-    if not hasattr(rerun, "SeriesLines"):
-        version = getattr(rerun, "__version__", "of unknown version")
-        raise ImportError(f"views need rerun-sdk 0.23 or newer, got {version}: pip install '.[view]'")
+
+        if not hasattr(rerun, "SeriesLines"):
+            raise ImportError(f"got {getattr(rerun, '__version__', 'an unknown version')}")
     return rerun
 
 

@@ -7,16 +7,16 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
-from async_tnt.events import as_events
+from async_tnt.events import Late, as_events
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
-from async_tnt.streams import as_processor
+from async_tnt.streams import Settings, as_processor
 from async_tnt.views import rerun_layout as layout
 from async_tnt.views.rerun_log import StreamLog
 from async_tnt.views.rerun_sinks import import_rerun, sink_of
@@ -58,7 +58,7 @@ class RerunView:
         picture_us: int = 20_000,
         most_pictures_per_s: float | None = None,
         name: str | None = None,
-        **settings: Any,
+        **settings: Unpack[Settings],
     ) -> None:
         rr = import_rerun()
         if settings.get("hop_us") is not None:
@@ -250,7 +250,7 @@ class UntransformedVolume:
     late : the processor's setting.
     """
 
-    def __init__(self, config: TNTConfig, late: str = "accept") -> None:
+    def __init__(self, config: TNTConfig, late: Late = "accept") -> None:
         raw = config.replace(transform="none", landmark="center", remove_flow=False)
         self._volume = TNTVolume(raw, late=late)
 

@@ -151,8 +151,8 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
         ("run none --out r.jsonl", "no file or folder none"),
         ("run EMPTY --out r.jsonl", "no recordings in this folder"),
         ("evaluate digits SET --restart", "--restart requires --out"),
-        ("run SET --out r.parquet", "pip install '.[cluster]'"),  # without pyarrow
-        ("run SET --out r.jsonl --dask tcp://127.0.0.1:9", "pip install '.[cluster]'"),  # without Dask
+        ("run SET --out r.parquet", "pip install 'async_tnt[cluster]'"),  # without pyarrow
+        ("run SET --out r.jsonl --dask tcp://127.0.0.1:9", "pip install 'async_tnt[cluster]'"),  # without Dask
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_exit_code_2(words, text, samples, tmp_path, program, monkeypatch):

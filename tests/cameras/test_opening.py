@@ -77,7 +77,8 @@ UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
             "camera",
             {"a": missing, "b": missing},
             ImportError,
-            r"camera: a is not installed; b is not installed: cameras need one of them, pip install '\.\[cameras\]'$",
+            r"camera: a is not installed; b is not installed: cameras need one of them, "
+            r"pip install 'async_tnt\[cameras\]'$",
         ),
         ("camera", {"a": broken, **drivers()}, OSError, r"played 1\.0 found none; a does not load: libusb[^;]*$"),
         (

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from dataset.gestures import bar, write, write_set
-from made import events_of
+from made import events_of, random_events
 
 from async_tnt.config import TNTConfig
 from async_tnt.sources.pixel_selection import PixelSelection
@@ -174,6 +174,15 @@ def test_windows_counts_and_the_held_out(tmp_path):
     assert (len(data.training), len(data.validation), data.config.sensor) == (25, 6, (128, 128))
     assert data.record["classes"] == {"flat": 5, "single": 1, "upright": 5}
     assert "not held out, as there is only one recording, or one group of them: single" in data.notes
+
+
+def test_recordings_in_nanoseconds_are_warned_of(tmp_path):
+    for name in ("a", "b"):
+        for k in range(3):
+            write(tmp_path / name / f"{k}.npz", random_events(60, seed=3 * ord(name) + k, duration_us=60_000_000))
+    with pytest.warns(UserWarning, match="divide nanoseconds by 1000") as warned:
+        dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING)
+    assert len(warned) == 1
 
 
 def test_who_was_seen_in_training_is_not_held_out(tmp_path):

@@ -145,7 +145,7 @@ def test_a_killed_training_resumes_to_the_same_model(tmp_path, monkeypatch, prog
     words = ["train", str(tmp_path / "set"), "--quick", "--out", "m.safetensors", "--epochs", "20", "--patience", "0"]
     for name in ("whole", "cut"):
         (tmp_path / name).mkdir()
-    with started("-m", "async_tnt.cli", *words, cwd=tmp_path / "cut"):
+    with started("-m", "async_tnt", *words, cwd=tmp_path / "cut"):
         until(lambda: any((tmp_path / "cut").rglob("*.pt")))
     for name in ("whole", "cut"):
         monkeypatch.chdir(tmp_path / name)
@@ -157,7 +157,7 @@ def test_a_killed_training_resumes_to_the_same_model(tmp_path, monkeypatch, prog
 def test_without_matplotlib_one_line_says_so(gestures, train, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     code, err, out = train(gestures)
-    assert code == 0 and err.count("matplotlib") == 1 and "pip install '.[plot]'" in err
+    assert code == 0 and err.count("matplotlib") == 1 and "pip install 'async_tnt[plot]'" in err
     assert out.with_suffix(".json").exists() and not out.with_suffix(".curves.png").exists()
 
 

@@ -43,16 +43,17 @@ FORMS = {
 }
 
 
-def assert_refused(events, error, message):
-    """With exactly this message, also when the decoder knows the layout; packet and decoder are as before."""
-    decoder = EventDecoder(SENSOR, "drop")
+def assert_refused(events, error, message, advice=""):
+    """With exactly this message, also when the decoder, which adds advice, knows the layout; packet and decoder are as
+    before."""
+    decoder = EventDecoder(SENSOR, "drop", LARGER_CAMERA)
     decoder.decode((T, X, Y, P))
     arrays = [a for a in (events if isinstance(events, tuple) else (events,)) if type(a) is np.ndarray]
     before = [a.tobytes() for a in arrays]
     for _ in range(2):
         with pytest.raises(error) as refused:
             decoder.decode(events)
-        assert str(refused.value) == message
+        assert str(refused.value) == message + advice
     with pytest.raises(error, match=f"^{re.escape(message)}$"):
         as_events(events, SENSOR)
     assert [a.tobytes() for a in arrays] == before
@@ -67,6 +68,7 @@ RULES = {
     "y": "`y` must be in [0, 260)",
     "p": "`p` must be 0 or 1, or -1 or +1",
 }
+LARGER_CAMERA = "; `PixelFilter` cuts a part out of a larger camera's image"
 OUT_OF_RANGE = [
     ("t", "<i8", [-1, 2**62, 2**63 - 1]),
     ("t", "<u8", [2**62, 2**64 - 1]),
@@ -90,8 +92,10 @@ def test_numbers_out_of_range(field, number, values):
         columns = packet()
         columns[field] = columns[field].astype(number)
         columns[field][3] = value
+        off = field in "xy" and value > 0
+        advice = LARGER_CAMERA if off else ""
         for form in ("records", "columns"):
-            assert_refused(FORMS[form](columns), ValueError, f"{RULES[field]}, got {value} at event 3")
+            assert_refused(FORMS[form](columns), ValueError, f"{RULES[field]}, got {value} at event 3", advice)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -199,9 +203,9 @@ ONE = [
     ((-1, 0, 0, 1), ValueError, f"{RULES['t']}, got -1 at event 0"),
     ((2**62, 0, 0, 1), ValueError, f"{RULES['t']}, got {2**62} at event 0"),
     ((2**64, 0, 0, 1), ValueError, f"`t` must fit in int64, got {2**64} at event 0"),
-    ((5, 346, 0, 1), ValueError, f"{RULES['x']}, got 346 at event 0"),
+    ((5, 346, 0, 1), ValueError, f"{RULES['x']}, got 346 at event 0{LARGER_CAMERA}"),
     ((5, -1, 0, 1), ValueError, f"{RULES['x']}, got -1 at event 0"),
-    ((5, 0, 260, 1), ValueError, f"{RULES['y']}, got 260 at event 0"),
+    ((5, 0, 260, 1), ValueError, f"{RULES['y']}, got 260 at event 0{LARGER_CAMERA}"),
     ((5, 0, 0, 2), ValueError, f"{RULES['p']}, got 2 at event 0"),
     ((5, 0, 0, -2), ValueError, f"{RULES['p']}, got -2 at event 0"),
     ((5.0, 0, 0, 1), TypeError, NO_UNIT.format("float64 (5.0")),
@@ -211,7 +215,7 @@ ONE = [
 @pytest.mark.parametrize(("event", "error", "message"), ONE)
 def test_single_events(event, error, message):
     volume, processor = TNTVolume(CONFIG), Processor(CONFIG, classifier=lambda volume: volume.sum((1, 2)))
-    for take in (EventDecoder(SENSOR).decode_one, volume.update_one, processor.push_one):
+    for take in (EventDecoder(SENSOR, advice=LARGER_CAMERA).decode_one, volume.update_one, processor.push_one):
         with pytest.raises(error, match=f"^{re.escape(message)}$"):
             take(*event)
         take(14, 4, 4, 1)

@@ -53,7 +53,9 @@ def test_what_cannot_be_exported(monkeypatch):
     with pytest.raises(ValueError, match=r"less than 2 GiB, the classifier's weights are [\d_]+ bytes"):
         to_onnx(random_model())
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ImportError, match=r"^ONNX networks are written by onnx and run by .* '\.\[onnx\]' \(.*\)$"):
+    with pytest.raises(
+        ImportError, match=r"^ONNX networks are written by onnx and run by .* 'async_tnt\[onnx\]' \(.*\)$"
+    ):
         to_onnx(random_model())
 
 

@@ -128,5 +128,5 @@ def test_wrong_settings():
 
 def test_without_torch(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(ImportError, match=r"^torch modules need torch: pip install '\.\[reference\]' \(.*\)$"):
+    with pytest.raises(ImportError, match=r"^torch modules need torch: pip install 'async_tnt\[reference\]' \(.*\)$"):
         TorchClassifier(len)

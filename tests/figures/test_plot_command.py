@@ -177,7 +177,7 @@ def test_without_matplotlib_there_is_help_and_one_line_names_what_to_install(mon
     assert not [name for name in FIGURES if f"  {name} " not in printed]
     code, _, err = plot()
     assert code == 2 and err.count("\n") == 1
-    assert err.startswith("async-tnt: plot draws with matplotlib: pip install '.[plot]'")
+    assert err.startswith("async-tnt: plot draws with matplotlib: pip install 'async_tnt[plot]'")
 
 
 def test_an_interrupted_save_leaves_the_old_picture(monkeypatch, plot):

@@ -14,7 +14,7 @@ from async_tnt import CompiledClassifier, TNTConfig, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.onnx_operations import RULES
 
-onnx = pytest.importorskip("onnx", reason="needs onnx: pip install '.[onnx]'")
+onnx = pytest.importorskip("onnx", reason="needs onnx: pip install 'async_tnt[onnx]'")
 
 
 @given(random_models())
@@ -249,5 +249,5 @@ def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="is not a readable ONNX network"):
         load_model(tmp_path / "no.onnx", config=SMALL)
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ImportError, match=r"^ONNX networks are read by onnx: pip install '\.\[onnx\]' \(.*\)$"):
+    with pytest.raises(ImportError, match=r"^ONNX networks are read by onnx: pip install 'async_tnt\[onnx\]' \(.*\)$"):
         load_model(path, config=SMALL)

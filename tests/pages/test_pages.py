@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from dataset.gestures import bar, write
+from pages.snippets import ROOT, blocks
 from small_sets import write_small_mnist
 
 from async_tnt import Counts, TNTConfig, networks
@@ -20,7 +21,6 @@ from async_tnt.cli.program import COMMANDS, build_parser
 from async_tnt.simulation.moving_mnist import build
 from async_tnt.sources import READERS
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), ROOT / "benchmarks" / "README.md"]
 GUIDE, REFERENCE, THEORY, RESULTS = (
     (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in ("guide", "reference", "theory", "results")
@@ -30,10 +30,6 @@ NEEDS = {  # packages of a section's snippets
     "Other networks and engines": ("torch", "onnx", "onnxruntime"),
     "Other representations": ("torch",),
 }
-
-
-def blocks(text, language):
-    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
 
 
 def sections(page):

@@ -97,13 +97,24 @@ def test_nothing_is_compiled_after(case, pytestconfig):
     assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
 
 
-@pytest.mark.parametrize("compiling", [True, False])
-def test_a_long_wait_for_the_compiler_is_explained_and_one_for_the_disk_is_not(compiling, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    "compiling, cached, told",
+    [
+        (True, True, "compiling kernels, once on this machine (about 10 s)"),
+        (True, False, "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR to one that can ("),
+        (False, True, ""),
+    ],
+)
+def test_a_long_wait_for_the_compiler_is_explained_and_one_for_the_disk_is_not(
+    compiling, cached, told, monkeypatch, capsys
+):
     monkeypatch.setattr(compile_ahead, "_is_compiled", lambda name: False)
     monkeypatch.setattr(compile_ahead, "_is_compiling", lambda: compiling)
+    monkeypatch.setattr(compile_ahead, "can_be_cached", lambda kernel: cached)
     monkeypatch.setattr(compile_ahead, "_compile", lambda names: compile_ahead._explain_wait())
     assert async_tnt.warmup() > 0
-    assert ("compiling kernels, once on this machine" in capsys.readouterr().err) is compiling
+    err = capsys.readouterr().err
+    assert told in err and bool(err) == compiling and ("once on this machine" in err) == (compiling and cached)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 SAMPLE = str(sample_recordings()[3])
-PROGRAM = ("-m", "async_tnt.cli")
+PROGRAM = ("-m", "async_tnt")
 has_full = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
 
 # Python runs it first of all where it is on PYTHONPATH. In a callback of C code an exception would not get far.
@@ -131,7 +131,7 @@ def test_a_command_that_a_signal_ends_says_which(received, program, monkeypatch)
 
 
 def test_a_closed_pipe_is_no_error():
-    command = f'"{sys.executable}" -m async_tnt.cli run | head -1'
+    command = f'"{sys.executable}" -m async_tnt run | head -1'
     done = subprocess.run(command, shell=True, capture_output=True, text=True)
     assert done.stdout.startswith("recording") and done.stderr == ""
 
@@ -154,7 +154,7 @@ def test_output_that_cannot_be_written_is_not_blamed_on_the_recordings(unbuffere
     ],
 )
 def test_without_a_stderr_the_exit_code_is_the_same(stderr, words, code):
-    command = f'"{sys.executable}" -m async_tnt.cli {" ".join(words)} {stderr}'
+    command = f'"{sys.executable}" -m async_tnt {" ".join(words)} {stderr}'
     done = subprocess.run(command, shell=True, stdout=subprocess.PIPE, text=True)
     assert done.returncode == code and all(line.startswith("{") for line in done.stdout.splitlines())
     assert bool(done.stdout) == (code == 0)

@@ -67,10 +67,15 @@ def test_public_names_are_there_in_every_way():
 
 @pytest.mark.parametrize("package", [async_tnt, async_tnt.sources, async_tnt.training])
 def test_type_checkers_see_the_same_names(package):
-    imports = [n for n in ast.walk(ast.parse(Path(package.__file__).read_text())) if isinstance(n, ast.ImportFrom)]
+    """In `__all__`, a literal, and in the imports for type checkers, as in the table of lazy names."""
+    nodes = list(ast.walk(ast.parse(Path(package.__file__).read_text())))
+    imports = [n for n in nodes if isinstance(n, ast.ImportFrom)]
     own = {"lazy_names", "__version__"}
     seen = {alias.name: n.module for n in imports for alias in n.names if alias.name not in own}
-    assert sorted(seen) == package.__all__
+    (table,) = (ast.literal_eval(n) for n in nodes if isinstance(n, ast.Dict))
+    lazy = {name: f"{package.__name__}.{module}" for module, names in table.items() for name in names.split()}
+    assigned = {ast.unparse(n.targets[0]): n.value for n in nodes if isinstance(n, ast.Assign)}
+    assert seen == lazy and sorted(seen) == sorted(ast.literal_eval(assigned["__all__"]))
     for name, module in seen.items():
         assert getattr(package, name) is getattr(importlib.import_module(module), name)
 

@@ -55,7 +55,7 @@ def test_the_view_shows_the_newest_decision_and_what_waits():
 
 def test_without_rich_the_message_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "rich.live", None)
-    with pytest.raises(ImportError, match=r"run --live draws with rich: pip install '\.\[view\]'"):
+    with pytest.raises(ImportError, match=r"run --live draws with rich: pip install 'async_tnt\[view\]'"):
         LiveView(["a"], "b")
 
 

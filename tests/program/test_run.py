@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from made import random_model
+from made import random_events, random_model
 
 from async_tnt import LeakyIntegrator, Processor, TNTConfig, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
@@ -44,6 +44,15 @@ def test_options_are_the_settings_of_the_processor(program, options, settings):
         assert printed.pop("latency_us") > 0 and printed.pop("recording") == str(SAMPLES[7])
         assert printed == decision.to_dict()
     assert expected and ("hop_us" in settings or {d["trigger"] for d in got} - {"window", "end"})
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("options", ["--json", "--live --speed 1000"])
+def test_nanoseconds_read_as_microseconds_are_warned_of(options, program, tmp_path):
+    np.save(tmp_path / "ns.npy", random_events(60, duration_us=60_000_000))
+    code, _, message = program("run", tmp_path / "ns.npy", *options.split())
+    assert code == 0 and message.count("divide nanoseconds by 1000") == message.count("\n") == 1
+    assert message.startswith("async-tnt: warning: 32 of the first 32 windows")
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,13 @@
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 
 import async_tnt
 
-TABLE = re.findall(r"^\| (`.*?) \|", (Path(__file__).parents[2] / "ARCHITECTURE.md").read_text(), re.MULTILINE)
+ROOT = Path(__file__).parents[2]
+TABLE = re.findall(r"^\| (`.*?) \|", (ROOT / "ARCHITECTURE.md").read_text(), re.MULTILINE)
 LAYERS = [Path(name).stem for row in TABLE for name in re.findall("`(.*?)`", row)]  # "async_tnt/cli/", "windows.py"
 
 PACKAGE = Path(async_tnt.__file__).parent
@@ -15,6 +17,7 @@ SOURCES = {
     for path in PACKAGE.rglob("*.py")
 }
 del SOURCES["async_tnt"]  # the public names of all layers: nothing inside imports it
+del SOURCES["async_tnt.__main__"]  # the program
 
 
 def layer_of(module):
@@ -55,3 +58,10 @@ def test_there_is_no_circle():
 
 def test_the_command_line_alone_uses_argparse():
     assert {layer_of(module) for module in SOURCES if "argparse" in IMPORTS[module]} == {"cli"}
+
+
+def test_messages_tell_how_to_install_extras_that_exist():
+    texts = "".join(path.read_text() for path in SOURCES.values())
+    extras = re.findall(r"""needs_extra\("(\w+)"|async_tnt\[(\w+)\]|\(extra(?:: | `)(\w+)[`)]""", texts)
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert len(extras) > 20 and {name for names in extras for name in names if name} <= set(known)

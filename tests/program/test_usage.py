@@ -1,5 +1,8 @@
 """Every command: help, wrong options, and errors of one line."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -24,6 +27,11 @@ def refused(capsys):
         return err
 
     return run
+
+
+def test_the_program_is_also_a_module():
+    done = subprocess.run([sys.executable, "-m", "async_tnt", "fly"], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("async-tnt: argument COMMAND: invalid choice: 'fly'")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -17,8 +17,8 @@ from async_tnt.sources.files.source import DamagedRecording
 @pytest.mark.parametrize(
     ("name", "start", "message"),
     [
-        ("a.aedat4", b"#!AER-DAT4.0\r\n", r"AEDAT4 files are read by faery, .*: pip install '\.\[files\]'"),
-        ("a.h5", b"\x89HDF\r\n\x1a\n", r"HDF5 files are read by h5py, .*: pip install '\.\[hdf5\]'"),
+        ("a.aedat4", b"#!AER-DAT4.0\r\n", r"AEDAT4 is read by faery, .*: pip install 'async_tnt\[files\]'"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n", r"HDF5 is read by h5py, .*: pip install 'async_tnt\[hdf5\]'"),
     ],
 )
 def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, name, start, message):

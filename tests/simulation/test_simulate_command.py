@@ -109,7 +109,7 @@ def test_a_killed_simulation_resumes_to_the_same_files(mnist, tmp_path, program)
     for attempt in range(5):  # on a busy machine the kill may come when all is done: then once more
         folder = tmp_path / f"set {attempt}"
         words = ["simulate", "--mnist", mnist, "--out", folder, "--motions", "bell", "--digits", 8, "--workers"]
-        with started("-m", "async_tnt.cli", *words, 2) as process:
+        with started("-m", "async_tnt", *words, 2) as process:
             until(lambda folder=folder: any(folder.glob("*.safetensors")))
             process.kill()
             process.communicate(timeout=600)  # its workers have its output, too: all have ended

@@ -113,7 +113,7 @@ def test_errors_are_one_line_and_exit_code_2(words, message, tmp_path, monkeypat
 def test_without_torch_the_message_says_what_to_install(monkeypatch, program):
     monkeypatch.setitem(sys.modules, "torch", None)
     code, _, err = program("train", "--smoke")
-    assert code == 2 and "pip install '.[train]'" in err
+    assert code == 2 and "pip install 'async_tnt[train]'" in err
 
 
 def test_continued_training_keeps_the_models_configuration_and_record(nmnist, trained, tmp_path, program):

@@ -28,8 +28,8 @@ SILENT = os.environ | {"CI": "1"}
 @pytest.mark.parametrize(
     "version, message",
     [
-        (None, "views are shown by rerun-sdk: pip install '.[view]' ("),
-        ("0.19.0", "views need rerun-sdk 0.23 or newer, got 0.19.0: pip install '.[view]'\n"),
+        (None, "views need rerun-sdk 0.23 or newer: pip install 'async_tnt[view]' ("),
+        ("0.19.0", "views need rerun-sdk 0.23 or newer: pip install 'async_tnt[view]' (got 0.19.0)\n"),
     ],
 )
 def test_without_a_usable_rerun_the_error_says_what_to_install(version, message, monkeypatch, program, tmp_path):

@@ -178,5 +178,5 @@ def open_mat(path: Path) -> Source:
 
 def _open(path: Path, reader: str, format: str, library: str, extra: str) -> Source:
     if find_spec(library) is None:
-        raise ImportError(f"{path}: {format} files are read by {library}, which is missing: pip install '.[{extra}]'")
+        raise ImportError(f"{path}: {format} is read by {library}, which is missing: pip install 'async_tnt[{extra}]'")
     return ChildSource(path, reader, format)

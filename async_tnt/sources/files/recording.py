@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.checks import positive_int
-from async_tnt.events import EVENT_DTYPE, LATE_POLICIES
+from async_tnt.events import EVENT_DTYPE, LATE_POLICIES, Late
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
 from async_tnt.sources.files.nmnist import read_nmnist
@@ -52,7 +52,7 @@ class Recording:
         packet_events: int,
         *,
         strict: bool = False,
-        unsorted: str = "accept",
+        unsorted: Late = "accept",
         between_us: tuple[int, int] | None = None,
     ) -> None:
         self.path = path
@@ -181,7 +181,7 @@ def open_recording(
     packet_events: int = 1000,
     *,
     strict: bool = False,
-    unsorted: str = "accept",
+    unsorted: Late = "accept",
     sensor: Sensor | None = None,
     between_us: tuple[int, int] | None = None,
 ) -> Recording:

@@ -1,4 +1,4 @@
-"""`python -m async_tnt.cli`."""
+"""`python -m async_tnt`: the program `async-tnt`."""
 
 import sys
 
