@@ -1,12 +1,14 @@
-"""Writing files whole or not at all, and replacing nothing but regular files."""
+"""Writing files whole or not at all, replacing nothing but regular files, and one process at a time."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import stat
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import IO
 
 KINDS = {
     stat.S_IFDIR: "a folder",
@@ -128,6 +130,59 @@ def write_text(path: Path, text: str, *, shared: bool = False) -> None:
     """Write a whole file of UTF-8."""
     with replacing(path, shared=shared) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def open_locked(path: Path, busy: str) -> IO[bytes]:
+    """Open a file, made if missing, and lock it until it is closed or its process ends in any way.
+
+    Where the file system has no locks, nothing is locked.
+
+    Raises
+    ------
+    BlockingIOError : `busy`: another process has locked it. OSError : see `check_own`, or it cannot be written.
+    """
+    while True:
+        check_own(path)
+        with contextlib.ExitStack() as stack:
+            file = stack.enter_context(path.open("a+b"))
+            try:
+                _lock(file)
+            except (BlockingIOError, PermissionError):  # of POSIX; of Windows
+                raise BlockingIOError(busy) from None
+            except OSError:
+                pass  # no locks
+            with contextlib.suppress(FileNotFoundError):  # who had locked it has just replaced or deleted it
+                if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                    stack.pop_all()
+                    file.seek(0)
+                    return file
+
+
+@contextlib.contextmanager
+def locked_folder(folder: Path, name: str, busy: str) -> Iterator[None]:
+    """Make a folder, and hold it by the lock file `name` for the block; what stays empty is removed again."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    with open_locked(folder / name, busy):
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # a folder is not empty; Windows deletes no open file
+                (folder / name).unlink()
+                for path in missing:
+                    path.rmdir()
+
+
+def _lock(file: IO[bytes]) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        file.seek(1 << 30)  # far beyond the end: locked bytes cannot be read
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def set_mode(path: Path, mode: int) -> None:

@@ -13,12 +13,12 @@ import os
 import stat
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from async_tnt.archive.job import Job
 from async_tnt.archive.parquet import import_pyarrow, not_ours, read_metadata, read_parquet, write_parquet
 from async_tnt.archive.records import COLUMNS, Record
-from async_tnt.files import check_own, check_writable, file_of, replacing, set_mode
+from async_tnt.files import check_own, check_writable, file_of, open_locked, replacing, set_mode
 
 SUFFIXES = (".jsonl", ".parquet")
 START = b'{"recording": '
@@ -95,9 +95,8 @@ class ResultFile:
         self._where: dict[str, tuple[int, int]] = {}  # recording -> (offset, length) of its newest line
         self._last = ""
         self._in_order = True
-        if is_parquet(out):
-            check_own(self._path)
-        self._lines = _open_locked(self._path, out)
+        busy = f"{out}: another program is writing it; wait for that one, or give another --out"
+        self._lines = open_locked(self._path, busy)
         try:
             if self._has_parquet():  # users with access to the result have access to the lines and to the next result
                 set_mode(self._path, out.stat().st_mode | stat.S_IRUSR | stat.S_IWUSR)
@@ -239,41 +238,6 @@ def _check_record(record: Any, job: Job, out: Path) -> None:
 def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     return ", ".join(f"{name} {before.get(name)!s:.24} (now {now.get(name)!s:.24})" for name in names)
-
-
-def _open_locked(path: Path, out: Path) -> IO[bytes]:
-    while True:
-        file = path.open("a+b")
-        try:
-            _lock(file)
-            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                file.seek(0)
-                return file
-        except FileNotFoundError:
-            pass
-        except BlockingIOError:
-            file.close()
-            raise OSError(f"{out}: another program is writing it; wait for that one, or give another --out") from None
-        except BaseException:
-            file.close()
-            raise
-        file.close()  # the program that had locked it has just replaced or deleted it
-
-
-def _lock(file: IO[bytes]) -> None:
-    """Lock the file until it is closed, or its process ends. BlockingIOError: it is locked."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        import msvcrt
-
-        file.seek(1 << 30)  # far beyond the end: locked bytes cannot be read
-        try:
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined, unused-ignore]
-        except OSError:
-            raise BlockingIOError from None
-    else:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _sync(path: Path) -> None:

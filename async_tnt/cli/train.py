@@ -23,13 +23,7 @@ from async_tnt.cli.train_options import NETWORK, add_arguments
 from async_tnt.files import check_folder, check_writable, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.progress import progress
-from async_tnt.training.run_folder import (
-    BEST,
-    CURVES,
-    LAST,
-    RUN_FILES,
-    plot_curves,
-)
+from async_tnt.training.run_folder import BEST, CURVES, LAST, OF_COMMAND, RUN_FILES, locked, plot_curves
 
 __all__ = ["add_arguments", "main"]
 
@@ -59,7 +53,8 @@ def main(args: argparse.Namespace) -> int:
     if args.threads is not None:
         torch.set_num_threads(args.threads)
     try:
-        return _train(args, run_folder)
+        with locked(run_folder, OF_COMMAND):
+            return _train(args, run_folder)
     except KeyboardInterrupt:
         complain(f"interrupted; what is finished is kept in {run_folder}. Give the same command again to resume.")
         return 130

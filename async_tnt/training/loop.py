@@ -21,7 +21,7 @@ from async_tnt.training.augment import Draws
 from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
 from async_tnt.training.moved_windows import Motions
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
-from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
+from async_tnt.training.run_folder import OF_TRAINING, identity_of, load_checkpoint, locked, save_checkpoint
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import CLASSES, Windows
 
@@ -76,6 +76,7 @@ def train(
     ------
     ValueError : no training windows, `start` has another configuration or other classes, or the run folder
         holds a run with other settings or data.
+    BlockingIOError : another process is training there.
     """
     if len(training) == 0:
         raise ValueError("`training` must hold at least one window, got none")
@@ -88,7 +89,6 @@ def train(
             f"got {start.config} and classes {', '.join(start.classes)}"
         )
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
-    run_folder.mkdir(parents=True, exist_ok=True)
     pipeline = (
         new_pipeline(config, len(classes), settings.seed, training, settings.network)
         if start is None
@@ -111,6 +111,7 @@ def train(
     n_iterations = settings.n_iterations(len(training))
     n_epochs = settings.n_epochs(len(training))
     with (
+        locked(run_folder, OF_TRAINING),
         torch.random.fork_rng(devices=[]),
         progress(n_iterations, "training", done=len(history) * steps) as bar,
     ):

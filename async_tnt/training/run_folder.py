@@ -6,6 +6,7 @@ import json
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import LEFT_OUT, TNTConfig
-from async_tnt.files import replacing, write_text
+from async_tnt.files import locked_folder, replacing, write_text
 from async_tnt.networks.model import Model
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
@@ -21,8 +22,15 @@ from async_tnt.training.windows import Windows
 CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"
 LAST, BEST = "last.safetensors", "best.safetensors"
 RUN_FILES = (CHECKPOINT, HISTORY, CURVES, LAST, BEST)
+OF_COMMAND, OF_TRAINING = "command.lock", "training.lock"  # the latter also where a script trains
 FORMAT = 3  # of the checkpoint
 SHOWN = 3  # recordings that a refusal names
+
+
+def locked(run_folder: Path, name: str) -> AbstractContextManager[None]:
+    """Hold a run folder, made if missing, for the block; BlockingIOError: another process does."""
+    busy = f"{run_folder}: another training is running there; wait for that one, or give another run folder"
+    return locked_folder(run_folder, name, f"{busy} (train --run OTHER)")
 
 
 def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
@@ -34,10 +42,10 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     """
     import torch
 
-    with replacing(run_folder / CHECKPOINT, shared=True) as part:  # the same command may run twice
+    with replacing(run_folder / CHECKPOINT) as part:
         torch.save(dict(state), part)
     text = json.dumps({"settings": json.loads(state["identity"]), "history": state["history"]}, indent=1)
-    write_text(run_folder / HISTORY, text, shared=True)
+    write_text(run_folder / HISTORY, text)
 
 
 def has_checkpoint(run_folder: Path) -> bool:

@@ -10,7 +10,8 @@ from archive.made_work import JOB, make_tasks, record_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from async_tnt.archive import parquet, results
+from async_tnt import files
+from async_tnt.archive import parquet
 from async_tnt.archive.collect import Progress, collect_to_file
 from async_tnt.archive.executor import executor_of
 from async_tnt.archive.job import Job
@@ -291,7 +292,7 @@ def test_two_programs_at_once_are_refused(unfinished):
 
 def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeypatch):
     """Opened, then locked: in between the program that had locked it may have finished."""
-    lock, path = results._lock, lines_path(unfinished)
+    lock, path = files._lock, lines_path(unfinished)
     gone = []
 
     def lock_late(file):
@@ -300,7 +301,7 @@ def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeyp
             path.touch()
         lock(file)
 
-    monkeypatch.setattr(results, "_lock", lock_late)
+    monkeypatch.setattr(files, "_lock", lock_late)
     with ResultFile(unfinished, JOB) as file:
         assert not file.versions and path.exists()
     assert os.name == "nt" or path.with_name("gone").stat().st_size > 0

@@ -17,6 +17,7 @@ from async_tnt.cli import train as command
 from async_tnt.cli import train_data
 from async_tnt.progress import Bar
 from async_tnt.training import evaluation
+from async_tnt.training.run_folder import OF_COMMAND, locked
 
 
 def test_the_model_knows_the_classes_and_its_numbers_and_pictures_are_beside_it(trained):
@@ -112,7 +113,17 @@ def test_options_are_refused_before_the_recordings_are_read(words, message, trai
     assert code == 2 and message in err and err.count("\n") == 1, err
 
 
-def test_events_are_stored_on_the_disk_of_the_run(gestures, train, tmp_path, monkeypatch):
+def test_a_second_command_in_a_run_folder_is_refused_before_the_recordings_are_read(gestures, train, tmp_path):
+    run = tmp_path / "run m"
+    with locked(run, OF_COMMAND):
+        code, err, _ = train(gestures)
+    line = (
+        f"{run}: another training is running there; wait for that one, or give another run folder (train --run OTHER)"
+    )
+    assert (code, err) == (2, f"async-tnt: {line}\n") and not run.exists()
+
+
+def test_events_are_stored_in_the_run_folder(gestures, train, tmp_path, monkeypatch):
     stores = []
 
     def read(*given, store, **more):
@@ -120,8 +131,9 @@ def test_events_are_stored_on_the_disk_of_the_run(gestures, train, tmp_path, mon
         raise ValueError("read enough")
 
     monkeypatch.setattr(train_data, "dataset_data", read)
-    assert train(gestures)[0] == 2 and stores.pop() == tmp_path  # its folder is made when the training begins
-    assert train(gestures, "--run", gestures / "runs")[0] == 2 and stores.pop() == gestures  # beside Train
+    assert train(gestures)[0] == 2 and stores.pop() == tmp_path / "run m"
+    assert train(gestures, "--run", gestures / "runs")[0] == 2 and stores.pop() == gestures / "runs"  # beside Train
+    assert not (tmp_path / "run m").exists() and not (gestures / "runs").exists()  # nothing was kept
 
 
 def test_ctrl_c_keeps_the_finished_epochs(gestures, train, monkeypatch):

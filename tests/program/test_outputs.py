@@ -1,5 +1,6 @@
 """What is there already: files are replaced and keep their permissions, everything else stays as it is."""
 
+import errno
 import os
 import stat
 
@@ -7,13 +8,14 @@ import numpy as np
 import pytest
 from made import random_events, random_model
 
+from async_tnt import files
 from async_tnt.archive.collect import Progress, collect_to_file
 from async_tnt.archive.executor import executor_of
 from async_tnt.archive.job import job_of, task_of
 from async_tnt.archive.records import run_recording
 from async_tnt.cli import main
 from async_tnt.engines import choose_engine
-from async_tnt.files import Replacement, replacing, write_text
+from async_tnt.files import Replacement, locked_folder, replacing, write_text
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixel_masks import save_mask
@@ -173,3 +175,21 @@ def test_what_a_kill_has_left_is_written_afresh_and_not_into(folder):
     write_text(folder / "new", "new")
     assert (folder / "linked").read_text() == "left" and (folder / "new").read_text() == "new"
     assert sorted(os.listdir(folder)) == ["linked", "new", "precious"]
+
+
+def test_a_locked_folder_is_held_once_and_stays_only_with_files_in_it(folder, monkeypatch):
+    for name in ("empty", "kept"):
+        with locked_folder(folder / "runs" / name, "lock", "busy"):
+            with pytest.raises(BlockingIOError, match="busy"), locked_folder(folder / "runs" / name, "lock", "busy"):
+                pytest.fail("held twice")
+            if name == "kept":
+                (folder / "runs" / name / "file").touch()
+        assert (folder / "runs").exists() == (name == "kept")
+    assert os.listdir(folder / "runs" / "kept") == ["file"]
+
+    def refuse(file):
+        raise OSError(errno.ENOSYS, "no locks")
+
+    monkeypatch.setattr(files, "_lock", refuse)  # a file system without them
+    with locked_folder(folder / "runs", "lock", "busy"):
+        pass

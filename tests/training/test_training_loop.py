@@ -93,6 +93,15 @@ def test_interrupted_and_resumed_equals_uninterrupted(landmark, windows, tmp_pat
         assert np.abs(whole.last.weights["regressor.heatmap.weight"]).max() > 0  # it starts from zero
 
 
+def test_a_second_training_in_a_run_folder_is_refused(windows, tmp_path):
+    def train_too(row):
+        with pytest.raises(BlockingIOError, match=r"run: another training is running there; .* \(train --run OTHER\)$"):
+            train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path / "run")
+
+    train(CONFIG, windows, windows[:0], ONE_EPOCH, tmp_path / "run", report=train_too)
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {"checkpoint.pt", "history.json"}
+
+
 OWN = """
 from torch import nn
 
