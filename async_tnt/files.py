@@ -120,10 +120,22 @@ def replacing(path: Path, *, shared: bool = False, like: Path | None = None) -> 
     """
     file = Replacement(path, shared=shared, like=like)
     try:
-        yield file.part
+        with naming(path):
+            yield file.part
         file.complete()
     finally:
         file.discard()
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """An OSError of the block that names no file, as that of a full disk, names this one."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
 def write_text(path: Path, text: str, *, shared: bool = False) -> None:

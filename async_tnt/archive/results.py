@@ -8,6 +8,7 @@ earlier result.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import stat
@@ -18,7 +19,7 @@ from typing import Any
 from async_tnt.archive.job import Job
 from async_tnt.archive.parquet import import_pyarrow, not_ours, read_metadata, read_parquet, write_parquet
 from async_tnt.archive.records import COLUMNS, Record
-from async_tnt.files import check_own, check_writable, file_of, open_locked, replacing, set_mode
+from async_tnt.files import check_own, check_writable, file_of, naming, open_locked, replacing, set_mode
 
 SUFFIXES = (".jsonl", ".parquet")
 START = b'{"recording": '
@@ -116,9 +117,10 @@ class ResultFile:
     def append(self, record: Record) -> None:
         """Write a record; it replaces an earlier one of its recording, and outlives `kill -9`."""
         line = json.dumps(record).encode() + b"\n"
-        offset = self._lines.seek(0, os.SEEK_END)
-        self._lines.write(line)
-        self._lines.flush()
+        with naming(self._path):
+            offset = self._lines.seek(0, os.SEEK_END)
+            self._lines.write(line)
+            self._lines.flush()
         self._add(record, offset, len(line))
 
     def is_finished(self, names: Collection[str]) -> bool:
@@ -150,12 +152,12 @@ class ResultFile:
         """Unlock it."""
         if self._lines.closed:
             return
-        is_empty = not self._lines.seek(0, os.SEEK_END)
-        if os.name == "nt":  # where an open file cannot be deleted
-            self._lines.close()
-        if is_empty and not self._is_kept:
-            self._path.unlink(missing_ok=True)
-        self._lines.close()
+        with naming(self._path), contextlib.closing(self._lines):
+            is_empty = not self._lines.seek(0, os.SEEK_END)
+            if os.name == "nt":  # where an open file cannot be deleted
+                self._lines.close()
+            if is_empty and not self._is_kept:
+                self._path.unlink(missing_ok=True)
 
     def _load(self) -> None:
         while line := self._lines.readline():

@@ -9,7 +9,7 @@ from typing import Any
 
 from async_tnt.cli.options import model_of
 from async_tnt.cli.output import printable
-from async_tnt.files import Replacement, check_writable
+from async_tnt.files import Replacement, check_writable, naming
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
 
@@ -60,7 +60,8 @@ def main(args: argparse.Namespace) -> int:
     try:
         for path, content in contents.items():
             files[path] = Replacement(path)
-            files[path].part.write_bytes(content)
+            with naming(path):
+                files[path].part.write_bytes(content)
         # read back from the files: what is checked is what is kept
         regressor = OnnxRegressor(files[regressor_path(out)].part) if model.config.needs_regressor else None
         agreement = compare_engines(model, OnnxClassifier(files[out].part), regressor)

@@ -35,7 +35,7 @@ from async_tnt.training.run_folder import other_run, windows_checksum
 from async_tnt.training.windows import Windows
 
 MANIFEST = "motions.json"
-FORMAT = 1
+FORMAT = 2
 N_CALIBRATION, N_SHARED = 128, 200
 """Windows that pixels are calibrated on, and that a shared path is found from."""
 MOST_WINDOWS, MOST_EVENTS = 500, 300_000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 import zlib
@@ -16,6 +17,7 @@ import numpy as np
 from async_tnt.config import LEFT_OUT, TNTConfig
 from async_tnt.files import locked_folder, replacing, write_text
 from async_tnt.networks.model import Model
+from async_tnt.training.recordings import COLUMNS
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
 
@@ -23,7 +25,8 @@ CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"
 LAST, BEST = "last.safetensors", "best.safetensors"
 RUN_FILES = (CHECKPOINT, HISTORY, CURVES, LAST, BEST)
 OF_COMMAND, OF_TRAINING = "command.lock", "training.lock"  # the latter also where a script trains
-FORMAT = 3  # of the checkpoint
+FORMAT = 4  # of the checkpoint
+CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 SHOWN = 3  # recordings that a refusal names
 
 
@@ -42,8 +45,10 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     """
     import torch
 
+    content = io.BytesIO()  # as an error of writing the file itself, such as a full disk, torch raises a RuntimeError
+    torch.save(dict(state), content)
     with replacing(run_folder / CHECKPOINT) as part:
-        torch.save(dict(state), part)
+        part.write_bytes(content.getbuffer())
     text = json.dumps({"settings": json.loads(state["identity"]), "history": state["history"]}, indent=1)
     write_text(run_folder / HISTORY, text)
 
@@ -102,13 +107,15 @@ def network_checksum(network: str) -> int:
 
 
 def windows_checksum(training: Windows, validation: Windows) -> int:
-    """A checksum of windows, and of some of the training recordings' events."""
-    data = zlib.crc32(training.recordings.offsets.tobytes())
+    """A checksum of windows and of all events of their recordings, which may be larger than the memory."""
+    data = 0
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):
             data = zlib.crc32(column.tobytes(), data)
-    for name in "txyp":
-        data = zlib.crc32(np.ascontiguousarray(getattr(training.recordings, name)[::997]).tobytes(), data)
+    recordings = [training.recordings] + [validation.recordings] * (validation.recordings is not training.recordings)
+    for column in (getattr(one, name) for one in recordings for name in ("offsets", *COLUMNS)):
+        for first in range(0, len(column), CHUNK):
+            data = zlib.crc32(np.ascontiguousarray(column[first : first + CHUNK]).data, data)
     return data
 
 

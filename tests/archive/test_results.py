@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from archive.made_work import JOB, make_tasks, record_of
+from full_disk import TOO_LARGE, full_after
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -288,6 +289,16 @@ def test_two_programs_at_once_are_refused(unfinished):
     with ResultFile(unfinished, JOB), pytest.raises(OSError, match=r"r\.\w+: another program is writing it"):
         ResultFile(unfinished, JOB)
     ResultFile(unfinished, JOB).close()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a limit of POSIX")
+def test_where_the_disk_is_full_the_error_names_the_file_and_whole_lines_stay(tasks, tmp_path):
+    out = tmp_path / "r.jsonl"
+    with full_after(1000), pytest.raises(OSError, match=rf"{TOO_LARGE}: '.*r\.jsonl'"):
+        collected_to(out, tasks)
+    with ResultFile(out, JOB) as file:
+        assert 0 < len(file.versions) < len(tasks)
+    assert [record["recording"] for record in collected_to(out, tasks)[0]] == sorted(NAMES)
 
 
 def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeypatch):

@@ -6,6 +6,7 @@ import stat
 
 import numpy as np
 import pytest
+from full_disk import TOO_LARGE, full_after
 from made import random_events, random_model
 
 from async_tnt import files
@@ -125,6 +126,15 @@ def test_a_link_stays_and_its_file_is_replaced_with_its_permissions(name, folder
     WRITERS[name](link)
     assert link.is_symlink() and real.read_bytes() != b"before" and stat.S_IMODE(real.stat().st_mode) == 0o640
     assert os.listdir(real.parent) == [real.name]
+
+
+@pytest.mark.parametrize("name", [name for name in WRITERS if name != "results.jsonl"])
+def test_where_the_disk_is_full_the_error_names_the_file_which_stays_as_it_was(name, folder):
+    WRITERS[name](folder / name)
+    before = (folder / name).read_bytes()
+    with full_after(1), pytest.raises(OSError, match=f"{TOO_LARGE}.*{name}|{name}.*{TOO_LARGE}"):
+        WRITERS[name](folder / name)
+    assert (folder / name).read_bytes() == before
 
 
 @pytest.mark.parametrize("name", COMMANDS)
