@@ -19,7 +19,7 @@ from typing import Any
 from async_tnt.archive.job import Job
 from async_tnt.archive.parquet import import_pyarrow, not_ours, read_metadata, read_parquet, write_parquet
 from async_tnt.archive.records import COLUMNS, Record
-from async_tnt.files import check_own, check_writable, file_of, naming, open_locked, replacing, set_mode
+from async_tnt.files import check_writable, file_of, naming, open_locked, replacing, set_mode
 
 SUFFIXES = (".jsonl", ".parquet")
 START = b'{"recording": '
@@ -35,7 +35,6 @@ def check_out(out: Path) -> None:
     """
     check_writable(out, SUFFIXES)
     if is_parquet(out):
-        check_own(lines_path(out))
         import_pyarrow()
 
 
@@ -84,9 +83,6 @@ class ResultFile:
     """
 
     def __init__(self, out: Path, job: Job, *, restart: bool = False) -> None:
-        former = out.with_name(out.name + ".partial")
-        if former.exists():
-            raise ValueError(f"{former} was left by an earlier version, which cannot be resumed: delete it")
         self.versions: dict[str, tuple[int, int, str | None] | None] = {}
         """Recording -> (bytes, modified_ns) of the file that its record is of, and the class that it was compared with;
         None where that has an error."""
@@ -138,13 +134,11 @@ class ResultFile:
                         self.append(record)
             with replacing(self._out, like=self._path) as part:
                 write_parquet(part, self._job, (json.loads(self._line(name)) for name in names))
-                _sync(part)
             self._lines.truncate(0)
             return
         with replacing(self._out) as part:
             with part.open("wb") as file:
                 file.writelines(self._line(name) for name in names)
-            _sync(part)
             if os.name == "nt":  # where an open file cannot be replaced
                 self._lines.close()
 
@@ -240,8 +234,3 @@ def _check_record(record: Any, job: Job, out: Path) -> None:
 def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     return ", ".join(f"{name} {before.get(name)!s:.24} (now {now.get(name)!s:.24})" for name in names)
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.config import MAX_SIDE
-from async_tnt.files import check_writable
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.formats import READERS
@@ -92,15 +91,6 @@ def model_of(args: argparse.Namespace) -> Model:
             f"({', '.join(bundled_models())}) or a .safetensors file is needed"
         )
     return load_model(args.model)
-
-
-def writable_file(text: str) -> Path:
-    """An argparse type: a path that can be written or replaced."""
-    try:
-        check_writable(Path(text))
-    except (OSError, ValueError) as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    return Path(text)
 
 
 def positive_int(text: str) -> int:

@@ -20,10 +20,10 @@ from async_tnt.cli.train_data import config_of, of_dataset, of_digits
 from async_tnt.cli.train_motions import other_motions
 from async_tnt.cli.train_option_checks import check_options
 from async_tnt.cli.train_options import NETWORK, add_arguments
-from async_tnt.files import check_folder, check_writable, write_text
+from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.progress import progress
-from async_tnt.training.run_folder import BEST, CURVES, LAST, OF_COMMAND, RUN_FILES, locked, plot_curves
+from async_tnt.training.run_folder import BEST, CURVES, LAST, MARKS, RUN_FILES, has_checkpoint, plot_curves
 
 __all__ = ["add_arguments", "main"]
 
@@ -46,14 +46,17 @@ def main(args: argparse.Namespace) -> int:
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
     run_folder = args.run_folder or Path("runs") / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
-    for suffix in (NUMBERS, *PICTURES) if args.dataset is not None else ():
-        check_writable(args.out.with_suffix(suffix))
+    if args.dataset is not None:
+        beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, *PICTURES)]
+        check_ours(beside, ('"held_out"', '"summary"', '"history"'))
     check_folder(run_folder, RUN_FILES)
+    if run_folder.is_dir() and not has_checkpoint(run_folder):
+        check_ours([run_folder / name for name in RUN_FILES[1:]], MARKS, option="--run")
     check_options(args)
     if args.threads is not None:
         torch.set_num_threads(args.threads)
     try:
-        with locked(run_folder, OF_COMMAND):
+        with locked_folder(run_folder, "command.lock"):
             return _train(args, run_folder)
     except KeyboardInterrupt:
         complain(f"interrupted; what is finished is kept in {run_folder}. Give the same command again to resume.")

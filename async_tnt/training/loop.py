@@ -15,13 +15,14 @@ from torch.nn import functional as F
 
 from async_tnt.archive.scores import share_right
 from async_tnt.config import TNTConfig
+from async_tnt.files import locked_folder
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
 from async_tnt.training.evaluation import class_probabilities, confusion_by_recording
 from async_tnt.training.moved_windows import Motions
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
-from async_tnt.training.run_folder import OF_TRAINING, identity_of, load_checkpoint, locked, save_checkpoint
+from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import CLASSES, Windows
 
@@ -111,7 +112,7 @@ def train(
     n_iterations = settings.n_iterations(len(training))
     n_epochs = settings.n_epochs(len(training))
     with (
-        locked(run_folder, OF_TRAINING),
+        locked_folder(run_folder, "training.lock"),
         torch.random.fork_rng(devices=[]),
         progress(n_iterations, "training", done=len(history) * steps) as bar,
     ):

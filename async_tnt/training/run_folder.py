@@ -7,7 +7,6 @@ import json
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import LEFT_OUT, TNTConfig
-from async_tnt.files import locked_folder, replacing, write_text
+from async_tnt.files import replacing, write_text
 from async_tnt.networks.model import Model
 from async_tnt.training.recordings import COLUMNS
 from async_tnt.training.settings import TrainSettings
@@ -24,16 +23,10 @@ from async_tnt.training.windows import Windows
 CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"
 LAST, BEST = "last.safetensors", "best.safetensors"
 RUN_FILES = (CHECKPOINT, HISTORY, CURVES, LAST, BEST)
-OF_COMMAND, OF_TRAINING = "command.lock", "training.lock"  # the latter also where a script trains
+MARKS = ('"settings"', '"history"')  # that HISTORY contains
 FORMAT = 4  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 SHOWN = 3  # recordings that a refusal names
-
-
-def locked(run_folder: Path, name: str) -> AbstractContextManager[None]:
-    """Hold a run folder, made if missing, for the block; BlockingIOError: another process does."""
-    busy = f"{run_folder}: another training is running there; wait for that one, or give another run folder"
-    return locked_folder(run_folder, name, f"{busy} (train --run OTHER)")
 
 
 def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
@@ -138,14 +131,9 @@ def check_run(
     state = _read(run_folder / CHECKPOINT)
     if state is None:
         return
-    found = json.loads(state["identity"])
-    wanted = json.loads(json.dumps({"config": dict(config), "settings": dict(settings)}))
-    differ = [
-        name for part, values in wanted.items() for name, value in values.items() if found[part].get(name) != value
-    ]
-    either = (found["config"], wanted["config"])
-    if config:
-        differ += [name for name, default in LEFT_OUT.items() if len({of.get(name, default) for of in either}) > 1]
+    found = {**LEFT_OUT, **_flat(json.loads(state["identity"]))}
+    wanted = json.loads(json.dumps({**(LEFT_OUT if config else {}), **config, **settings}))
+    differ = [name for name in wanted if found.get(name) != wanted[name]]
     then, now = state["sources"], dict(sources or {})
     pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
     for name in {**pixels_then, **pixels_now}:

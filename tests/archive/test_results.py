@@ -277,14 +277,6 @@ def test_files_of_others_stay(theirs, place, restart, unfinished):
     assert content(unfinished) == before
 
 
-def test_an_unfinished_file_of_an_earlier_version_is_refused(tmp_path):
-    former = tmp_path / "r.jsonl.partial"
-    former.write_text('{"async_tnt_journal": 1}\n')
-    with pytest.raises(ValueError, match=r"\.partial was left by an earlier version, .* delete it"):
-        ResultFile(tmp_path / "r.jsonl", JOB)
-    assert former.exists()
-
-
 def test_two_programs_at_once_are_refused(unfinished):
     with ResultFile(unfinished, JOB), pytest.raises(OSError, match=r"r\.\w+: another program is writing it"):
         ResultFile(unfinished, JOB)

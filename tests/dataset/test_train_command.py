@@ -1,7 +1,9 @@
 """`async-tnt train DATASET`: from a folder of class folders to a model that knows them."""
 
 import json
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +17,9 @@ pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.cli import train as command
 from async_tnt.cli import train_data
+from async_tnt.files import locked_folder
 from async_tnt.progress import Bar
 from async_tnt.training import evaluation
-from async_tnt.training.run_folder import OF_COMMAND, locked
 
 
 def test_the_model_knows_the_classes_and_its_numbers_and_pictures_are_beside_it(trained):
@@ -113,13 +115,32 @@ def test_options_are_refused_before_the_recordings_are_read(words, message, trai
     assert code == 2 and message in err and err.count("\n") == 1, err
 
 
+@pytest.mark.parametrize(
+    ("there", "words", "lacking"),
+    [
+        ({"m.json": '{"history": [], "summary": {}}'}, (), 'm.json with "held_out", "summary", "history"'),
+        ({"m.curves.png": "a picture"}, (), "m.json with "),
+        ({"m.confusion.png": "a picture"}, (), "m.json with "),
+        ({"own/history.json": "[]"}, ("--run", "own"), 'history.json with "settings", "history"'),
+        ({"own/best.safetensors": "weights"}, ("--run", "own"), "history.json with "),
+    ],
+)
+def test_files_of_others_beside_the_model_stay(there, words, lacking, tmp_path, train, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("own").mkdir()
+    for name, content in there.items():
+        Path(name).write_text(content)
+    code, err, out = train("nowhere", *words)
+    message = rf"{name} is of another program \(expected {lacking}.*\): move it away, or give another --(out|run)$"
+    assert code == 2 and re.search(message, err) and err.count("\n") == 1 and not out.exists()
+    assert {name: Path(name).read_text() for name in there} == there
+
+
 def test_a_second_command_in_a_run_folder_is_refused_before_the_recordings_are_read(gestures, train, tmp_path):
     run = tmp_path / "run m"
-    with locked(run, OF_COMMAND):
+    with locked_folder(run, "command.lock"):
         code, err, _ = train(gestures)
-    line = (
-        f"{run}: another training is running there; wait for that one, or give another run folder (train --run OTHER)"
-    )
+    line = f"{run}: another program is at work there; wait for that one, or give another folder"
     assert (code, err) == (2, f"async-tnt: {line}\n") and not run.exists()
 
 

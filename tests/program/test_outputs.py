@@ -189,17 +189,18 @@ def test_what_a_kill_has_left_is_written_afresh_and_not_into(folder):
 
 def test_a_locked_folder_is_held_once_and_stays_only_with_files_in_it(folder, monkeypatch):
     for name in ("empty", "kept"):
-        with locked_folder(folder / "runs" / name, "lock", "busy"):
-            with pytest.raises(BlockingIOError, match="busy"), locked_folder(folder / "runs" / name, "lock", "busy"):
+        held = folder / "runs" / name
+        with locked_folder(held, "lock"):
+            with pytest.raises(BlockingIOError, match=f"{name}: another program is at"), locked_folder(held, "lock"):
                 pytest.fail("held twice")
             if name == "kept":
-                (folder / "runs" / name / "file").touch()
-        assert (folder / "runs").exists() == (name == "kept")
-    assert os.listdir(folder / "runs" / "kept") == ["file"]
+                (held / "file").touch()
+        assert held.exists() == (folder / "runs").exists() == (name == "kept")
+    assert os.listdir(held) == ["file"]
 
     def refuse(file):
         raise OSError(errno.ENOSYS, "no locks")
 
     monkeypatch.setattr(files, "_lock", refuse)  # a file system without them
-    with locked_folder(folder / "runs", "lock", "busy"):
+    with locked_folder(folder / "runs", "lock"):
         pass
