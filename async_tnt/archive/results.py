@@ -169,9 +169,7 @@ class ResultFile:
     def _discard(self) -> None:
         """Discard what is there, if this program has written it."""
         first = self._lines.readline()
-        record = _parsed(first)
-        is_ours = isinstance(record, dict) and {"recording", "settings"} <= record.keys()
-        if first and not is_ours and not first.startswith(START):
+        if first and not first.startswith(START):
             raise ValueError(not_ours(self._out))
         if self._has_parquet():
             read_metadata(self._out)

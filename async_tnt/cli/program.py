@@ -85,7 +85,7 @@ def _run(argv: Sequence[str]) -> int:
         elif callable(before[received[-1]]):
             before[received[-1]](received[-1], None)
 
-    code = 0
+    code, told = 0, ""
     hook, sys.unraisablehook = sys.unraisablehook, report
     try:
         args, unknown = build_parser(argv).parse_known_args(argv)
@@ -99,7 +99,8 @@ def _run(argv: Sequence[str]) -> int:
     except (OSError, ValueError, ImportError) as error:
         complain(error)
         code = 2
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
+        told = str(error)
         received.append(signal.SIGINT)  # unless it came of another signal, which is the first
     except Exception:
         if not received:  # C code turned the KeyboardInterrupt into another error
@@ -107,7 +108,7 @@ def _run(argv: Sequence[str]) -> int:
     finally:
         sys.unraisablehook = hook
     if received and code < 2:  # the command itself has not said so
-        complain("interrupted" if received[0] == signal.SIGINT else "terminated")
+        complain(told or ("interrupted" if received[0] == signal.SIGINT else "terminated"))
     return 128 + received[0] if received else code
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from async_tnt.archive.scores import Scores
 from async_tnt.cli.data_options import command_words
-from async_tnt.cli.output import complain, printable
+from async_tnt.cli.output import printable
 from async_tnt.cli.train_data import config_of, of_dataset, of_digits
 from async_tnt.cli.train_motions import other_motions
 from async_tnt.cli.train_option_checks import check_options
@@ -37,7 +37,7 @@ TITLES = {
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run `async-tnt train`. Returns the exit code: 0, or 130 when interrupted."""
+    """Run `async-tnt train`. Returns the exit code 0."""
     try:
         import torch
         from tnt_reference import Classifier  # noqa: F401
@@ -59,8 +59,8 @@ def main(args: argparse.Namespace) -> int:
         with locked_folder(run_folder, "command.lock"):
             return _train(args, run_folder)
     except KeyboardInterrupt:
-        complain(f"interrupted; what is finished is kept in {run_folder}. Give the same command again to resume.")
-        return 130
+        kept = f"what is finished is kept in {run_folder}. Give the same command again to resume."
+        raise KeyboardInterrupt(f"interrupted; {kept}") from None
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
