@@ -80,21 +80,19 @@ class Replacement:
     Parameters
     ----------
     path : the file to replace, if there is one, or a symbolic link to it. Its permissions stay.
-    like : if no file is replaced, one whose permissions the new file gets; None: the usual ones.
 
     Raises
     ------
     OSError : as `check_writable`; or the part cannot be made.
     """
 
-    def __init__(self, path: Path, *, like: Path | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self._target = check_writable(path)
         self.part = _part_of(self._target)
-        model = self._target if self._target.exists() else like
-        self._mode = None if model is None else model.stat().st_mode
+        self._mode = self._target.stat().st_mode if self._target.exists() else None
         self.part.unlink(missing_ok=True)  # left by a killed process: anything else is refused
         # O_EXCL does not follow a link placed there meanwhile; the part is as private as the file that it replaces
-        os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666 if model is None else 0o600))
+        os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666 if self._mode is None else 0o600))
 
     def complete(self) -> None:
         """Replace the file."""
@@ -108,7 +106,7 @@ class Replacement:
 
 
 @contextlib.contextmanager
-def replacing(path: Path, *, like: Path | None = None) -> Iterator[Path]:
+def replacing(path: Path) -> Iterator[Path]:
     """Write the file that this yields, a `Replacement.part`: after the block it replaces `path`.
 
     If the block fails, `path` stays as it was. A killed process leaves the old or the new file, and maybe a `.part`.
@@ -123,7 +121,7 @@ def replacing(path: Path, *, like: Path | None = None) -> Iterator[Path]:
     ...     path.read_text(), part.exists()
     ('whole', False)
     """
-    file = Replacement(path, like=like)
+    file = Replacement(path)
     try:
         with naming(path):
             yield file.part
@@ -177,11 +175,9 @@ def open_locked(path: Path, busy: str) -> IO[bytes]:
 
 @contextlib.contextmanager
 def locked_folder(folder: Path, name: str) -> Iterator[None]:
-    """Make a folder, and lock the file `name` in it for the block. What is made and stays empty is removed again.
+    """Make a folder, and lock the file `name` in it for the block; BlockingIOError if another process has locked it.
 
-    Raises
-    ------
-    BlockingIOError : another process has locked it.
+    What was made here and is empty in the end is removed again.
     """
     busy = f"{folder}: another program is at work there; wait for that one, or give another folder"
     missing = [path for path in (folder, *folder.parents) if not path.exists()]

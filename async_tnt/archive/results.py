@@ -132,7 +132,7 @@ class ResultFile:
                 for record in read_results(self._out, self._job):
                     if record["recording"] not in self._where:
                         self.append(record)
-            with replacing(self._out, like=self._path) as part:
+            with replacing(self._out) as part:
                 write_parquet(part, self._job, (json.loads(self._line(name)) for name in names))
             self._lines.truncate(0)
             return

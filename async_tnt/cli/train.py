@@ -23,7 +23,7 @@ from async_tnt.cli.train_options import NETWORK, add_arguments
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.progress import progress
-from async_tnt.training.run_folder import BEST, CURVES, LAST, MARKS, RUN_FILES, has_checkpoint, plot_curves
+from async_tnt.training.run_folder import BEST, CURVES, LAST, RUN_FILES, has_checkpoint, plot_curves
 
 __all__ = ["add_arguments", "main"]
 
@@ -51,7 +51,7 @@ def main(args: argparse.Namespace) -> int:
         check_ours(beside, ('"held_out"', '"summary"', '"history"'))
     check_folder(run_folder, RUN_FILES)
     if run_folder.is_dir() and not has_checkpoint(run_folder):
-        check_ours([run_folder / name for name in RUN_FILES[1:]], MARKS, option="--run")
+        check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'), option="--run")
     check_options(args)
     if args.threads is not None:
         torch.set_num_threads(args.threads)

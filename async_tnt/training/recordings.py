@@ -99,9 +99,8 @@ class RecordingsWriter:
 
     def __exit__(self, *_: object) -> None:
         for file in self._files.values():
-            if not isinstance(file, io.BytesIO):  # which may hold the columns
-                with contextlib.suppress(OSError):  # of what could not be written: `add` has raised it
-                    file.close()
+            with contextlib.suppress(BufferError, OSError):  # holds columns; or is not whole, as `add` said
+                file.close()
 
     def add(self, events: np.ndarray, label: int, name: str) -> None:
         """Append a recording: a structured array with fields t, x, y, p.

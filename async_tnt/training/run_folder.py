@@ -23,7 +23,6 @@ from async_tnt.training.windows import Windows
 CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"
 LAST, BEST = "last.safetensors", "best.safetensors"
 RUN_FILES = (CHECKPOINT, HISTORY, CURVES, LAST, BEST)
-MARKS = ('"settings"', '"history"')  # that HISTORY contains
 FORMAT = 4  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 SHOWN = 3  # recordings that a refusal names
@@ -196,28 +195,21 @@ def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
         from matplotlib.figure import Figure
     except ImportError:
         return False
+    losses = {"loss": "training (smoothed labels)", "validation_loss": "validation"}
+    accuracies = {
+        "training": "training (augmented)",
+        "per_window": "validation, by window",
+        "per_recording": "validation, by recording",
+    }
     figure = Figure(figsize=(8, 3.2), layout="constrained")
-    losses, accuracies = figure.subplots(1, 2)
-    epochs = [row["epoch"] for row in history]
-    for axes, names in (
-        (losses, {"loss": "training (smoothed labels)", "validation_loss": "validation"}),
-        (
-            accuracies,
-            {
-                "training": "training (augmented)",
-                "per_window": "validation, by window",
-                "per_recording": "validation, by recording",
-            },
-        ),
-    ):
-        for name, label in names.items():
+    panels = zip(figure.subplots(1, 2), ("cross entropy", "accuracy"), (losses, accuracies), strict=True)
+    for axes, quantity, labels in panels:
+        for name, label in labels.items():
             if all(name in row for row in history):
-                axes.plot(epochs, [row[name] for row in history], marker=".", label=label)
-        axes.set_xlabel("epoch")
+                axes.plot([row["epoch"] for row in history], [row[name] for row in history], marker=".", label=label)
+        axes.set(xlabel="epoch", ylabel=quantity)
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")
-    losses.set_ylabel("cross entropy")
-    accuracies.set_ylabel("accuracy")
     with replacing(path) as part:
         figure.savefig(part, format="png", dpi=120)
     return True
