@@ -108,6 +108,14 @@ def test_a_signal_at_a_delicate_moment(patch, number, words, line, tmp_path):
     assert process.returncode == 128 + number
 
 
+def test_a_signal_after_a_command_ends_the_process_as_if_there_were_no_handler(tmp_path):
+    """While the interpreter ends, it takes signals for which there are handlers, and calls none."""
+    code = "import os, signal\nfrom async_tnt.cli import main\nmain()\nos.kill(os.getpid(), signal.SIGTERM)"
+    with started("-c", code, "run", SAMPLE, cwd=tmp_path) as process:
+        printed, message = process.communicate()
+    assert (process.returncode, message) == (-signal.SIGTERM, "") and "3.bin: 3 " in printed
+
+
 def test_an_ignored_signal_stays_ignored(tmp_path):
     """As nohup ignores SIGHUP, and a shell's background job Ctrl-C."""
     signals = {"number": signal.SIGHUP, "ignored": signal.SIGHUP}
