@@ -38,14 +38,13 @@ def check_writable(path: Path, suffixes: Sequence[str] = (), *, option: str = "-
     return target
 
 
-def check_ours(paths: Sequence[Path], marks: Sequence[str], *, option: str = "--out") -> None:
+def check_ours(paths: Sequence[Path], marks: Sequence[str]) -> None:
     """Refuse, before any work, to replace files that the user has not named and this program has not written.
 
     Parameters
     ----------
     paths : written together. If any of them exists, the first must be ours, and then all are.
     marks : what a first file of ours contains.
-    option : which the files are named after.
 
     Raises
     ------
@@ -55,7 +54,7 @@ def check_ours(paths: Sequence[Path], marks: Sequence[str], *, option: str = "--
     content = paths[0].read_bytes() if paths[0] in there else b""
     if there and any(mark.encode() not in content for mark in marks):
         expected = f"expected {paths[0].name} with {', '.join(marks)}"
-        raise FileExistsError(f"{there[0]} is of another program ({expected}): move it away, or give another {option}")
+        raise FileExistsError(f"{there[0]} is of another program ({expected}): move it away, or give another name")
 
 
 def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
@@ -150,11 +149,8 @@ def write_text(path: Path, text: str) -> None:
 def open_locked(path: Path, busy: str) -> IO[bytes]:
     """Open a file, made if missing, and lock it until it is closed or its process ends in any way.
 
-    Where the file system has no locks, nothing is locked.
-
-    Raises
-    ------
-    BlockingIOError : `busy`: another process has locked it. OSError : it is no regular file, or cannot be written.
+    BlockingIOError, with the text `busy`, if another process has locked it. Where the file system has no locks, nothing
+    is locked.
     """
     while True:
         _regular(path, follow_symlinks=False)

@@ -51,7 +51,7 @@ def main(args: argparse.Namespace) -> int:
         check_ours(beside, ('"held_out"', '"summary"', '"history"'))
     check_folder(run_folder, RUN_FILES)
     if run_folder.is_dir() and not has_checkpoint(run_folder):
-        check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'), option="--run")
+        check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'))
     check_options(args)
     if args.threads is not None:
         torch.set_num_threads(args.threads)

@@ -131,7 +131,7 @@ def test_files_of_others_beside_the_model_stay(there, words, lacking, tmp_path, 
     for name, content in there.items():
         Path(name).write_text(content)
     code, err, out = train("nowhere", *words)
-    message = rf"{name} is of another program \(expected {lacking}.*\): move it away, or give another --(out|run)$"
+    message = rf"{name} is of another program \(expected {lacking}.*\): move it away, or give another name$"
     assert code == 2 and re.search(message, err) and err.count("\n") == 1 and not out.exists()
     assert {name: Path(name).read_text() for name in there} == there
 
