@@ -1,21 +1,14 @@
-"""Writing files whole or not at all, and replacing nothing but regular files."""
+"""Writing files whole or not at all, replacing nothing but regular files, and one process at a time."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import stat
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-
-KINDS = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFIFO: "a FIFO",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFLNK: "a symbolic link",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
+from typing import IO
 
 
 def check_writable(path: Path, suffixes: Sequence[str] = (), *, option: str = "--out") -> Path:
@@ -36,18 +29,32 @@ def check_writable(path: Path, suffixes: Sequence[str] = (), *, option: str = "-
     target = file_of(path)
     if not target.parent.is_dir():
         raise FileNotFoundError(f"no folder {target.parent} to write {target.name} to")
-    there = _regular(path, follow_symlinks=True)
+    there = _regular(path)
     if there is not None and any(os.path.samestat(there, stream) for stream in _standard_streams()):
         raise FileExistsError(f"{path} is what this program prints to: name another file")
     if not os.access(target.parent, os.W_OK) or (there is not None and not os.access(target, os.W_OK)):
         raise PermissionError(f"{path} cannot be written: no permission")
-    check_own(_part_of(target))
+    _regular(_part_of(target), follow_symlinks=False)
     return target
 
 
-def check_own(path: Path) -> None:
-    """An OSError if anything but a regular file, even a link, has the name of a file of this package's own."""
-    _regular(path, follow_symlinks=False)
+def check_ours(paths: Sequence[Path], marks: Sequence[str]) -> None:
+    """Refuse, before any work, to replace files that the user has not named and this program has not written.
+
+    Parameters
+    ----------
+    paths : written together. If any of them exists, the first must be ours, and then all are.
+    marks : what a first file of ours contains.
+
+    Raises
+    ------
+    OSError : they are not ours, or see `check_writable`.
+    """
+    there = [path for path in paths if check_writable(path).exists()]
+    content = paths[0].read_bytes() if paths[0] in there else b""
+    if there and any(mark.encode() not in content for mark in marks):
+        expected = f"expected {paths[0].name} with {', '.join(marks)}"
+        raise FileExistsError(f"{there[0]} is of another program ({expected}): move it away, or give another name")
 
 
 def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
@@ -72,22 +79,19 @@ class Replacement:
     Parameters
     ----------
     path : the file to replace, if there is one, or a symbolic link to it. Its permissions stay.
-    shared : several processes may write it at once; each has a `.part` of its own.
-    like : if no file is replaced, one whose permissions the new file gets; None: the usual ones.
 
     Raises
     ------
     OSError : as `check_writable`; or the part cannot be made.
     """
 
-    def __init__(self, path: Path, *, shared: bool = False, like: Path | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self._target = check_writable(path)
-        self.part = _part_of(self._target, f".{os.getpid()}" if shared else "")
-        model = self._target if self._target.exists() else like
-        self._mode = None if model is None else model.stat().st_mode
+        self.part = _part_of(self._target)
+        self._mode = self._target.stat().st_mode if self._target.exists() else None
         self.part.unlink(missing_ok=True)  # left by a killed process: anything else is refused
         # O_EXCL does not follow a link placed there meanwhile; the part is as private as the file that it replaces
-        os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666 if model is None else 0o600))
+        os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666 if self._mode is None else 0o600))
 
     def complete(self) -> None:
         """Replace the file."""
@@ -101,7 +105,7 @@ class Replacement:
 
 
 @contextlib.contextmanager
-def replacing(path: Path, *, shared: bool = False, like: Path | None = None) -> Iterator[Path]:
+def replacing(path: Path) -> Iterator[Path]:
     """Write the file that this yields, a `Replacement.part`: after the block it replaces `path`.
 
     If the block fails, `path` stays as it was. A killed process leaves the old or the new file, and maybe a `.part`.
@@ -116,18 +120,84 @@ def replacing(path: Path, *, shared: bool = False, like: Path | None = None) -> 
     ...     path.read_text(), part.exists()
     ('whole', False)
     """
-    file = Replacement(path, shared=shared, like=like)
+    file = Replacement(path)
     try:
-        yield file.part
+        with naming(path):
+            yield file.part
         file.complete()
     finally:
         file.discard()
 
 
-def write_text(path: Path, text: str, *, shared: bool = False) -> None:
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """An OSError of the block that names no file, as that of a full disk, names this one."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
+def write_text(path: Path, text: str) -> None:
     """Write a whole file of UTF-8."""
-    with replacing(path, shared=shared) as part:
+    with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def open_locked(path: Path, busy: str) -> IO[bytes]:
+    """Open a file, made if missing, and lock it until it is closed or its process ends in any way.
+
+    BlockingIOError, with the text `busy`, if another process has locked it. Where the file system has no locks, nothing
+    is locked.
+    """
+    while True:
+        _regular(path, follow_symlinks=False)
+        with contextlib.ExitStack() as stack:
+            file = stack.enter_context(path.open("a+b"))
+            try:
+                _lock(file)
+            except (BlockingIOError, PermissionError):  # of POSIX; of Windows
+                raise BlockingIOError(busy) from None
+            except OSError:
+                pass  # no locks
+            with contextlib.suppress(FileNotFoundError):  # who had locked it has just replaced or deleted it
+                if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                    stack.pop_all()
+                    file.seek(0)
+                    return file
+
+
+@contextlib.contextmanager
+def locked_folder(folder: Path, name: str) -> Iterator[None]:
+    """Make a folder, and lock the file `name` in it for the block; BlockingIOError if another process has locked it.
+
+    What was made here and is empty in the end is removed again.
+    """
+    busy = f"{folder}: another program is at work there; wait for that one, or give another folder"
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    with open_locked(folder / name, busy):
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # a folder is not empty; Windows deletes no open file
+                (folder / name).unlink()
+                for path in missing:
+                    path.rmdir()
+
+
+def _lock(file: IO[bytes]) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        file.seek(1 << 30)  # far beyond the end: locked bytes cannot be read
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def set_mode(path: Path, mode: int) -> None:
@@ -136,18 +206,18 @@ def set_mode(path: Path, mode: int) -> None:
         path.chmod(stat.S_IMODE(mode))
 
 
-def _part_of(target: Path, process: str = "") -> Path:
-    return target.with_name(f"{target.name}{process}.part")
+def _part_of(target: Path) -> Path:
+    return target.with_name(f"{target.name}.part")
 
 
-def _regular(path: Path, *, follow_symlinks: bool) -> os.stat_result | None:
+def _regular(path: Path, *, follow_symlinks: bool = True) -> os.stat_result | None:
     """The status of a file, None if nothing is there; refuses anything but a regular file."""
     try:
         status = os.stat(path, follow_symlinks=follow_symlinks)
     except FileNotFoundError:
         return None
     if not stat.S_ISREG(status.st_mode):
-        kind = KINDS.get(stat.S_IFMT(status.st_mode), "something else")
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a link or a special file"
         raise FileExistsError(f"{path} is {kind}, expected a regular file or a new name")
     return status
 

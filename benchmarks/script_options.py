@@ -14,7 +14,7 @@ from async_tnt.files import check_writable, write_text
 from async_tnt.views.figure_style import check_picture, save, styled
 
 
-def _writable_file(text: str) -> Path:
+def writable_file(text: str) -> Path:
     """An argparse type: a path that can be written or replaced."""
     try:
         check_writable(Path(text))
@@ -27,20 +27,12 @@ def script_parser(description: str | None, quick: str, *, draws: bool = False) -
     """With --quick and --json; if the script draws, also with --picture and --from."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
-    parser.add_argument("--json", type=_writable_file, metavar="FILE", help="also write the figures there")
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
     if draws:
         parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
         help_from = "take the figures from such a JSON file instead of measuring"
         parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help=help_from)
     return parser
-
-
-def writable_file(text: str) -> Path:
-    """An argparse type: a path that can be written or replaced."""
-    try:
-        return check_writable(Path(text))
-    except (OSError, ValueError) as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def report_of(args: argparse.Namespace, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:

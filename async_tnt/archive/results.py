@@ -8,17 +8,18 @@ earlier result.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import stat
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from async_tnt.archive.job import Job
 from async_tnt.archive.parquet import import_pyarrow, not_ours, read_metadata, read_parquet, write_parquet
 from async_tnt.archive.records import COLUMNS, Record
-from async_tnt.files import check_own, check_writable, file_of, replacing, set_mode
+from async_tnt.files import check_writable, file_of, naming, open_locked, replacing, set_mode
 
 SUFFIXES = (".jsonl", ".parquet")
 START = b'{"recording": '
@@ -34,7 +35,6 @@ def check_out(out: Path) -> None:
     """
     check_writable(out, SUFFIXES)
     if is_parquet(out):
-        check_own(lines_path(out))
         import_pyarrow()
 
 
@@ -92,9 +92,8 @@ class ResultFile:
         self._where: dict[str, tuple[int, int]] = {}  # recording -> (offset, length) of its newest line
         self._last = ""
         self._in_order = True
-        if is_parquet(out):
-            check_own(self._path)
-        self._lines = _open_locked(self._path, out)
+        busy = f"{out}: another program is writing it; wait for that one, or give another --out"
+        self._lines = open_locked(self._path, busy)
         try:
             if self._has_parquet():  # users with access to the result have access to the lines and to the next result
                 set_mode(self._path, out.stat().st_mode | stat.S_IRUSR | stat.S_IWUSR)
@@ -114,9 +113,10 @@ class ResultFile:
     def append(self, record: Record) -> None:
         """Write a record; it replaces an earlier one of its recording, and outlives `kill -9`."""
         line = json.dumps(record).encode() + b"\n"
-        offset = self._lines.seek(0, os.SEEK_END)
-        self._lines.write(line)
-        self._lines.flush()
+        with naming(self._path):
+            offset = self._lines.seek(0, os.SEEK_END)
+            self._lines.write(line)
+            self._lines.flush()
         self._add(record, offset, len(line))
 
     def is_finished(self, names: Collection[str]) -> bool:
@@ -132,15 +132,13 @@ class ResultFile:
                 for record in read_results(self._out, self._job):
                     if record["recording"] not in self._where:
                         self.append(record)
-            with replacing(self._out, like=self._path) as part:
+            with replacing(self._out) as part:
                 write_parquet(part, self._job, (json.loads(self._line(name)) for name in names))
-                _sync(part)
             self._lines.truncate(0)
             return
         with replacing(self._out) as part:
             with part.open("wb") as file:
                 file.writelines(self._line(name) for name in names)
-            _sync(part)
             if os.name == "nt":  # where an open file cannot be replaced
                 self._lines.close()
 
@@ -148,12 +146,12 @@ class ResultFile:
         """Unlock it."""
         if self._lines.closed:
             return
-        is_empty = not self._lines.seek(0, os.SEEK_END)
-        if os.name == "nt":  # where an open file cannot be deleted
-            self._lines.close()
-        if is_empty and not self._is_kept:
-            self._path.unlink(missing_ok=True)
-        self._lines.close()
+        with naming(self._path), contextlib.closing(self._lines):
+            is_empty = not self._lines.seek(0, os.SEEK_END)
+            if os.name == "nt":  # where an open file cannot be deleted
+                self._lines.close()
+            if is_empty and not self._is_kept:
+                self._path.unlink(missing_ok=True)
 
     def _load(self) -> None:
         while line := self._lines.readline():
@@ -171,9 +169,7 @@ class ResultFile:
     def _discard(self) -> None:
         """Discard what is there, if this program has written it."""
         first = self._lines.readline()
-        record = _parsed(first)
-        is_ours = isinstance(record, dict) and {"recording", "settings"} <= record.keys()
-        if first and not is_ours and not first.startswith(START):
+        if first and not first.startswith(START):
             raise ValueError(not_ours(self._out))
         if self._has_parquet():
             read_metadata(self._out)
@@ -236,43 +232,3 @@ def _check_record(record: Any, job: Job, out: Path) -> None:
 def _difference(before: dict[str, Any], now: dict[str, Any]) -> str:
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     return ", ".join(f"{name} {before.get(name)!s:.24} (now {now.get(name)!s:.24})" for name in names)
-
-
-def _open_locked(path: Path, out: Path) -> IO[bytes]:
-    while True:
-        file = path.open("a+b")
-        try:
-            _lock(file)
-            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                file.seek(0)
-                return file
-        except FileNotFoundError:
-            pass
-        except BlockingIOError:
-            file.close()
-            raise OSError(f"{out}: another program is writing it; wait for that one, or give another --out") from None
-        except BaseException:
-            file.close()
-            raise
-        file.close()  # the program that had locked it has just replaced or deleted it
-
-
-def _lock(file: IO[bytes]) -> None:
-    """Lock the file until it is closed, or its process ends. BlockingIOError: it is locked."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        import msvcrt
-
-        file.seek(1 << 30)  # far beyond the end: locked bytes cannot be read
-        try:
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined, unused-ignore]
-        except OSError:
-            raise BlockingIOError from None
-    else:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())

@@ -6,6 +6,7 @@ import _signal  # not `signal`: Ctrl-C during that import would show a traceback
 import io
 import os
 import sys
+from collections.abc import Callable
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -13,25 +14,28 @@ def main(argv: list[str] | None = None) -> int:
 
     Parameters
     ----------
-    argv : the arguments. None: those of the command line, and the process belongs to the program. Until a command
-        starts, a signal then ends the process at once; stderr may be closed or full.
+    argv : the arguments. None: those of the command line, and the process belongs to the program. Before and after
+        a command, a signal then ends the process at once; stderr may be closed or full.
     """
     if argv is None:
-        _end_at_signals()
+        _at_signals(_end)
         _open_streams()
-        argv = sys.argv[1:]
     # imports NumPy and Numba, whose C code may turn a KeyboardInterrupt into any other error
     from async_tnt.cli.program import run
 
-    return run(argv)
+    try:
+        return run(sys.argv[1:] if argv is None else argv)
+    finally:
+        if argv is None:
+            _at_signals(_signal.SIG_DFL)  # an interpreter that ends takes a signal and calls no handler
 
 
-def _end_at_signals() -> None:
+def _at_signals(handler: Callable[[int, object], None] | int) -> None:
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         number = getattr(_signal, name, None)  # Windows has no SIGHUP
         # signals that are ignored stay ignored: Ctrl-C in a background job, SIGHUP under nohup
         if number is not None and _signal.getsignal(number) != _signal.SIG_IGN:
-            _signal.signal(number, _end)
+            _signal.signal(number, handler)
 
 
 def _end(number: int, frame: object) -> None:

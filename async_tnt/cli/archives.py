@@ -23,10 +23,6 @@ from async_tnt.progress import progress as progress_bar
 SHOWN = 20  # errors that are printed one by one
 
 
-class Interrupted(Exception):
-    """Ctrl-C, already reported to the user: exit code 130."""
-
-
 def archive_executor(args: argparse.Namespace) -> Executor:
     """Where to stream; checks, before any work, that the options agree and that --out can be written.
 
@@ -59,7 +55,7 @@ def stream_archive(
 
     Raises
     ------
-    Interrupted : Ctrl-C, after a message. Others : as `collect_to_file`.
+    KeyboardInterrupt : with what is done by then. Others : as `collect_to_file`.
     """
     bar: Any = None
 
@@ -84,8 +80,8 @@ def stream_archive(
     except KeyboardInterrupt:
         n_done = progress.kept + progress.done
         kept = "the same command resumes" if args.out else "nothing is kept without --out"
-        complain(f"interrupted: {n_done:,} of {counted(progress.total, 'recording')} are done; {kept}")
-        raise Interrupted from None
+        total = counted(progress.total, "recording")
+        raise KeyboardInterrupt(f"interrupted: {n_done:,} of {total} are done; {kept}") from None
     finally:
         if progress.gone:
             are = "no longer exists and is" if progress.gone == 1 else "no longer exist and are"
@@ -108,19 +104,14 @@ def run_archive(args: argparse.Namespace) -> int:
     labels = dict.fromkeys(engine.classes, 0)
     n_decisions = n_events = n_late = 0
     errors = []
-    try:
-        for record in stream_archive(
-            args, run_recording, tasks, executor, progress, lambda name: not Path(name).exists()
-        ):
-            if record["error"] is not None:
-                errors.append(record["error"])
-                continue
-            labels[record["label"]] += 1
-            n_decisions += len(record["decisions"])
-            n_events += record["events"]
-            n_late += record["late"]
-    except Interrupted:
-        return 130
+    for record in stream_archive(args, run_recording, tasks, executor, progress, lambda name: not Path(name).exists()):
+        if record["error"] is not None:
+            errors.append(record["error"])
+            continue
+        labels[record["label"]] += 1
+        n_decisions += len(record["decisions"])
+        n_events += record["events"]
+        n_late += record["late"]
     took = time.monotonic() - started
     unread = f" ({len(errors):,} of them with an error)" if errors else ""
     recordings = counted(progress.total, "recording") + unread

@@ -16,7 +16,7 @@ from async_tnt.archive.job import job_of, task_of
 from async_tnt.archive.records import TIMED, Record, evaluate_recording
 from async_tnt.archive.scores import score_recordings
 from async_tnt.cli.archive_options import add_archive
-from async_tnt.cli.archives import Interrupted, archive_executor, stream_archive
+from async_tnt.cli.archives import archive_executor, stream_archive
 from async_tnt.cli.options import model_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
@@ -93,10 +93,7 @@ def main(args: argparse.Namespace) -> int:
     def is_gone(name: str) -> bool:
         return file_of(name) in sessions or not (args.dataset / file_of(name)).exists()  # its table names it no more
 
-    try:
-        records = list(stream_archive(args, evaluate_recording, tasks, executor, Progress(), is_gone))
-    except Interrupted:
-        return 130
+    records = list(stream_archive(args, evaluate_recording, tasks, executor, Progress(), is_gone))
     good = [record for record in records if record["error"] is None]
     skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:

@@ -9,9 +9,9 @@ from typing import Any
 
 from async_tnt.cli.options import model_of
 from async_tnt.cli.output import say
-from async_tnt.files import Replacement, check_writable
+from async_tnt.files import Replacement, check_ours, check_writable, naming
 from async_tnt.networks.loading import bundled_models
-from async_tnt.networks.model import Model
+from async_tnt.networks.model import FORMAT, Model
 
 DESCRIPTION = """Write a model's classifier to an ONNX file, for other programs and languages: input `volume`, float32,
 (1, C, H, W); output `logits`, float32, (1, n_classes). The file also holds configuration, classes and training
@@ -51,7 +51,7 @@ def main(args: argparse.Namespace) -> int:
     check_writable(out, (".onnx",))
     model = model_of(args)
     if model.config.needs_regressor:
-        check_writable(regressor_path(out))
+        check_ours([regressor_path(out)], [FORMAT])
     onnxruntime = import_onnxruntime()  # now, so that a missing one shows before any work
     contents = {out: to_onnx(model).SerializeToString()}
     if model.config.needs_regressor:
@@ -60,7 +60,8 @@ def main(args: argparse.Namespace) -> int:
     try:
         for path, content in contents.items():
             files[path] = Replacement(path)
-            files[path].part.write_bytes(content)
+            with naming(path):
+                files[path].part.write_bytes(content)
         # read back from the files: what is checked is what is kept
         regressor = OnnxRegressor(files[regressor_path(out)].part) if model.config.needs_regressor else None
         agreement = compare_engines(model, OnnxClassifier(files[out].part), regressor)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import sys
 from collections.abc import Callable
@@ -20,8 +21,8 @@ HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'pr
 
 def complain(error: BaseException | str) -> None:
     """One line on stderr."""
-    if isinstance(error, OSError) and error.filename is not None:
-        error = f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOSPC):
+        error = f"{error.filename or 'stdout'}: {error.strerror}"  # what we write to files has their name
     note(f"async-tnt: {error}")
 
 

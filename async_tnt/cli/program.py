@@ -75,8 +75,17 @@ def _run(argv: Sequence[str]) -> int:
         received.append(number)
         if callable(before[number]) and _in_import_or_compilation(frame):
             before[number](number, frame)  # ends the process at once
-        raise KeyboardInterrupt("" if number == signal.SIGINT else "terminated")
+        raise KeyboardInterrupt
 
+    def report(dropped: sys.UnraisableHookArgs) -> None:
+        """Python drops what is raised in a `__del__` or in a callback of C code: a signal there ends the process."""
+        if not received or not isinstance(dropped.exc_value, KeyboardInterrupt):
+            hook(dropped)
+        elif callable(before[received[-1]]):
+            before[received[-1]](received[-1], None)
+
+    code, told = 0, ""
+    hook, sys.unraisablehook = sys.unraisablehook, report
     try:
         args, unknown = build_parser(argv).parse_known_args(argv)
         if unknown:
@@ -85,7 +94,7 @@ def _run(argv: Sequence[str]) -> int:
             warnings.showwarning = _show_warning  # type: ignore[assignment]
             code = args.main(args)
     except BrokenPipeError:  # `| head`: the reader has seen enough
-        return 0
+        pass
     except (OSError, ValueError, ImportError) as error:
         complain(error)
         code = 2
@@ -93,14 +102,16 @@ def _run(argv: Sequence[str]) -> int:
         complain(f"not enough memory. {error}".strip())
         code = 2
     except KeyboardInterrupt as error:
-        complain(str(error) or "interrupted")
-        code = 130
+        told = str(error)
+        received.append(signal.SIGINT)  # unless it came of another signal, which is the first
     except Exception:
-        if not received:
+        if not received:  # C code turned the KeyboardInterrupt into another error
             raise
-        complain("interrupted")  # C code turned the KeyboardInterrupt into another error
-        code = 130
-    return 128 + received[0] if received and code else code
+    finally:
+        sys.unraisablehook = hook
+    if received and code < 2:  # the command itself has not said so
+        complain(told or ("interrupted" if received[0] == signal.SIGINT else "terminated"))
+    return 128 + received[0] if received else code
 
 
 def _flushed(code: int) -> int:

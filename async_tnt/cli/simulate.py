@@ -11,7 +11,7 @@ from pathlib import Path
 
 from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.cli.options import positive_int, whole_number
-from async_tnt.cli.output import complain, note, say
+from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder
 from async_tnt.process import available_cores
 from async_tnt.progress import progress
@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run `async-tnt simulate`. Returns the exit code: 0, or 130 when interrupted."""
+    """Run `async-tnt simulate`. Returns the exit code 0."""
     mnist = data_folder(args.mnist, "mnist", "--mnist")
     root = os.environ.get("TNT_DATA")
     nmnist = None
@@ -114,8 +114,8 @@ def main(args: argparse.Namespace) -> int:
             export(made, args.bin)
         columns = compare(made, mnist, nmnist)
     except KeyboardInterrupt:
-        complain(f"interrupted; finished shards are kept in {args.out}. Give the same command again to resume.")
-        return 130
+        kept = f"finished shards are kept in {args.out}. Give the same command again to resume."
+        raise KeyboardInterrupt(f"interrupted; {kept}") from None
     n_bytes = sum(path.stat().st_size for path in made.shards)
     if args.json:
         numbers = {

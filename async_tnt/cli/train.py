@@ -15,21 +15,15 @@ from typing import Any
 from async_tnt.archive.scores import Scores
 from async_tnt.checks import needs_extra
 from async_tnt.cli.data_options import command_words
-from async_tnt.cli.output import complain, note, say
+from async_tnt.cli.output import note, say
 from async_tnt.cli.train_data import config_of, of_dataset, of_digits
 from async_tnt.cli.train_motions import other_motions
 from async_tnt.cli.train_option_checks import check_options
 from async_tnt.cli.train_options import NETWORK, add_arguments
-from async_tnt.files import check_folder, check_writable, write_text
+from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.progress import progress
-from async_tnt.training.run_folder import (
-    BEST,
-    CURVES,
-    LAST,
-    RUN_FILES,
-    plot_curves,
-)
+from async_tnt.training.run_folder import BEST, CURVES, LAST, RUN_FILES, has_checkpoint, plot_curves
 
 __all__ = ["add_arguments", "main"]
 
@@ -43,24 +37,28 @@ TITLES = {
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run `async-tnt train`. Returns the exit code: 0, or 130 when interrupted."""
+    """Run `async-tnt train`. Returns the exit code 0."""
     with needs_extra("train", "training needs torch"):
         import torch
         from tnt_reference import Classifier  # noqa: F401
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
     run_folder = args.run_folder or Path("runs") / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
-    for suffix in (NUMBERS, *PICTURES) if args.dataset is not None else ():
-        check_writable(args.out.with_suffix(suffix))
+    if args.dataset is not None:
+        beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, *PICTURES)]
+        check_ours(beside, ('"held_out"', '"summary"', '"history"'))
     check_folder(run_folder, RUN_FILES)
+    if run_folder.is_dir() and not has_checkpoint(run_folder):
+        check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'))
     check_options(args)
     if args.threads is not None:
         torch.set_num_threads(args.threads)
     try:
-        return _train(args, run_folder)
+        with locked_folder(run_folder, "command.lock"):
+            return _train(args, run_folder)
     except KeyboardInterrupt:
-        complain(f"interrupted; what is finished is kept in {run_folder}. Give the same command again to resume.")
-        return 130
+        kept = f"what is finished is kept in {run_folder}. Give the same command again to resume."
+        raise KeyboardInterrupt(f"interrupted; {kept}") from None
 
 
 def _train(args: argparse.Namespace, run_folder: Path) -> int:

@@ -97,7 +97,6 @@ class Choice:
         self.chosen = best
         kept: dict[str, Any] = {"key": self._key, "recordings": self._recordings, "trials": self.trials}
         kept |= {**asdict(best), "config": best.config.to_dict()}
-        self._run_folder.mkdir(parents=True, exist_ok=True)  # where nothing was tried
         write_text(self._file, json.dumps(kept, indent=1))
         self._delete_trials()
         return best

@@ -102,7 +102,7 @@ def of_dataset(
         fit_window=args.window_us is None and start is None,
         test=args.test,
         seed=args.seed,
-        store=next(folder for folder in (run_folder.absolute(), *run_folder.absolute().parents) if folder.is_dir()),
+        store=run_folder,
         progress=progress,
     )
     for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):

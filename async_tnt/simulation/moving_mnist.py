@@ -13,7 +13,6 @@ import dataclasses
 import hashlib
 import itertools
 import os
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.archive.executor import run_all
+from async_tnt.files import locked_folder
 from async_tnt.process import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.digits import simulate_digit
@@ -31,8 +31,6 @@ from async_tnt.simulation.set_manifest import MovingMnist, other_parameters, rea
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
 from async_tnt.version import __version__
-
-ABANDONED_S = 3600  # no shard takes that long to write
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,7 @@ def build(
     Raises
     ------
     ValueError : an argument out of its range, damaged MNIST files, or a folder with other shards.
-    OSError : MNIST missing, or the folder cannot be written.
+    OSError : MNIST missing, or the folder cannot be written, or another process makes a set there.
     """
     counts = {"digits": digits, "workers": workers, "recordings_per_shard": recordings_per_shard}
     for name, n, least in (("seed", seed, 0), *((name, n, 1) for name, n in counts.items())):
@@ -126,20 +124,16 @@ def build(
         for name, (motion, first) in zip(names, itertools.product(moving, firsts), strict=True)
     ]
     made = MovingMnist(folder, tuple(job.path for job in jobs), moving, parameters)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_manifest(made)
-    to_do = [job for job in jobs if not _is_done(job)]
-    n_done = len(made) - sum(len(job.images) for job in to_do)
-    with (
-        progress(len(made), "simulating", done=n_done) as bar,
-        contextlib.closing(run_all(_make_shard, to_do, workers or available_cores())) as results,
-    ):
-        for n_recordings in results:
-            bar.update(n_recordings)
-    for part in folder.glob("*.safetensors.*.part"):  # of processes that were killed; others may be at work here
-        with contextlib.suppress(FileNotFoundError):
-            if part.stat().st_mtime < time.time() - ABANDONED_S:
-                part.unlink()
+    with locked_folder(folder, "set.lock"):
+        write_manifest(made)
+        to_do = [job for job in jobs if not _is_done(job)]
+        n_done = len(made) - sum(len(job.images) for job in to_do)
+        with (
+            progress(len(made), "simulating", done=n_done) as bar,
+            contextlib.closing(run_all(_make_shard, to_do, workers or available_cores())) as results,
+        ):
+            for n_recordings in results:
+                bar.update(n_recordings)
     return made
 
 

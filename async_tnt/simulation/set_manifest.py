@@ -100,7 +100,7 @@ def write_manifest(made: MovingMnist) -> None:
         "motions": [dataclasses.asdict(motion) for motion in made.motions],
         "shards": [path.name for path in made.shards],
     }
-    write_text(path, json.dumps(content, indent=1) + "\n", shared=True)
+    write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 def read_manifest(folder: Path) -> MovingMnist:

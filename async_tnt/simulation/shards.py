@@ -152,7 +152,7 @@ def write_shard(
     columns = {name: _as_type(name, given[name], types[name]) for name in COLUMNS}
     _check_columns(columns, about)
     content = save(columns, metadata={"shard": json.dumps(about)})
-    with replacing(path, shared=True) as part:
+    with replacing(path) as part:
         part.write_bytes(content)
     return path
 

@@ -15,6 +15,7 @@ from torch.nn import functional as F
 
 from async_tnt.archive.scores import share_right
 from async_tnt.config import TNTConfig
+from async_tnt.files import locked_folder
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress
 from async_tnt.training.augment import Draws
@@ -76,6 +77,7 @@ def train(
     ------
     ValueError : no training windows, `start` has another configuration or other classes, or the run folder
         holds a run with other settings or data.
+    BlockingIOError : another process is training there.
     """
     if len(training) == 0:
         raise ValueError("`training` must hold at least one window, got none")
@@ -88,7 +90,6 @@ def train(
             f"got {start.config} and classes {', '.join(start.classes)}"
         )
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
-    run_folder.mkdir(parents=True, exist_ok=True)
     pipeline = (
         new_pipeline(config, len(classes), settings.seed, training, settings.network)
         if start is None
@@ -111,6 +112,7 @@ def train(
     n_iterations = settings.n_iterations(len(training))
     n_epochs = settings.n_epochs(len(training))
     with (
+        locked_folder(run_folder, "training.lock"),
         torch.random.fork_rng(devices=[]),
         progress(n_iterations, "training", done=len(history) * steps) as bar,
     ):

@@ -6,6 +6,7 @@ may be larger than the memory.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from async_tnt.files import naming
 
 COLUMNS = {"t": np.int32, "x": np.uint16, "y": np.uint16, "p": np.uint8}
 
@@ -86,6 +89,7 @@ class RecordingsWriter:
             name: io.BytesIO() if folder is None else tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
             for name in COLUMNS
         }
+        self._folder = folder or Path()
         self._offsets = [0]
         self._labels: list[int] = []
         self._names: list[str] = []
@@ -95,7 +99,7 @@ class RecordingsWriter:
 
     def __exit__(self, *_: object) -> None:
         for file in self._files.values():
-            if not isinstance(file, io.BytesIO):  # which may hold the columns
+            with contextlib.suppress(BufferError, OSError):  # holds columns; or is not whole, as `add` said
                 file.close()
 
     def add(self, events: np.ndarray, label: int, name: str) -> None:
@@ -103,13 +107,14 @@ class RecordingsWriter:
 
         Raises
         ------
-        ValueError : times decrease or do not fit 31 bits (35 minutes).
+        ValueError : times decrease or do not fit 31 bits (35 minutes). OSError : the disk is full.
         """
         t = events["t"]
         if len(t) and not (t[0] >= 0 and t[-1] < 1 << 31 and (np.diff(t) >= 0).all()):
             raise ValueError(f"{name}: times must be in order and in [0, 2**31) us, got {t[0]} to {t[-1]}")
-        for field, dtype in COLUMNS.items():
-            self._files[field].write(events[field].astype(dtype).tobytes())
+        with naming(self._folder):
+            for field, dtype in COLUMNS.items():
+                self._files[field].write(events[field].astype(dtype).tobytes())
         self._offsets.append(self._offsets[-1] + len(t))
         self._labels.append(label)
         self._names.append(name)
@@ -124,6 +129,7 @@ class RecordingsWriter:
         n = self._offsets[-1]
         if isinstance(file, io.BytesIO):
             return np.frombuffer(file.getbuffer(), dtype)
-        file.flush()
+        with naming(self._folder):
+            file.flush()
         # writable, as the kernels are compiled for it; asarray: an array like any other
         return np.asarray(np.memmap(file, dtype, "r+", shape=n)) if n else np.empty(0, dtype)

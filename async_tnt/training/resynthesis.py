@@ -35,7 +35,6 @@ from async_tnt.training.run_folder import other_run, windows_checksum
 from async_tnt.training.windows import Windows
 
 MANIFEST = "motions.json"
-FORMAT = 1
 N_CALIBRATION, N_SHARED = 128, 200
 """Windows that pixels are calibrated on, and that a shared path is found from."""
 MOST_WINDOWS, MOST_EVENTS = 500, 300_000
@@ -76,7 +75,6 @@ def resynthesize(
     folder.mkdir(parents=True, exist_ok=True)
     manifest = folder / MANIFEST
     made_from = {
-        "format": FORMAT,
         "sensor": list(config.sensor),
         "window_us": config.window_us,
         "windows": windows_checksum(training, held_out),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 import zlib
@@ -15,13 +16,15 @@ import numpy as np
 from async_tnt.config import TNTConfig
 from async_tnt.files import replacing, write_text
 from async_tnt.networks.model import Model
+from async_tnt.training.recordings import COLUMNS
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
 
 CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"
 LAST, BEST = "last.safetensors", "best.safetensors"
 RUN_FILES = (CHECKPOINT, HISTORY, CURVES, LAST, BEST)
-FORMAT = 3  # of the checkpoint
+FORMAT = 4  # of the checkpoint
+CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 SHOWN = 3  # recordings that a refusal names
 
 
@@ -34,10 +37,12 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     """
     import torch
 
-    with replacing(run_folder / CHECKPOINT, shared=True) as part:  # the same command may run twice
-        torch.save(dict(state), part)
+    content = io.BytesIO()  # as an error of writing the file itself, such as a full disk, torch raises a RuntimeError
+    torch.save(dict(state), content)
+    with replacing(run_folder / CHECKPOINT) as part:
+        part.write_bytes(content.getbuffer())
     text = json.dumps({"settings": json.loads(state["identity"]), "history": state["history"]}, indent=1)
-    write_text(run_folder / HISTORY, text, shared=True)
+    write_text(run_folder / HISTORY, text)
 
 
 def has_checkpoint(run_folder: Path) -> bool:
@@ -94,13 +99,15 @@ def network_checksum(network: str) -> int:
 
 
 def windows_checksum(training: Windows, validation: Windows) -> int:
-    """A checksum of windows, and of some of the training recordings' events."""
-    data = zlib.crc32(training.recordings.offsets.tobytes())
+    """A checksum of windows and of all events of their recordings, which may be larger than the memory."""
+    data = 0
     for windows in (training, validation):
         for column in (windows.recording, windows.start_us, windows.labels):
             data = zlib.crc32(column.tobytes(), data)
-    for name in "txyp":
-        data = zlib.crc32(np.ascontiguousarray(getattr(training.recordings, name)[::997]).tobytes(), data)
+    recordings = [training.recordings] + [validation.recordings] * (validation.recordings is not training.recordings)
+    for column in (getattr(one, name) for one in recordings for name in ("offsets", *COLUMNS)):
+        for first in range(0, len(column), CHUNK):
+            data = zlib.crc32(np.ascontiguousarray(column[first : first + CHUNK]).data, data)
     return data
 
 
@@ -123,11 +130,9 @@ def check_run(
     state = _read(run_folder / CHECKPOINT)
     if state is None:
         return
-    found = json.loads(state["identity"])
-    wanted = json.loads(json.dumps({"config": dict(config), "settings": dict(settings)}))
-    differ = [
-        name for part, values in wanted.items() for name, value in values.items() if found[part].get(name) != value
-    ]
+    found = _flat(json.loads(state["identity"]))
+    wanted = json.loads(json.dumps({**config, **settings}))
+    differ = [name for name in wanted if found.get(name) != wanted[name]]
     then, now = state["sources"], dict(sources or {})
     pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
     for name in {**pixels_then, **pixels_now}:
@@ -190,28 +195,21 @@ def plot_curves(history: Sequence[dict[str, float]], path: Path) -> bool:
         from matplotlib.figure import Figure
     except ImportError:
         return False
+    losses = {"loss": "training (smoothed labels)", "validation_loss": "validation"}
+    accuracies = {
+        "training": "training (augmented)",
+        "per_window": "validation, by window",
+        "per_recording": "validation, by recording",
+    }
     figure = Figure(figsize=(8, 3.2), layout="constrained")
-    losses, accuracies = figure.subplots(1, 2)
-    epochs = [row["epoch"] for row in history]
-    for axes, names in (
-        (losses, {"loss": "training (smoothed labels)", "validation_loss": "validation"}),
-        (
-            accuracies,
-            {
-                "training": "training (augmented)",
-                "per_window": "validation, by window",
-                "per_recording": "validation, by recording",
-            },
-        ),
-    ):
-        for name, label in names.items():
+    panels = zip(figure.subplots(1, 2), ("cross entropy", "accuracy"), (losses, accuracies), strict=True)
+    for axes, quantity, labels in panels:
+        for name, label in labels.items():
             if all(name in row for row in history):
-                axes.plot(epochs, [row[name] for row in history], marker=".", label=label)
-        axes.set_xlabel("epoch")
+                axes.plot([row["epoch"] for row in history], [row[name] for row in history], marker=".", label=label)
+        axes.set(xlabel="epoch", ylabel=quantity)
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")
-    losses.set_ylabel("cross entropy")
-    accuracies.set_ylabel("accuracy")
     with replacing(path) as part:
         figure.savefig(part, format="png", dpi=120)
     return True

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from archive.made_work import JOB, make_tasks, record_of
+from full_disk import TOO_LARGE, full_after
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from async_tnt.archive import parquet, results
+from async_tnt import files
+from async_tnt.archive import parquet
 from async_tnt.archive.collect import Progress, collect_to_file
 from async_tnt.archive.executor import executor_of
 from async_tnt.archive.job import Job
@@ -281,9 +283,19 @@ def test_two_programs_at_once_are_refused(unfinished):
     ResultFile(unfinished, JOB).close()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a limit of POSIX")
+def test_where_the_disk_is_full_the_error_names_the_file_and_whole_lines_stay(tasks, tmp_path):
+    out = tmp_path / "r.jsonl"
+    with full_after(1000), pytest.raises(OSError, match=rf"{TOO_LARGE}: '.*r\.jsonl'"):
+        collected_to(out, tasks)
+    with ResultFile(out, JOB) as file:
+        assert 0 < len(file.versions) < len(tasks)
+    assert [record["recording"] for record in collected_to(out, tasks)[0]] == sorted(NAMES)
+
+
 def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeypatch):
     """Opened, then locked: in between the program that had locked it may have finished."""
-    lock, path = results._lock, lines_path(unfinished)
+    lock, path = files._lock, lines_path(unfinished)
     gone = []
 
     def lock_late(file):
@@ -292,7 +304,7 @@ def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeyp
             path.touch()
         lock(file)
 
-    monkeypatch.setattr(results, "_lock", lock_late)
+    monkeypatch.setattr(files, "_lock", lock_late)
     with ResultFile(unfinished, JOB) as file:
         assert not file.versions and path.exists()
     assert os.name == "nt" or path.with_name("gone").stat().st_size > 0

@@ -1,7 +1,9 @@
 """`async-tnt train DATASET`: from a folder of class folders to a model that knows them."""
 
 import json
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.cli import train as command
 from async_tnt.cli import train_data
+from async_tnt.files import locked_folder
 from async_tnt.progress import Bar
 from async_tnt.training import evaluation
 
@@ -112,7 +115,36 @@ def test_options_are_refused_before_the_recordings_are_read(words, message, trai
     assert code == 2 and message in err and err.count("\n") == 1, err
 
 
-def test_events_are_stored_on_the_disk_of_the_run(gestures, train, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("there", "words", "lacking"),
+    [
+        ({"m.json": '{"history": [], "summary": {}}'}, (), 'm.json with "held_out", "summary", "history"'),
+        ({"m.curves.png": "a picture"}, (), "m.json with "),
+        ({"m.confusion.png": "a picture"}, (), "m.json with "),
+        ({"own/history.json": "[]"}, ("--run", "own"), 'history.json with "settings", "history"'),
+        ({"own/best.safetensors": "weights"}, ("--run", "own"), "history.json with "),
+    ],
+)
+def test_files_of_others_beside_the_model_stay(there, words, lacking, tmp_path, train, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("own").mkdir()
+    for name, content in there.items():
+        Path(name).write_text(content)
+    code, err, out = train("nowhere", *words)
+    message = rf"{name} is of another program \(expected {lacking}.*\): move it away, or give another name$"
+    assert code == 2 and re.search(message, err) and err.count("\n") == 1 and not out.exists()
+    assert {name: Path(name).read_text() for name in there} == there
+
+
+def test_a_second_command_in_a_run_folder_is_refused_before_the_recordings_are_read(gestures, train, tmp_path):
+    run = tmp_path / "run m"
+    with locked_folder(run, "command.lock"):
+        code, err, _ = train(gestures)
+    line = f"{run}: another program is at work there; wait for that one, or give another folder"
+    assert (code, err) == (2, f"async-tnt: {line}\n") and not run.exists()
+
+
+def test_events_are_stored_in_the_run_folder(gestures, train, tmp_path, monkeypatch):
     stores = []
 
     def read(*given, store, **more):
@@ -120,8 +152,9 @@ def test_events_are_stored_on_the_disk_of_the_run(gestures, train, tmp_path, mon
         raise ValueError("read enough")
 
     monkeypatch.setattr(train_data, "dataset_data", read)
-    assert train(gestures)[0] == 2 and stores.pop() == tmp_path  # its folder is made when the training begins
-    assert train(gestures, "--run", gestures / "runs")[0] == 2 and stores.pop() == gestures  # beside Train
+    assert train(gestures)[0] == 2 and stores.pop() == tmp_path / "run m"
+    assert train(gestures, "--run", gestures / "runs")[0] == 2 and stores.pop() == gestures / "runs"  # beside Train
+    assert not (tmp_path / "run m").exists() and not (gestures / "runs").exists()  # nothing was kept
 
 
 def test_ctrl_c_keeps_the_finished_epochs(gestures, train, monkeypatch):

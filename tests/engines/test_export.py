@@ -75,6 +75,14 @@ def test_export_writes_the_file_and_checks_it(tmp_path, program):
     assert 0 < report["largest_logit_difference"] <= 1e-4 and report["classes_that_differ"] == 0
 
 
+def test_a_regressor_of_others_stays(tmp_path, program):
+    model = REGRESSOR_MODEL.save(tmp_path / "m.safetensors")
+    (tmp_path / "m.regressor.onnx").write_bytes(b"of others")
+    code, _, err = program("export", model, "--out", tmp_path / "m.onnx")
+    assert code == 2 and "m.regressor.onnx is of another program (expected m.regressor.onnx with async_tnt" in err
+    assert (tmp_path / "m.regressor.onnx").read_bytes() == b"of others" and not (tmp_path / "m.onnx").exists()
+
+
 def test_export_of_a_model_with_a_regressor(tmp_path, program):
     path = REGRESSOR_MODEL.save(tmp_path / "m.safetensors")
     report = json.loads(program("export", path, "--out", tmp_path / "m.onnx", "--json")[1])

@@ -76,6 +76,17 @@ def spawned(path, words, handed_over):  # a process waits for its task; if that 
     return made
 util.spawnv_passfds = spawned
 """
+WHILE_AN_OBJECT_IS_DELETED = """
+from async_tnt.cli import run
+class Deleted:
+    def __del__(self):  # Python prints and drops what is raised here
+        os.kill(os.getpid(), NUMBER)
+streamed = run.main
+def delete_and_stream(args):
+    Deleted()
+    return streamed(args)
+run.main = delete_and_stream
+"""
 NONE_DONE = "interrupted: 0 of 2 recordings are done; nothing is kept without --out"
 
 
@@ -83,6 +94,7 @@ NONE_DONE = "interrupted: 0 of 2 recordings are done; nothing is kept without --
     ("patch", "number", "words", "line"),
     [
         (WHILE_KERNELS_COME_FROM_THE_CACHE, signal.SIGINT, ["run", SAMPLE], "interrupted"),
+        (WHILE_AN_OBJECT_IS_DELETED, signal.SIGINT, ["run", SAMPLE], "interrupted"),
         (WHILE_WORKERS_ARE_SPAWNED, signal.SIGTERM, ["evaluate", "digits", "set", "--workers", "2"], NONE_DONE),
     ],
 )
@@ -94,6 +106,14 @@ def test_a_signal_at_a_delicate_moment(patch, number, words, line, tmp_path):
     with started("-c", code, *words, cwd=tmp_path) as process:
         assert process.communicate() == ("", f"async-tnt: {line}\n")
     assert process.returncode == 128 + number
+
+
+def test_a_signal_after_a_command_ends_the_process_as_if_there_were_no_handler(tmp_path):
+    """While the interpreter ends, it takes signals for which there are handlers, and calls none."""
+    code = "import os, signal\nfrom async_tnt.cli import main\nmain()\nos.kill(os.getpid(), signal.SIGTERM)"
+    with started("-c", code, "run", SAMPLE, cwd=tmp_path) as process:
+        printed, message = process.communicate()
+    assert (process.returncode, message) == (-signal.SIGTERM, "") and "3.bin: 3 " in printed
 
 
 def test_an_ignored_signal_stays_ignored(tmp_path):
@@ -128,6 +148,23 @@ def test_a_command_that_a_signal_ends_says_which(received, program, monkeypatch)
     monkeypatch.setattr(run, "main", interrupt)
     expected = (143, "", "async-tnt: terminated\n") if received else (130, "", "async-tnt: interrupted\n")
     assert program("run") == expected
+
+
+@pytest.mark.parametrize(("returned", "line"), [(0, "terminated"), (1, "terminated"), (2, "")])
+def test_a_signal_that_a_command_did_not_notice_is_its_exit_code(returned, line, program, monkeypatch):
+    """As by a `__del__` while it writes its last file: the KeyboardInterrupt is dropped, and the command goes on."""
+    from async_tnt.cli import run
+
+    class Deleted:
+        def __del__(self):
+            signal.raise_signal(signal.SIGTERM)
+
+    def go_on(args):
+        Deleted()
+        return returned
+
+    monkeypatch.setattr(run, "main", go_on)
+    assert program("run") == (143, "", f"async-tnt: {line}\n" if line else "")
 
 
 def test_a_closed_pipe_is_no_error():

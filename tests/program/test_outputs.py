@@ -1,19 +1,22 @@
 """What is there already: files are replaced and keep their permissions, everything else stays as it is."""
 
+import errno
 import os
 import stat
 
 import numpy as np
 import pytest
+from full_disk import TOO_LARGE, full_after
 from made import random_events, random_model
 
+from async_tnt import files
 from async_tnt.archive.collect import Progress, collect_to_file
 from async_tnt.archive.executor import executor_of
 from async_tnt.archive.job import job_of, task_of
 from async_tnt.archive.records import run_recording
 from async_tnt.cli import main
 from async_tnt.engines import choose_engine
-from async_tnt.files import Replacement, replacing, write_text
+from async_tnt.files import Replacement, locked_folder, replacing, write_text
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixel_masks import save_mask
@@ -125,6 +128,15 @@ def test_a_link_stays_and_its_file_is_replaced_with_its_permissions(name, folder
     assert os.listdir(real.parent) == [real.name]
 
 
+@pytest.mark.parametrize("name", [name for name in WRITERS if name != "results.jsonl"])
+def test_where_the_disk_is_full_the_error_names_the_file_which_stays_as_it_was(name, folder):
+    WRITERS[name](folder / name)
+    before = (folder / name).read_bytes()
+    with full_after(1), pytest.raises(OSError, match=f"{TOO_LARGE}.*{name}|{name}.*{TOO_LARGE}"):
+        WRITERS[name](folder / name)
+    assert (folder / name).read_bytes() == before
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_refuses_its_output_before_any_work(name, folder, capsys):
     if name.startswith("train") or name == "checkpoint.pt":
@@ -173,3 +185,22 @@ def test_what_a_kill_has_left_is_written_afresh_and_not_into(folder):
     write_text(folder / "new", "new")
     assert (folder / "linked").read_text() == "left" and (folder / "new").read_text() == "new"
     assert sorted(os.listdir(folder)) == ["linked", "new", "precious"]
+
+
+def test_a_locked_folder_is_held_once_and_stays_only_with_files_in_it(folder, monkeypatch):
+    for name in ("empty", "kept"):
+        held = folder / "runs" / name
+        with locked_folder(held, "lock"):
+            with pytest.raises(BlockingIOError, match=f"{name}: another program is at"), locked_folder(held, "lock"):
+                pytest.fail("held twice")
+            if name == "kept":
+                (held / "file").touch()
+        assert held.exists() == (folder / "runs").exists() == (name == "kept")
+    assert os.listdir(held) == ["file"]
+
+    def refuse(file):
+        raise OSError(errno.ENOSYS, "no locks")
+
+    monkeypatch.setattr(files, "_lock", refuse)  # a file system without them
+    with locked_folder(folder / "runs", "lock"):
+        pass

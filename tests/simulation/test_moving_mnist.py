@@ -1,13 +1,13 @@
 """The set: every recording is what its seed says, however the work was shared out, cut or interrupted."""
 
 import json
-import os
 import shutil
 
 import numpy as np
 import pytest
 from small_sets import idx_bytes
 
+from async_tnt.files import locked_folder
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.simulation.motions import motions_of
@@ -67,16 +67,17 @@ def test_what_is_there_is_kept_and_what_is_missing_or_damaged_is_made(mnist, mad
     missing.unlink()
     cut.write_bytes(cut.read_bytes()[:-1])
     flipped.write_bytes(flipped.read_bytes()[:-1] + bytes([flipped.read_bytes()[-1] ^ 0xFF]))
-    (copied / f"{missing.name}.123.part").write_bytes(b"left by a killed process")
-    os.utime(copied / f"{missing.name}.123.part", (0, 0))
+    (copied / f"{missing.name}.part").write_bytes(b"left by a killed process")
     times = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
-    being_written = copied / f"{missing.name}.456.part"
-    being_written.write_bytes(b"by another process")
     build(mnist, copied, **QUICK)
-    being_written.unlink()
     assert files_of(copied) == files_of(made.folder)
     kept = {path.name for path in copied.iterdir() if times.get(path.name) == path.stat().st_mtime_ns}
-    assert kept == set(times) - {missing.name, cut.name, flipped.name, f"{missing.name}.123.part"}
+    assert kept == set(times) - {missing.name, cut.name, flipped.name, f"{missing.name}.part"}
+
+
+def test_a_second_program_that_makes_a_set_in_the_folder_is_refused(mnist, made, copied):
+    with locked_folder(copied, "set.lock"), pytest.raises(BlockingIOError, match="at work there"):
+        build(mnist, copied, **QUICK)
 
 
 def test_a_set_of_other_parameters_shards_or_images_is_refused_and_left_alone(mnist, made, tmp_path):
