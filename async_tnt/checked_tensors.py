@@ -1,23 +1,18 @@
-"""Models and states of streams as .safetensors files: named arrays and strings, with a checksum over them."""
+"""Models as .safetensors files: named arrays and strings, with a checksum over them."""
 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections.abc import Mapping
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from async_tnt.checks import one_line, short
-
 ALIGNMENT = 8
 MAX_HEADER = 100_000_000  # bytes; safetensors' own limit
-STATE_FORMAT = "async_tnt stream 2"
-Arrays = dict[str, np.ndarray]
 
 
 def tensor_bytes(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
@@ -74,65 +69,3 @@ def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
         digest.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
         digest.update(np.ascontiguousarray(tensors[name]).tobytes())
     return digest.hexdigest()
-
-
-def state_bytes(arrays: Arrays, about: dict[str, Any]) -> bytes:
-    """The state of a stream: arrays, and `about` as JSON, as the content of a file with a checksum."""
-    arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    text = json.dumps(about, sort_keys=True)
-    return tensor_bytes(arrays, {"format": STATE_FORMAT, "about": text, "sha256": checksum(arrays, text)})
-
-
-def read_state(content: bytes, fixed: Mapping[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
-    """The inverse of `state_bytes`.
-
-    Parameters
-    ----------
-    fixed : settings that must be the same under "fixed" in `about`.
-
-    Raises
-    ------
-    ValueError : it is something else, damaged, or has other settings, which the message names.
-    """
-    try:
-        arrays, metadata = read_tensors(io.BytesIO(bytes(content)), STATE_FORMAT)
-    except (SafetensorError, TypeError, ValueError) as error:
-        raise ValueError(f"`state` must be what `save_state` returned, got something else: {one_line(error)}") from None
-    text = metadata.get("about", "")
-    if metadata.get("sha256") != checksum(arrays, text):
-        raise ValueError("`state` is damaged: its checksum differs")
-    try:
-        about = json.loads(text)
-        theirs = about["fixed"] if fixed else {}
-        ours, saved = ({**of, **of.get("config", {})} for of in (fixed or {}, theirs))
-        differ = [name for name in {**ours, **saved} if name != "config" and saved.get(name) != ours.get(name)]
-    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:  # the last: nested too deep
-        raise ValueError(f"`state` is damaged: {one_line(error)}") from None
-    if differ:
-        wrong = ", ".join(f"{name} = {short(saved.get(name))} (here {ours.get(name)!r})" for name in differ)
-        raise ValueError(f"`state` is of another processor, with {wrong}")
-    return arrays, about
-
-
-def with_prefix(prefix: str, arrays: Arrays) -> Arrays:
-    """Names with a prefix, so that the arrays of several objects fit into one state."""
-    return {f"{prefix}.{name}": array for name, array in arrays.items()}
-
-
-def without_prefix(prefix: str, arrays: Arrays) -> Arrays:
-    """The arrays whose names have a prefix, without it."""
-    return {name[len(prefix) + 1 :]: array for name, array in arrays.items() if name.startswith(prefix + ".")}
-
-
-def checked_array(arrays: Arrays, name: str, dtype: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """One array of a state.
-
-    Raises
-    ------
-    ValueError : it is missing, or has another type or shape.
-    """
-    array = arrays.get(name)
-    if array is None or array.dtype != dtype or array.shape != shape:
-        got = "none" if array is None else f"{array.dtype} {array.shape}"
-        raise ValueError(f"its `{name}` must be {np.dtype(dtype)} {shape}, got {got}")
-    return array

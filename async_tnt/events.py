@@ -12,7 +12,6 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numba import NumbaError
 
-from async_tnt.checked_tensors import Arrays, checked_array
 from async_tnt.checks import short
 from async_tnt.event_forms import NAMES, named_columns
 from async_tnt.kernels.jit import compile_only
@@ -89,22 +88,6 @@ class EventDecoder:
         """Forget the newest time and the count of dropped events."""
         self.newest_us = -1
         self.n_dropped = 0
-
-    def save(self) -> Arrays:
-        """What it remembers, as arrays for `restore`."""
-        return {"door": np.array((self.newest_us, self.n_dropped), np.int64)}  # named so in older states
-
-    def restore(self, arrays: Arrays) -> None:
-        """Continue from a decoder with this `save`.
-
-        Raises
-        ------
-        ValueError : no decoder can have had these numbers.
-        """
-        newest_us, n_dropped = checked_array(arrays, "door", np.int64, (2,)).tolist()
-        if not (-1 <= newest_us < MAX_TIME_US and 0 <= n_dropped < MAX_TIME_US):
-            raise ValueError(f"its newest event cannot be at {newest_us} us, after {n_dropped} dropped ones")
-        self.newest_us, self.n_dropped = newest_us, n_dropped
 
     def decode(self, events: Any) -> Columns:
         """Check a packet.

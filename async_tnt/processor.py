@@ -7,14 +7,13 @@ A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from functools import partial
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from async_tnt.checked_tensors import read_state, state_bytes, with_prefix, without_prefix
 from async_tnt.checks import checked_time
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
@@ -65,6 +64,7 @@ class Processor:
     activity : a `LeakyIntegrator`: decide also when much happens in little time.
     late, replay_events : see `TNTVolume`.
 
+    Copies and pickles continue the stream, bit for bit.
     The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change between
     calls. A call while another one is running, in another thread or further up in the same, is a RuntimeError.
 
@@ -78,8 +78,8 @@ class Processor:
     """
 
     __slots__ = (  # so that a mistyped trigger is an error
-        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_fixed", "_new_windows", "_running",
-        "_start_us", "_triggers", "_windows", "config",
+        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_running", "_start_us", "_triggers",
+        "_windows", "config",
     )  # fmt: skip
 
     def __init__(
@@ -107,10 +107,7 @@ class Processor:
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._compile(regressor)
         self._by_event = self._triggers.by_event
-        self._new_windows = partial(WindowScheduler, self.config, hop_us, start_us, replay_events, regressor)
-        self._windows = self._new_windows()
-        hop_us = self._windows.hop_us
-        self._fixed = {"config": self.config.to_dict(), "hop_us": hop_us, "start_us": start_us, "late": late}
+        self._windows = WindowScheduler(self.config, hop_us, start_us, replay_events, regressor)
         self.reset()
 
     def __repr__(self) -> str:
@@ -369,32 +366,9 @@ class Processor:
         event once, the others once per window that contains it."""
         return self._windows.counts(self._decoder.n_dropped)
 
-    @one_at_a_time
-    def save_state(self) -> bytes:
-        """The state of the stream: open windows, counts and triggers, but not the classifier. Another processor with
-        the same configuration and settings, in any process, continues from it bit for bit (`restore_state`)."""
-        arrays = self._windows.save() | with_prefix("triggers", self._triggers.save()) | self._decoder.save()
-        return state_bytes(arrays, {"fixed": self._fixed, "triggers": self._triggers.settings()})
-
-    @one_at_a_time
-    def restore_state(self, state: bytes) -> None:
-        """Continue where `save_state` was called, with the triggers that were set there.
-
-        Raises
-        ------
-        ValueError : damaged, or of a processor with other settings, which the message names. Nothing changes then.
-        """
-        arrays, about = read_state(state, self._fixed)
-        windows, triggers = self._new_windows(), Triggers()
-        try:
-            windows.restore(arrays)
-            triggers.restore(without_prefix("triggers", arrays), about.get("triggers"))
-            self._decoder.restore(arrays)  # last: it changes this processor
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"`state` cannot be restored here: {error}") from None
-        self._windows, self._triggers = windows, triggers
-        self._choose_paths()
-        windows.set_limit(triggers.next_due_us)
+    def __copy__(self) -> Processor:
+        """A copy continues by itself, bit for bit; so does what `pickle` returns, in any process."""
+        return copy.deepcopy(self)
 
 
 def _refuse(t: int, x: int, y: int, p: int) -> int:

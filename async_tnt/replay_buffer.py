@@ -14,10 +14,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from async_tnt.checked_tensors import Arrays, checked_array
 from async_tnt.checks import positive_int, short
 from async_tnt.config import TNTConfig
-from async_tnt.events import Columns, checked_columns, empty_columns
+from async_tnt.events import Columns, empty_columns
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import absorb, store_events
 from async_tnt.kernels.readout import empty_volume
@@ -165,51 +164,6 @@ class ReplayBuffer:
         ints = buffer.view(np.int64)
         self._closed_kept = int(ints[S.KEPT])
         self._closed_tau_zero = int(ints[S.TAU_ZERO])
-
-    def save(self) -> Arrays:
-        """The stored events, and the counts of closed windows."""
-        counts = self.n_unstored, self._closed_kept, self._closed_tau_zero, self._warned, 0
-        stored = {f"stored_{name}": column[: self.n] for name, column in zip("txyp", self._columns[:4], strict=True)}
-        return {"counts": np.array(counts, np.int64), **stored}
-
-    def restore(self, arrays: Arrays, buffer: np.ndarray, is_open: bool) -> None:
-        """The inverse, once the volume's own numbers are restored; replayed at the next read.
-
-        Raises
-        ------
-        ValueError : a number that such a volume cannot have saved.
-        """
-        ints = buffer.view(np.int64)
-        *counts, warned, _ = checked_array(arrays, "counts", np.int64, (5,)).tolist()
-        if not is_open:  # the volume's own counts include its last replay
-            counts[1:] = int(ints[S.KEPT]), int(ints[S.TAU_ZERO])
-        if min(counts) < 0 or sum(counts) > int(ints[S.RECEIVED]):
-            raise ValueError(f"its replay counts {counts} of {int(ints[S.RECEIVED])} events")
-        self.n_unstored, self._closed_kept, self._closed_tau_zero = counts
-        self._warned = warned != 0
-        if not is_open:
-            return
-        size, start_us = np.shape(arrays.get("stored_t", 0)), int(ints[S.START_US])
-        t, x, y, p = (
-            checked_array(arrays, f"stored_{name}", own.dtype, size)
-            for name, own in zip("txyp", self._columns[:4], strict=True)
-        )
-        stored = checked_columns(t, x, y, p, self._config.sensor)
-        if stored.n > self.capacity:
-            most = "replay_events" if self._config.window_events is None else "window_events"
-            raise ValueError(f"it stores {stored.n} events, but `{most}` is {self.capacity}")
-        t_us, end_us, n = stored.t[: stored.n], start_us + self._config.window_us, _n_events(buffer)
-        whole = self._config.window_events is None or (n == stored.n and t_us.max(initial=-1) == ints[S.NEWEST_US])
-        if not whole or stored.n > n or np.any((t_us < start_us) | (t_us >= end_us)):
-            raise ValueError(f"its stored events do not belong to the window from {start_us} us on")
-        self._grow(stored.n)
-        for column, values in zip(self._columns[:4], stored[:4], strict=True):
-            column[: stored.n] = values
-        self.n = stored.n
-        self._landmark, self._is_replayed = None, self.n == 0
-        if self._raw is not None:
-            self._raw.open(start_us)
-        self._show_raw(0)
 
     def _show_raw(self, first: int) -> None:
         """Add the stored events from `first` on to the raw volume."""

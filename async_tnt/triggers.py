@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checked_tensors import Arrays, checked_array
 from async_tnt.checks import positive_int, real_number, short
 from async_tnt.kernels import trigger as T
-from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.kernels.state import NEVER_US
 
 
@@ -107,39 +105,6 @@ class Triggers:
         if self.every_us is not None:
             due_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
             self.next_due_us = min(due_us, NEVER_US)
-
-    def save(self) -> Arrays:
-        """What they remember, as arrays for `restore`, without the settings."""
-        return {"state": self.state, "times": np.array((self.next_due_us, self.n_decided), np.int64)}
-
-    def restore(self, arrays: Arrays, settings: Any) -> None:
-        """Continue from triggers with this `save` and these `settings`.
-
-        Raises
-        ------
-        TypeError, ValueError : an invalid setting, or a number that triggers cannot have remembered.
-        """
-        try:
-            settings = {name: settings[name] for name in _CHECKS}
-            if settings["activity"] is not None:
-                settings["activity"] = LeakyIntegrator(**settings["activity"])
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"its triggers lack settings: {error!r}") from None
-        self.set(**settings)
-        state = checked_array(arrays, "state", np.float64, self.state.shape)
-        potential, charged_us = float(state[T.POTENTIAL]), int(state.view(np.int64)[T.CHARGED_US])
-        due_us, n_decided = checked_array(arrays, "times", np.int64, (2,)).tolist()
-        if not (0 <= potential < self.state[T.THRESHOLD] and 0 <= charged_us < MAX_TIME_US):
-            raise ValueError(f"its activity cannot be {potential} at {charged_us} us")
-        if not (0 <= due_us <= NEVER_US and n_decided >= 0):
-            raise ValueError(f"its triggers cannot be due at {due_us} us, after {n_decided} events")
-        self.state[T.POTENTIAL], self._ints[T.CHARGED_US] = potential, charged_us
-        self.next_due_us, self.n_decided = due_us, n_decided
-
-    def settings(self) -> dict[str, Any]:
-        """The settings as JSON values."""
-        settings = {name: getattr(self, name) for name in _CHECKS}
-        return settings | {"activity": self.activity and vars(self.activity)}
 
     @property
     def by_event(self) -> bool:

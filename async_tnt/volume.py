@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checked_tensors import Arrays, with_prefix, without_prefix
 from async_tnt.checks import checked_time
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts
@@ -17,7 +16,7 @@ from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
 from async_tnt.one_call import Running
 from async_tnt.replay_buffer import Regressor, ReplayBuffer, check_regressor
-from async_tnt.volume_state import new_state, next_epoch, restore_counts, restore_window, save_window
+from async_tnt.volume_state import new_state, next_epoch
 
 UNOPENED = -1  # LIMIT_US before the first window, so that every time is at or after it
 
@@ -210,25 +209,6 @@ class TNTVolume:
         if self._replay is not None:
             self._replay.reset()
         self._empty(0, UNOPENED)
-
-    def save(self) -> Arrays:
-        """The open window and the counts, as arrays for `restore`."""
-        arrays = save_window(self._buffer, with_cells=self._replay is None)
-        return arrays if self._replay is None else arrays | with_prefix("replay", self._replay.save())
-
-    def restore(self, arrays: Arrays, is_open: bool) -> None:
-        """Continue from the `save` of a volume of the same configuration; without an open window, from its counts.
-
-        Raises
-        ------
-        ValueError : a number that a volume of this configuration cannot hold.
-        """
-        self.reset()
-        restore_counts(self._buffer, arrays)
-        if is_open:
-            restore_window(self._buffer, arrays, self.config)
-        if self._replay is not None:
-            self._replay.restore(without_prefix("replay", arrays), self._buffer, is_open)
 
     # -- results -------------------------------------------------------------------------------
 

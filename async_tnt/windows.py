@@ -11,14 +11,10 @@ from collections import deque
 from dataclasses import replace
 from itertools import islice
 
-import numpy as np
-
-from async_tnt.checked_tensors import Arrays, checked_array, with_prefix, without_prefix
 from async_tnt.checks import positive_int, short
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.events import Columns
-from async_tnt.kernels.records import MAX_TIME_US
 from async_tnt.kernels.state import REMEMBERED
 from async_tnt.replay_buffer import Regressor
 from async_tnt.volume import TNTVolume
@@ -210,55 +206,6 @@ class WindowScheduler:
         """Tell the oldest volume, which counts late events, which windows were closed early."""
         if self._closed_early:
             self.oldest.set_closed_early(self._closed_early, self.hop_us)
-
-    def save(self) -> Arrays:
-        """All volumes, which of them are open, and the counts."""
-        order = [self.volumes.index(volume) for volume in (*self._open, *self._free)]
-        next_us = -1 if self._next_start_us is None else self._next_start_us
-        counts = [len(self._open), next_us, self._n_received, self._n_late, self._n_decided]
-        arrays = {"order": np.array(order, np.int64), "counts": np.array(counts, np.int64)}
-        closed_early = self._closed_early.to_bytes(REMEMBERED // 8, "little")
-        arrays["closed_early"] = np.frombuffer(closed_early, np.uint8)
-        for k, volume in enumerate(self.volumes):
-            arrays |= with_prefix(str(k), volume.save())
-        return arrays
-
-    def restore(self, arrays: Arrays) -> None:
-        """The inverse.
-
-        Raises
-        ------
-        ValueError : a number that such windows cannot have saved. Some have been restored then: discard this object.
-        """
-        order = checked_array(arrays, "order", np.int64, (len(self.volumes),)).tolist()
-        if sorted(order) != list(range(len(order))):
-            raise ValueError(f"its volumes cannot be in the order {order}")
-        n_open, next_start_us, *counted = checked_array(arrays, "counts", np.int64, (5,)).tolist()
-        if not 0 <= n_open <= len(order):
-            raise ValueError(f"it has {n_open} open windows of {len(order)}")
-        if min(counted) < 0 or not sum(counted[1:]) <= counted[0] <= MAX_EVENTS:
-            raise ValueError(f"its counts {counted} contradict each other")
-        first_us = next_start_us - n_open * self.hop_us
-        for k, number in enumerate(order):
-            volume = self.volumes[number]
-            volume.restore(without_prefix(str(number), arrays), is_open=k < n_open)
-            if k < n_open and volume.start_us != first_us + k * self.hop_us:
-                raise ValueError(f"its windows do not lie {self.hop_us} us apart")
-        on_grid = self._start_us is None or (first_us - self._start_us) % self.hop_us == 0
-        if next_start_us == -1 and n_open == 0 and self._start_us is None:
-            self._next_start_us = None
-        elif 0 <= first_us < MAX_TIME_US + self._window_us and on_grid and (n_open or self._window_events is None):
-            self._next_start_us = next_start_us
-        else:
-            raise ValueError(f"its next window cannot start at {next_start_us} us")
-        self._n_received, self._n_late, self._n_decided = counted
-        self._open = deque(self.volumes[number] for number in order[:n_open])
-        self._free = [self.volumes[number] for number in order[n_open:]]
-        words = checked_array(arrays, "closed_early", np.uint8, (REMEMBERED // 8,))
-        self._closed_early = int.from_bytes(words.tobytes(), "little")
-        if self._closed_early and self._window_events is not None:
-            raise ValueError("its windows of events cannot have been closed before their end")
-        self._inform_oldest()
 
     def counts(self, n_dropped: int) -> Counts:
         """See `Processor.counts`. `n_dropped` : late events that the decoder has dropped."""

@@ -1,6 +1,6 @@
 """Laws that hold for everything that takes a stream: volumes of every kind, processors with every trigger.
 
-However the stream is cut into packets; after a reset, in a copy, restored in another object; whatever invalid packets
+However the stream is cut into packets; after a reset, in a copy, pickled; whatever invalid packets
 arrived and whatever was read in between: the same decisions, volumes, landmarks and counts, bit for bit.
 """
 
@@ -89,6 +89,11 @@ class Stream:
         model = random_model(config, classes=3, widths=(3, 4, 5), regressor_widths=(3, 3, 3), sharpness=20.0)
         self.processor = Processor(model, classifier=None if compiled else uneven, **settings)
 
+    def __copy__(self):
+        twin = object.__new__(Stream)
+        twin.processor = copy.copy(self.processor)
+        return twin
+
     def push(self, events):
         return [key(decision) for decision in self.processor.push(events)]
 
@@ -141,11 +146,6 @@ def fed(stream, events, sizes=(400,)):
     return outputs
 
 
-def restored(stream, stopped):
-    stream.processor.restore_state(stopped.processor.save_state())
-    return stream
-
-
 @of_all
 @pytest.mark.parametrize("sizes", [(2, 0, 7), (399,)], ids=str)
 def test_packets_of_any_size_give_the_same(make, sizes):
@@ -157,7 +157,7 @@ def test_packets_of_any_size_give_the_same(make, sizes):
 
 @given(data=st.data())
 def test_any_packets_of_any_stream_give_the_same(data):
-    """A processor may even be saved and restored elsewhere in between."""
+    """A stream may even be pickled in between."""
     name = data.draw(st.sampled_from(list(ALL)))
     make = ALL[name]
     start_us = data.draw(st.sampled_from([0, 123_456_789, 1_700_000_000_000_000]))
@@ -166,8 +166,7 @@ def test_any_packets_of_any_stream_give_the_same(data):
     stop = data.draw(st.integers(0, 60))
     whole, cut = make(), make()
     expected, got = fed(whole, events), fed(cut, events[:stop], sizes)
-    if isinstance(cut, Stream):
-        cut = restored(make(), cut)
+    cut = pickle.loads(pickle.dumps(cut))
     got += fed(cut, events[stop:], sizes)
     assert got == expected
     assert cut.look() == whole.look()
@@ -202,8 +201,7 @@ def test_after_a_reset_it_is_as_new(make, few):
 @pytest.mark.parametrize(
     ("make", "duplicate"),
     [
-        *itertools.product(VOLUMES.values(), (copy.copy,)),
-        *itertools.product(ALL.values(), (copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream)))),
+        *itertools.product(ALL.values(), (copy.copy, copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream)))),
     ],
 )
 def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
@@ -215,18 +213,6 @@ def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
     assert original.look() == before
     assert fed(original, events[170:], (11,)) == outputs == fed(alone, events[170:], (11,))
     assert original.look() == twin.look() == alone.look()
-
-
-@pytest.mark.parametrize("make", PROCESSORS.values(), ids=PROCESSORS)
-@pytest.mark.parametrize("stop", [0, 1, 150])
-def test_restored_elsewhere_it_continues_as_if_it_had_not_stopped(make, stop):
-    whole, stopped, resumed, events = make(), make(), make(), events_of(make)
-    fed(whole, events[:stop]), fed(stopped, events[:stop])
-    fed(resumed, events_of(make, n=30, seed=9))  # is forgotten
-    restored(resumed, stopped)
-    assert resumed.look() == stopped.look() == whole.look()
-    assert fed(resumed, events[stop:], (13,)) == fed(whole, events[stop:], (13,))
-    assert resumed.look() == whole.look()
 
 
 @of_all

@@ -74,13 +74,6 @@ for processor, settings in zip(processors, TRIGGERS * len(MODELS)):
         setattr(processor, name, settings[name])
 """
     + PUSH,
-    "a_state_is_restored": """
-model = MODELS["running"]
-with_trigger = Processor(model.config, classifier=lambda volume: [0.0], classes=("a",), every_events=1)
-processors = [Processor(model)]
-processors[0].restore_state(with_trigger.save_state())
-"""
-    + PUSH,
     "a_classifier_is_set": """
 processors = [Processor(TNTConfig(), classifier=lambda volume: [0.0], every_events=1)]
 processors[0].classifier = CompiledClassifier(MODELS["running"])

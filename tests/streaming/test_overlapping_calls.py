@@ -62,8 +62,6 @@ CALLS = {
     "finish": Processor.finish,
     "reset": Processor.reset,
     "volume": Processor.volume,
-    "save_state": Processor.save_state,
-    "restore_state": lambda processor: processor.restore_state(b""),
     "confidence": set_to("confidence", 0.5),
     "classifier": set_to("classifier", total_and_size),
 }

@@ -67,7 +67,4 @@ def test_another_one_begins_as_on_a_new_stream(make, last, fires):
 def test_its_numbers_may_be_numpys_and_a_period_longer_than_time():
     activity = LeakyIntegrator(np.float32(60), np.int64(4000))
     assert json.dumps(vars(activity)) == '{"threshold": 60.0, "leak_us": 4000.0, "charge": 1.0}'
-    model = random_model(TNTConfig())
-    settings = {"activity": activity, "every_us": 2**62 - 1, "start_us": 10**6}
-    processor = Processor(model, **settings)
-    Processor(model, **settings).restore_state(processor.save_state())
+    Processor(random_model(TNTConfig()), activity=activity, every_us=2**62 - 1, start_us=10**6)
