@@ -111,7 +111,7 @@ def test_the_smallest_grid(name):
 @pytest.mark.parametrize(
     "function, message",
     [
-        ("gelu", "layer '1' is a GELU, which has no compiled form; TorchClassifier"),
+        ("gelu", "layer '1' (GELU) has no compiled form; TorchClassifier"),
         ("broken", "ZeroDivisionError: division by zero"),
         ("nothing", "must return a torch module, got int"),
         ("absent", "ValueError: it has no function 'absent'"),
