@@ -101,6 +101,8 @@ def own_copy(module: nn.Module) -> nn.Module:
         where = f"layer {name!r} ({type(part).__name__})" if name else "the module"
         if isinstance(part, torch.jit.ScriptModule):
             raise NotImplementedError(f"{where} is compiled by torch.jit: take what it was made from{WAY_OUT}")
+        if isinstance(part, nn.modules.lazy.LazyModuleMixin):
+            raise NotImplementedError(f"{where} has no weights yet: call the module once{WAY_OUT}")
         if part._forward_hooks or part._forward_pre_hooks:  # torch has no public way to ask
             raise NotImplementedError(f"{where} has hooks, which a trace does not show: remove them{WAY_OUT}")
         if "forward" in vars(part) and not isinstance(part, fx.GraphModule):

@@ -32,7 +32,10 @@ def normed(channels, grid, n_classes):
                          nn.Flatten(), nn.Linear(4, n_classes))
 
 def gelu(channels, grid, n_classes):
-    return nn.Sequential(nn.Conv2d(channels, 4, 3), nn.GELU(), nn.Flatten(), nn.LazyLinear(n_classes))
+    return nn.Sequential(nn.Conv2d(channels, 4, 3), nn.GELU(), nn.Flatten(), nn.Linear(4096, n_classes))
+
+def lazy(channels, grid, n_classes):
+    return nn.Sequential(nn.Flatten(), nn.LazyLinear(n_classes))
 
 def broken(channels, grid, n_classes):
     return 1 / 0
@@ -112,6 +115,7 @@ def test_the_smallest_grid(name):
     "function, message",
     [
         ("gelu", "layer '1' (GELU) has no compiled form; TorchClassifier"),
+        ("lazy", "layer '1' (LazyLinear) has no weights yet: call the module once; TorchClassifier"),
         ("broken", "ZeroDivisionError: division by zero"),
         ("nothing", "must return a torch module, got int"),
         ("absent", "ValueError: it has no function 'absent'"),
