@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import operator
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from async_tnt.checks import one_line
 from async_tnt.networks.conversion_check import Function, compare
 from async_tnt.networks.graph import VOLUME
 from async_tnt.networks.torch_operations import (
+    ELEMENTWISE,
     FUNCTIONS,
     IN_PLACE,
     METHODS,
@@ -139,7 +141,7 @@ class _Conversion:
     """Reads the nodes of a trace in their order.
 
     In-place operations are read as copies, so it also keeps which nodes share memory: after one of them has been
-    written to, the others stand for the new value, or, in another shape, for none that a layer has.
+    written to, the others stand for the new value, or for none that a layer has.
     """
 
     def __init__(self, module: nn.Module, prefix: str) -> None:
@@ -157,10 +159,10 @@ class _Conversion:
         (output,) = (node.args[0] for node in graph.nodes if node.op == "output")
         if not isinstance(output, fx.Node):
             raise NotImplementedError(f"the module must return one tensor of logits{WAY_OUT}")
-        made = self._made
-        if not made.layers or made.names.get(output) != made.layers[-1]["name"]:
-            raise NotImplementedError(f"the module's last operation must give its logits{WAY_OUT}")
-        return made.layers, made.weights
+        try:
+            return self._made.needed_for(output)
+        except NotImplementedError as error:
+            raise NotImplementedError(f"the module's output: {error}{WAY_OUT}") from None
 
     def _is_size(self, node: fx.Node) -> bool:
         """x.size(...), x.shape, and numbers taken from them: known to `_view`, unknown to all other rules."""
@@ -177,10 +179,11 @@ class _Conversion:
         where = f"layer {node.target!r} ({kind})" if module is not None else f"operation {node.name!r} ({kind})"
         if operation is None and node.users:
             raise NotImplementedError(f"{where} has no compiled form{WAY_OUT}")
+        nothing_to_read = not node.users and not self._made.overwritten.keys().isdisjoint(node.all_input_nodes)
         try:
-            if operation is None:
+            if operation is None or nothing_to_read:
                 for source in [] if _is_pure(node, module, kind) else node.all_input_nodes:
-                    self._write(source, None, where)
+                    self._write(source, {}, where)
                 return
             call = Call(node, operation.arguments(node, module), module)
             if node.users or call.written is not None:
@@ -189,23 +192,34 @@ class _Conversion:
             raise NotImplementedError(f"{where}: {error}{WAY_OUT}") from None
 
     def _add(self, call: Call, operation: Operation, where: str) -> None:
-        name, written = operation.rule(self._made, call), call.written
+        made, written = self._made, call.written
+        name = operation.rule(made, call)
         if written is not None:
-            self._write(written, name, where)
+            values = {made.source(written): name}
+            if operation.rule in ELEMENTWISE and written is call["input"]:  # the same for what has another shape
+                for other in {made.names[node] for node in self._sharing(written)} - values.keys():
+                    values[other] = operation.rule(made, replace(call, arguments={**call.arguments, "input": other}))
+            self._write(written, values, where)
         shared = call.arguments["input"] if operation.is_view else written
         if shared is not None:
             self._memory[call.node] = self._memory.get(shared, shared)
         self._made.names[call.node] = name
 
-    def _write(self, source: Any, name: str | None, where: str) -> None:
-        """The memory of `source` now holds the value of the layer `name`, or one that no layer has."""
-        memory, before, names = self._memory.get(source, source), self._made.source(source), self._made.names
-        for node in [node for node in names if self._memory.get(node, node) is memory]:
-            if name is not None and names[node] == before:
-                names[node] = name
+    def _sharing(self, source: fx.Node) -> list[fx.Node]:
+        """The nodes in the memory of `source` whose value a layer has."""
+        memory = self._memory.get(source, source)
+        return [node for node in self._made.names if self._memory.get(node, node) is memory]
+
+    def _write(self, source: Any, values: Mapping[str, str], where: str) -> None:
+        """The memory of `source` has changed. `values` : the layer of a value before -> the layer of it now."""
+        if source not in self._made.overwritten:
+            self._made.source(source)  # refuses weights and buffers
+        for node in self._sharing(source):
+            before = self._made.names.pop(node)
+            if before in values:
+                self._made.names[node] = values[before]
             else:
                 self._made.overwritten[node] = where
-                del names[node]
 
     def _operation(self, node: fx.Node) -> tuple[str, nn.Module | None, Operation | None]:
         """The name of what a node calls, the module if it is one, and what is known of it."""

@@ -82,8 +82,20 @@ class LayerList:
         if not isinstance(node, fx.Node) or node not in self.names:
             by = self.overwritten.get(node) if isinstance(node, fx.Node) else None
             why = "not computed from the volume" if by is None else f"changed in place by {by}"
-            raise NotImplementedError(f"its input {node} is {why}")
+            raise NotImplementedError(f"the value {node} is {why}")
         return self.names[node]
+
+    def needed_for(self, output: fx.Node) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+        """The layers that a node's value is computed from, the last one its own, and their weights."""
+        needed = {self.source(output)}
+        expect_form(needed != {VOLUME}, "the volume itself")
+        layers: list[dict[str, Any]] = []
+        for layer in reversed(self.layers):
+            if layer["name"] in needed:
+                needed.update(layer["inputs"])
+                layers.insert(0, layer)
+        used = {name for layer in layers for name in layer.get("weights", {}).values()}
+        return layers, {name: values for name, values in self.weights.items() if name in used}
 
     def tensors(self, call: Call, **roles: str) -> dict[str, str]:
         """Keep a module's tensors; role -> name, without those that are None."""
@@ -292,6 +304,8 @@ FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1}, is_view=True)
 VIEW = Operation(_view, is_view=True)
 DROPOUT = Operation(_dropout, {"p": 0.5, "training": True, **_IN_PLACE}, is_view=True)
 
+ELEMENTWISE = (_relu, _relu6, _hardtanh, _clamp, _leaky_relu)
+"""Rules that are the same for a value in any shape."""
 MODULES: dict[type, Operation] = {
     nn.Conv2d: Operation(_conv),
     nn.Linear: Operation(_linear),

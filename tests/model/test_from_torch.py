@@ -185,6 +185,17 @@ def returns_what_it_changed(m, x):
     return h
 
 
+def changes_through_a_view(m, x):
+    h = m.conv(x)
+    return m.dense(h.flatten(1).relu_()) + m.logits(h)
+
+
+def changes_what_is_not_read_again(m, x):
+    logits = m.logits(m.conv(x))
+    x.clamp_(0, 1)
+    return logits
+
+
 def leaves_results_unread(m, x):
     h = m.conv(x)
     x.exp(), h * 3, F.gelu(h), h.sigmoid(), x.div_(10)
@@ -200,6 +211,8 @@ def leaves_results_unread(m, x):
         adds_to_another_name,
         clamps_into_another,
         returns_what_it_changed,
+        changes_through_a_view,
+        changes_what_is_not_read_again,
         leaves_results_unread,
     ],
 )
@@ -214,11 +227,6 @@ def test_a_change_in_place_is_read_as_it_is(body):
 def divides_the_volume(m, x):
     x.div_(10)
     return m.logits(m.conv(x))
-
-
-def changes_through_a_view(m, x):
-    h = m.conv(x)
-    return m.dense(h.flatten(1).relu_()) + m.logits(h)
 
 
 def multiplies_another_name(m, x):
@@ -303,11 +311,10 @@ SMALL_NET = head(nn.Conv2d(3, 4, 3))
     [
         (
             lambda: Written(divides_the_volume),
-            r"^layer 'conv' \(Conv2d\): its input x is changed in place by",
+            r"^layer 'conv' \(Conv2d\): the value x is changed in place by",
         ),
-        (lambda: Written(changes_through_a_view), r"its input conv is changed in place by operation 'relu_' \(relu_\)"),
-        (lambda: Written(multiplies_another_name), r"its input conv is changed in place by operation 'imul' \(imul\)"),
-        (lambda: Written(own_function_in_place), r"its input conv is changed in place by operation 'halve' \(halve\)"),
+        (lambda: Written(multiplies_another_name), r"the value conv is changed in place by operation 'imul' \(imul\)"),
+        (lambda: Written(own_function_in_place), r"the value conv is changed in place by operation 'halve' \(halve\)"),
         (lambda: Written(own_function_named_relu), r"^operation 'relu' \(relu\) has no compiled form"),
         (lambda: Written(changes_its_statistics), r"^operation 'norm_running_mean' .* has no compiled form"),
         (lambda: head(nn.Sequential(nn.Conv2d(3, 4, 3), ReLU())), r"^operation 'pow_1' \(pow\) has no compiled form"),
