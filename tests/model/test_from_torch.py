@@ -202,9 +202,16 @@ def leaves_results_unread(m, x):
     return m.logits(h)
 
 
+def flattens(*shape):
+    return lambda m, x: m.dense(m.conv(x).reshape(*(n(x) if callable(n) else n for n in shape)))
+
+
 @pytest.mark.parametrize(
     "body",
     [
+        flattens(lambda x: x.size(0), -1),
+        flattens(lambda x: x.size()[0], -1),
+        flattens(lambda x: x.shape[0], -1),
         clamps_the_volume,
         preactivated,
         pools_again,
@@ -216,7 +223,7 @@ def leaves_results_unread(m, x):
         leaves_results_unread,
     ],
 )
-def test_a_change_in_place_is_read_as_it_is(body):
+def test_sizes_and_changes_in_place_are_read_as_they_are(body):
     module = Written(body)
     model = Model.from_torch(module, CONFIG, list("abcd"))
     found = [CompiledClassifier(model)(volume) for volume in VOLUMES]
@@ -298,10 +305,6 @@ class Counting(nn.Module):
         return (F.relu(x) if self.calls > 4 else x).mean((2, 3))
 
 
-def flattens(*shape):
-    return lambda m, x: m.dense(m.conv(x).reshape(*(n(x) if callable(n) else n for n in shape)))
-
-
 SMALL_NET = head(nn.Conv2d(3, 4, 3))
 
 
@@ -348,6 +351,7 @@ SMALL_NET = head(nn.Conv2d(3, 4, 3))
             r"^operation 'reshape' \(reshape\): a view other than \(n, -1\)",
         ),
         (lambda: Written(flattens(lambda x: x.size(1), -1)), r"a view other than \(n, -1\), one row a volume"),
+        (lambda: Written(flattens(lambda x: x.shape[1], -1)), r"a view other than \(n, -1\), one row a volume"),
         (lambda: Flat((-1, 5)), r"cannot be read as layers|must have shape"),
         (lambda: head(nn.Sequential(nn.Flatten(), nn.Linear(1080, 4), nn.BatchNorm2d(4)))[:1], r"it fails on a volume"),
         (
