@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from async_tnt.config import LANDMARKS
-from async_tnt.training.table import cell, summary
-from async_tnt.training.table import short as three_digits
-from async_tnt.training.table_rows import IMAGES
 from experiments.page_parts import about_machine, percent, results, short, table
+from experiments.table_numbers import cell, summary
+from experiments.table_numbers import short as three_digits
+from experiments.table_rows import IMAGES
 
 CARS_MS = "10", "20", "30", "50", "100"
 EQUAL_MS = "10", "30", "50", "100"

@@ -30,11 +30,11 @@ from async_tnt.processor import Processor
 from async_tnt.progress import progress
 from async_tnt.sources import open_recording
 from async_tnt.sources.sensor import format_size
-from async_tnt.training.table import cell, summary
 from async_tnt.views.figure_style import GREY, OFF, ON, PALE, axes_at, headline, new_figure, note
 from async_tnt.volume import TNTVolume
 from experiments.made_objects import SENSOR, write
 from experiments.script_options import exit_with, run_script, script_parser, write_outputs
+from experiments.table_numbers import cell, summary
 from experiments.unseen_motions import command
 
 TUNED = "--grid 60x50 --network residual --mirror --epochs 30 --patience 0 --validation 0.05"

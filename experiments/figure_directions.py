@@ -40,7 +40,7 @@ def by_direction(per_motion: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
 
 def draw(report: dict[str, Any]) -> Figure:
     """A polar panel for what was trained on: angle: direction of motion, downwards below; radius: accuracy."""
-    from async_tnt.training.table_rows import ROWS
+    from experiments.table_rows import ROWS
 
     table = report["table"]
     figure = new_figure(5.6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,10 +25,14 @@ def writable_file(text: str) -> Path:
     return Path(text)
 
 
-def plain_parser(name: str, description: str | None) -> argparse.ArgumentParser:
-    """The parser of `python -m experiments.NAME`, which prints the description as it is."""
-    formatter = argparse.RawDescriptionHelpFormatter
-    return argparse.ArgumentParser(f"python -m experiments.{name}", description=description, formatter_class=formatter)
+def plain_parser(name: str, description: str | None, epilog: str | None = None) -> argparse.ArgumentParser:
+    """The parser of `python -m experiments.NAME`, which prints description and epilog as they are."""
+    return argparse.ArgumentParser(
+        prog=f"python -m experiments.{name}",
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
 
 
 def script_parser(name: str, description: str | None, quick: str, *, draws: bool = False) -> argparse.ArgumentParser:
@@ -88,18 +93,24 @@ def write_outputs(args: argparse.Namespace, report: dict[str, Any], draw: Callab
 def exit_with(main: Callable[[], int]) -> NoReturn:
     """Run a command and end the process with its exit code. Errors are one line: 2 bad input, 130 Ctrl-C."""
     try:
-        code = main()
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *where, **more: _print_line(f"warning: {message}")
+            code = main()
     except BrokenPipeError:  # `| head`: the reader has seen enough
         code = 0
     except (OSError, ValueError, ImportError) as error:
         code = complain(str(error))
     except KeyboardInterrupt as error:
-        complain(str(error) or "interrupted")
+        _print_line(str(error) or "interrupted")
         code = 130
     sys.exit(code)
 
 
 def complain(message: str) -> int:
     """One line on stderr. Returns the exit code of bad input."""
-    print(f"{Path(sys.argv[0]).stem}: {printable(message)}", file=sys.stderr, flush=True)
+    _print_line(message)
     return 2
+
+
+def _print_line(message: str) -> None:
+    print(f"{Path(sys.argv[0]).stem}: {printable(message)}", file=sys.stderr, flush=True)

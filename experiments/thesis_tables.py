@@ -1,4 +1,4 @@
-"""The tables of the thesis' experiment, all from one run of `async-tnt table`, and what follows from them.
+"""The tables of the thesis' experiment, all from one run of `thesis_table.py`, and what follows from them.
 
 A sentence about two rows is written from the paired difference and its interval: one that holds zero is not called a
 difference.
@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from async_tnt.simulation.statistics import UNITS
-from async_tnt.training.table import markdown_table, short
-from async_tnt.training.table_rows import INPUTS, ROWS
 from experiments.page_parts import results, table
+from experiments.table_numbers import markdown_table, short
+from experiments.table_rows import INPUTS, ROWS
 
 GUESS = 0.1
 """The accuracy of guessing among ten digits."""

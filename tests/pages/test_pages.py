@@ -1,7 +1,10 @@
 """The pages: snippets run, commands exist, links lead somewhere, numbers and names are those of the code."""
 
+import contextlib
 import doctest
 import functools
+import importlib
+import io
 import json
 import re
 import shlex
@@ -16,8 +19,8 @@ from small_sets import write_small_mnist
 from async_tnt import Counts, TNTConfig, networks
 from async_tnt.cli import main
 from async_tnt.cli.program import COMMANDS, build_parser
-from async_tnt.simulation.moving_mnist import build
 from async_tnt.sources import READERS
+from experiments.moving_mnist_set import build
 
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), ROOT / "experiments" / "README.md"]
 GUIDE, REFERENCE, THEORY, RESULTS = (
@@ -50,6 +53,14 @@ def options():
     return {option for parser in parsers for action in parser._actions for option in action.option_strings}
 
 
+@functools.cache
+def help_of(name):
+    """What `python -m experiments.NAME --help` prints, as words."""
+    with contextlib.redirect_stdout(io.StringIO()) as printed, pytest.raises(SystemExit):
+        importlib.import_module(f"experiments.{name}").main(["--help"])
+    return set(re.findall(r"--[a-z][a-z-]*", printed.getvalue()))
+
+
 SNIPPETS = [
     pytest.param(page, title, id=f"{page.stem}-{title}")
     for page in PAGES
@@ -64,7 +75,7 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     for package in NEEDS.get(title, ()):
         pytest.importorskip(package)
-    if title == "Simulation":
+    if title == "N-MOVING-MNIST":
         (tmp_path / "mnist").mkdir()
         mnist = write_small_mnist(tmp_path / "mnist", 8)
         build(mnist, tmp_path / "moving", digits=8, workers=1, frame_us=10_500.0)
@@ -85,7 +96,7 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
         assert [line.split()[2] for line in printed.splitlines() if line.endswith(("window", "end"))] == ["3", "3", "3"]
     if title == "Archives":
         assert sorted(session["labels"].values()) == list("0123456789") and len(session["decisions"]) == 30
-    if title == "Simulation":
+    if title == "N-MOVING-MNIST":
         assert printed.startswith("036deg-5px 9 ") and session["total"] > len(session["t"]) > 10
 
 
@@ -94,8 +105,8 @@ def test_commands_and_options_exist(page):
     text = page.read_text(encoding="utf-8")
     for words in commands(text):
         build_parser(words).parse_args(words)  # exits where it does not understand
-    for name in re.findall(r"python -m experiments\.(\w+)", text):
-        assert (ROOT / "experiments" / f"{name}.py").is_file(), name
+    for name, words in re.findall(r"python -m experiments\.(\w+)((?: [^\s`|]+)*)", text):
+        assert [option for option in re.findall(r"--[a-z][a-z-]*", words) if option not in help_of(name)] == []
     if page.parent.name == "docs":
         named = re.findall(r"`(--[a-z][a-z-]*)", text)
         assert [option for option in named if option not in options()] == []
@@ -196,7 +207,7 @@ def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path, caps
 
 def test_the_committed_table_is_that_of_the_code():
     pytest.importorskip("torch")
-    from async_tnt.training.table_rows import ROWS
+    from experiments.table_rows import ROWS
 
     record = json.loads((ROOT / "experiments" / "results" / "table.json").read_text(encoding="utf-8"))
     for name, row in record["rows"].items():

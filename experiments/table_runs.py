@@ -16,7 +16,6 @@ import torch
 from async_tnt.archive.executor import run_all
 from async_tnt.files import write_text
 from async_tnt.progress import progress
-from async_tnt.simulation.moving_mnist import open_set
 from async_tnt.training.evaluation import class_probabilities
 from async_tnt.training.loop import train
 from async_tnt.training.moved_windows import Motions
@@ -24,7 +23,9 @@ from async_tnt.training.pipeline import Pipeline, pipeline_of
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.run_folder import CURVES, plot_curves
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.table_data import (
+from async_tnt.training.windows import Windows
+from experiments.moving_mnist_set import open_set
+from experiments.table_data import (
     RealData,
     RealFolder,
     saccade,
@@ -32,8 +33,7 @@ from async_tnt.training.table_data import (
     some_recordings,
     trained_on,
 )
-from async_tnt.training.table_rows import COLUMNS, ROWS, Run
-from async_tnt.training.windows import Windows
+from experiments.table_rows import COLUMNS, ROWS, Run
 
 RESULT = "result.json"
 VALIDATION = ("per_window", "validation_loss", "motions_per_window", "motions_validation_loss")
@@ -86,7 +86,7 @@ def run_network(
 
     Parameters
     ----------
-    simulated : name -> a set of `async-tnt simulate`.
+    simulated : name -> a set of `python -m experiments.moving_mnist`.
     settings : without seed and augmentation, which are the run's and its row's; without iterations: its row's.
     folder : holds a folder for each run: its checkpoint, its history as JSON and, when done, its model, its result
         as JSON and, with matplotlib, its learning curves.

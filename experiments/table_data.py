@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.simulation.moving_mnist import open_set
 from async_tnt.training.digits import OFFICIAL, read_nmnist_folder, recording_numbers
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import COLUMNS, SACCADE_US, Windows, make_windows, saccade, split_recordings
+from experiments.moving_mnist_set import open_set
 
 CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
 """The one saccade of each digit in `confounded`."""
@@ -129,7 +129,7 @@ def set_name(parameters: Mapping[str, Any]) -> str:
 
 
 def simulated_windows(folder: Path, seen_images: np.ndarray) -> Iterator[tuple[str, Windows]]:
-    """(name of the motion, windows) of each shard of a set that `async-tnt simulate` made.
+    """(name of the motion, windows) of each shard of a set that `python -m experiments.moving_mnist` made.
 
     Recordings of images that were seen in training, under whatever motion, are left out.
 

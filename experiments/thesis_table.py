@@ -1,4 +1,4 @@
-"""`async-tnt table`: the thesis' experiment. Train and test its networks, and compare them."""
+"""`python -m experiments.thesis_table`: the thesis' experiment. Train and test its networks, and compare them."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder, write_text
 from async_tnt.process import available_cores
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.table_rows import GROUPS, INPUTS, ROWS, TRAINED_ON, Run, runs_of
+from experiments.script_options import exit_with, plain_parser
+from experiments.table_rows import GROUPS, INPUTS, ROWS, TRAINED_ON, Run, runs_of
 
 if TYPE_CHECKING:
-    from async_tnt.training.table_data import RealData
+    from experiments.table_data import RealData
 
 DESCRIPTION = f"""The thesis' experiment: networks that saw digits move in one way, tested in other motions.
 
@@ -45,17 +46,17 @@ of all networks are kept in --out: stop with Ctrl-C, give the same command again
 """
 EPILOG = """\
 examples:
-  async-tnt table --smoke --nmnist N-MNIST --mnist MNIST     everything in a minute or two, few digits
-  async-tnt simulate --mnist MNIST --out moving-mnist        10,000 digits, 30 motions
-  async-tnt table --list                                     which networks, how long each is trained
-  async-tnt table --nmnist N-MNIST --simulated moving-mnist --out table
-  async-tnt table --nmnist N-MNIST --simulated moving-mnist --out table --finished     the table so far
-  async-tnt table --nmnist N-MNIST --simulated moving-mnist bells --rows raw line --seeds 0 1
+  python -m experiments.thesis_table --smoke --nmnist N-MNIST --mnist MNIST    everything in a minute or two
+  python -m experiments.thesis_table --list                                    the networks, and their steps
+  python -m experiments.moving_mnist --mnist MNIST --out moving                10,000 digits, 30 motions
+  python -m experiments.thesis_table --nmnist N-MNIST --simulated moving --out table
+  python -m experiments.thesis_table --nmnist N-MNIST --simulated moving --out table --finished
+                                                                               the table so far
+  python -m experiments.thesis_table --nmnist N-MNIST --simulated moving bells --rows raw line --seeds 0 1
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = EPILOG
     data = parser.add_argument_group("data")
     add_folder(
         data,
@@ -67,8 +68,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="FOLDER",
-        help="a set made by `async-tnt simulate`, the columns .../sim, and any others; by default the test set of 30 "
-        "motions is first made in --out",
+        help="a set made by experiments.moving_mnist, the columns .../sim, and any others; by default the test set of "
+        "30 motions is first made in --out",
     )
     add_folder(data, "--mnist", "MNIST's IDX files, to make that set from (default: $TNT_DATA/mnist)")
     data.add_argument(
@@ -131,8 +132,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     out.add_argument("--json", action="store_true", help="print the results as one JSON object")
 
 
-def main(args: argparse.Namespace) -> int:
-    """Run `async-tnt table`. Returns the exit code 0."""
+def main(argv: list[str] | None = None) -> int:
+    """Train, test, compare, and write. Returns the exit code 0."""
+    parser = plain_parser("thesis_table", DESCRIPTION, EPILOG)
+    add_arguments(parser)
+    args = parser.parse_args(argv)
     if args.smoke:
         args.rows, args.seeds, args.iterations = (
             args.rows or list(INPUTS),
@@ -148,9 +152,9 @@ def main(args: argparse.Namespace) -> int:
     with needs_extra("train", "the table needs torch"):
         import torch
         from tnt_reference import Classifier  # noqa: F401
-    from async_tnt.training.table import aggregate, differences, markdown_table, text_table
-    from async_tnt.training.table_data import RealFolder
-    from async_tnt.training.table_runs import is_finished, run_networks
+    from experiments.table_data import RealFolder
+    from experiments.table_numbers import aggregate, differences, markdown_table, text_table
+    from experiments.table_runs import is_finished, run_networks
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
     if args.finished:
@@ -174,7 +178,7 @@ def main(args: argparse.Namespace) -> int:
     table = aggregate(results)
     record = {
         "command": command_words(
-            "async-tnt table --nmnist N-MNIST --simulated MOVING-MNIST",
+            "python -m experiments.thesis_table --nmnist N-MNIST --simulated MOVING-MNIST",
             args,
             add_arguments,
             leave_out=("json", "workers", "skip_damaged", "finished"),
@@ -221,8 +225,8 @@ def _listed(runs: list[Run], iterations: int | None) -> list[str]:
 
 def _by_name(folders: list[Path]) -> dict[str, Path]:
     """Simulated sets by the name of their columns: the first is "sim"."""
-    from async_tnt.simulation.moving_mnist import open_set
-    from async_tnt.training.table_data import set_name
+    from experiments.moving_mnist_set import open_set
+    from experiments.table_data import set_name
 
     named = {"sim": folders[0]}
     for folder in folders[1:]:
@@ -234,7 +238,7 @@ def _by_name(folders: list[Path]) -> dict[str, Path]:
 
 
 def _simulate(args: argparse.Namespace, folder: Path) -> Path:
-    from async_tnt.simulation.moving_mnist import build
+    from experiments.moving_mnist_set import build
 
     mnist = data_folder(args.mnist, "mnist", "--mnist")
     build(mnist, folder, split="test", kind="constant", digits=20 if args.smoke else None, workers=args.workers)
@@ -243,13 +247,13 @@ def _simulate(args: argparse.Namespace, folder: Path) -> Path:
 
 def _set_description(folder: Path, data: RealData) -> dict[str, Any]:
     """What the simulated set is, and how much of it is tested on."""
-    from async_tnt.simulation.moving_mnist import open_set
+    from experiments.moving_mnist_set import open_set
 
     made = open_set(folder)
     if made.parameters["split"] != "test" or made.parameters["kind"] == "nmnist":
         raise ValueError(
             f"{folder}: the table needs simulated motions of MNIST's test images, got split "
-            f"{made.parameters['split']!r}, motions {made.parameters['kind']!r}; see async-tnt simulate --help"
+            f"{made.parameters['split']!r}, motions {made.parameters['kind']!r}; see experiments.moving_mnist"
         )
     n_images = made.parameters["digits"]
     n_unseen = n_images - int((data.seen_images < n_images).sum())
@@ -261,7 +265,7 @@ def _set_description(folder: Path, data: RealData) -> dict[str, Any]:
 
 
 def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) -> list[str]:
-    from async_tnt.training.table_data import set_name
+    from experiments.table_data import set_name
 
     data = record["data"]
     seeds = ", ".join(map(str, record["seeds"]))
@@ -279,3 +283,7 @@ def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) 
         ),
         f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)",
     ]
+
+
+if __name__ == "__main__":
+    exit_with(main)

@@ -10,10 +10,10 @@ from small_sets import idx_bytes
 from async_tnt.files import locked_folder
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
-from async_tnt.simulation.motions import motions_of
-from async_tnt.simulation.moving_mnist import build, open_set
 from async_tnt.simulation.shards import open_shard
 from async_tnt.simulation.trajectories import ConstantVelocity
+from experiments.motions import motions_of
+from experiments.moving_mnist_set import build, open_set
 
 QUICK = {"digits": 5, "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
 
@@ -112,7 +112,8 @@ def test_open_set_gives_what_build_gave(made):
 def test_an_incomplete_set_is_refused_with_the_command_to_resume(made, copied):
     for path in made.shards[10:13]:
         (copied / path.name).unlink()
-    command = f"async-tnt simulate --mnist MNIST --out {copied} --split test --motions constant --digits 5 --seed 0"
+    command = f"python -m experiments.moving_mnist --mnist MNIST --out {copied} --split test "
+    command += "--motions constant --digits 5 --seed 0"
     with pytest.raises(ValueError, match=f"3 of 90 shards are missing. Resume with: {command}"):
         open_set(copied)
     opened = open_set(copied, allow_incomplete=True)

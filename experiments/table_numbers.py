@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.training.table_rows import COLUMNS, DIFFERENCES, GROUPS, ROWS, THESIS
+from experiments.table_rows import COLUMNS, DIFFERENCES, GROUPS, ROWS, THESIS
 
 T_975 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
 """Student's t, 97.5 %, with 1 to 9 degrees of freedom; for more, the last one, which is a little too wide."""

@@ -1,4 +1,4 @@
-"""`async-tnt simulate`: what it writes and prints, its errors, and that it resumes when stopped at any moment."""
+"""N-MOVING-MNIST's command: what it writes and prints, its errors, and that it resumes when stopped at any moment."""
 
 import json
 from pathlib import Path
@@ -8,10 +8,10 @@ import pytest
 from processes import started
 from waiting import until
 
-from async_tnt.cli import simulate as command
-from async_tnt.simulation.moving_mnist import build, open_set
 from async_tnt.simulation.shards import open_shard
 from async_tnt.sources.files.nmnist import read_nmnist
+from experiments import moving_mnist
+from experiments.moving_mnist_set import build, open_set
 
 ALONG = "ON - OFF centroid, along the motion"
 
@@ -22,11 +22,11 @@ def no_data(monkeypatch):
 
 
 @pytest.fixture
-def simulate(program, mnist, tmp_path):
+def simulate(experiment, mnist, tmp_path):
     """Run the command on the small MNIST, into the folder `set`."""
 
     def run(*words):
-        return program("simulate", "--mnist", mnist, "--out", tmp_path / "set", "--workers", 1, *words)
+        return experiment("moving_mnist", "--mnist", mnist, "--out", tmp_path / "set", "--workers", 1, *words)
 
     return run
 
@@ -101,15 +101,15 @@ def test_errors_are_one_line_and_exit_code_2(simulate, mnist, tmp_path, monkeypa
         Path("damaged", path.name).write_bytes(path.read_bytes()[:-20])
     build(mnist, "made", digits=1, kind="nmnist", workers=1, frame_us=50_000.0)
     code, printed, err = simulate(*options)
-    assert code == 2 and printed == "" and err.startswith("async-tnt: ") and err.count("\n") == 1
+    assert code == 2 and printed == "" and err.startswith("moving_mnist: ") and err.count("\n") == 1
     assert message in err and not (tmp_path / "set").exists()
 
 
-def test_a_killed_simulation_resumes_to_the_same_files(mnist, tmp_path, program):
+def test_a_killed_simulation_resumes_to_the_same_files(mnist, tmp_path, experiment):
     for attempt in range(5):  # on a busy machine the kill may come when all is done: then once more
         folder = tmp_path / f"set {attempt}"
-        words = ["simulate", "--mnist", mnist, "--out", folder, "--motions", "bell", "--digits", 8, "--workers"]
-        with started("-m", "async_tnt", *words, 2) as process:
+        words = ["--mnist", mnist, "--out", folder, "--motions", "bell", "--digits", 8, "--workers"]
+        with started("-m", "experiments.moving_mnist", *words, 2) as process:
             until(lambda folder=folder: any(folder.glob("*.safetensors")))
             process.kill()
             process.communicate(timeout=600)  # its workers have its output, too: all have ended
@@ -118,7 +118,7 @@ def test_a_killed_simulation_resumes_to_the_same_files(mnist, tmp_path, program)
             break
     with pytest.raises(ValueError, match=f"{30 - n_made} of 30 shards are missing"):
         open_set(folder)
-    assert program(*words, 1)[0] == 0
+    assert experiment("moving_mnist", *words, 1)[0] == 0
     build(mnist, tmp_path / "whole", kind="bell", digits=8, workers=1)
     files = [{path.name: path.read_bytes() for path in one.iterdir()} for one in (folder, tmp_path / "whole")]
     assert files[0] == files[1] and len(files[0]) == 31
@@ -128,6 +128,6 @@ def test_ctrl_c_is_answered_in_one_line(simulate, monkeypatch):
     def interrupt(*words, **more):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "build", interrupt)
+    monkeypatch.setattr(moving_mnist, "build", interrupt)
     code, _, err = simulate()
     assert code == 130 and "Give the same command again to resume" in err and err.count("\n") == 1

@@ -25,12 +25,12 @@ from async_tnt.process import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
-from async_tnt.simulation.motions import NMNIST_SENSOR, Motion, motions_of
 from async_tnt.simulation.scene import Scene
-from async_tnt.simulation.set_manifest import MovingMnist, other_parameters, read_manifest, shard_names, write_manifest
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
 from async_tnt.version import __version__
+from experiments.motions import NMNIST_SENSOR, Motion, motions_of
+from experiments.set_manifest import MovingMnist, other_parameters, read_manifest, shard_names, write_manifest
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def build(
 
 
 def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) -> MovingMnist:
-    """Open a set that `build` or `async-tnt simulate` made.
+    """Open a set that `build` made.
 
     Parameters
     ----------
@@ -157,9 +157,10 @@ def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) 
         p = made.parameters
         bright = "" if p["simulator"]["scene"]["dark_on_bright"] else " --bright-on-dark"
         raise ValueError(
-            f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: async-tnt simulate "
-            f"--mnist MNIST --out {folder} --split {p['split']} --motions {p['kind']} --digits {p['digits']} "
-            f"--seed {p['seed']}{bright}, or by `build` with the parameters in set.json"
+            f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: "
+            f"python -m experiments.moving_mnist --mnist MNIST --out {folder} --split {p['split']} "
+            f"--motions {p['kind']} --digits {p['digits']} --seed {p['seed']}{bright}, or by `build` with "
+            "the parameters in set.json"
         )
     return dataclasses.replace(made, missing=missing)
 

@@ -1,4 +1,4 @@
-"""`async-tnt simulate`: make N-MOVING-MNIST, and show how like N-MNIST it is."""
+"""`python -m experiments.moving_mnist`: make N-MOVING-MNIST, and show how like N-MNIST it is."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder
 from async_tnt.process import available_cores
 from async_tnt.progress import progress
-from async_tnt.simulation.comparison import compare, recordings_by_image
-from async_tnt.simulation.motions import KINDS
-from async_tnt.simulation.moving_mnist import build
 from async_tnt.simulation.scene import Scene
-from async_tnt.simulation.set_manifest import MANIFEST, MovingMnist
 from async_tnt.simulation.statistics import side_by_side
 from async_tnt.sources.files.nmnist import write_nmnist
+from experiments.comparison import compare, recordings_by_image
+from experiments.motions import KINDS
+from experiments.moving_mnist_set import build
+from experiments.script_options import exit_with, plain_parser
+from experiments.set_manifest import MANIFEST, MovingMnist
 
 DESCRIPTION = """\
 Simulate N-MOVING-MNIST: every digit of MNIST before an event camera of 34 x 34 pixels, under each of 30
@@ -36,20 +37,18 @@ motion, and of this set, side by side.
 """
 EPILOG = """\
 examples:
-  async-tnt simulate --mnist MNIST --out moving --digits 20        a first look: seconds
-  async-tnt simulate --mnist MNIST --out moving-test               the whole test set
-  async-tnt simulate --mnist MNIST --out bells --motions bell      the same paths, with a saccade's speed
-  async-tnt simulate --mnist MNIST --out thesis --motions constant-from-centre --bright-on-dark
-                                                                   as the thesis seems to have moved its digits
-  async-tnt simulate --mnist MNIST --out moving --digits 20 --bin as-nmnist
+  python -m experiments.moving_mnist --mnist MNIST --out moving --digits 20       a first look: seconds
+  python -m experiments.moving_mnist --mnist MNIST --out moving-test              the whole test set
+  python -m experiments.moving_mnist --mnist MNIST --out bells --motions bell     the same paths, a saccade's speed
+  python -m experiments.moving_mnist --mnist MNIST --out thesis --motions constant-from-centre --bright-on-dark
+                                             as the thesis seems to have moved its digits
+  python -m experiments.moving_mnist --mnist MNIST --out moving --digits 20 --bin as-nmnist
   async-tnt run as-nmnist/000deg-5px/7/00001.bin
 MNIST is the folder with train-images-idx3-ubyte.gz, t10k-images-idx3-ubyte.gz and their labels.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `async-tnt simulate` to its parser."""
-    parser.epilog = EPILOG
     add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="folder of the set; made if missing")
     parser.add_argument("--split", choices=("train", "test"), default="test", help="of MNIST (default: %(default)s)")
@@ -85,8 +84,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
 
 
-def main(args: argparse.Namespace) -> int:
-    """Run `async-tnt simulate`. Returns the exit code 0."""
+def main(argv: list[str] | None = None) -> int:
+    """Make the set, compare it, and print. Returns the exit code 0."""
+    parser = plain_parser("moving_mnist", DESCRIPTION, EPILOG)
+    add_arguments(parser)
+    args = parser.parse_args(argv)
     mnist = data_folder(args.mnist, "mnist", "--mnist")
     root = os.environ.get("TNT_DATA")
     nmnist = None
@@ -153,3 +155,7 @@ def export(made: MovingMnist, folder: Path) -> None:
                 path = motion / str(int(shard.labels[i])) / f"{int(shard.image[i]) + 1:05}.bin"
                 write_nmnist(path, shard.recording(i), sensor=shard.sensor)
                 bar.update()
+
+
+if __name__ == "__main__":
+    exit_with(main)

@@ -20,11 +20,11 @@ from async_tnt.progress import progress
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.simulation.saccades import SACCADE_CUTS_US
-from async_tnt.simulation.set_manifest import MovingMnist
 from async_tnt.simulation.shards import Shard, open_shard
 from async_tnt.simulation.statistics import describe
 from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist
+from experiments.set_manifest import MovingMnist
 
 N_RECORDINGS = 200
 OFFICIAL_TRAIN = 60_000

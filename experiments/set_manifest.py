@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.files import write_text
-from async_tnt.simulation.motions import Motion, motions_of
 from async_tnt.simulation.shards import Shard, open_shard
+from experiments.motions import Motion, motions_of
 
 MANIFEST = "set.json"
 FORMAT = "async_tnt.moving_mnist"
@@ -106,7 +106,7 @@ def write_manifest(made: MovingMnist) -> None:
 def read_manifest(folder: Path) -> MovingMnist:
     path = folder / MANIFEST
     if not path.is_file():
-        raise FileNotFoundError(f"{folder}: no {MANIFEST} in it; expected a folder that async-tnt simulate made")
+        raise FileNotFoundError(f"{folder}: no {MANIFEST} in it; expected a folder that experiments.moving_mnist made")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if (content["format"], content["version"]) != (FORMAT, VERSION):

@@ -1,25 +1,33 @@
-"""The thesis' table: what is compared, the numbers brought together, and `async-tnt table`."""
+"""The thesis' table: what is compared, the numbers brought together, and its command."""
 
 import json
 import shutil
 
 import numpy as np
 import pytest
+from small_sets import write_small_mnist
 
 torch = pytest.importorskip("torch")
 
-from async_tnt import Processor, cli, load_model  # noqa: E402
-from async_tnt.simulation.moving_mnist import build, open_set  # noqa: E402
+from async_tnt import Processor, load_model  # noqa: E402
 from async_tnt.simulation.scene import Scene  # noqa: E402
-from async_tnt.training.table import aggregate, differences, markdown_table, text_table  # noqa: E402
-from async_tnt.training.table_data import (  # noqa: E402
+from experiments import thesis_table  # noqa: E402
+from experiments.moving_mnist_set import build, open_set  # noqa: E402
+from experiments.table_data import (  # noqa: E402
     RealFolder,
     saccade,
     shown_test_images,
     some_recordings,
     trained_on,
 )
-from async_tnt.training.table_rows import DIFFERENCES, INPUTS, ROWS, Run, runs_of  # noqa: E402
+from experiments.table_numbers import aggregate, differences, markdown_table, text_table  # noqa: E402
+from experiments.table_rows import DIFFERENCES, INPUTS, ROWS, Run, runs_of  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def mnist(tmp_path_factory):
+    """45 images."""
+    return write_small_mnist(tmp_path_factory.mktemp("MNIST"), 45)
 
 
 def test_rows_differ_only_in_what_they_are_named_for():
@@ -145,21 +153,21 @@ def test_numbers_and_tables_by_hand():
 def words(nmnist, moving):
     """A small table of two rows."""
     words = ["--nmnist", nmnist, "--simulated", moving, "--rows", "raw", "regressor-translated", "--seeds", 3]
-    return ["table", *words, "--iterations", 3, "--batch", 16, "--workers", 1, "--out"]
+    return [*words, "--iterations", 3, "--batch", 16, "--workers", 1, "--out"]
 
 
 @pytest.fixture(scope="module")
 def done(words, tmp_path_factory):
     out = tmp_path_factory.mktemp("table")
-    assert cli.main([*map(str, words), str(out)]) == 0
+    assert thesis_table.main([*map(str, words), str(out)]) == 0
     return out
 
 
 def test_results_record_what_was_done(done):
     record = json.loads((done / "results.json").read_text())
     assert record["command"] == (
-        "async-tnt table --nmnist N-MNIST --simulated MOVING-MNIST --rows raw regressor-translated --seeds 3 "
-        "--iterations 3 --batch 16"
+        "python -m experiments.thesis_table --nmnist N-MNIST --simulated MOVING-MNIST "
+        "--rows raw regressor-translated --seeds 3 --iterations 3 --batch 16"
     )
     assert set(record["table"]) == {"raw", "regressor-translated"}
     for columns in record["table"].values():
@@ -186,54 +194,56 @@ def test_the_numbers_are_those_of_the_networks_beside_them(done, moving):
     assert np.mean(right) == pytest.approx(found)
 
 
-def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(done, words, tmp_path, monkeypatch, program):
+def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(
+    done, words, tmp_path, monkeypatch, experiment
+):
     before = json.loads((done / "results.json").read_text())
     shutil.copytree(done, tmp_path / "cut")
     shutil.rmtree(tmp_path / "cut" / "networks" / "regressor-translated-1-seed3")
-    code, printed, _ = program(*words, tmp_path / "cut", "--finished", "--json")
+    code, printed, _ = experiment("thesis_table", *words, tmp_path / "cut", "--finished", "--json")
     so_far = json.loads(printed)["table"]
     assert (code, list(so_far["regressor-translated"])) == (0, ["all/all", "all/sim"])
     assert so_far["raw"] == before["table"]["raw"]
-    code, printed, _ = program(*words, tmp_path / "cut", "--json")
+    code, printed, _ = experiment("thesis_table", *words, tmp_path / "cut", "--json")
     assert code == 0 and json.loads(printed)["table"] == before["table"]
-    code, _, err = program(*words, tmp_path / "none", "--finished")
+    code, _, err = experiment("thesis_table", *words, tmp_path / "none", "--finished")
     assert code == 2 and "no network of these rows is finished" in err
     monkeypatch.setattr("torch.optim.AdamW.step", lambda *a, **k: pytest.fail("trained again"))
-    code, printed, _ = program(*words, done, "--json")
+    code, printed, _ = experiment("thesis_table", *words, done, "--json")
     assert code == 0 and json.loads(printed)["table"] == before["table"]
-    code, _, err = program(*words, done, "--iterations", 4)
+    code, _, err = experiment("thesis_table", *words, done, "--iterations", 4)
     assert code == 2 and "holds a run with other iterations" in err
 
 
-def test_another_set_is_tested_on_without_training(done, words, mnist, tmp_path, program, monkeypatch):
+def test_another_set_is_tested_on_without_training(done, words, mnist, tmp_path, experiment, monkeypatch):
     bells = tmp_path / "bells"
     build(mnist, bells, workers=1, kind="bell", scene=Scene(dark_on_bright=False))
     shutil.copytree(done, tmp_path / "more")
     monkeypatch.setattr("torch.optim.AdamW.step", lambda *a, **k: pytest.fail("trained again"))
     place = words.index("--rows")
-    code, printed, _ = program(*words[:place], bells, *words[place:], tmp_path / "more", "--json")
+    code, printed, _ = experiment("thesis_table", *words[:place], bells, *words[place:], tmp_path / "more", "--json")
     record, before = json.loads(printed), json.loads((done / "results.json").read_text())
     assert code == 0 and list(record["data"]["simulated"]) == ["sim", "bell bright"]
     for row, columns in record["table"].items():
         assert columns.pop("1/bell bright")["windows"] == columns.pop("all/bell bright")["windows"] == 150
         assert columns == before["table"][row]
-    code, _, err = program(*words[:place], bells, bells, *words[place:], tmp_path / "more")
+    code, _, err = experiment("thesis_table", *words[:place], bells, bells, *words[place:], tmp_path / "more")
     assert code == 2 and "are the same kind of set, bell bright" in err
 
 
-def test_networks_are_listed(program):
-    code, printed, _ = program("table", "--list", "--rows", "thesis", "raw", "--seeds", 1, 2)
+def test_networks_are_listed(experiment):
+    code, printed, _ = experiment("thesis_table", "--list", "--rows", "thesis", "raw", "--seeds", 1, 2)
     assert code == 0 and printed.splitlines()[:2] == [
         "10 networks:",
         "  raw                            trained on all, 1     2 seeds  3,000 steps",
     ]
 
 
-def test_rows_with_resynthesis(nmnist, moving, tmp_path, program):
+def test_rows_with_resynthesis(nmnist, moving, tmp_path, experiment):
     """Motions are made once for both seeds, and counted in the results."""
     words = ["--rows", "raw-confounded", "raw-moved", "--trained-on", "confounded", "--seeds", 0, 1, "--out", tmp_path]
     words += ["--nmnist", nmnist, "--simulated", moving, "--iterations", 4, "--batch", 16, "--workers", 1]
-    code, printed, _ = program("table", *words)
+    code, printed, _ = experiment("thesis_table", *words)
     record = json.loads((tmp_path / "results.json").read_text())
     assert code == 0 and "raw, re-synthesis only" in printed and "conf./all" in printed
     motions = record["rows"]["raw-moved"]["motions"]["confounded"]
@@ -251,15 +261,15 @@ def test_each_class_is_seen_in_one_saccade(nmnist):
     assert pairs == {(digit, 0) for digit in range(4)} | {(4, 1), (5, 1), (6, 1), (7, 2), (8, 2), (9, 2)}
 
 
-def test_smoke_makes_its_own_motions(nmnist, mnist, tmp_path, program, monkeypatch):
+def test_smoke_makes_its_own_motions(nmnist, mnist, tmp_path, experiment, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["--nmnist", nmnist, "--mnist", mnist, "--rows", "line", "--workers", 1, "--iterations", 2]
-    code, printed, _ = program("table", "--smoke", *words)
+    code, printed, _ = experiment("thesis_table", "--smoke", *words)
     assert code == 0 and "line" in printed and "30 constant motions of 5 MNIST test images" in printed
     assert (tmp_path / "table-smoke" / "results.json").exists()
 
 
-def test_errors_are_one_line(nmnist, mnist, tmp_path, monkeypatch, program):
+def test_errors_are_one_line(nmnist, mnist, tmp_path, monkeypatch, experiment):
     monkeypatch.delenv("TNT_DATA", raising=False)
     monkeypatch.chdir(tmp_path)
     seen = shutil.copytree(nmnist, tmp_path / "seen")
@@ -273,5 +283,5 @@ def test_errors_are_one_line(nmnist, mnist, tmp_path, monkeypatch, program):
         (["--rows", "raw", "--trained-on", "confounded"], "none of the rows raw is trained on confounded"),
         (["--nmnist", seen, "--mnist", mnist, "--smoke"], "all of its 20 images are shown by training recordings"),
     ):
-        code, _, err = program("table", "--workers", 1, *words)
+        code, _, err = experiment("thesis_table", "--workers", 1, *words)
         assert code == 2 and message in err and err.count("\n") == 1
