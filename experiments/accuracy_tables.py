@@ -222,19 +222,3 @@ def noise() -> str:
         for levels in zip(*found.values(), strict=True)
     ]
     return table(["confidence, checked at every event", *found], rows)
-
-
-TABLES = (
-    accuracy,
-    early,
-    of_nothing,
-    soon,
-    noise,
-    digits_against_time,
-    digits_confusion,
-    digits_tried,
-    digits_tried_motions,
-    unseen_objects,
-    edges,
-    polarity,
-)

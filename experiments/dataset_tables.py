@@ -116,6 +116,3 @@ def without_options() -> str:
         rows.append(row)
     head = ["", "command", "networks", "windows / recordings tested", "windows right", "recordings right", "chosen"]
     return table(head, rows)
-
-
-TABLES = (cars, cars_confidence, cars_in_short, representations, without_options)

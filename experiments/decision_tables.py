@@ -198,20 +198,3 @@ def incremental_work() -> str:
         body.append([f"`{network}`", *(f"{n:.2f}" for n in counts), *memory, *second])
     head = ["1 new event", "10", "100", "1,300", "the whole network", "weights, kB", "maps, kB"]
     return table(["million multiplications", *head, "decisions a second, one after every event", "onnxruntime"], body)
-
-
-TABLES = (
-    speed,
-    decisions_machine,
-    network_in_blocks,
-    network_call_by_call,
-    end_to_end_in_blocks,
-    end_to_end_call_by_call,
-    touched,
-    every_event,
-    singles,
-    starts,
-    incremental_machine,
-    incremental_times,
-    incremental_work,
-)

@@ -1,31 +1,26 @@
-"""Write the tables of the pages from the JSON files in experiments/results.
+"""Write the tables of the pages, and RESULTS.md, from the JSON files in experiments/results.
 
     python -m experiments.pages [--check]
 
-A table stands between `<!-- NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`. `--check` changes nothing, and
-exits with 1 if a page differs from the results; a test does that, too.
+A table of a page stands between `<!-- NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`; RESULTS.md is
+written as a whole. `--check` changes nothing, and exits with 1 if a file differs from the results; a
+test does that, too.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 from async_tnt.files import write_text
-from experiments import accuracy_tables, dataset_tables, decision_tables, stream_tables, thesis_tables, volume_tables
+from experiments import accuracy_tables, dataset_tables, decision_tables, results_sections, thesis_tables
 from experiments.page_parts import ROOT
 from experiments.script_options import exit_with, plain_parser
 
-PAGES = ("README.md", "docs/results.md")
+SHORT = (accuracy_tables.accuracy, dataset_tables.cars_in_short, decision_tables.speed, thesis_tables.unseen_motion)
+"""What README has of other tables."""
+TABLES = {make.__name__: make for make in (*SHORT, *(t for part in results_sections.SECTIONS for t in part.tables))}
 BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
-MODULES = (
-    accuracy_tables,
-    dataset_tables,
-    thesis_tables,
-    decision_tables,
-    volume_tables,
-    stream_tables,
-)
-TABLES = {make.__name__: make for module in MODULES for make in module.TABLES}
 
 
 def written(page: str) -> str:
@@ -44,16 +39,24 @@ def written(page: str) -> str:
     return BLOCK.sub(replaced, page)
 
 
+PAGES: dict[str, Callable[[str], str]] = {
+    "README.md": written,
+    "docs/results.md": written,
+    "experiments/RESULTS.md": lambda before: results_sections.page(),
+}
+"""Path -> what is made of its present text."""
+
+
 def main(argv: list[str] | None = None) -> int:
     """Write the pages, or check them."""
     parser = plain_parser("pages", __doc__)
     parser.add_argument("--check", action="store_true", help="change nothing; exit code 1 if something would change")
     args = parser.parse_args(argv)
     stale = False
-    for page in PAGES:
+    for page, make in PAGES.items():
         path = ROOT / page
         before = path.read_text(encoding="utf-8")
-        after = written(before)
+        after = make(before)
         if after == before:
             continue
         stale = True

@@ -81,6 +81,3 @@ def archive() -> str:
         rates = short(run["seconds"]["median"]), short(run["recordings_per_s"])
         rows.append([name, *rates, quartiles, f"{steady['median']:.2f}"])
     return table(["", "seconds", "recordings a second", "speed-up (quartiles)", "after the first record"], rows)
-
-
-TABLES = (udp_machine, udp_latency, udp_load, udp_overload, archive)

@@ -162,16 +162,3 @@ def resynthesis_match() -> str:
     ]
     found = f"A path was found in {motions['with_path']:,} of {motions['windows']:,} windows.\n\n"
     return found + table(["first saccade", "recorded", "simulated again"], rows)
-
-
-TABLES = (
-    comparison,
-    conclusions,
-    unseen_motion,
-    learning_curve,
-    simulated_sets,
-    thesis_rows,
-    resynthesis,
-    resynthesis_worst,
-    resynthesis_match,
-)

@@ -75,6 +75,3 @@ def memory() -> str:
         f"by {found['grown_mb']:.1f} MB since the first million. `experiments/memory.py` exits with 1 above "
         f"{found['limit_mb']:g} MB."
     )
-
-
-TABLES = (volumes, splat, large_packets, memory)

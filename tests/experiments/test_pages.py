@@ -7,15 +7,17 @@ import re
 import pytest
 
 from experiments import accuracy_tables as tables
-from experiments import pages
+from experiments import pages, thesis_tables
 from experiments.page_parts import RESULTS
 
 
 def test_the_pages_show_the_results(capsys):
     assert pages.main(["--check"]) == 0, capsys.readouterr().out
-    text = "".join((pages.ROOT / page).read_text(encoding="utf-8") for page in pages.PAGES)
-    found = re.findall(r"<!-- (\w+) -->", text)
-    assert sorted(name for name in found if name != "end") == sorted(pages.TABLES)  # each once
+    readme, results, everything = ((pages.ROOT / page).read_text(encoding="utf-8") for page in pages.PAGES)
+    shown = [name for name in re.findall(r"<!-- (\w+) -->", readme + results) if name != "end"]
+    assert len(shown) == len(set(shown)) and {make.__name__ for make in pages.SHORT} <= set(shown)
+    assert all(make() in everything for make in pages.TABLES.values() if make not in pages.SHORT)
+    assert len(re.findall(r"^\|---", results, re.MULTILINE)) <= 6
 
 
 def test_recorded_results_name_the_processor_and_no_path():
@@ -26,7 +28,7 @@ def test_recorded_results_name_the_processor_and_no_path():
 
 
 def test_a_stale_page_is_noticed_and_rewritten(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(pages, "PAGES", ("page.md",))
+    monkeypatch.setattr(pages, "PAGES", {"page.md": pages.written})
     monkeypatch.setattr(pages, "ROOT", tmp_path)
     monkeypatch.setattr(pages, "TABLES", {"numbers": lambda: "| a |\n|---|\n| 2 |"})
     page = tmp_path / "page.md"
@@ -52,7 +54,7 @@ def test_a_stale_page_is_noticed_and_rewritten(monkeypatch, tmp_path, capsys):
 )
 def test_a_difference_is_claimed_only_where_its_interval_does_not_hold_zero(low, mean, high, words):
     found = {"row": "raw-translated", "against": "raw", "low": low, "mean": mean, "high": high}
-    assert pages.thesis_tables.difference_in_words(found) == words
+    assert thesis_tables.difference_in_words(found) == words
 
 
 def test_accuracies_in_sentences_are_those_of_the_table():
@@ -98,3 +100,16 @@ def test_statements_of_the_results_page_hold():
     assert all(noise[kind][0.9] < 0.03 for kind in ("uniform", "few", "flicker"))
     assert noise["one polarity"][0.9] > noise["pairs"][0.9] > 0.1
     assert early["recordings"] == 1000 and early["windows_a_recording"] == 3
+    networks = tables.results("incremental")["networks"]
+    for new, least, most in (("1", 5.5, 14.5), ("1300", 1.05, 1.6)):
+        ratios = [of["network"][new]["in_blocks"]["ratio"]["dense"] for n, of in networks.items() if n != "thesis"]
+        assert all(least < ratio["median"] < most for ratio in ratios), new
+    for name, way in tables.results("archive")["ways"].items():
+        assert "2 workers" not in name or way["speedup"]["median"] == pytest.approx(1.8, abs=0.05)
+    objects = tables.results("unseen_motions")["accuracy"]
+    found = [objects[mode]["other motions"]["mean"] for mode in ("recorded", "resynthesized")]
+    assert [f"{share:.3f}" for share in found] == ["0.284", "0.903"]
+    intervals = {(d["row"], d["against"], d["column"]): d for d in tables.results("table")["differences"]}
+    for row in ("running-unsigned-translated", "line-unsigned-translated"):
+        of = intervals[row, "raw-unsigned-translated", "1/others"]
+        assert of["low"] > 0 and of["mean"] > 0.0775

@@ -22,7 +22,7 @@ from async_tnt.cli.program import COMMANDS, build_parser
 from async_tnt.sources import READERS
 from experiments.moving_mnist_set import build
 
-PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), ROOT / "experiments" / "README.md"]
+PAGES = [page for folder in (".", "docs", "experiments") for page in sorted(ROOT.glob(f"{folder}/*.md"))]
 GUIDE, REFERENCE, THEORY, RESULTS = (
     (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in ("guide", "reference", "theory", "results")
 )
