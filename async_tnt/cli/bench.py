@@ -32,7 +32,7 @@ first checked to give the same volumes and the same classes.
 
 Then the network alone, 1 to 1300 events after the previous decision (ours computes what has changed), and a
 Processor that decides after every event, compared with onnxruntime, OpenVINO and torch if they are installed and
-give the same logits. See also benchmarks/decisions.py.
+give the same logits. See also docs/results.md.
 
 One thread. Events are made by a seeded generator; decisions are measured on bundled recordings.
 """

@@ -1,4 +1,4 @@
-"""Shared by commands that train and simulate: options for data folders, and the command that repeats a result."""
+"""Shared by commands that read folders of data: their options, and the command that repeats a result."""
 
 from __future__ import annotations
 

@@ -23,8 +23,6 @@ COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(a
     "bench": ("async_tnt.cli.bench", "measure time per event and time to decision, compared with batch processing"),
     "train": ("async_tnt.cli.train", "train a model on recordings (extra: train)"),
     "evaluate": ("async_tnt.cli.evaluate", "report how well a model classifies a folder of held-out recordings"),
-    "table": ("async_tnt.cli.table", "train and test the thesis' results table (extra: train)"),
-    "simulate": ("async_tnt.cli.simulate", "make N-MOVING-MNIST: every digit of MNIST under 30 motions"),
     "mask": ("async_tnt.cli.mask", "find the hot pixels of recordings, which PixelFilter leaves out"),
     "view": ("async_tnt.cli.view", "show a stream in the Rerun viewer while it is classified (extra: view)"),
     "plot": ("async_tnt.cli.plot", "draw events, volumes and decisions of a recording (extra: plot)"),

@@ -1,16 +1,12 @@
 """Simulate an event camera in front of a moving image: trajectories, scene, pixels, and MNIST's digits.
 
-`moving_mnist.build` makes N-MOVING-MNIST, the thesis' set of moving digits, and `open_set` opens one. Needs no
-torch.
+Needs no torch.
 """
 
-from async_tnt.simulation.digits import simulate_digit, write_samples
+from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist, read_idx
-from async_tnt.simulation.motions import Motion, motions_of
-from async_tnt.simulation.moving_mnist import open_set
 from async_tnt.simulation.saccades import SACCADE_CUTS_US, segment, split_saccades
 from async_tnt.simulation.scene import Scene, render
-from async_tnt.simulation.set_manifest import MovingMnist
 from async_tnt.simulation.shards import Shard, open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel, simulate, simulate_events
 from async_tnt.simulation.statistics import describe, side_by_side
@@ -19,8 +15,6 @@ from async_tnt.simulation.trajectories import ConstantVelocity, Saccade, Saccade
 __all__ = [
     "SACCADE_CUTS_US",
     "ConstantVelocity",
-    "Motion",
-    "MovingMnist",
     "PixelModel",
     "Saccade",
     "Saccades",
@@ -29,9 +23,7 @@ __all__ = [
     "Trajectory",
     "describe",
     "load_mnist",
-    "motions_of",
     "nmnist_saccades",
-    "open_set",
     "open_shard",
     "read_idx",
     "render",
@@ -41,6 +33,5 @@ __all__ = [
     "simulate_digit",
     "simulate_events",
     "split_saccades",
-    "write_samples",
     "write_shard",
 ]

@@ -1,12 +1,13 @@
 """The pages: snippets run, commands exist, links lead somewhere, numbers and names are those of the code."""
 
+import contextlib
 import doctest
 import functools
+import importlib
+import io
 import json
 import re
-import runpy
 import shlex
-import sys
 from dataclasses import asdict, fields
 from pathlib import Path
 
@@ -18,10 +19,10 @@ from small_sets import write_small_mnist
 from async_tnt import Counts, TNTConfig, networks
 from async_tnt.cli import main
 from async_tnt.cli.program import COMMANDS, build_parser
-from async_tnt.simulation.moving_mnist import build
 from async_tnt.sources import READERS
+from experiments.moving_mnist_set import build
 
-PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), ROOT / "benchmarks" / "README.md"]
+PAGES = [page for folder in (".", "docs", "experiments") for page in sorted(ROOT.glob(f"{folder}/*.md"))]
 GUIDE, REFERENCE, THEORY, RESULTS = (
     (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in ("guide", "reference", "theory", "results")
 )
@@ -52,6 +53,14 @@ def options():
     return {option for parser in parsers for action in parser._actions for option in action.option_strings}
 
 
+@functools.cache
+def help_of(name):
+    """What `python -m experiments.NAME --help` prints, as words."""
+    with contextlib.redirect_stdout(io.StringIO()) as printed, pytest.raises(SystemExit):
+        importlib.import_module(f"experiments.{name}").main(["--help"])
+    return set(re.findall(r"--[a-z][a-z-]*", printed.getvalue()))
+
+
 SNIPPETS = [
     pytest.param(page, title, id=f"{page.stem}-{title}")
     for page in PAGES
@@ -66,7 +75,7 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     for package in NEEDS.get(title, ()):
         pytest.importorskip(package)
-    if title == "Simulation":
+    if title == "N-MOVING-MNIST":
         (tmp_path / "mnist").mkdir()
         mnist = write_small_mnist(tmp_path / "mnist", 8)
         build(mnist, tmp_path / "moving", digits=8, workers=1, frame_us=10_500.0)
@@ -87,7 +96,7 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
         assert [line.split()[2] for line in printed.splitlines() if line.endswith(("window", "end"))] == ["3", "3", "3"]
     if title == "Archives":
         assert sorted(session["labels"].values()) == list("0123456789") and len(session["decisions"]) == 30
-    if title == "Simulation":
+    if title == "N-MOVING-MNIST":
         assert printed.startswith("036deg-5px 9 ") and session["total"] > len(session["t"]) > 10
 
 
@@ -96,8 +105,8 @@ def test_commands_and_options_exist(page):
     text = page.read_text(encoding="utf-8")
     for words in commands(text):
         build_parser(words).parse_args(words)  # exits where it does not understand
-    for script in re.findall(r"^python (\S+\.py)", "".join(blocks(text, "sh")), re.MULTILINE):
-        assert (ROOT / script).is_file(), script
+    for name, words in re.findall(r"python -m experiments\.(\w+)((?: [^\s`|]+)*)", text):
+        assert [option for option in re.findall(r"--[a-z][a-z-]*", words) if option not in help_of(name)] == []
     if page.parent.name == "docs":
         named = re.findall(r"`(--[a-z][a-z-]*)", text)
         assert [option for option in named if option not in options()] == []
@@ -117,7 +126,7 @@ def test_links_lead_to_files_and_headings(page):
 
 
 def test_pages_and_files_that_are_named_exist():
-    for path in [*ROOT.glob("async_tnt/**/*.py"), *ROOT.glob("tests/**/*.py"), *ROOT.glob("benchmarks/*.py")]:
+    for path in [*ROOT.glob("async_tnt/**/*.py"), *ROOT.glob("tests/**/*.py"), *ROOT.glob("experiments/*.py")]:
         for name in re.findall(r"docs/\w+\.md", path.read_text(encoding="utf-8")):
             assert (ROOT / name).is_file(), f"{path}: {name}"
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
@@ -163,10 +172,11 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
     assert capsys.readouterr().out.startswith("wave ")
 
 
-def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, monkeypatch, capsys):
+def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, capsys):
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr(sys, "argv", ["laws.py", "--picture", str(tmp_path / "laws.png")])
-    runpy.run_path(str(ROOT / "docs" / "figures" / "laws.py"), run_name="__main__")
+    from experiments import figure_laws
+
+    assert figure_laws.main(["--picture", str(tmp_path / "laws.png")]) == 0
     printed = capsys.readouterr().out.splitlines()
     rows = [line for line in printed if line.startswith("|")]
     assert [line for line in THEORY.splitlines() if line in set(rows)] == rows
@@ -176,12 +186,12 @@ def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, mo
     assert f"> {border}\n" in THEORY
 
 
-def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path, monkeypatch, capsys):
+def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path, capsys):
     """The figure of the theory: no error about the centre in any layer, and large ones without the transform."""
     pytest.importorskip("matplotlib")
-    script = ROOT / "docs" / "figures" / "equivariance.py"
-    monkeypatch.setattr(sys, "argv", ["equivariance.py", "--picture", str(tmp_path / "equivariance.png")])
-    runpy.run_path(str(script), run_name="__main__")
+    from experiments import figure_equivariance
+
+    assert figure_equivariance.main(["--picture", str(tmp_path / "equivariance.png")]) == 0
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()[2:]]
     found = {(name, layer): [float(error) for error in errors] for name, layer, *errors in rows}
     assert len(found) == 25 and all(errors[0] == 0 for errors in found.values())
@@ -197,9 +207,9 @@ def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path, monk
 
 def test_the_committed_table_is_that_of_the_code():
     pytest.importorskip("torch")
-    from async_tnt.training.table_rows import ROWS
+    from experiments.table_rows import ROWS
 
-    record = json.loads((ROOT / "benchmarks" / "results" / "table.json").read_text(encoding="utf-8"))
+    record = json.loads((ROOT / "experiments" / "results" / "table.json").read_text(encoding="utf-8"))
     for name, row in record["rows"].items():
         of = ROWS[name]
         assert (of.config, asdict(of.augmentation), of.iterations) == (

@@ -63,8 +63,6 @@ COMMANDS = {  # nothing that they would read is there: to name it in an error, w
     "train.safetensors": ["train", "nowhere", "--out", "OUT"],
     "train.json": ["train", "nowhere", "--out", "train.safetensors"],
     "checkpoint.pt": ["train", "nowhere", "--out", "m.safetensors", "--run", "."],
-    "results.json": ["table", "--nmnist", "nowhere", "--out", "."],
-    "set.json": ["simulate", "--mnist", ".", "--out", "."],
 }
 
 

@@ -24,9 +24,9 @@ def layer_of(module):
     return module.split(".")[1]
 
 
-def imports_of(path):
+def imports_of(path, root=PACKAGE.parent):
     """Names of all modules that a file imports, or imports names from, also inside its functions."""
-    package = ".".join(("async_tnt", *path.relative_to(PACKAGE).parent.parts))
+    package = ".".join(path.relative_to(root).parent.parts)
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -54,6 +54,14 @@ def test_there_is_no_circle():
     while ends := {module for module, others in left.items() if not others & left.keys()}:
         left = {module: others for module, others in left.items() if module not in ends}
     assert left == {}
+
+
+def test_what_is_installed_does_not_know_the_laboratory():
+    imports = {name for names in IMPORTS.values() for name in names}
+    imports |= {name for path in ROOT.glob("reference/**/*.py") for name in imports_of(path, ROOT / "reference")}
+    assert len(imports) > 500 and not any(name.split(".")[0] == "experiments" for name in imports)
+    built = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert not any("experiments" in package for package in built["packages"])
 
 
 def test_the_command_line_alone_uses_argparse():

@@ -100,13 +100,11 @@ def test_what_cannot_be_done_is_one_line(words, message, refused, tmp_path):
         "export --out m.onnx",
         "train --out m.safetensors",
         "evaluate digits",
-        "simulate --out set --mnist",
         "mask",
         "plot --out p.png",
         "view --out v.rrd",
         "bench --model",
         "run --late",
-        "table --nmnist",
         "run samples --out",
     ],
 )

@@ -1,13 +1,6 @@
-"""Folders like MNIST's, shared by the tests of the simulator."""
+"""Shared by the tests of the simulator."""
 
 import pytest
-from small_sets import write_small_mnist
-
-
-@pytest.fixture(scope="session")
-def mnist(tmp_path_factory):
-    """24 made images."""
-    return write_small_mnist(tmp_path_factory.mktemp("mnist"), 24)
 
 
 @pytest.fixture(scope="session")

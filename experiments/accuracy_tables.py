@@ -1,0 +1,224 @@
+"""The tables of accuracy: of the bundled model, of its early decisions, and of what makes motions hard to know."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+from async_tnt import load_model
+from experiments.page_parts import percent, results, short, table
+
+WINDOWS = {"test": "from 0", "test_windows_from_first_event": "from the first event"}
+
+
+def accuracy() -> str:
+    """`digits` in short: how often it is right, and how soon."""
+    found = results("early")["results"]
+    rows = []
+    for group, key, values, words in (
+        ("moment", "every_us", (30_000, 50_000), "at {:.0f} ms"),
+        ("confidence", "confidence", (0.9, 0.95, 0.99), "once its probability reaches {:g}"),
+    ):
+        for r in found[group]:
+            value = r["settings"].get(key)
+            if value in values:
+                shown = words.format(value / 1000 if key == "every_us" else value)
+                rows.append([f"a window, {shown}", f"{r['mean_ms']:.0f} ms", percent(r["accuracy"])])
+    end = found["moment"][-1]
+    rows.append(["a window, at its end", f"{end['mean_ms']:.0f} ms", percent(end["accuracy"])])
+    rows.append(["a recording, by the mean of its three windows", "", percent(_record()["test"]["per_recording"])])
+    return table(["decided", "mean time", "right"], rows)
+
+
+def digits_against_time() -> str:
+    """Share of test windows that `digits` decides correctly from their first milliseconds."""
+    times = list(_record()["test"]["against_time_ms"])
+    rows = []
+    for part, words in WINDOWS.items():
+        found = _record()[part]
+        shares = [found["against_time_ms"][ms] for ms in times]
+        rows.append([words, *map(percent, (*shares, found["per_recording"]))])
+    return table(["windows", *(f"{ms} ms" for ms in times), "recordings"], rows)
+
+
+def digits_confusion() -> str:
+    classes = load_model("digits").classes
+    counts = _record()["test"]["confusion"]
+    rows = [[name, *(str(n or "") for n in row)] for name, row in zip(classes, counts, strict=True)]
+    return table(["true \\ decided", *classes], rows)
+
+
+def digits_tried() -> str:
+    """The settings that were compared before `digits` was trained."""
+    rows = []
+    for run in _record()["tried"]:
+        found = run["validation"]
+        landmark = run["landmark"] or "none (untransformed volume)"
+        rows.append(
+            [
+                landmark + (", flow removed" if run["remove_flow"] else ""),
+                "" if run["t_max"] is None else f"{run['t_max']:g}",
+                run["polarity"],
+                f"{run['simulated_recordings']:,}",
+                "yes" if run["augmentation"] else "no",
+                str(run["seed"]),
+                *(f"{100 * found[name]:.1f}" for name in ("per_window", "per_recording")),
+                *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "50")),
+            ]
+        )
+    head = ["landmark", "t_max", "polarity", "simulated", "augmentation", "seed", "window", "recording"]
+    return table([*head, "20 ms", "30 ms", "50 ms"], rows)
+
+
+def digits_tried_motions() -> str:
+    """The trainings with motion re-synthesis, beside the model of before."""
+    rows = []
+    for number, run in enumerate(_record()["tried_with_motions"]):
+        found, start = run["validation"], run["started_from"]
+        rows.append(
+            [
+                str(number),
+                "" if start is None else str(start),
+                f"{run['t_max']:g}",
+                f"{run['simulated_recordings']:,}",
+                f"{100 * (1 - run['recorded']):g} %",
+                f"{100 * run['partial']:g} %",
+                f"{100 * run['nothing']:g} %",
+                str(run["epochs"]),
+                *(f"{100 * found[name]:.1f}" for name in ("per_window", "per_recording")),
+                *(f"{100 * found['against_time_ms'][ms]:.1f}" for ms in ("20", "30", "40")),
+                f"{100 * run['validation_motions']:.1f}",
+            ]
+        )
+    head = ["", "continues", "t_max", "simulated", "other motions", "cut early", "noise", "epochs", "window"]
+    return table([*head, "recording", "20 ms", "30 ms", "40 ms", "in other motions"], rows)
+
+
+def edges() -> str:
+    """Events by the angle between edge and motion."""
+    found = results("edges")
+    angles = found["angles_deg"]
+    rows = [
+        [
+            f"{low}-{high}°",
+            f"{found['events_per_gradient'][k] / found['events_per_gradient'][0]:.2f}",
+            f"{found['cosine'][k] / found['cosine'][0]:.2f}",
+            f"{100 * found['polarity_as_expected'][k]:.0f} %",
+        ]
+        for k, (low, high) in enumerate(pairwise(angles))
+    ]
+    return table(["between gradient and motion", "events", "cosine", "of the expected polarity"], rows)
+
+
+def polarity() -> str:
+    """How signed and unsigned images of two saccades correlate."""
+    rows = [
+        [pair.replace("-", " and "), f"{of['angle_deg']:.0f}°"]
+        + [f"{of[name]:+.2f}".replace("0.", ".", 1) for name in ("signed", "expected", "unsigned")]
+        for pair, of in results("edges")["between_saccades"].items()
+    ]
+    return table(["saccades", "angle", "signed", "of -v · grad L", "unsigned"], rows)
+
+
+def unseen_objects() -> str:
+    accuracy = results("unseen_motions")["accuracy"]
+    tests = list(accuracy["recorded"])
+    rows = [
+        [mode, *(f"{found[test]['mean']:.3f}".removeprefix("0") for test in tests)] for mode, found in accuracy.items()
+    ]
+    return table(["trained on motions", *(f"tested in {test}" for test in tests)], rows)
+
+
+def _record() -> dict[str, Any]:
+    return dict(load_model("digits").record)
+
+
+def early() -> str:
+    """A choice of settings."""
+    found = results("early")
+    moments = {r["settings"].get("every_us", found["window_us"]): r for r in found["results"]["moment"]}
+    chosen = [(f"at {us / 1000:g} ms", moments[us]) for us in (20_000, 30_000, 40_000, 50_000, found["window_us"])]
+    for group, words in (
+        ("confidence", ""),
+        ("confidence_every_10_events", ", checked every 10 events"),
+        ("confidence_every_ms", ", checked every 1 ms"),
+    ):
+        for r in found["results"][group]:
+            if r["settings"]["confidence"] in (0.8, 0.9, 0.95, 0.98, 0.99):
+                chosen.append((f"confidence {r['settings']['confidence']:g}{words}", r))
+    head = [
+        "decided",
+        "right",
+        "mean ms",
+        "median ms",
+        "fixed time of the same accuracy, ms",
+        "evaluations before it",
+        "decisions a window",
+        "only at the end",
+    ]
+    rows = []
+    for words, r in chosen:
+        moment = same_moment_ms(found, r["accuracy"]) if words.startswith("confidence") else ""
+        rows.append(
+            [
+                words,
+                percent(r["accuracy"]),
+                short(r["mean_ms"]),
+                short(r["median_ms"]),
+                moment,
+                short(r["evaluations_until"]),
+                short(r["emitted"]),
+                percent(r["at_end"]),
+            ]
+        )
+    return table(head, rows)
+
+
+def same_moment_ms(found: dict[str, Any], accuracy: float) -> str:
+    """The first fixed time with this accuracy, interpolated linearly between those measured; "" if there is none."""
+    last_ms, last = 0.0, 0.0
+    for r in found["results"]["moment"]:
+        ms = r["settings"].get("every_us", found["window_us"]) / 1000
+        if r["accuracy"] >= accuracy:
+            return short(last_ms + (ms - last_ms) * (accuracy - last) / (r["accuracy"] - last))
+        last_ms, last = ms, r["accuracy"]
+    return ""
+
+
+def of_nothing() -> str:
+    """A sentence."""
+    share = results("early")["of_nothing"]
+    return f"For an empty volume the likeliest class has a probability of {share:.2f}."
+
+
+def soon() -> str:
+    """Whether confidence alone decides too early in a window."""
+    found = results("early")
+    rows = [
+        [
+            f"{r['settings']['confidence']:g}",
+            str(r["fewest_events"]),
+            percent(r["soon"]),
+            "" if r["soon_accuracy"] is None else percent(r["soon_accuracy"]),
+        ]
+        for r in found["results"]["confidence"]
+    ]
+    return table(
+        [
+            "confidence, checked at every event",
+            "fewest events of a decision",
+            f"decided from fewer than {found['soon_events']} events",
+            "of these right",
+        ],
+        rows,
+    )
+
+
+def noise() -> str:
+    """In how many windows of noise a class is decided with confidence."""
+    found = results("early")["noise"]
+    rows = [
+        [f"{levels[0]['settings']['confidence']:g}", *(percent(level["closed_early"]) for level in levels)]
+        for levels in zip(*found.values(), strict=True)
+    ]
+    return table(["confidence, checked at every event", *found], rows)

@@ -1,0 +1,150 @@
+"""A simulated set compared with N-MNIST: the same statistics of real recordings, of their simulations, and of the set.
+
+The second column simulates the images that the real recordings show, under N-MNIST's own saccades: it shows how good
+the simulator is. The third shows how the set's motions differ from N-MNIST's, with the same images, if the set has
+them, each under three of its motions.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.progress import progress
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.simulation.saccades import SACCADE_CUTS_US
+from async_tnt.simulation.shards import Shard, open_shard
+from async_tnt.simulation.statistics import describe
+from async_tnt.simulation.trajectories import nmnist_saccades
+from async_tnt.sources.files.nmnist import read_nmnist
+from experiments.set_manifest import MovingMnist
+
+N_RECORDINGS = 200
+OFFICIAL_TRAIN = 60_000
+"""Recordings in N-MNIST's training set; larger numbers are test recordings."""
+
+
+def compare(
+    made: MovingMnist,
+    mnist_folder: str | os.PathLike[str],
+    nmnist_folder: str | os.PathLike[str] | None = None,
+    n_recordings: int = N_RECORDINGS,
+) -> dict[str, dict[str, float]]:
+    """Descriptions by `describe`: column title -> name -> value. Shows a progress bar.
+
+    Parameters
+    ----------
+    made : a set with all its shards.
+    mnist_folder : MNIST, to simulate the images of the second column.
+    nmnist_folder : N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin; None omits the real column, and the
+        second shows the set's first images.
+    n_recordings : how many recordings to compare, spread evenly over those that show images of the set's
+        split (over all if none do).
+
+    Raises
+    ------
+    ValueError : damaged files, or recordings whose digit is not that of the image with their number.
+    OSError : missing folders.
+    """
+    split, digits = made.parameters["split"], made.parameters["digits"]
+    columns: dict[str, dict[str, float]] = {}
+    directions = _nmnist_directions()
+    if nmnist_folder is None:
+        shown_split, shown = split, _spread(list(range(digits)), n_recordings)
+    else:
+        shown_split, found = recordings_by_image(Path(nmnist_folder), split)
+        shown = _spread(sorted(found), n_recordings)
+    images, labels = load_mnist(mnist_folder, shown_split)
+    with progress((4 if nmnist_folder is None else 5) * len(shown), "comparing") as bar:
+        if nmnist_folder is not None:
+            for image in shown:
+                if image >= len(labels) or labels[image] != int(found[image].parent.name):
+                    raise ValueError(
+                        f"{found[image]}: MNIST's {shown_split} image {image + 1}, which it should show, "
+                        "is another digit"
+                    )
+            real = _counted((read_nmnist(found[image]) for image in shown), bar)
+            columns["N-MNIST"] = describe(real, directions_deg=directions)
+        simulated = (simulate_digit(images[i], np.random.default_rng((0, i))) for i in shown)
+        columns["simulated"] = describe(_counted(simulated, bar), directions_deg=directions)
+        same = [i for i in shown if i < digits] if shown_split == split else []
+        of_set = same if len(same) >= len(shown) / 2 else _spread(list(range(digits)), n_recordings)
+        columns["this set"] = _describe_set(made, of_set, bar, directions)
+    return columns
+
+
+def _describe_set(made: MovingMnist, images: list[int], bar: Any, nmnist_directions: list[float]) -> dict[str, float]:
+    """Each image under three motions (or the only one), all motions equally often."""
+    n_motions = len(made.motions)
+    pairs = sorted(
+        {((k + turn * n_motions // 3) % n_motions, image) for k, image in enumerate(images) for turn in range(3)}
+    )
+    recordings = _counted(_recordings(made, pairs), bar)
+    if made.motions[0].direction_deg is None:
+        return describe(recordings, sensor=made.sensor, directions_deg=nmnist_directions)
+    moving = [made.motions[motion] for motion, _ in pairs]
+    directions = [[float(motion.direction_deg or 0)] for motion in moving]
+    numbers = describe(recordings, sensor=made.sensor, cuts_us=(0, moving[0].duration_us), directions_deg=directions)
+    # Averaged over ten directions these are zero for any recordings.
+    return {name: value for name, value in numbers.items() if ", saccade " not in name}
+
+
+def _recordings(made: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.ndarray]:
+    shard: Shard | None = None
+    for motion, image in pairs:  # sorted: each shard is opened once
+        path, place = made.locate(motion, image)
+        if shard is None or shard.path != path:
+            shard = open_shard(path)
+        yield shard.recording(place)
+
+
+def recordings_by_image(folder: Path, split: str) -> tuple[str, dict[int, Path]]:
+    """The split of MNIST that is shown, `split` if any recording shows it, and image index -> recording.
+
+    Recording n shows image n, counted from 1, of the same official set. Recordings above 60,000 show image n - 60,000
+    of the test set.
+
+    Raises
+    ------
+    FileNotFoundError : no recordings in the folder.
+    """
+    found: dict[str, dict[int, Path]] = {"train": {}, "test": {}}
+    for part in ("Train", "Test"):
+        for path in (folder / part).glob("[0-9]/*.bin"):
+            if not re.fullmatch(r"[0-9]{1,6}", path.stem) or int(path.stem) == 0:
+                continue
+            number = int(path.stem)
+            if number > OFFICIAL_TRAIN:
+                found["test"][number - OFFICIAL_TRAIN - 1] = path
+            else:
+                found[part.lower()][number - 1] = path
+    shown = split if found[split] else next((name for name in found if found[name]), None)
+    if shown is None:
+        raise FileNotFoundError(f"{folder}: no N-MNIST recordings; expected Train/<digit>/<number>.bin")
+    return shown, found[shown]
+
+
+def _nmnist_directions() -> list[float]:
+    """Direction of the displacement in each of N-MNIST's saccades, in degrees."""
+    dx, dy = nmnist_saccades().position(np.array(SACCADE_CUTS_US))
+    return [math.degrees(math.atan2(y, x)) for x, y in zip(np.diff(dx), np.diff(dy), strict=True)]
+
+
+def _spread(items: list[int], n: int) -> list[int]:
+    """At most `n` of the items, evenly spread."""
+    if len(items) <= n:
+        return items
+    return [items[i * len(items) // n] for i in range(n)]
+
+
+def _counted(recordings: Iterator[np.ndarray], bar: Any) -> Iterator[np.ndarray]:
+    for recording in recordings:
+        yield recording
+        bar.update()

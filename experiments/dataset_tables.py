@@ -1,0 +1,118 @@
+"""The tables of the field's data sets: N-CARS, representations compared, and what the command does without options."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from async_tnt.config import LANDMARKS
+from experiments.page_parts import about_machine, percent, results, short, table
+from experiments.table_numbers import cell, summary
+from experiments.table_numbers import short as three_digits
+from experiments.table_rows import IMAGES
+
+CARS_MS = "10", "20", "30", "50", "100"
+EQUAL_MS = "10", "30", "50", "100"
+REPRESENTATIONS = {
+    "volume": ("event volume", "raw-translated"),
+    **{name: (f"TNT, `{name}`", f"{name}-translated") for name in LANDMARKS},
+    **{name: (title.partition(",")[0], f"{name}-translated") for name, title in IMAGES.items()},
+}
+"""Recipe of N-CARS, without `equal_` -> title, row of the thesis' table."""
+
+
+def cars() -> str:
+    """N-CARS' test part against time: mean over the networks, and their standard deviation."""
+    rows = []
+    for name, found in results("cars")["recipes"].items():
+        if name.startswith("equal_"):
+            continue
+        courses = [test["against_time_ms"] for test in found["tests"]]
+        shares = [[course[ms] for course in courses] for ms in CARS_MS]
+        cells = [cell(summary(values)) for values in shares]
+        options = found["command"].partition("--sensor 120x100")[2].strip()
+        rate = found["every_event"]["a_second"]
+        rows.append([f"`{options}`" if options else "none", str(len(courses)), *cells, f"{rate:,.0f}"])
+    times = [f"{ms} ms" for ms in CARS_MS]
+    return table(["other options", "networks", *times, "decisions a second, one after every event"], rows)
+
+
+def cars_confidence() -> str:
+    """What a level of confidence costs and buys on N-CARS: means over the networks of the first recipe."""
+    tests = results("cars")["recipes"]["tuned"]["tests"]
+    rows = []
+    for levels in zip(*(test["confidence"] for test in tests), strict=True):
+        if any(level["median_ms"] is None for level in levels):  # that no window reaches
+            continue
+        names = "decided", "accuracy", "window_accuracy", "median_ms", "p90_ms"
+        *shares, median, p90 = (float(np.mean([level[name] for level in levels])) for name in names)
+        rows.append([f"{levels[0]['level']:g}", *map(percent, shares), f"{median:.0f}", f"{p90:.0f}"])
+    head = [
+        "confidence",
+        "windows that reach it",
+        "right of these",
+        "right of all",
+        "median, ms",
+        "90th percentile, ms",
+    ]
+    error = _mean([test["calibration_error"] for test in tests])
+    return (
+        f"{table(head, rows)}\n\nExpected calibration error at the tenths of a window, mean of the networks: {error}."
+    )
+
+
+def cars_in_short() -> str:
+    found = results("cars")["recipes"]["tuned"]
+    tests = found["tests"]
+    at = {ms: _mean([test["against_time_ms"][ms] for test in tests]) for ms in CARS_MS}
+    by_count = [{row["events"]: row["accuracy"] for row in test["accuracy_against_events"]} for test in tests]
+    first = {count: _mean([accuracy[count] for accuracy in by_count]) for count in (100, 500)}
+    rate = found["every_event"]["a_second"]
+    return (
+        f"N-CARS' official test part, cars or background, from images of counts without the transform, mean of "
+        f"{len(tests)} networks: {at['10']} after 10 ms, {at['30']} after 30 ms, {at['100']} after 100 ms; "
+        f"{first[100]} from a window's first 100 events, {first[500]} from 500; {rate:,.0f} decisions a second, one "
+        f"after every event."
+    )
+
+
+def _mean(accuracies: Sequence[float]) -> str:
+    return three_digits(float(np.mean(accuracies)))
+
+
+def representations() -> str:
+    """Accuracy on N-MNIST and N-CARS, mean over the networks, their standard deviation, and what each costs."""
+    nmnist = results("table")["table"]
+    recipes = results("cars")["recipes"]
+    rows = []
+    measured = [recipes[f"equal_{name}"] for name in REPRESENTATIONS if f"equal_{name}" in recipes]
+    for name, (title, row) in REPRESENTATIONS.items():
+        cells = [cell(nmnist.get(row, {}).get(column)) for column in ("all/all", "1/all", "1/sim")]
+        if (found := recipes.get(f"equal_{name}")) is None:
+            rows.append([title, *cells, *["-"] * (len(EQUAL_MS) + 2)])
+            continue
+        shares = [[test["against_time_ms"][ms] for test in found["tests"]] for ms in EQUAL_MS]
+        costs = short(found["event_ns"]["median"]), short(found["every_event"]["us"]["median"])
+        rows.append([title, *cells, *(cell(summary(values)) for values in shares), *costs])
+    times = [f"{ms} ms" for ms in EQUAL_MS]
+    head = ["", "all/all", "1/all", "1/sim", *times, "ns an event", "µs a decision"]
+    return f"{table(head, rows)}\n\nCosts: {about_machine(*measured)}"
+
+
+def without_options() -> str:
+    """What the command reaches by itself on each data set: mean over its networks, and their standard deviation."""
+    rows = []
+    for name in ("cars", "nmnist", "poker"):
+        report = results(name)
+        bare = report["recipes"]["bare"]
+        parts = [summary([test[share] for test in bare["tests"]]) for share in ("window_accuracy", "accuracy")]
+        chosen = Counter(network["chosen"] for network in bare["networks"])
+        words = "; ".join(f"{volume} ({n})" for volume, n in chosen.most_common())
+        tests = bare["tests"][0]
+        counts = f"{tests['windows']:,} / {tests['recordings']:,}"
+        row = [report["title"], f"`{bare['command']}`", str(len(bare["tests"])), counts, *map(cell, parts), words]
+        rows.append(row)
+    head = ["", "command", "networks", "windows / recordings tested", "windows right", "recordings right", "chosen"]
+    return table(head, rows)

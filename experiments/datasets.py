@@ -1,0 +1,279 @@
+"""The field's data sets: accuracy against time on their test parts, by the bare command and by other recipes.
+
+    python -m experiments.datasets {cars,nmnist,poker} FOLDER [--seeds N] [--recipes NAME ...] [--out FOLDER]
+                                  [--json FILE] [--picture FILE]
+
+FOLDER is the data set as it is distributed, unpacked. A recipe is one command, `async-tnt train`; `bare` has no option
+but the sensor's size. Finished trainings in --out are kept, interrupted ones resume, and recipes that are not named
+keep their entry in FILE. The test part is read when all networks of a recipe are trained.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from async_tnt.checking.bench_every_event import bench_every_event, in_full
+from async_tnt.checking.interleaved import WorkDiffers
+from async_tnt.checking.timing import interleave, machine, spread, work_clock
+from async_tnt.config import LANDMARKS
+from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
+from async_tnt.networks.loading import load_model
+from async_tnt.networks.model import Model
+from async_tnt.processor import Processor
+from async_tnt.progress import progress
+from async_tnt.sources import open_recording
+from async_tnt.sources.sensor import format_size
+from async_tnt.views.figure_style import GREY, OFF, ON, PALE, axes_at, headline, new_figure, note
+from async_tnt.volume import TNTVolume
+from experiments.made_objects import SENSOR, write
+from experiments.script_options import exit_with, run_script, script_parser, write_outputs
+from experiments.table_numbers import cell, summary
+from experiments.unseen_motions import command
+
+TUNED = "--grid 60x50 --network residual --mirror --epochs 30 --patience 0 --validation 0.05"
+EQUAL = "--network residual --mirror --epochs 6 --patience 0 --validation 0.05 --polarity split"
+VOLUMES = {"volume": "--transform none", **{landmark: f"--landmark {landmark}" for landmark in LANDMARKS}}
+HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 3.35  # of the picture
+IMAGES = "count", "count_time", "mean_time", "time_surface"
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A data set's parts, and how they are trained on.
+
+    Parameters
+    ----------
+    train, test : names in its folder; `train` is what the command is given.
+    options : of every recipe.
+    shown_ms : the times that are printed.
+    recipes : name -> further options; the first one is drawn.
+    others : who -> accuracy of complete recordings, as published.
+    """
+
+    title: str
+    train: str
+    test: str
+    options: str = ""
+    shown_ms: tuple[str, ...] = ("10", "20", "30", "50", "100")
+    recipes: Mapping[str, str] = field(default_factory=lambda: {"bare": ""})
+    others: Mapping[str, float] = field(default_factory=dict)
+
+
+DATA_SETS = {
+    "cars": DataSet(
+        "N-CARS",
+        "n-cars_train",
+        "n-cars_test",
+        "--sensor 120x100",
+        recipes={
+            "tuned": f"--representation count --polarity split {TUNED}",
+            "bare": "",
+            **{f"equal_{name}": f"{options} --grid 60x50 {EQUAL}" for name, options in VOLUMES.items()},
+            **{f"equal_{name}": f"--representation {name} --grid 60x50 {EQUAL}" for name in IMAGES},
+            "equal_hats": f"--representation hats --grid 12x10 {EQUAL}",
+        },
+        others={"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # see docs/results.md
+    ),
+    "nmnist": DataSet("N-MNIST", "Train", "Test"),
+    "poker": DataSet("POKER-DVS", "pips_train", "pips_test", "--sensor 35x35", ("3", "9", "15", "30")),
+}
+TIMED = 12  # recordings of the test part
+COMPARED = 1000  # events of each of these, at most
+QUICK = DataSet("made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1 --quick", ("5", "50"))
+"""A made set and one epoch."""
+
+
+def measure(data: DataSet, folder: Path, out: Path, recipe: str, seeds: int) -> dict[str, Any]:
+    """Train and test a recipe with each seed."""
+    out.mkdir(parents=True, exist_ok=True)
+    options = f"{data.options} {data.recipes[recipe]}".strip()
+    models = []
+    with progress(seeds, f"training {recipe}") as bar:
+        for seed in range(seeds):
+            models.append(out / f"{recipe}{seed}.safetensors")
+            words = [*options.split(), "--seed", seed, "--out", models[-1], "--run", out / "runs" / f"{recipe}{seed}"]
+            command("train", folder / data.train, *words, "--json")
+            bar.update()
+    found = {
+        "command": f"async-tnt train {data.train} {options}".strip(),
+        "networks": [_about(path) for path in models],
+        "tests": [_tested(path, folder / data.test) for path in models],
+        **_costs(models[0], folder / data.test),
+        "machine": machine("torch"),
+    }
+    return {"title": data.title, "shown_ms": data.shown_ms, "others": data.others, "recipes": {recipe: found}}
+
+
+def with_earlier(report: dict[str, Any], before: Mapping[str, Any], order: Sequence[str]) -> dict[str, Any]:
+    """A report, and the recipes of an earlier one that it does not have, in the order given."""
+    recipes = before["recipes"] | report["recipes"]
+    return {**report, "recipes": {name: recipes[name] for name in order if name in recipes}}
+
+
+def _about(path: Path) -> dict[str, Any]:
+    model = load_model(str(path))
+    trials = model.record["data"].get("choice", [])
+    return {
+        "network": model.record["network"],
+        "weights": sum(w.size for w in model.weights.values()),
+        "trained_on": model.record["data"]["real_recordings"],
+        "chosen": trials[-1]["tried"] if trials else None,
+        "temperature": model.record.get("temperature"),
+        "sure_of_nothing": model.record["validation"]["sure_of_nothing"],
+    }
+
+
+def _tested(path: Path, test: Path) -> dict[str, Any]:
+    report = command("evaluate", path, test, "--json")
+    counts = ("accuracy", "recordings", "window_accuracy", "windows")
+    names = (*counts, "calibration_error", "accuracy_against_events", "confidence")
+    against_time = {f"{row['time_us'] / 1e3:g}": row["accuracy"] for row in report["accuracy_against_time"]}
+    return {"against_time_ms": against_time, **{name: report[name] for name in names}}
+
+
+def _costs(path: Path, test: Path) -> dict[str, Any]:
+    """Of some recordings' first windows: nanoseconds an event in the volume, a decision after every event, and how many
+    of these were compared with those of the whole network."""
+    model = load_model(str(path))
+    files = sorted(file for file in test.glob("*/*") if file.is_file())
+    some = [open_recording(file, sensor=model.config.sensor).read() for file in files[:: -(-len(files) // TIMED)]]
+    for k, events in enumerate(some):
+        events["t"] -= events["t"][0]
+        some[k] = events[events["t"] < model.config.window_us]
+    volume = TNTVolume(model.config, regressor=CompiledRegressor(model) if model.config.needs_regressor else None)
+
+    def absorbed() -> float:
+        nanoseconds = 0.0
+        for events in some:
+            volume.open(0)
+            started = work_clock()
+            volume.update(events)
+            nanoseconds += 1e9 * (work_clock() - started)
+        return nanoseconds / sum(map(len, some))
+
+    per_event = interleave({"ours": absorbed}, 20)["ours"]
+    return {
+        "event_ns": spread(per_event),
+        "every_event": bench_every_event(model, {}, some, rounds=2 * len(some))["ours"],
+        "equal_to_dense": _compare_with_dense(model, [events[:COMPARED] for events in some]),
+    }
+
+
+def _compare_with_dense(model: Model, recordings: list[np.ndarray]) -> int:
+    """How many decisions, one after every event, have the same bits where the network computes everything each time.
+
+    Raises
+    ------
+    WorkDiffers : one has not.
+    """
+    ours, dense = (
+        Processor(model, classifier=classifier, every_events=1, start_us=0)
+        for classifier in (None, in_full(CompiledClassifier(model)))
+    )
+    n = 0
+    for events in recordings:
+        ours.reset()
+        dense.reset()
+        for one, other in zip(ours.push(events), dense.push(events), strict=True):
+            if one.logits.tobytes() != other.logits.tobytes():
+                raise WorkDiffers(f"event {one.events} of a window: {one.logits}, where all is computed {other.logits}")
+            n += 1
+    return n
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """For people."""
+    printed = [f"{'':10}" + "".join(f"{ms + ' ms':>18}" for ms in report["shown_ms"])]
+    for name, found in report["recipes"].items():
+        courses = [test["against_time_ms"] for test in found["tests"]]
+        values = [[course[ms] for course in courses if ms in course] for ms in report["shown_ms"]]
+        cells = [cell(summary(v) if v else None) for v in values]
+        printed.append(f"{name:10}" + "".join(f"{cell:>18}" for cell in cells))
+        printed.append(f"{'':10}{found['every_event']['a_second']:,.0f} decisions a second, one after every event")
+    return printed
+
+
+def draw(report: dict[str, Any]) -> Any:
+    """Accuracy against time, against the number of events, and against what a confidence costs."""
+    tests = next(iter(report["recipes"].values()))["tests"]
+    end_ms = max(float(ms) for ms in tests[0]["against_time_ms"])
+    figure = new_figure(HEIGHT)
+    headline(figure, f"{report['title']}, test part, {len(tests)} networks")
+    time, events, levels = (axes_at(figure, LEFT + STEP * k, TOP, 2.75, SIDE) for k in range(3))
+    for k, test in enumerate(tests):
+        look = {"color": OFF, "linewidth": 1, "alpha": 0.6, "label": "each network" if not k else None}
+        time.plot([float(ms) for ms in test["against_time_ms"]], list(test["against_time_ms"].values()), **look)
+        rows = [row for row in test["accuracy_against_events"] if row["reached"]]
+        events.plot([row["events"] for row in rows], [row["accuracy"] for row in rows], **look)
+    for name, share in report["others"].items():
+        time.plot(end_ms, share, marker="o", markersize=4, color=ON, clip_on=False)
+        note(time, name, (end_ms, share), (-6, -3 if share < 0.94 else 3), ha="right", color=ON)
+    found = [list(rows) for rows in zip(*(test["confidence"] for test in tests), strict=True)]
+    found = [rows for rows in found if all(row["median_ms"] is not None for row in rows)]  # that windows reach
+    ms = [np.mean([row["median_ms"] for row in rows]) for rows in found]
+    for name, colour, words in (("accuracy", OFF, "right of these"), ("decided", GREY, "windows that reach it")):
+        levels.plot(ms, [np.mean([row[name] for row in rows]) for rows in found], "o-", color=colour, ms=3, label=words)
+    for rows, x in zip(found, ms, strict=True):
+        if rows[0]["level"] >= 0.9:
+            note(levels, f"{rows[0]['level']:g}", (x, np.mean([row["accuracy"] for row in rows])), (3, -11))
+    time.set(xlabel="ms since the first event", ylabel="right", xlim=(0, 1.02 * end_ms))
+    events.set(xlabel="first events of the window", xscale="log")
+    events.xaxis.set_major_formatter(lambda count, _: f"{count:,.0f}")
+    levels.set(xlabel="median ms until a confidence is reached", xlim=(0, None))
+    for axes in (time, events, levels):
+        axes.set_ylim(0.5, 1.02)
+        axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
+        axes.grid(color=PALE, linewidth=0.5)
+    time.legend(loc="lower right")
+    levels.legend(loc="lower right")
+    return figure
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Train, test, print and write."""
+    parser = script_parser("datasets", __doc__, "a made set and one epoch", draws=True)
+    parser.add_argument("name", nargs="?", choices=DATA_SETS, help="the data set; not with --quick or --from")
+    parser.add_argument("folder", nargs="?", type=Path, metavar="FOLDER", help="where it lies")
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="networks (default: 5)")
+    parser.add_argument("--recipes", nargs="+", metavar="NAME", help="default: all of the data set")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="models (default: the data set's name)")
+    args = parser.parse_args(argv)
+    if [args.folder is not None, args.quick, args.source is not None].count(True) != 1:
+        parser.error("give a data set and its folder, --quick, or --from")
+    known = DATA_SETS[args.name].recipes if args.folder else {}
+    for name in args.recipes or ():
+        if args.folder and name not in known:
+            parser.error(f"{args.name} has the recipes {', '.join(known)}, got {name!r}")
+
+    def measured(quick: bool) -> dict[str, Any]:
+        if quick:
+            return _quick()
+        report: dict[str, Any] = {}
+        for name in args.recipes or known:
+            found = measure(DATA_SETS[args.name], args.folder, args.out or Path(args.name), name, args.seeds)
+            if args.json and args.json.exists():  # read now, as another run may have written it meanwhile
+                report = json.loads(args.json.read_text(encoding="utf-8"))
+            report = with_earlier(found, report, list(known)) if report else found
+            write_outputs(args, report)  # before the next recipe's hours
+        return report
+
+    return run_script(parser, argv, measured, lines, draw)
+
+
+def _quick() -> dict[str, Any]:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for part, n, seed in ((QUICK.train, 6, 0), (QUICK.test, 3, 1)):
+            write(folder / part, n, (0.0,), seed)
+        return measure(QUICK, folder, folder / "models", "bare", 1)
+
+
+if __name__ == "__main__":
+    exit_with(main)

@@ -1,0 +1,200 @@
+"""The tables of what a decision costs, from decisions.json and incremental.json (four networks)."""
+
+from __future__ import annotations
+
+from experiments.page_parts import about_machine, results, short, table
+
+NETWORKS = {
+    "incremental": "async_tnt, incremental: `refresh`",
+    "dense": "async_tnt, full forward pass",
+    "onnxruntime_run": "onnxruntime, `run`",
+    "onnxruntime_binding": "onnxruntime, I/O binding",
+    "openvino": "OpenVINO",
+    "torch": "torch, eager",
+}
+WAYS = {
+    "ours": "async_tnt: `push`, `fire`",
+    "ours_onnxruntime": "async_tnt's volume, onnxruntime's network",
+    "torch": "torch: the whole window's volume, its network",
+    "eventcv_onnxruntime": "eventcv's voxel grid of all events, onnxruntime",
+}
+MAPS = "maps", "places", "program"
+
+
+def speed() -> str:
+    """The short version, for README."""
+    found = results("decisions")
+    names = {"incremental": "async_tnt", "onnxruntime_binding": "onnxruntime", "openvino": "OpenVINO", "torch": "torch"}
+    same = {"incremental": "ours", "onnxruntime_binding": "ours_onnxruntime", "torch": "torch"}
+    rows = []
+    for n in ("1", "100", "1300"):
+        us = found["network"][n]["in_blocks"]["us"]
+        events = f"{int(n):,} new event{'s' * (n != '1')}"
+        rows.append([f"network, {events}: us", *(short(us[name]["median"]) for name in names)])
+    us = found["end_to_end"]["1"]["in_blocks"]["us"]
+    rows.append(
+        [
+            "packet of 1 event to decision: us",
+            *(short(us[same[name]]["median"]) if name in same else "" for name in names),
+        ]
+    )
+    packets = found["every_event"]["packets"]
+    every = [packets["ours" if name == "incremental" else name]["a_second"] for name in names]
+    rows.append(["decisions a second, one after every event", *(f"{a_second:,.0f}" for a_second in every)])
+    return table(["", *names.values()], rows)
+
+
+def decisions_machine() -> str:
+    return about_machine(results("decisions"))
+
+
+def _turns(part: str, mode: str, names: dict[str, str]) -> str:
+    rows = results("decisions")[part]
+    counts = list(rows)
+    head = ["", *("random numbers" if n == "random" else f"{int(n):,} new event{'s' * (n != '1')}" for n in counts)]
+    body = []
+    for name, words in names.items():
+        cells = [words]
+        for n in counts:
+            us = rows[n][mode]["us"].get(name)
+            ratio = rows[n][mode]["ratio"].get(name)
+            cells.append(
+                ""
+                if us is None
+                else f"{short(us['median'])} ({short(us['p99'])})" + (f" {ratio['median']:.1f}x" if ratio else "")
+            )
+        if any(cells[1:]):
+            body.append(cells)
+    return table(head, body)
+
+
+def network_in_blocks() -> str:
+    return _turns("network", "in_blocks", NETWORKS)
+
+
+def network_call_by_call() -> str:
+    return _turns("network", "call_by_call", NETWORKS)
+
+
+def end_to_end_in_blocks() -> str:
+    return _turns("end_to_end", "in_blocks", WAYS)
+
+
+def end_to_end_call_by_call() -> str:
+    return _turns("end_to_end", "call_by_call", WAYS)
+
+
+def touched() -> str:
+    """What new events change, and what is computed because of it."""
+    found = results("decisions")["touched"]
+    columns = [*(n for n in found if n != "whole"), "whole"]
+    head = [
+        "mean of",
+        *("the whole network" if n == "whole" else f"{int(n):,} new event{'s' * (n != '1')}" for n in columns),
+    ]
+    rows = [["cells of the volume that change", *(_count(found[n]["cells"]) for n in columns)]]
+    for layer in found["whole"]:
+        if layer not in ("cells", "multiplications"):
+            rows.append([f"places of `{layer}` computed", *(_count(found[n][layer]) for n in columns)])
+    rows.append(["multiplications, thousands", *(f"{found[n]['multiplications'] / 1e3:,.0f}" for n in columns)])
+    return table(head, rows)
+
+
+def _count(value: float) -> str:
+    return f"{value:,.0f}" if value == int(value) else short(value)
+
+
+def every_event() -> str:
+    """Decisions a second."""
+    names = NETWORKS | {"ours": "async_tnt: `Processor(model, every_events=1)`"}
+    rows = results("decisions")["every_event"]["packets"]
+    words = {name: names[name] for name in rows}
+    body = [
+        [
+            words[name],
+            f"{row['a_second']:,.0f}",
+            short(row["us"]["median"]),
+            f"{row['ratio']['median']:.1f}" if "ratio" in row else "",
+        ]
+        for name, row in rows.items()
+    ]
+    return table(["", "decisions a second", "us each", "ratio"], body)
+
+
+def singles() -> str:
+    """The tail of single decisions."""
+    names = {
+        "collector": "with the garbage collector, the default",
+        "no_collector": "garbage collector off",
+        "machine": "plain Python additions that take as long",
+    }
+    rows = results("decisions")["every_event"]["singles"]
+    body = [
+        [
+            names[name],
+            *(short(row[key]) for key in ("median", "p99", "p999")),
+            f"{row['max']:,.0f}",
+            f"{row['p99_over_median']:.1f}",
+        ]
+        for name, row in rows.items()
+    ]
+    first = f"us, {rows['collector']['n']:,} decisions each"
+    return table([first, "median", "p99", "p99.9", "max", "p99 / median"], body)
+
+
+def starts() -> str:
+    """Seconds to a first decision."""
+    names = {
+        "ours_cold": "async_tnt, nothing compiled yet",
+        "ours_warm": "async_tnt, compiled before",
+        "onnxruntime": "onnxruntime",
+        "torch": "torch",
+    }
+    steps = {
+        "import": "import",
+        "load": "load the model",
+        "processor": "`Processor`",
+        "decision": "first decision",
+        "first_decision": "total",
+    }
+    body = [
+        [names[name], *(f"{row[step]['median']:.3f}" if step in row else "" for step in steps)]
+        for name, row in results("decisions")["starts"].items()
+    ]
+    return table(["seconds", *steps.values()], body)
+
+
+def incremental_machine() -> str:
+    return about_machine(results("incremental"))
+
+
+def incremental_times() -> str:
+    """Microseconds of a decision, in blocks, by network and new events."""
+    body = []
+    for network, row in results("incremental")["networks"].items():
+        volume = " x ".join(map(str, row["volume"]))
+        for n_new, found in row["network"].items():
+            us, ratio = found["in_blocks"]["us"], found["in_blocks"]["ratio"]
+            cells = [f"{short(us['incremental']['median'])} ({short(us['incremental']['p99'])})"]
+            cells += [
+                f"{short(us[name]['median'])} ({short(us[name]['p99'])}) {ratio[name]['median']:.1f}x"
+                for name in NETWORKS
+                if name in ratio
+            ]
+            body.append([f"`{network}`, {volume}" if n_new == "1" else "", f"{int(n_new):,}", *cells])
+    names = [words for name, words in NETWORKS.items() if name in us]
+    return table(["network", "new events", *names], body)
+
+
+def incremental_work() -> str:
+    """Multiplications of a decision, memory, and decisions a second."""
+    body = []
+    for network, row in results("incremental")["networks"].items():
+        counts = [row["touched"][n]["multiplications"] / 1e6 for n in ("1", "10", "100", "1300", "whole")]
+        memory = [f"{sum(row['bytes'][part] for part in parts) / 1e3:,.0f}" for parts in (("weights",), MAPS)]
+        rates = row["every_event"]
+        onnx = max((rates[name]["a_second"] for name in rates if name != "ours"), default=None)
+        second = [f"{rates['ours']['a_second']:,.0f}", "" if onnx is None else f"{onnx:,.0f}"]
+        body.append([f"`{network}`", *(f"{n:.2f}" for n in counts), *memory, *second])
+    head = ["1 new event", "10", "100", "1,300", "the whole network", "weights, kB", "maps, kB"]
+    return table(["million multiplications", *head, "decisions a second, one after every event", "onnxruntime"], body)

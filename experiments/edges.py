@@ -1,0 +1,129 @@
+"""What a motion does not show, on real recordings: edges along it give no events, and a reversed one swaps polarity.
+
+    python -m experiments.edges --nmnist N-MNIST --mnist MNIST --json experiments/results/edges.json
+
+A pixel follows log luminance L; for a pattern that moves with velocity v, dL/dt = -v . grad L. Each saccade's events
+are moved back along N-MNIST's path, onto the image that was shown, whose gradient is known.
+
+- By the angle between gradient and motion: events for each unit of gradient, which should fall like the cosine, and
+  how many of them have the polarity of -v . grad L.
+- Between two saccades: correlation over pixels of signed images, as measured, and of -v . grad L; and of unsigned ones.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.checking.timing import machine
+from async_tnt.cli.data_options import add_folder, data_folder
+from async_tnt.progress import progress
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.simulation.saccades import segment
+from async_tnt.simulation.scene import render
+from async_tnt.simulation.trajectories import nmnist_saccades
+from async_tnt.sources.files.nmnist import read_nmnist
+from experiments.comparison import recordings_by_image
+from experiments.script_options import exit_with, script_parser, write_outputs
+
+N_RECORDINGS = 1_000
+ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90)
+LEAST_GRADIENT = 0.1
+"""Of log luminance per pixel; less is background."""
+PATH = nmnist_saccades()
+ENDS_US = (0, 92_000, 222_000, 308_000)
+"""N-MNIST's saccades are at rest there."""
+
+
+def directions() -> np.ndarray:
+    """(3, 2): unit vectors of the saccades, (x, y)."""
+    moved = np.diff(np.stack(PATH.position(ENDS_US), axis=1), axis=0)
+    return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+
+
+def moved_back(events: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Signed and unsigned counts (34, 34) of events, moved along N-MNIST's path to where the image is centred."""
+    dx, dy = PATH.position(events["t"])
+    x, y = np.rint(events["x"] - dx + 3.0).astype(int), np.rint(events["y"] - dy + 3.0).astype(int)
+    inside = (x >= 0) & (x < 34) & (y >= 0) & (y < 34)
+    place, sign = (34 * y + x)[inside], 2.0 * events["p"][inside] - 1.0
+    signed, unsigned = (np.bincount(place, w, minlength=34 * 34).reshape(34, 34) for w in (sign, np.abs(sign)))
+    return signed, unsigned
+
+
+def gradient(image: np.ndarray) -> np.ndarray:
+    """(34, 34, 2): (d/dx, d/dy) of an image's log luminance at the sensor's centre."""
+    light = render(image, np.array([3.0]), np.array([3.0]))[0]
+    return np.stack(np.gradient(light)[::-1], axis=-1)
+
+
+def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
+    """The report, of `n` recordings spread evenly over those there are."""
+    split, found = recordings_by_image(nmnist, "train")
+    images, _ = load_mnist(mnist, split)
+    shown = np.array(sorted(found))[np.unique(np.linspace(0, len(found) - 1, n).astype(int))]
+    towards, bins = directions(), len(ANGLES_DEG) - 1
+    events_of, right_of, gradient_of, cosine_of = np.zeros((4, bins))
+    correlations: dict[tuple[int, int], list[list[float]]] = {pair: [] for pair in combinations(range(3), 2)}
+    with progress(len(shown), "comparing events with images") as bar:
+        for i in shown:
+            slope = gradient(images[i])
+            steepness = np.linalg.norm(slope, axis=-1)
+            edges = steepness > LEAST_GRADIENT
+            expected, signed, unsigned = [], [], []
+            for v, events in zip(towards, segment(read_nmnist(found[i]), ENDS_US[1:]), strict=False):
+                sign, count = moved_back(events)
+                change = -slope @ v
+                cosine = np.abs(change[edges]) / steepness[edges]
+                at = np.digitize(np.degrees(np.arccos(np.clip(cosine, 0, 1))), ANGLES_DEG[1:-1])
+                events_of += np.bincount(at, count[edges], bins)
+                right_of += np.bincount(at, ((count + sign * np.sign(change)) / 2)[edges], bins)
+                gradient_of += np.bincount(at, steepness[edges], bins)
+                cosine_of += np.bincount(at, steepness[edges] * cosine, bins)
+                expected.append(change.ravel())
+                signed.append(sign.ravel())
+                unsigned.append(count.ravel())
+            for (a, b), values in correlations.items():
+                values.append([float(np.corrcoef(of[a], of[b])[0, 1]) for of in (signed, expected, unsigned)])
+            bar.update()
+    return {
+        "recordings": len(shown),
+        "angles_deg": ANGLES_DEG,
+        "events_per_gradient": (events_of / gradient_of).tolist(),
+        "cosine": (cosine_of / gradient_of).tolist(),
+        "polarity_as_expected": (right_of / events_of).tolist(),
+        "between_saccades": {
+            f"{a + 1}-{b + 1}": {
+                "angle_deg": float(np.degrees(np.arccos(towards[a] @ towards[b]))),
+                **dict(zip(("signed", "expected", "unsigned"), np.mean(values, axis=0).tolist(), strict=True)),
+            }
+            for (a, b), values in correlations.items()
+        },
+        "machine": machine(),
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure, print and write."""
+    parser = script_parser("edges", __doc__, "50 recordings")
+    add_folder(parser, "--nmnist", "with Train/<digit>/*.bin (default: $TNT_DATA/nmnist)")
+    add_folder(parser, "--mnist", "MNIST's IDX files (default: $TNT_DATA/mnist)")
+    args = parser.parse_args(argv)
+    folders = (data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist"))
+    report = measure(*folders, 50 if args.quick else N_RECORDINGS)
+    for k in range(len(ANGLES_DEG) - 1):
+        print(
+            f"{ANGLES_DEG[k]:2}-{ANGLES_DEG[k + 1]} degrees: {report['events_per_gradient'][k]:.2f} events a unit of "
+            f"gradient (cosine {report['cosine'][k]:.2f}), {100 * report['polarity_as_expected'][k]:.1f} % as expected"
+        )
+    for pair, found in report["between_saccades"].items():
+        print(f"saccades {pair}: " + ", ".join(f"{name} {value:.2f}" for name, value in found.items()))
+    write_outputs(args, report)
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)

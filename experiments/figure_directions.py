@@ -1,0 +1,84 @@
+"""Draw accuracy by direction of the simulated motions, from experiments/results/table.json.
+
+python -m experiments.figure_directions --picture docs/images/directions.png
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from async_tnt.views.figure_style import OFF, ON, TEXT, check_picture, headline, new_figure, save, styled
+from experiments.page_parts import results
+from experiments.script_options import exit_with, plain_parser
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LOOKS: dict[str, dict[str, Any]] = {
+    "raw-translated": {"color": "#000000"},
+    "regressor-translated": {"color": "#8a8a8a", "ls": (0, (4, 1.5))},
+    "running-translated": {"color": ON},
+    "line-unsigned-translated": {"color": OFF},
+    "raw-motions": {"color": "#009E73"},
+}
+PANELS = {"1/sim": "trained on the first saccade", "all/sim": "trained on all three saccades"}
+SACCADES_DEG = {1: 75.0, 2: 308.0, 3: 183.0}
+"""Directions of N-MNIST's saccades, by `nmnist_saccades`; y grows downwards."""
+
+
+def by_direction(per_motion: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Directions in radians, and the mean accuracy over their distances."""
+    found: dict[int, list[float]] = {}
+    for motion, part in per_motion.items():
+        found.setdefault(int(motion[:3]), []).append(part["mean"])
+    directions = sorted(found)
+    return np.radians(directions), np.array([np.mean(found[d]) for d in directions])
+
+
+def draw(report: dict[str, Any]) -> Figure:
+    """A polar panel for what was trained on: angle: direction of motion, downwards below; radius: accuracy."""
+    from experiments.table_rows import ROWS
+
+    table = report["table"]
+    figure = new_figure(5.6)
+    for place, (column, words) in enumerate(PANELS.items()):
+        axes: Any = figure.add_axes((0.06 + 0.47 * place, 0.19, 0.41, 0.64), projection="polar")
+        axes.set_theta_direction(-1)  # y grows downwards
+        for row, look in LOOKS.items():
+            if column in table.get(row, {}):
+                angles, accuracies = by_direction(table[row][column]["per_motion"])
+                title = ROWS[row].title.replace("`", "")
+                closed = np.append(angles, angles[0]), np.append(accuracies, accuracies[0])
+                axes.plot(*closed, label=title if place == 0 else None, lw=1.6, **look)
+        axes.plot(np.linspace(0, 2 * np.pi, 100), np.full(100, 0.1), color="#b0b0b0", lw=0.8, ls=":")
+        axes.set_ylim(0, 1)
+        axes.set_yticks([0.25, 0.5, 0.75, 1.0], [".25", ".5", ".75", "1"])
+        axes.set_rlabel_position(-20)
+        axes.set_xticks(np.radians([0, 90, 180, 270]), ["right", "down", "left", "up"])
+        axes.set_title(words, color=TEXT, fontsize=9)
+        for saccade in (1,) if column == "1/sim" else (1, 2, 3):
+            angle = np.radians(SACCADES_DEG[saccade])
+            axes.annotate(
+                "", (angle, 1.16), (angle, 1.01), arrowprops={"arrowstyle": "->", "color": TEXT}, annotation_clip=False
+            )
+    headline(figure, "Accuracy by direction of simulated motions; arrows: saccades trained on; dotted: guessing")
+    figure.legend(loc="lower center", ncols=3, labelcolor=TEXT)
+    return figure
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Draw the picture."""
+    parser = plain_parser("figure_directions", __doc__)
+    parser.add_argument("--picture", type=Path, metavar="FILE", required=True, help=".png, .svg or .pdf")
+    args = parser.parse_args(argv)
+    check_picture(args.picture)
+    with styled():
+        save(draw(results("table")), args.picture, dpi=100)
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)

@@ -1,0 +1,311 @@
+"""Print the measured tables of docs/theory.md in Markdown, and draw the law of v/2.
+
+    python -m experiments.figure_laws [--picture docs/images/laws.png]
+
+Needs the batch reference (torch) and the bundled samples; the picture needs matplotlib.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import tnt_reference
+import torch
+
+import async_tnt
+from async_tnt.sources import open_recording, sample_recordings
+from experiments.script_options import exit_with, plain_parser
+
+LANDMARKS = ("center", "running", "line", "window")
+CASES = (*((name, False) for name in LANDMARKS), ("line", True))  # landmark, remove_flow
+WINDOW_US, N = 104_000, 1_300
+AT: dict[str, Any] = dict(start_us=0, window_us=WINDOW_US, sensor=(201, 201), grid=(201, 201))
+FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 3 / 4, 1)
+
+
+def print_table(head: list[str], rows: list[list[str]]) -> None:
+    for row in [head, ["---"] * len(head), *rows]:
+        print("| " + " | ".join(row) + " |")
+    print()
+
+
+def constant(f: np.ndarray) -> np.ndarray:
+    return f
+
+
+def bell(f: np.ndarray) -> np.ndarray:
+    """Minimum jerk: a saccade's bell-shaped speed, at rest at both ends of the window."""
+    return f**3 * (10 - 15 * f + 6 * f**2)
+
+
+def points(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """An object: events at random in a disc of radius 10 px about the grid's centre, x and y."""
+    rng = np.random.default_rng(seed)
+    radius, angle = 10 * np.sqrt(rng.random(N)), 2 * np.pi * rng.random(N)
+    return 100 + radius * np.cos(angle), 100 + radius * np.sin(angle)
+
+
+@functools.cache
+def shift(path: Callable[[np.ndarray], np.ndarray], landmark: str, remove_flow: bool) -> np.ndarray:
+    """How far each event of a moving object lies from the same event of the object at rest, after the
+    transform, in units of D / t_max, where D is the displacement over the window."""
+    t = (np.arange(N) + 1) * (WINDOW_US // N)  # an even event rate; the last event at the window's end
+    moved = 16.0 * path(t / WINDOW_US)
+    y = np.full(N, 100.0)
+    u = [
+        tnt_reference.tnt_coordinates(
+            t, points(0)[0] + dx, y, **AT, t_max=1.0, landmark=landmark, remove_flow=remove_flow
+        ).u.numpy()
+        for dx in (moved, 0 * moved)
+    ]
+    return (u[0] - u[1]) / 16.0
+
+
+def name_of(landmark: str, remove_flow: bool) -> str:
+    return f"`{landmark}`" + (", `remove_flow`" if remove_flow else "")
+
+
+def landmark_table(path: Callable[[np.ndarray], np.ndarray]) -> None:
+    rows = []
+    for landmark, remove_flow in CASES:
+        values = shift(path, landmark, remove_flow)
+        cells = [f"{values[round(f * N) - 1]:+.3f}" for f in FRACTIONS]
+        rows.append([name_of(landmark, remove_flow), *cells])
+    print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)
+
+
+def draw_motion_terms(path: str) -> None:
+    """The motion that each landmark leaves in the volume, in the course of the window: a translation is a flat line."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(10.4, 3.9), sharey=True, layout="constrained")
+    colours = ("#000000", "#0072b2", "#d55e00", "#999999", "#009e73")
+    f = (np.arange(N) + 1) / N
+    for axis, (title, motion) in zip(
+        axes, (("constant flow", constant), ("a saccade: bell-shaped speed", bell)), strict=True
+    ):
+        for (landmark, remove_flow), colour in zip(CASES, colours, strict=True):
+            label = f"{landmark}, flow removed" if remove_flow else landmark
+            axis.plot(f, shift(motion, landmark, remove_flow), color=colour, label=label, linewidth=2)
+        axis.axhline(0.5, color="#bbbbbb", linewidth=0.8, linestyle=":", zorder=0)
+        axis.set(title=title, xlabel="fraction f of the window", xlim=(0, 1), ylim=(-1.1, 1.6))
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("motion left in the volume,\nin units of v / t_max")
+    axes[1].legend(frameon=False, loc="lower right")
+    figure.savefig(path, dpi=110)
+
+
+def ridge_table() -> None:
+    """What `line` makes of constant flow v by the window's end, with events spread evenly over the window."""
+    rows = []
+    for n in (10, 30, 100, 300, 1_300, 10_000):
+        t = np.round((np.arange(n) + 1) * WINDOW_US / n).astype(np.int64)
+        x = 100 + 16.0 * t / WINDOW_US
+        flow = tnt_reference.fitted_flow(t, x, x, **AT)[-1, 0].item() / 16
+        intercept = (tnt_reference.landmark("line", t, x, x, **AT)[-1, 0].item() - 100) / 16
+        c_ff = n / 12
+        rows.append(
+            [f"{n:,}", f"{flow:.3f}", f"{c_ff / (c_ff + 1):.3f}", f"{1 - intercept:.3f}", f"{1 - 0.5 / (c_ff + 1):.3f}"]
+        )
+    print_table(["events", "m / v", "C / (C + 1)", "translation", "1 - 1 / (2 (C + 1))"], rows)
+
+
+def wander_table() -> None:
+    """How far the landmark of an object at rest is from the object's middle, over 400 random objects."""
+    t = (np.arange(N) + 1) * (WINDOW_US // N)
+    rows = []
+    for landmark in ("running", "line"):
+        strays = np.array(
+            [tnt_reference.landmark(landmark, t, *points(seed), **AT).numpy() - 100 for seed in range(400)]
+        )  # (objects, N, 2)
+        rms = np.sqrt((strays**2).sum(2).mean(0))
+        rows.append([f"`{landmark}`", *(f"{rms[round(f * N) - 1]:.2f}" for f in FRACTIONS)])
+    print_table(["landmark", *(f"f = {f:g}" for f in FRACTIONS)], rows)
+
+
+def sample_windows() -> list[np.ndarray]:
+    """The three windows of each bundled sample, starting at its first event."""
+    windows = []
+    for path in sample_recordings().values():
+        events = open_recording(path).read()
+        events["t"] -= events["t"][0]
+        windows += [events[events["t"] // 105_000 == k] for k in range(3)]
+    return windows
+
+
+def streamed(window: np.ndarray, start_us: int, shift: int, options: dict[str, Any]) -> np.ndarray:
+    """The volume of a window's events, moved right and up by whole pixels."""
+    volume = async_tnt.TNTVolume(async_tnt.TNTConfig(**options))
+    volume.open(start_us)
+    volume.update((window["t"], window["x"].astype(int) + shift, window["y"].astype(int) - shift, window["p"]))
+    return volume.array.astype(np.float64)
+
+
+def batch(window: np.ndarray, start_us: int, shift: float, options: dict[str, Any]) -> np.ndarray:
+    """The same, by any shift."""
+    return tnt_reference.tnt_volume(
+        window["t"],
+        window["x"] + shift,
+        window["y"] - shift,
+        window["p"],
+        start_us=start_us,
+        window_us=105_000,
+        sensor=(34, 34),
+        grid=(34, 34),
+        dtype=torch.float64,
+        **options,
+    ).numpy()
+
+
+def translation_table() -> None:
+    """Proposition 3 on the bundled samples' windows: how far the volume of a translated stream is from the volume.
+
+    By 2 px each way, the most that the samples leave room for, in the stream; by 1/3 px in the reference.
+    """
+    inside = []
+    for k, window in enumerate(sample_windows()):
+        x, y = window["x"].astype(int), window["y"].astype(int)
+        inside.append((window[(x >= 2) & (x < 32) & (y >= 2) & (y < 32)], k % 3 * 105_000))
+    rows = []
+    for landmark, remove_flow in CASES:
+        options = dict(landmark=landmark, remove_flow=remove_flow, t_max=2.0)
+        cells = []
+        ways: tuple[tuple[Callable[..., np.ndarray], float], ...] = ((streamed, 2), (batch, 1 / 3))
+        for volume_of, shift in ways:
+            worst = 0.0
+            for window, start_us in inside:
+                here = volume_of(window, start_us, 0, options)
+                there = volume_of(window, start_us, shift, options)
+                worst = max(worst, np.abs(there - here).max() / np.abs(here).max())
+            cells.append("below 1e-6" if worst < 1e-6 else f"{worst:.2f}")  # rounding is the machine's own
+        rows.append([name_of(landmark, remove_flow), *cells])
+    print_table(["landmark", "2 px, stream", "1/3 px, reference"], rows)
+
+
+def t_max_table() -> None:
+    windows = sample_windows()
+    at: dict[str, Any] = dict(window_us=105_000, sensor=(34, 34), grid=(34, 34))
+    rows = []
+    for t_max in (0.5, 1.0, 2.0, 3.0, 4.0, 8.0, 16.0):
+        kept_by = {}
+        for landmark in ("center", "running", "line"):
+            kept, quarter, spread, spread_raw, inverse = [], [], [], [], []
+            for k, window in enumerate(windows):
+                start_us = k % 3 * 105_000
+                t, x, y = window["t"], window["x"], window["y"]
+                u, _, keep = tnt_reference.tnt_coordinates(
+                    t, x, y, start_us=start_us, **at, t_max=t_max, landmark=landmark
+                )
+                kept.append(keep.numpy())
+                quarter.append((t - start_us) * 4 // 105_000)
+                late = keep.numpy() & (quarter[-1] == 3)
+                spread.append(u.numpy()[late].std())
+                spread_raw.append(x[quarter[-1] == 3].std())
+                inverse.append((105_000 / (t_max * (t - start_us)[late])).mean())  # 1 / tau
+            keep_all, quarter_all = np.concatenate(kept), np.concatenate(quarter)
+            kept_by[landmark] = keep_all.mean()
+            if landmark == "running":
+                lost = [1 - keep_all[quarter_all == q].mean() for q in range(4)]
+                shrunk, expected = np.mean(spread) / np.mean(spread_raw), np.mean(inverse)
+        rows.append(
+            [
+                f"{t_max:g}",
+                *(f"{100 * kept_by[name]:.1f} %" for name in ("center", "running", "line")),
+                *(f"{100 * q:.1f} %" for q in lost),
+                f"{shrunk:.2f}",
+                f"{expected:.2f}",
+            ]
+        )
+    head = [
+        "t_max",
+        "kept, `center`",
+        "kept, `running`",
+        "kept, `line`",
+        *(f"lost in quarter {q}" for q in range(1, 5)),
+        "size in the last quarter",
+        "1 / tau there",
+    ]
+    print_table(head, rows)
+
+
+def border_counts() -> str:
+    """Events that lie exactly on the border by exact arithmetic, and how float64 decides over them."""
+    n = outside_a = outside_b = kept = 0
+    for window_us in (800, 1_000, 10_000, 50_000, 100_000, 105_000):
+        config = async_tnt.TNTConfig(window_us=window_us, landmark="center", transform="tnt")
+        for t_max in (0.7, 1.0, 2.0, 3.0, 3.7, 8.0, 16.0):
+            for x in range(34):
+                # u = (x - 33/2) / tau + 33/2 is 0 or 33  <=>  tau = |2 x - 33| / 33
+                dt = Fraction(abs(2 * x - 33), 33) * window_us / Fraction(str(t_max))
+                if dt.denominator > 1 or not 0 < dt < window_us:
+                    continue
+                n += 1
+                tau = t_max * float(dt) / window_us
+                u_a = (x - 16.5) / tau + 16.5
+                u_b = (x - 16.5) * (1 / float(dt)) * (window_us / t_max) + 16.5
+                outside_a += not 0 <= u_a <= 33
+                outside_b += not 0 <= u_b <= 33
+                volume = async_tnt.TNTVolume(config.replace(t_max=t_max))
+                volume.open(0)
+                volume.update_one(int(dt), x, 16, 1)
+                kept += volume.counts.kept
+    return (
+        f"{n} events exactly on the border: (x - l) / tau + c puts {outside_a} of them outside in float64, "
+        f"(x - l) * (1 / dt) * (window_us / t_max) + c {outside_b}; with the tolerance {kept} are kept."
+    )
+
+
+def cancellation() -> str:
+    """1000 ON events, then 999 OFF events, at one pixel between two bins: one event should be left."""
+    rng = np.random.default_rng(2)
+    weights = rng.random(999)
+    shares = np.concatenate([weights, [0.5], -weights])
+    sums = {dtype: np.add.accumulate(shares.astype(dtype), dtype=dtype)[-1] for dtype in (np.float32, np.float64)}
+    errors = {dtype: abs(float(total) - 0.5) / 0.5 for dtype, total in sums.items()}
+    return (
+        "1000 ON and 999 OFF events in one cell: relative error of the cell "
+        f"{errors[np.float32]:.0e} with float32 sums, {errors[np.float64]:.0e} with float64 sums"
+    )
+
+
+def fallen_off(sensor_side: int, side: int) -> int:
+    """Sensor columns that x side / sensor_side puts beyond the last grid pixel."""
+    return int(np.count_nonzero(np.arange(sensor_side) * side / sensor_side > side - 1))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Print the tables, and draw the law if asked."""
+    parser = plain_parser("figure_laws", __doc__)
+    parser.add_argument("--picture", metavar="FILE", help="also draw the law of v/2 into this file")
+    args = parser.parse_args(argv)
+    if args.picture:
+        draw_motion_terms(args.picture)
+    print("## Translated streams: how far their volumes differ, as a share of the largest cell\n")
+    translation_table()
+    print("## Constant flow: translation of the volume, in units of v / t_max\n")
+    landmark_table(constant)
+    print("## The ridge of `line`, at the end of a window with evenly spread events\n")
+    ridge_table()
+    print("## Bell-shaped speed: the same, in units of D / t_max\n")
+    landmark_table(bell)
+    print("## How far the landmark of an object at rest strays, in pixels (rms)\n")
+    wander_table()
+    print("## t_max on the ten bundled samples (three windows each)\n")
+    t_max_table()
+    print("## Rounding\n")
+    print(border_counts())
+    print(cancellation())
+    for width, height in ((346, 260), (1280, 720)):
+        print(
+            f"{width}x{height} onto 34x34 by x W / Ws: {fallen_off(width, 34)} columns and "
+            f"{fallen_off(height, 34)} rows fall off; corner to corner: none"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)

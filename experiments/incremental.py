@@ -1,0 +1,161 @@
+"""What computing only what has changed brings, for four networks: ours beside onnxruntime, OpenVINO and torch.
+
+    python -m experiments.incremental [--quick] [--json FILE] [--picture FILE]
+
+One process, one thread each, warm, interleaved (see decisions.py), on the bundled recordings, whose 34 x 34 pixels are
+mapped onto each network's grid; random weights, since times do not depend on them as long as about half of the ReLUs
+are open. Before anything is timed, all must give the same logits within 1e-4. Packages that are not installed are left
+out: `pip install torch==2.13.0 onnx onnxruntime openvino`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+if __name__ == "__main__":  # before any library reads them
+    os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
+
+import torch
+from torch import nn
+
+from async_tnt import CompiledClassifier, Model, TNTConfig, warmup
+from async_tnt.checking import backends
+from async_tnt.checking.bench_every_event import bench_every_event
+from async_tnt.checking.bench_network import bench_network
+from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
+from async_tnt.checking.timing import machine, machine_text, one_thread
+from async_tnt.progress import progress
+from async_tnt.training.networks import conv4, residual, thesis
+from async_tnt.views.figure_style import LARGE, SMALL, TEXT, axes_at, headline, new_figure, write_at
+from experiments.draw_decisions import NETWORKS as LOOKS
+from experiments.draw_decisions import draw_lines, lay_axis
+from experiments.measure_touched import bench_touched
+from experiments.script_options import exit_with, run_script, script_parser
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FULL = {"blocks": 30, "decisions_a_block": 40, "rounds": 5, "moments": 400}
+QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "moments": 40}
+PACKAGES = ("torch", "onnx", "onnxruntime", "openvino")
+NOT_DRAWN = "onnxruntime_run"  # the binding is as fast or faster
+
+
+def gesture(channels: int, grid: tuple[int, int], n_classes: int) -> nn.Module:
+    """Of the kind that is common for DVS gestures: a 2x2 stem of stride 2, 3x3 convolutions, average pools, dense."""
+    layers: list[nn.Module] = [nn.Conv2d(channels, 16, 2, 2), nn.ReLU()]
+    for n_inputs, n_filters in ((16, 16), (16, 32), (32, 32), (32, 64)):
+        layers += [nn.Conv2d(n_inputs, n_filters, 3, padding=1), nn.ReLU(), nn.AvgPool2d(2)]
+    places = (grid[0] // 32) * (grid[1] // 32)
+    return nn.Sequential(*layers, nn.Flatten(), nn.Linear(64 * places, 256), nn.ReLU(), nn.Linear(256, n_classes))
+
+
+NETWORKS: dict[str, tuple[Callable[..., nn.Module], TNTConfig, int]] = {
+    "thesis": (thesis, TNTConfig(landmark="running", t_max=2.0), 10),
+    "conv4": (conv4, TNTConfig(grid=(60, 50), bins=5, polarity="split", transform="none", landmark="center"), 2),
+    "residual": (residual, TNTConfig(grid=(64, 64), bins=5, polarity="split", transform="none", landmark="center"), 10),
+    "gesture": (gesture, TNTConfig(grid=(128, 128), representation="count", polarity="split"), 11),
+}
+"""Name -> (build, volume, classes)."""
+
+
+def made_model(name: str) -> Model:
+    """With torch's initial weights, and statistics that keep the numbers of all layers alive."""
+    build, config, n_classes = NETWORKS[name]
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        module = build(config.channels, config.grid, n_classes)
+        for part in module.modules():
+            if isinstance(part, nn.BatchNorm2d):
+                nn.init.uniform_(part.get_buffer("running_mean"), -0.1, 0.1)
+                nn.init.uniform_(part.get_buffer("running_var"), 0.05, 0.2)
+    return Model.from_torch(module, config, [str(k) for k in range(n_classes)])
+
+
+def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
+    """All measurements, as one JSON object.
+
+    Raises
+    ------
+    WorkDiffers : backends do not agree. Then nothing is reported.
+    """
+    rows = {}
+    with progress(len(NETWORKS) * (len(NEW_EVENTS) + 2), "compiling") as bar, one_thread(True):
+        for name in NETWORKS:
+            model = made_model(name)
+            warmup(model)
+            networks = backends.dense_networks(model)
+            recordings = bench_recordings(model.config)
+            windows = [window for events in recordings for window in windows_of(events, model.config.window_us)]
+            counts = {"blocks": settings["blocks"], "size": settings["decisions_a_block"]}
+            times = {}
+            for n_new in NEW_EVENTS:
+                bar.update(title=f"{name}, new events: {n_new}")
+                times[str(n_new)] = bench_network(model, networks, windows, n_new, **counts)
+            bar.update(title=f"{name}, a decision after every event")
+            others = {other: networks[other] for other in backends.ONNXRUNTIME if other in networks}
+            rates = bench_every_event(model, others, recordings, rounds=settings["rounds"], n_events=500)
+            bar.update(title=f"{name}, what new events touch")
+            arrays = CompiledClassifier(model).network
+            rows[name] = {
+                "volume": model.config.shape,
+                "network": times,
+                "every_event": rates,
+                "touched": bench_touched(model, windows, moments=settings["moments"]),
+                "bytes": {part: getattr(arrays, part).nbytes for part in ("weights", "maps", "places", "program")},
+            }
+    return {
+        "machine": machine(*PACKAGES),
+        "settings": {"quick": quick, "threads": 1, **settings},
+        "networks": rows,
+        "left_out": backends.left_out(),
+    }
+
+
+def lines(report: dict[str, Any]) -> Iterator[str]:
+    """The report for people."""
+    yield machine_text(report["machine"])
+    for name, row in report["networks"].items():
+        yield ""
+        kilobytes = ", ".join(f"{part} {n / 1e3:,.0f} kB" for part, n in row["bytes"].items())
+        yield f"{name}, volume {' x '.join(map(str, row['volume']))}: {kilobytes}"
+        for n_new, found in row["network"].items():
+            us = found["in_blocks"]["us"]
+            times = ", ".join(f"{engine} {of['median']:.1f} (p99 {of['p99']:.0f})" for engine, of in us.items())
+            yield f"  {n_new:>5} new: {row['touched'][n_new]['multiplications']:>12,.0f} multiplications; us: {times}"
+        rates = ", ".join(f"{engine} {of['a_second']:,.0f}" for engine, of in row["every_event"].items())
+        yield f"  decisions a second, one after every event: {rates}"
+
+
+def draw_incremental(report: dict[str, Any]) -> Figure:
+    """Medians and quartiles in blocks; hollow: medians from call to call."""
+    figure = new_figure(4.4)
+    looks = {name: look for name, look in LOOKS.items() if name != NOT_DRAWN}
+    for k, (name, row) in enumerate(report["networks"].items()):
+        axes = axes_at(figure, 0.62 + 2.12 * k, 0.95, 1.72, 2.6)
+        draw_lines(axes, row["network"], looks)
+        lay_axis(axes)
+        axes.set_xlabel("new events", fontsize=SMALL)
+        axes.set_title(f"{name}, {' x '.join(map(str, row['volume']))}", loc="left", fontsize=LARGE)
+        if k == 0:
+            axes.set_ylabel("microseconds per decision")
+    headline(figure, "Time per decision, four networks")
+    x = 0.62
+    for name, (label, colour) in looks.items():
+        if name in report["networks"]["thesis"]["network"]["1"]["in_blocks"]["us"]:
+            write_at(figure, x, 4.28, label.replace("\n", " "), fontsize=SMALL, color=colour, va="bottom")
+            x += 1.75
+    write_at(figure, 6.9, 4.28, report["machine"]["cpu"] + ", one thread", fontsize=SMALL, color=TEXT, va="bottom")
+    return figure
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run, print, and write JSON and the picture if asked. Returns 1 if backends do not agree."""
+    parser = script_parser("incremental", __doc__, "a few decisions of each", draws=True)
+    return run_script(parser, argv, lambda quick: measure(QUICK if quick else FULL, quick), lines, draw_incremental)
+
+
+if __name__ == "__main__":
+    exit_with(main)

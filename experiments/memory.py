@@ -1,0 +1,115 @@
+"""Does memory grow during a long stream? Resident memory after the first million events and at the end.
+
+    python -m experiments.memory [--events 100000000] [--limit-mb 4] [--json]
+
+Windows open and close, decisions are made (at the ends of windows, every 20 ms and on demand), packets come as
+structured arrays, columns and single events. Exit code 1 if memory grew by more than the limit.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+
+import numpy as np
+
+from async_tnt import Processor, load_model, warmup
+from async_tnt.checking.moments import made_columns
+from async_tnt.checking.timing import machine
+from async_tnt.events import structured
+from experiments.script_options import exit_with, plain_parser
+
+MODEL = "digits"
+FIRST = 1_000_000
+PACKET = 1300
+PACKETS_A_WINDOW = 13
+SINGLES = 50  # events of one packet in each window that come one by one
+
+
+def resident_mb() -> float:
+    """Resident memory of this process in MB (2^20 bytes); if the system does not report it, its peak."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+    except OSError:
+        import resource
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def push_window(processor: Processor, window: np.ndarray, start_us: int) -> int:
+    """Push one window's events, `start_us` later than recorded; returns the number of decisions."""
+    n_decisions = 0
+    for k in range(PACKETS_A_WINDOW):
+        packet = window[k * PACKET : (k + 1) * PACKET].copy()  # new memory each time, as a driver hands it over
+        packet["t"] += start_us
+        if k % 3 == 1:
+            n_decisions += len(processor.push(tuple(packet[name].copy() for name in ("t", "x", "y", "p"))))
+        else:
+            if k == 0:
+                for t, x, y, p in packet[:SINGLES].tolist():
+                    n_decisions += len(processor.push_one(t, x, y, p))
+                packet = packet[SINGLES:]
+            n_decisions += len(processor.push(packet))
+    processor.fire()
+    return n_decisions + 1
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Stream, print, and compare with the limit."""
+    parser = plain_parser("memory", __doc__)
+    parser.add_argument("--events", type=int, default=100_000_000, metavar="N", help="(default: 100 million)")
+    parser.add_argument("--limit-mb", type=float, default=4.0, metavar="MB", help="growth allowed (default: 4)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    args = parser.parse_args(argv)
+    if args.events <= FIRST:
+        parser.error(f"--events must be more than the first {FIRST:,}, got {args.events:,}")
+
+    model = load_model(MODEL)
+    warmup(model)
+    processor = Processor(model, every_us=20_000)
+    rng, n, config = np.random.default_rng(0), PACKET * PACKETS_A_WINDOW, model.config
+    window = structured(made_columns(rng, config.sensor, n, config.window_us))
+    window["t"][0] = 0
+    first_mb, n_events, n_decisions, start_us = None, 0, 0, 0
+    started = shown = time.perf_counter()
+    while n_events < args.events:
+        n_decisions += push_window(processor, window, start_us)
+        start_us += model.config.window_us
+        n_events += len(window)
+        if first_mb is None and n_events >= FIRST:
+            first_mb = resident_mb()
+        if time.perf_counter() - shown > 2:
+            shown = time.perf_counter()
+            print(f"{n_events:,} of {args.events:,} events, {resident_mb():.1f} MB", file=sys.stderr, flush=True)
+    last_mb = resident_mb()
+    if processor.counts.received != n_events:
+        raise RuntimeError(f"{n_events:,} events were pushed, {processor.counts.received:,} counted")
+    assert first_mb is not None  # FIRST was passed
+    grown_mb = last_mb - first_mb
+    result = {
+        "machine": machine(),
+        "model": MODEL,
+        "events": n_events,
+        "decisions": n_decisions,
+        "seconds": round(time.perf_counter() - started, 1),
+        "first_million_mb": round(first_mb, 2),
+        "end_mb": round(last_mb, 2),
+        "grown_mb": round(grown_mb, 2),
+        "limit_mb": args.limit_mb,
+    }
+    if args.json:
+        print(json.dumps(result))
+    else:
+        print(
+            f"{n_events:,} events, {n_decisions:,} decisions in {result['seconds']} s; resident memory "
+            f"{first_mb:.1f} MB after the first million, {last_mb:.1f} MB at the end: {grown_mb:+.2f} MB"
+        )
+    return int(grown_mb > args.limit_mb)
+
+
+if __name__ == "__main__":
+    exit_with(main)

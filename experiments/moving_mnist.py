@@ -1,0 +1,161 @@
+"""`python -m experiments.moving_mnist`: make N-MOVING-MNIST, and show how like N-MNIST it is."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import time
+from pathlib import Path
+
+from async_tnt.cli.data_options import add_folder, data_folder
+from async_tnt.cli.options import positive_int, whole_number
+from async_tnt.cli.output import note, say
+from async_tnt.files import check_folder
+from async_tnt.process import available_cores
+from async_tnt.progress import progress
+from async_tnt.simulation.scene import Scene
+from async_tnt.simulation.statistics import side_by_side
+from async_tnt.sources.files.nmnist import write_nmnist
+from experiments.comparison import compare, recordings_by_image
+from experiments.motions import KINDS
+from experiments.moving_mnist_set import build
+from experiments.script_options import exit_with, plain_parser
+from experiments.set_manifest import MANIFEST, MovingMnist
+
+DESCRIPTION = """\
+Simulate N-MOVING-MNIST: every digit of MNIST before an event camera of 34 x 34 pixels, under each of 30
+motions (10 directions x 3, 5 and 8 pixels) in one window of 105 ms. The folder gets one .safetensors file per
+motion and 1,000 images, with the simulated optical flow, and set.json, which records how they were made.
+
+The 10,000 test images give 300,000 recordings: some 3 GB, in minutes. Stop with Ctrl-C, give the same
+command again, and it resumes. The same seed gives the same files, for any number of workers.
+
+At the end it prints statistics of real N-MNIST recordings, of simulations of the same images under N-MNIST's own
+motion, and of this set, side by side.
+"""
+EPILOG = """\
+examples:
+  python -m experiments.moving_mnist --mnist MNIST --out moving --digits 20       a first look: seconds
+  python -m experiments.moving_mnist --mnist MNIST --out moving-test              the whole test set
+  python -m experiments.moving_mnist --mnist MNIST --out bells --motions bell     the same paths, a saccade's speed
+  python -m experiments.moving_mnist --mnist MNIST --out thesis --motions constant-from-centre --bright-on-dark
+                                             as the thesis seems to have moved its digits
+  python -m experiments.moving_mnist --mnist MNIST --out moving --digits 20 --bin as-nmnist
+  async-tnt run as-nmnist/000deg-5px/7/00001.bin
+MNIST is the folder with train-images-idx3-ubyte.gz, t10k-images-idx3-ubyte.gz and their labels.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="folder of the set; made if missing")
+    parser.add_argument("--split", choices=("train", "test"), default="test", help="of MNIST (default: %(default)s)")
+    parser.add_argument(
+        "--motions",
+        choices=KINDS,
+        default="constant",
+        help="constant: 30 constant velocities; bell: the same 30 paths with the speed of a saccade; both pass the "
+        "sensor's centre at half time, or start there (-from-centre); nmnist: N-MNIST's three saccades, 308 ms "
+        "(default: %(default)s)",
+    )
+    parser.add_argument(
+        "--bright-on-dark",
+        action="store_true",
+        help="bright strokes on a dark background; without it dark on bright, as N-MNIST",
+    )
+    parser.add_argument("--digits", type=positive_int, metavar="N", help="the first N images (default: all)")
+    parser.add_argument("--seed", type=whole_number, default=0, help="of all randomness (default: 0)")
+    parser.add_argument(
+        "--workers", type=positive_int, metavar="N", help=f"processes (default: all cores, here {available_cores()})"
+    )
+    add_folder(
+        parser,
+        "--bin",
+        "also write each recording in N-MNIST's own format: FOLDER/<motion>/<digit>/<image, from 1>.bin",
+    )
+    add_folder(
+        parser,
+        "--nmnist",
+        "N-MNIST, with Train/<digit>/*.bin or Test/<digit>/*.bin, to compare with (default: $TNT_DATA/nmnist "
+        "where it exists)",
+    )
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Make the set, compare it, and print. Returns the exit code 0."""
+    parser = plain_parser("moving_mnist", DESCRIPTION, EPILOG)
+    add_arguments(parser)
+    args = parser.parse_args(argv)
+    mnist = data_folder(args.mnist, "mnist", "--mnist")
+    root = os.environ.get("TNT_DATA")
+    nmnist = None
+    if args.nmnist is not None or (root and (Path(root) / "nmnist").is_dir()):
+        nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
+    for folder in (args.out, args.bin):
+        if folder is not None:
+            check_folder(folder, (MANIFEST,))
+    if nmnist is not None:
+        recordings_by_image(nmnist, args.split)  # raises before the long work rather than after it
+    started = time.monotonic()
+    try:
+        made = build(
+            mnist,
+            args.out,
+            split=args.split,
+            kind=args.motions,
+            digits=args.digits,
+            seed=args.seed,
+            workers=args.workers,
+            scene=Scene(dark_on_bright=not args.bright_on_dark),
+        )
+        seconds = time.monotonic() - started
+        if args.bin is not None:
+            export(made, args.bin)
+        columns = compare(made, mnist, nmnist)
+    except KeyboardInterrupt:
+        kept = f"finished shards are kept in {args.out}. Give the same command again to resume."
+        raise KeyboardInterrupt(f"interrupted; {kept}") from None
+    n_bytes = sum(path.stat().st_size for path in made.shards)
+    if args.json:
+        numbers = {
+            title: {name: value if math.isfinite(value) else None for name, value in column.items()}
+            for title, column in columns.items()
+        }
+        answer = {"out": str(args.out), "recordings": len(made), "shards": len(made.shards), "bytes": n_bytes}
+        say(json.dumps({**answer, "seconds": round(seconds, 3), "motions": args.motions, "statistics": numbers}))
+        return 0
+    say(
+        f"{args.out}: {len(made)} recordings ({made.parameters['digits']} images x {len(made.motions)} motions) in "
+        f"{len(made.shards)} files, {n_bytes / 1e6:.1f} MB; {seconds:.1f} s"
+    )
+    if args.bin is not None:
+        say(f"{args.bin}: the same in N-MNIST's format")
+    say(*side_by_side(columns).splitlines())
+    say(
+        "simulated: "
+        + ("the images of the first column" if nmnist is not None else "the set's first images")
+        + " under N-MNIST's own motion"
+    )
+    if nmnist is None:
+        note("no N-MNIST to compare with; give --nmnist FOLDER")
+    return 0
+
+
+def export(made: MovingMnist, folder: Path) -> None:
+    """Write every recording as `<folder>/<motion>/<digit>/<number>.bin`; the number is image index + 1."""
+    with progress(len(made), "exporting") as bar:
+        for shard in made:
+            motion = folder / shard.metadata["motion"]["name"]
+            for label in set(shard.labels.tolist()):
+                (motion / str(label)).mkdir(parents=True, exist_ok=True)
+            for i in range(len(shard)):
+                path = motion / str(int(shard.labels[i])) / f"{int(shard.image[i]) + 1:05}.bin"
+                write_nmnist(path, shard.recording(i), sensor=shard.sensor)
+                bar.update()
+
+
+if __name__ == "__main__":
+    exit_with(main)

@@ -1,0 +1,208 @@
+"""N-MOVING-MNIST: MNIST's digits, each simulated under every motion.
+
+The thesis' set is not published, and it does not name its motions; ours are in `motions`. A set is a folder of
+shards, each with up to `recordings_per_shard` consecutive images under one motion, and `set.json`, which records how
+they were made and is written first. Every recording has its own random generator, seeded by (seed, index of the
+motion, index of the image), so the number of workers and interruptions change nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import itertools
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.archive.executor import run_all
+from async_tnt.files import locked_folder
+from async_tnt.process import available_cores
+from async_tnt.progress import progress
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.simulation.scene import Scene
+from async_tnt.simulation.shards import open_shard, write_shard
+from async_tnt.simulation.simulator import PixelModel
+from async_tnt.version import __version__
+from experiments.motions import NMNIST_SENSOR, Motion, motions_of
+from experiments.set_manifest import MovingMnist, other_parameters, read_manifest, shard_names, write_manifest
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One shard to make: consecutive images under one motion."""
+
+    path: Path
+    motion: Motion
+    first: int
+    images: np.ndarray
+    labels: np.ndarray
+    seed: int
+    settings: dict[str, Any]  # of `simulate_digit`
+    metadata: dict[str, Any]
+
+
+def build(
+    mnist_folder: str | os.PathLike[str],
+    out_folder: str | os.PathLike[str],
+    *,
+    split: str = "test",
+    kind: str = "constant",
+    digits: int | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    recordings_per_shard: int = 1_000,
+    scene: Scene | None = None,
+    pixels: PixelModel | None = None,
+    frame_us: float = 1_000.0,
+    sensor: tuple[int, int] = NMNIST_SENSOR,
+) -> MovingMnist:
+    """Simulate the set, or what is missing of it; shows a progress bar.
+
+    Existing shards are kept, damaged ones made again, so an interrupted build resumes when called again. The same
+    arguments give the same files, for any number of workers.
+
+    Parameters
+    ----------
+    mnist_folder : folder with MNIST's IDX files. out_folder : made if missing.
+    split : "train" or "test". digits : how many images, from the first on; all by default.
+    kind : of motion: "constant", "bell", "constant-from-centre", "bell-from-centre" (30 motions) or "nmnist" (1).
+    workers : processes; one per core by default. A script with more than one needs `if __name__ == "__main__":`.
+    scene, pixels, frame_us, sensor : as in `simulate_digit`.
+
+    Raises
+    ------
+    ValueError : an argument out of its range, damaged MNIST files, or a folder with other shards.
+    OSError : MNIST missing, or the folder cannot be written, or another process makes a set there.
+    """
+    counts = {"digits": digits, "workers": workers, "recordings_per_shard": recordings_per_shard}
+    for name, n, least in (("seed", seed, 0), *((name, n, 1) for name, n in counts.items())):
+        if n is not None and n < least:
+            raise ValueError(f"`{name}` must be at least {least}, got {n}")
+    scene, pixels = scene or Scene(), pixels or PixelModel()
+    moving = motions_of(kind)
+    images, labels = load_mnist(mnist_folder, split)
+    if digits is not None and digits > len(images):
+        raise ValueError(f"`digits` must be at most {len(images)}, the images of split {split!r}, got {digits}")
+    images, labels = images[:digits], labels[:digits]
+    shared = {
+        "split": split,
+        "seed": int(seed),
+        "sensor": [int(n) for n in sensor],
+        "simulator": {
+            "pixels": dataclasses.asdict(pixels),
+            "scene": dataclasses.asdict(scene),
+            "frame_us": float(frame_us),
+        },
+        "package_version": __version__,
+    }
+    parameters = {
+        "kind": kind,
+        "digits": len(images),
+        **shared,
+        "recordings_per_shard": int(recordings_per_shard),
+        "mnist_sha256": hashlib.sha256(images.tobytes() + labels.tobytes()).hexdigest(),
+    }
+    folder, firsts = Path(out_folder), range(0, len(images), recordings_per_shard)
+    names = shard_names(moving, len(images), recordings_per_shard)
+    jobs = [
+        _Job(
+            folder / name,
+            motion,
+            first,
+            images[first : first + recordings_per_shard],
+            labels[first : first + recordings_per_shard],
+            seed,
+            {"scene": scene, "pixels": pixels, "frame_us": frame_us, "sensor": sensor},
+            {"motion": dataclasses.asdict(motion), **shared},
+        )
+        for name, (motion, first) in zip(names, itertools.product(moving, firsts), strict=True)
+    ]
+    made = MovingMnist(folder, tuple(job.path for job in jobs), moving, parameters)
+    with locked_folder(folder, "set.lock"):
+        write_manifest(made)
+        to_do = [job for job in jobs if not _is_done(job)]
+        n_done = len(made) - sum(len(job.images) for job in to_do)
+        with (
+            progress(len(made), "simulating", done=n_done) as bar,
+            contextlib.closing(run_all(_make_shard, to_do, workers or available_cores())) as results,
+        ):
+            for n_recordings in results:
+                bar.update(n_recordings)
+    return made
+
+
+def open_set(folder: str | os.PathLike[str], *, allow_incomplete: bool = False) -> MovingMnist:
+    """Open a set that `build` made.
+
+    Parameters
+    ----------
+    folder : with `set.json` and the shards.
+    allow_incomplete : accept missing shards, and count them in `missing`.
+
+    Raises
+    ------
+    ValueError : incomplete, with the command to resume; not a set, or a damaged `set.json`.
+    OSError : missing or not readable.
+    """
+    folder = Path(folder)
+    made = read_manifest(folder)
+    missing = sum(not path.is_file() for path in made.shards)
+    if missing and not allow_incomplete:
+        p = made.parameters
+        bright = "" if p["simulator"]["scene"]["dark_on_bright"] else " --bright-on-dark"
+        raise ValueError(
+            f"{folder}: {missing} of {len(made.shards)} shards are missing. Resume with: "
+            f"python -m experiments.moving_mnist --mnist MNIST --out {folder} --split {p['split']} "
+            f"--motions {p['kind']} --digits {p['digits']} --seed {p['seed']}{bright}, or by `build` with "
+            "the parameters in set.json"
+        )
+    return dataclasses.replace(made, missing=missing)
+
+
+def _make_shard(job: _Job) -> int:
+    """Simulate and write one shard; returns its number of recordings."""
+    duration_us, times_us = job.motion.duration_us, job.motion.flow_times_us
+    recordings, flow = [], np.empty((len(job.images), len(times_us), 2))
+    height, width = job.images.shape[1:]
+    for i, image in enumerate(job.images):
+        rng = np.random.default_rng((job.seed, job.motion.index, job.first + i))
+        trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.settings["sensor"])
+        flow[i] = np.stack(trajectory.flow(times_us), axis=1)
+        events = simulate_digit(image, rng, trajectory=trajectory, **job.settings)
+        # The last half microsecond is rounded up to `duration_us`, where the next window begins.
+        recordings.append(events[events["t"] < duration_us])
+    write_shard(
+        job.path,
+        recordings,
+        labels=job.labels,
+        image=job.first + np.arange(len(job.images)),
+        flow=flow,
+        flow_times_us=times_us,
+        sensor=job.settings["sensor"],
+        duration_us=duration_us,
+        metadata=job.metadata,
+    )
+    return len(recordings)
+
+
+def _is_done(job: _Job) -> bool:
+    """Whether the shard is there and not damaged; one with other parameters is an error."""
+    if not job.path.exists():
+        return False
+    try:
+        shard = open_shard(job.path)
+    except ValueError:
+        return False  # damaged: made again
+    for name, expected in job.metadata.items():
+        if shard.metadata.get(name) != expected:
+            raise other_parameters(job.path, name, shard.metadata.get(name), expected)
+    expected_image = job.first + np.arange(len(job.images))
+    if not (np.array_equal(shard.image, expected_image) and np.array_equal(shard.labels, job.labels)):
+        raise other_parameters(job.path, "images", "other images", f"{job.first} to {expected_image[-1]}")
+    return True

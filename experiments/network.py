@@ -1,0 +1,312 @@
+"""Events over loopback, from another process: how late are datagrams, are any lost, and what happens under overload?
+
+    python -m experiments.network [--seconds 60] [--rate 1000000] [--overload 10] [--pings 2000] [--json]
+
+Latency. Datagrams of 100 events, one per millisecond, in turn to a plain blocking socket, a `UdpSource`, one that
+spins before it sleeps, and one whose `Processor` decides on each: from just before `send` to the bytes, the packet, or
+the decision in hand. The plain socket shows how long the system takes to wake a process; the rest is ours.
+
+Load. Events at an even rate for `--seconds`, in datagrams that fit Ethernet, to a `UdpSource` and a `Processor`
+that decides every 5 ms. Each event carries the time at which it was due on the clock that both processes share, so that
+a decision's delay (its newest event to the decision in hand) holds the sender's pacing and the system's buffer, too.
+
+Overload. The same at `--overload` times the rate, for a tenth of the seconds, through `BackgroundReader(latest=True)`:
+in datagrams that fit Ethernet, in the largest possible, and in small ones to a consumer that sleeps 20 ms after each
+packet and therefore must skip. The counters must add up to what was sent.
+
+Exit code 1 if under load a datagram is missing or counted as lost, or if the sender fell short of the rate by more than
+1 %; or if under overload the counters do not add up, or a decision was later than a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from async_tnt import EVENT_DTYPE, Processor, load_model, warmup
+from async_tnt.checking.timing import latency, machine
+from async_tnt.sources.background_reader import BackgroundReader
+from async_tnt.sources.playback import wait_until
+from async_tnt.sources.udp import UdpSource
+from async_tnt.sources.udp_sender import UdpSender
+from experiments.script_options import exit_with, plain_parser
+
+EVERY_US = 5_000
+SILENCE_S = 2.0
+SMALL, LARGE = 100, 5_000  # events of a datagram: 1300 bytes fit Ethernet, 65,000 are nearly the most
+QUEUED_EVENTS = 50_000  # that may wait in the reader: 5 ms of the overload
+WAYS = ("plain_socket", "packet", "packet_spinning", "decision")
+LATEST_S = 1.0
+SHARE_S = 1e-4
+SLOW_S = 0.02
+
+
+# -- the other process -----------------------------------------------------------------------------------
+
+
+def random_events(n: int) -> np.ndarray:
+    """n events on 34x34 pixels, whose times are set later."""
+    rng = np.random.default_rng(0)
+    events = np.zeros(n, EVENT_DTYPE)
+    events["x"], events["y"], events["p"] = rng.integers(0, 34, n), rng.integers(0, 34, n), rng.integers(0, 2, n)
+    return events
+
+
+def send_pings(ports: list[int], n: int) -> None:
+    """One datagram a millisecond to each of the ports in turn, all its events at the time of sending."""
+    senders = [UdpSender(port=port) for port in ports]
+    events = random_events(SMALL)
+    for k in range(n * len(ports)):
+        time.sleep(0.001)
+        events["t"] = time.monotonic_ns() // 1000
+        senders[k % len(ports)].send(events)
+
+
+def send_load(port: int, seconds: float, rate: float, datagram_events: int) -> dict[str, Any]:
+    """Events at an even rate, a datagram or a tenth of a millisecond's share at a time; what was sent."""
+    n = max(1, round(rate * SHARE_S), min(datagram_events, round(rate)))
+    events = random_events(n)
+    offset_us = (np.arange(n) * (1e6 / rate)).astype(np.int64) - round(n * 1e6 / rate)  # the last is due at the end
+    n_shares = max(1, round(seconds * rate / n))
+    with UdpSender(port=port, packet_events=datagram_events) as sender:
+        started_ns = time.monotonic_ns()
+        for k in range(1, n_shares + 1):
+            due_ns = started_ns + round(k * n * 1e9 / rate)
+            events["t"] = offset_us + due_ns // 1000
+            wait_until(due_ns)
+            sender.send(events)
+        took_s = (time.monotonic_ns() - started_ns) / 1e9
+        return {
+            "events": sender.events,
+            "datagrams": sender.datagrams,
+            "bytes": sender.bytes,
+            "refused": sender.refused,
+            "seconds": round(took_s, 3),
+            "events_per_s": round(sender.events / took_s),
+        }
+
+
+def other_process(*task: Any) -> subprocess.Popen[str]:
+    """This script in a new process, with a task."""
+    words = [sys.executable, "-m", "experiments.network", "--task", json.dumps(task)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+
+
+# -- this process ----------------------------------------------------------------------------------------
+
+
+def measure_latency(model: Any, n: int) -> dict[str, Any]:
+    """Microseconds from `send` to each of `WAYS`, and what ours add to the plain socket's."""
+    late_us: dict[str, list[float]] = {way: [] for way in WAYS}
+    sensor = model.config.sensor
+    processor = Processor(model, every_events=SMALL)
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plain,
+        UdpSource(port=0, sensor=sensor) as packets,
+        UdpSource(port=0, sensor=sensor, spin_us=3000) as spinning,
+        UdpSource(port=0, sensor=sensor) as deciding,
+    ):
+        plain.bind(("127.0.0.1", 0))
+        plain.settimeout(30)  # the sender may have died
+        ports = [plain.getsockname()[1], packets.port, spinning.port, deciding.port]
+        sending = other_process("pings", ports, n)
+        try:
+            n_events = dict.fromkeys(WAYS, 0)
+            for k in range(n):
+                sent_us = int.from_bytes(plain.recv(1 << 16)[:8], "little")
+                late_us["plain_socket"].append(time.monotonic_ns() / 1e3 - sent_us)
+                for way, source in (("packet", packets), ("packet_spinning", spinning), ("decision", deciding)):
+                    if n_events[way] > k * SMALL:  # it came with the one before: we were a round late
+                        continue
+                    packet = source.receive(30)
+                    if packet is None:
+                        raise RuntimeError("the sender sent nothing for 30 seconds")
+                    n_events[way] += len(packet)
+                    n_decided = len(processor.push(packet)) if way == "decision" else 1
+                    now_us = time.monotonic_ns() / 1e3
+                    if n_decided:
+                        late_us[way].append(now_us - int(packet["t"][0]))
+        finally:
+            sending.kill()
+            sending.wait()
+    result: dict[str, Any] = {way: latency(np.array(values)) for way, values in late_us.items()}
+    for way in WAYS[1:3]:
+        result[f"{way}_adds"] = {key: result[way][key] - result["plain_socket"][key] for key in ("median", "p99")}
+    return result
+
+
+def measure_load(
+    model: Any,
+    seconds: float,
+    rate: float,
+    datagram_events: int,
+    *,
+    latest: bool = False,
+    slow_s: float = 0.0,
+    buffer_bytes: int = 1 << 22,
+) -> dict[str, Any]:
+    """Receive and decide until the sender is silent; with `latest`, skip packets for which there is no time.
+
+    Parameters
+    ----------
+    slow_s : what the consumer sleeps after each packet.
+    buffer_bytes : of the system, for datagrams that wait.
+    """
+    processor = Processor(model, every_us=EVERY_US)
+    delays_us: list[float] = []
+    seconds_of: list[int] = []
+    n_received = 0
+    with UdpSource(port=0, sensor=model.config.sensor, timeout_s=30, buffer_bytes=buffer_bytes) as source:
+        reader = None
+        if latest:
+            reader = BackgroundReader(
+                source, latest=True, max_packets=1000, max_events=QUEUED_EVENTS, copy=False, on_close=source.close
+            )
+        packets: Iterable[np.ndarray] = source if reader is None else reader
+        sending = other_process("load", source.port, seconds, rate, datagram_events)
+        cpu_s = started_s = 0.0
+        try:
+            for packet in packets:
+                if not n_received:
+                    cpu_s, started_s = -time.process_time(), time.monotonic()
+                    source.timeout_s = SILENCE_S
+                n_received += len(packet)
+                for decision in processor.push(packet):
+                    now_us = time.monotonic_ns() / 1e3
+                    delays_us.append(now_us - decision.time_us)
+                    seconds_of.append(int(now_us / 1e6 - started_s))
+                if slow_s:
+                    time.sleep(slow_s)
+            cpu_s += time.process_time()
+            sent = json.loads(sending.communicate(timeout=30)[0])
+        finally:
+            sending.kill()
+            if reader is not None:
+                reader.close()
+        counts = source.counts
+    skipped = 0 if reader is None else reader.n_skipped
+    delays, of = np.array(delays_us), np.array(seconds_of)
+    by_second = [delays[of == k] for k in range(max(seconds_of, default=-1) + 1)]
+    return {
+        "rate_wanted": rate,
+        "datagram_events": datagram_events,
+        "slow_s": slow_s,
+        "sent": sent,
+        "received": {
+            "datagrams": counts.datagrams,
+            "events": counts.events,
+            "malformed": counts.malformed,
+            "late": counts.late,
+        },
+        "datagrams_missing": sent["datagrams"] - counts.datagrams,
+        "datagrams_lost_by_the_system": counts.lost,
+        "events_skipped": skipped,
+        "events_pushed": n_received,
+        "decisions": len(delays),
+        "delay_us": {
+            **latency(delays),
+            "by_second_median": [round(float(np.median(d))) for d in by_second if len(d)],
+            "by_second_max": [round(float(d.max())) for d in by_second if len(d)],
+        },
+        "cpu_share": round(cpu_s / sent["seconds"], 3),
+        "buffer_bytes": source.buffer_bytes,
+    }
+
+
+def wrong_with_load(result: dict[str, Any]) -> list[str]:
+    """Problems under load: anything missing, or a sender that was too slow."""
+    wrong = []
+    if result["datagrams_missing"] or result["datagrams_lost_by_the_system"]:
+        wrong.append(
+            f"{result['datagrams_missing']} datagrams missing, {result['datagrams_lost_by_the_system']} counted as lost"
+        )
+    if result["sent"]["events_per_s"] < 0.99 * result["rate_wanted"]:
+        wrong.append(f"only {result['sent']['events_per_s']:,} events/s sent")
+    if result["received"]["malformed"]:
+        wrong.append(f"{result['received']['malformed']} malformed")
+    return wrong
+
+
+def wrong_with_overload(result: dict[str, Any]) -> list[str]:
+    """Problems under overload: events that were not counted, or a growing delay."""
+    wrong = []
+    if result["datagrams_lost_by_the_system"] not in (None, result["datagrams_missing"]):
+        wrong.append(
+            f"{result['datagrams_missing']} datagrams missing, but {result['datagrams_lost_by_the_system']} counted"
+        )
+    if result["received"]["events"] != result["events_pushed"] + result["events_skipped"]:
+        wrong.append("events received are not those pushed and those skipped")
+    if result["delay_us"]["max"] > LATEST_S * 1e6:
+        wrong.append(f"a decision was {result['delay_us']['max'] / 1e6:.2f} s late")
+    return wrong
+
+
+def text_of(result: dict[str, Any]) -> str:
+    """The report as text."""
+    lines = []
+    pings = result["latency_us"]
+    for way in WAYS:
+        lines.append(f"{way:>16}: {pings[way]['median']:6.0f} us median, {pings[way]['p99']:6.0f} us 99 %")
+    added = pings["packet_adds"]
+    lines.append(f"added by UdpSource: {added['median']:.0f} us median, {added['p99']:.0f} us 99 %")
+    for load in (result["load"], *result["overload"]):
+        sent, delay = load["sent"], load["delay_us"]
+        slow = f", to a consumer that sleeps {1e3 * load['slow_s']:.0f} ms a packet" if load["slow_s"] else ""
+        lines.append(
+            f"{load['rate_wanted']:,.0f} events/s wanted in datagrams of {load['datagram_events']}{slow}: "
+            f"{sent['events']:,} sent in {sent['seconds']:.1f} s ({sent['events_per_s']:,}/s), "
+            f"{load['received']['events']:,} received; datagrams missing {load['datagrams_missing']:,}, "
+            f"lost by the system {load['datagrams_lost_by_the_system']}; events skipped {load['events_skipped']:,}; "
+            f"{load['decisions']:,} decisions, {delay['median']:.0f} us late (median; 99 %: {delay['p99']:.0f}; "
+            f"max: {delay['max']:.0f}); {load['cpu_share']:.0%} of a core"
+        )
+    return "\n".join([*lines, *(f"WRONG: {what}" for what in result["wrong"])])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Receive, decide, judge."""
+    parser = plain_parser("network", __doc__)
+    parser.add_argument("--seconds", type=float, default=60.0, metavar="N", help="duration of the load (default: 60)")
+    parser.add_argument("--rate", type=float, default=1e6, metavar="R", help="events a second (default: a million)")
+    parser.add_argument("--overload", type=float, default=10.0, metavar="K", help="times the rate (10); 0: none")
+    parser.add_argument("--pings", type=int, default=2000, metavar="N", help="single datagrams (default: 2000)")
+    parser.add_argument(
+        "--buffer-bytes", type=int, default=1 << 22, metavar="N", help="of the system, under load (default: 4 MiB)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    parser.add_argument("--task", type=json.loads, help=argparse.SUPPRESS)
+    args = parser.parse_args(argv)
+    if args.task:
+        what, *arguments = args.task
+        tasks: dict[str, Callable[..., Any]] = {"pings": send_pings, "load": send_load}
+        print(json.dumps(tasks[what](*arguments)), flush=True)
+        return 0
+    if args.seconds <= 0 or args.rate < 1 or args.pings < 1 or args.overload < 0:
+        parser.error("--seconds, --rate and --pings must be above 0, --overload not below")
+
+    model = load_model("digits")
+    warmup(model)
+    result: dict[str, Any] = {"machine": machine(), "latency_us": measure_latency(model, args.pings)}
+    result["load"] = measure_load(model, args.seconds, args.rate, SMALL, buffer_bytes=args.buffer_bytes)
+    result["overload"] = [
+        measure_load(model, max(args.seconds / 10, 2.0), args.overload * args.rate, size, latest=True, slow_s=slow_s)
+        for size, slow_s in ((SMALL, 0.0), (LARGE, 0.0), (SMALL, SLOW_S))
+        if args.overload
+    ]
+    result["wrong"] = wrong_with_load(result["load"])
+    for overload in result["overload"]:
+        result["wrong"] += wrong_with_overload(overload)
+    print(json.dumps(result) if args.json else text_of(result))
+    return int(bool(result["wrong"]))
+
+
+if __name__ == "__main__":
+    exit_with(main)

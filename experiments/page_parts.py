@@ -1,0 +1,50 @@
+"""Recorded results, and Markdown tables of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "experiments" / "results"
+
+
+def results(name: str) -> dict[str, Any]:
+    """A recorded run."""
+    found: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
+    return found
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    cells = [list(head), *map(list, rows)]
+    text = ["| " + " | ".join(row) + " |" for row in cells]
+    return "\n".join([text[0], "|---" * len(cells[0]) + "|", *text[1:]])
+
+
+def short(value: float) -> str:
+    return f"{value:.1f}" if value < 20 else f"{value:,.0f}"
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def about_machine(*reports: dict[str, Any]) -> str:
+    """Of reports from one machine."""
+    about = reports[0]["machine"]
+    loads = sorted({report["machine"]["load_1min"] for report in reports})
+    load = f"{loads[0]}" if len(loads) == 1 else f"{loads[0]} to {loads[-1]}"
+    names = {
+        "torch": "torch",
+        "onnxruntime": "onnxruntime",
+        "openvino": "OpenVINO",
+        "eventcv": "eventcv",
+        "tonic": "tonic",
+    }
+    versions = [f"{words} {about[name]}" for name, words in names.items() if about.get(name)]
+    return (
+        f"{about['cpu']}, one thread, load {load}; Python {about['python']}, NumPy {about['numpy']}, "
+        f"Numba {about['numba']}" + "".join(", " + v for v in versions) + "."
+    )

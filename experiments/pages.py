@@ -1,0 +1,70 @@
+"""Write the tables of the pages, and RESULTS.md, from the JSON files in experiments/results.
+
+    python -m experiments.pages [--check]
+
+A table of a page stands between `<!-- NAME -->` and `<!-- end -->`, where NAME is one of `TABLES`; RESULTS.md is
+written as a whole. `--check` changes nothing, and exits with 1 if a file differs from the results; a
+test does that, too.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from async_tnt.files import write_text
+from experiments import accuracy_tables, dataset_tables, decision_tables, results_sections, thesis_tables
+from experiments.page_parts import ROOT
+from experiments.script_options import exit_with, plain_parser
+
+SHORT = (accuracy_tables.accuracy, dataset_tables.cars_in_short, decision_tables.speed, thesis_tables.unseen_motion)
+"""What README has of other tables."""
+TABLES = {make.__name__: make for make in (*SHORT, *(t for part in results_sections.SECTIONS for t in part.tables))}
+BLOCK = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def written(page: str) -> str:
+    """A page with its tables written from the results.
+
+    Raises
+    ------
+    ValueError : a table is not in `TABLES`.
+    """
+
+    def replaced(block: re.Match[str]) -> str:
+        if block[2] not in TABLES:
+            raise ValueError(f"no table {block[2]!r}; there are {', '.join(TABLES)}")
+        return f"{block[1]}{TABLES[block[2]]()}\n{block[3]}"
+
+    return BLOCK.sub(replaced, page)
+
+
+PAGES: dict[str, Callable[[str], str]] = {
+    "README.md": written,
+    "docs/results.md": written,
+    "experiments/RESULTS.md": lambda before: results_sections.page(),
+}
+"""Path -> what is made of its present text."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Write the pages, or check them."""
+    parser = plain_parser("pages", __doc__)
+    parser.add_argument("--check", action="store_true", help="change nothing; exit code 1 if something would change")
+    args = parser.parse_args(argv)
+    stale = False
+    for page, make in PAGES.items():
+        path = ROOT / page
+        before = path.read_text(encoding="utf-8")
+        after = make(before)
+        if after == before:
+            continue
+        stale = True
+        print(f"{page}: {'differs from the results' if args.check else 'written'}")
+        if not args.check:
+            write_text(path, after)
+    return int(stale and args.check)
+
+
+if __name__ == "__main__":
+    exit_with(main)

@@ -1,0 +1,74 @@
+"""Make the ten bundled sample recordings: simulated digits in N-MNIST's format.
+
+python -m experiments.samples --mnist MNIST --out FOLDER
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from async_tnt.cli.data_options import add_folder, data_folder
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.sources.files.nmnist import write_nmnist
+from experiments.script_options import exit_with, plain_parser
+
+FIRST_SAMPLE = 2_000
+"""Index of the first MNIST training image for samples: beyond those that N-MNIST's first recordings show."""
+
+
+def sample_indices(labels: np.ndarray, first_index: int = FIRST_SAMPLE) -> dict[int, int]:
+    """Digit -> index of its first image at `first_index` or later.
+
+    Raises
+    ------
+    ValueError : a digit does not occur there.
+    """
+    indices = {}
+    for digit in range(10):
+        found = np.flatnonzero(labels[first_index:] == digit)
+        if len(found) == 0:
+            raise ValueError(f"no image of a {digit} from index {first_index} on, in {len(labels)} images")
+        indices[digit] = first_index + int(found[0])
+    return indices
+
+
+def write_samples(mnist_folder: str | os.PathLike[str], out_folder: str | os.PathLike[str], seed: int) -> list[Path]:
+    """Simulate and write `<out_folder>/<digit>.bin` for the ten digits; returns their paths.
+
+    Each digit has its own random generator, seeded by (seed, digit).
+
+    Raises
+    ------
+    ValueError : damaged MNIST files.
+    OSError : MNIST files missing, or the folder cannot be written.
+    """
+    images, labels = load_mnist(mnist_folder, "train")
+    indices = sample_indices(labels)
+    out_folder = Path(out_folder)
+    out_folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for digit, index in indices.items():
+        events = simulate_digit(images[index], np.random.default_rng((seed, digit)))
+        paths.append(out_folder / f"{digit}.bin")
+        write_nmnist(paths[-1], events)
+    return paths
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Simulate and write them."""
+    parser = plain_parser("samples", __doc__)
+    add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="for <digit>.bin")
+    parser.add_argument("--seed", type=int, default=0, help="of all randomness (default: 0, that of the bundled ones)")
+    args = parser.parse_args(argv)
+    paths = write_samples(data_folder(args.mnist, "mnist", "--mnist"), args.out, args.seed)
+    print(f"{args.out}: {len(paths)} recordings")
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)

@@ -1,0 +1,116 @@
+"""What the commands of this folder share: options, how they end, and the files and pictures that they write."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from async_tnt.checking.interleaved import WorkDiffers
+from async_tnt.checks import printable
+from async_tnt.files import check_writable, write_text
+from async_tnt.views.figure_style import check_picture, save, styled
+
+
+def writable_file(text: str) -> Path:
+    """An argparse type: a path that can be written or replaced."""
+    try:
+        check_writable(Path(text))
+    except (OSError, ValueError) as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return Path(text)
+
+
+def plain_parser(name: str, description: str | None, epilog: str | None = None) -> argparse.ArgumentParser:
+    """The parser of `python -m experiments.NAME`, which prints description and epilog as they are."""
+    return argparse.ArgumentParser(
+        prog=f"python -m experiments.{name}",
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+
+
+def script_parser(name: str, description: str | None, quick: str, *, draws: bool = False) -> argparse.ArgumentParser:
+    """`plain_parser` with --quick and --json; if the command draws, also with --picture and --from."""
+    parser = plain_parser(name, description)
+    parser.add_argument("--quick", action="store_true", help=f"{quick}: does it all run?")
+    parser.add_argument("--json", type=writable_file, metavar="FILE", help="also write the figures there")
+    if draws:
+        parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw them: .png, .svg or .pdf")
+        help_from = "take the figures from such a JSON file instead of measuring"
+        parser.add_argument("--from", dest="source", type=Path, metavar="FILE", help=help_from)
+    return parser
+
+
+def report_of(args: argparse.Namespace, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """The figures of --from, or new ones.
+
+    Raises
+    ------
+    OSError, ValueError : a file cannot be read, or the picture could not be written.
+    """
+    if args.picture:
+        check_picture(args.picture)
+    return json.loads(args.source.read_text(encoding="utf-8")) if args.source else measure()
+
+
+def run_script(
+    parser: argparse.ArgumentParser,
+    argv: list[str] | None,
+    measure: Callable[[bool], dict[str, Any]],
+    lines: Callable[[dict[str, Any]], Iterable[str]],
+    draw: Callable[[Any], Any],
+) -> int:
+    """Measure (given --quick) or read, print, and write JSON and the picture if asked. Returns the exit code: 1 if
+    backends do not agree."""
+    args = parser.parse_args(argv)
+    try:
+        report = report_of(args, lambda: measure(args.quick))
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    except WorkDiffers as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 1
+    print("\n".join(lines(report)))
+    write_outputs(args, report, draw)
+    return 0
+
+
+def write_outputs(args: argparse.Namespace, report: dict[str, Any], draw: Callable[[Any], Any] | None = None) -> None:
+    """The files of --json and --picture."""
+    if args.json:
+        write_text(args.json, json.dumps(report, indent=1) + "\n")
+    if draw is not None and args.picture:
+        with styled():
+            save(draw(report), args.picture, dpi=100)
+
+
+def exit_with(main: Callable[[], int]) -> NoReturn:
+    """Run a command and end the process with its exit code. Errors are one line: 2 bad input, 130 Ctrl-C."""
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *where, **more: _print_line(f"warning: {message}")
+            code = main()
+    except BrokenPipeError:  # `| head`: the reader has seen enough
+        code = 0
+    except (OSError, ValueError, ImportError) as error:
+        code = complain(str(error))
+    except KeyboardInterrupt as error:
+        _print_line(str(error) or "interrupted")
+        code = 130
+    sys.exit(code)
+
+
+def complain(message: str) -> int:
+    """One line on stderr. Returns the exit code of bad input."""
+    _print_line(message)
+    return 2
+
+
+def _print_line(message: str) -> None:
+    print(f"{Path(sys.argv[0]).stem}: {printable(message)}", file=sys.stderr, flush=True)

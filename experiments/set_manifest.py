@@ -1,0 +1,131 @@
+"""The manifest of a set of moving digits: `set.json` beside its shards.
+
+format, version   "async_tnt.moving_mnist", 1
+parameters        everything that decides the content: split, kind of motion, digits, seed, sensor, simulator,
+                  recordings_per_shard, package_version, and a checksum of the images and labels
+motions           by index
+shards            names of the files, motion by motion, and by image within each
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from async_tnt.files import write_text
+from async_tnt.simulation.shards import Shard, open_shard
+from experiments.motions import Motion, motions_of
+
+MANIFEST = "set.json"
+FORMAT = "async_tnt.moving_mnist"
+VERSION = 1
+PARAMETERS = ("split", "kind", "digits", "seed", "sensor", "simulator", "recordings_per_shard")  # that readers need
+
+
+@dataclass(frozen=True)
+class MovingMnist:
+    """A set on disk. Made by `build` and `open_set`.
+
+    Attributes
+    ----------
+    folder : its folder.
+    shards : the files, motion by motion, and by image within each.
+    motions : the motions, by index.
+    parameters : everything that decides the content: split, kind, digits, seed, simulator, MNIST's checksum ...
+    missing : how many of `shards` do not exist (yet); 0 unless `open_set` allows it.
+    """
+
+    folder: Path
+    shards: tuple[Path, ...]
+    motions: tuple[Motion, ...]
+    parameters: dict[str, Any]
+    missing: int = 0
+
+    @property
+    def sensor(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        width, height = self.parameters["sensor"]
+        return width, height
+
+    def __len__(self) -> int:
+        """Recordings in the complete set."""
+        return len(self.motions) * self.parameters["digits"]
+
+    def __iter__(self) -> Iterator[Shard]:
+        """Open one shard after the other, skipping missing ones."""
+        return (open_shard(path) for path in self.shards if path.exists())
+
+    def locate(self, motion: int, image: int) -> tuple[Path, int]:
+        """The shard that holds the recording of an image under a motion, and its place there.
+
+        Raises
+        ------
+        IndexError : no such motion or image in the set.
+        """
+        digits, step = self.parameters["digits"], self.parameters["recordings_per_shard"]
+        if not (0 <= motion < len(self.motions) and 0 <= image < digits):
+            raise IndexError(
+                f"motion must be in [0, {len(self.motions)}) and image in [0, {digits}), got "
+                f"{motion} and {image}: {self.folder}"
+            )
+        return self.shards[motion * -(-digits // step) + image // step], image % step
+
+
+def other_parameters(path: Path, name: str, there: object, asked: object) -> ValueError:
+    while isinstance(there, dict) and isinstance(asked, dict):  # down to what differs
+        name = next(key for key in {**there, **asked} if there.get(key) != asked.get(key))
+        there, asked = there.get(name), asked.get(name)
+    return ValueError(
+        f"{path}: made with other parameters: {name} is {there!r}, requested {asked!r}. Give the same, or another "
+        "folder"
+    )
+
+
+def write_manifest(made: MovingMnist) -> None:
+    path = made.folder / MANIFEST
+    if path.exists():
+        there = read_manifest(made.folder).parameters
+        for name in sorted(there | made.parameters):
+            if there.get(name) != made.parameters.get(name):
+                raise other_parameters(path, name, there.get(name), made.parameters.get(name))
+        return
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "parameters": made.parameters,
+        "motions": [dataclasses.asdict(motion) for motion in made.motions],
+        "shards": [path.name for path in made.shards],
+    }
+    write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def read_manifest(folder: Path) -> MovingMnist:
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder}: no {MANIFEST} in it; expected a folder that experiments.moving_mnist made")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if (content["format"], content["version"]) != (FORMAT, VERSION):
+            raise ValueError(f"expected {FORMAT} version {VERSION}, got {content['format']} {content['version']}")
+        parameters = {name: content["parameters"][name] for name in PARAMETERS}
+        width, height = parameters["sensor"]
+        if type(width) is not int or type(height) is not int:
+            raise ValueError(f"`sensor` must be two whole numbers, got {parameters['sensor']}")
+        if type(parameters["simulator"]["scene"]["dark_on_bright"]) is not bool:
+            raise ValueError("`dark_on_bright` must be true or false")
+        moving = motions_of(parameters["kind"])
+        names = shard_names(moving, parameters["digits"], parameters["recordings_per_shard"])
+        if content["motions"] != [dataclasses.asdict(motion) for motion in moving] or content["shards"] != names:
+            raise ValueError(f"expected the motions of kind {parameters['kind']!r} and their {len(names)} shards")
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        what = f"no {error}" if isinstance(error, KeyError) else error
+        raise ValueError(f"{path}: damaged, or not a set of this release: {what}") from None
+    return MovingMnist(folder, tuple(folder / name for name in names), moving, content["parameters"])
+
+
+def shard_names(motions: Sequence[Motion], digits: int, recordings_per_shard: int) -> list[str]:
+    return [f"{m.name}_{first:05}.safetensors" for m in motions for first in range(0, digits, recordings_per_shard)]

@@ -1,0 +1,152 @@
+"""The recordings that the table trains and tests on: N-MNIST by saccade, and simulated motions by shard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from async_tnt.training.digits import OFFICIAL, read_nmnist_folder, recording_numbers
+from async_tnt.training.recordings import Recordings
+from async_tnt.training.windows import COLUMNS, SACCADE_US, Windows, make_windows, saccade, split_recordings
+from experiments.moving_mnist_set import open_set
+
+CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
+"""The one saccade of each digit in `confounded`."""
+VALIDATION_SEED = 0  # the same digits are held out, or left out, in every row and for every seed
+
+
+@dataclass(frozen=True)
+class RealData:
+    """N-MNIST's recordings.
+
+    Parameters
+    ----------
+    training, held_out : windows of the training recordings, all three saccades; split by recording.
+    test : windows of the test recordings.
+    seen_images : indices of MNIST's test images that a training recording shows, held out or not. Empty with the
+        official split, see `shown_test_images`.
+    description : in words and numbers, for the results.
+    """
+
+    training: Windows
+    held_out: Windows
+    test: Windows
+    seen_images: np.ndarray
+    description: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RealFolder:
+    """Where N-MNIST is, and how much of it is used.
+
+    Parameters
+    ----------
+    folder : with Train/<digit>/*.bin and Test/<digit>/*.bin.
+    validation : share of the training recordings that is held out.
+    per_digit : only the first `per_digit` recordings of each digit in each folder; None for all.
+    skip_damaged : leave damaged recordings out, with a warning each, instead of stopping.
+    """
+
+    folder: Path
+    validation: float = 0.1
+    per_digit: int | None = None
+    skip_damaged: bool = False
+
+    @lru_cache(maxsize=1)  # noqa: B019  (frozen, and one is enough)
+    def read(self) -> RealData:
+        """Read both folders, once in a process.
+
+        Raises
+        ------
+        FileNotFoundError : a folder is missing.
+        ValueError : a damaged file; the message names it.
+        """
+        train, test = (
+            read_nmnist_folder(self.folder / name, per_digit=self.per_digit, skip_damaged=self.skip_damaged)
+            for name in ("Train", "Test")
+        )
+        learned, held_out = split_recordings(train, self.validation, np.random.default_rng(VALIDATION_SEED))
+        official = (len(train), len(test)) == OFFICIAL
+        return RealData(
+            make_windows(train, SACCADE_US, which=learned),
+            make_windows(train, SACCADE_US, which=held_out),
+            make_windows(test, SACCADE_US),
+            shown_test_images(train.names),
+            {
+                "training_recordings": len(learned),
+                "held_out_recordings": len(held_out),
+                "test_recordings": len(test),
+                "split": "the official one" if official else "not the official one (60,000 and 10,000 recordings)",
+            },
+        )
+
+
+def shown_test_images(names: Sequence[str]) -> np.ndarray:
+    """Which of MNIST's test images recordings show, by their names, such as `3/60026.bin`: int64, increasing.
+
+    Number n of the official Train shows image n of MNIST's training set. Where a set is split differently, official
+    test recording n is numbered 60,000 + n; it shows image n of MNIST's test set, index n - 1.
+    """
+    numbers = np.array(recording_numbers(names), np.int64)
+    return np.unique(numbers[(numbers > OFFICIAL[0]) & (numbers <= sum(OFFICIAL))]) - OFFICIAL[0] - 1
+
+
+def trained_on(windows: Windows, name: str) -> Windows:
+    """The windows that a network trained on `all`, on `1`, the first saccade, or on `confounded` sees."""
+    if name == "1":
+        return windows[saccade(windows) == 0]
+    if name == "confounded":
+        return windows[saccade(windows) == CONFOUNDED[windows.labels]]
+    return windows
+
+
+def some_recordings(windows: Windows, n: int) -> Windows:
+    """The windows of `n` of their recordings, drawn at random, with as many of each class as possible."""
+    indices = np.unique(windows.recording)
+    drawn = np.random.default_rng(VALIDATION_SEED).permutation(indices)
+    labels = windows.recordings.labels[drawn]
+    rank = np.empty(len(drawn), np.int64)  # among those of its class
+    for label in np.unique(labels):
+        rank[labels == label] = np.arange((labels == label).sum())
+    chosen = drawn[np.lexsort((labels, rank))][:n]
+    return windows[np.isin(windows.recording, chosen)]
+
+
+def set_name(parameters: Mapping[str, Any]) -> str:
+    """What distinguishes a simulated set in a column: "bell", "constant-from-centre bright".
+
+    Parameters
+    ----------
+    parameters : of `MovingMnist`.
+    """
+    dark: bool = parameters["simulator"]["scene"]["dark_on_bright"]
+    return str(parameters["kind"]) + ("" if dark else " bright")
+
+
+def simulated_windows(folder: Path, seen_images: np.ndarray) -> Iterator[tuple[str, Windows]]:
+    """(name of the motion, windows) of each shard of a set that `python -m experiments.moving_mnist` made.
+
+    Recordings of images that were seen in training, under whatever motion, are left out.
+
+    Raises
+    ------
+    ValueError, FileNotFoundError : no such set, or an incomplete or damaged one.
+    """
+    for shard in open_set(folder):
+        columns = {name: getattr(shard, name).astype(dtype) for name, dtype in COLUMNS.items()}
+        recordings = Recordings(
+            **columns,
+            offsets=shard.offsets.astype(np.int64),
+            labels=shard.labels.astype(np.int64),
+            names=tuple(map(str, shard.image)),
+        )
+        unseen = np.flatnonzero(~np.isin(shard.image, seen_images))
+        yield (
+            shard.metadata["motion"]["name"],
+            make_windows(recordings, SACCADE_US, which=unseen, duration_us=SACCADE_US),
+        )

@@ -1,0 +1,289 @@
+"""`python -m experiments.thesis_table`: the thesis' experiment. Train and test its networks, and compare them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from async_tnt.checking.timing import machine
+from async_tnt.checks import needs_extra
+from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder
+from async_tnt.cli.options import positive_int, whole_number
+from async_tnt.cli.output import note, say
+from async_tnt.files import check_folder, write_text
+from async_tnt.process import available_cores
+from async_tnt.training.settings import TrainSettings
+from experiments.script_options import exit_with, plain_parser
+from experiments.table_rows import GROUPS, INPUTS, ROWS, TRAINED_ON, Run, runs_of
+
+if TYPE_CHECKING:
+    from experiments.table_data import RealData
+
+DESCRIPTION = f"""The thesis' experiment: networks that saw digits move in one way, tested in other motions.
+
+Rows, in groups (--list names them all, and trains nothing):
+
+{chr(10).join(f"  {name:<11} {text}" for name, text in GROUPS.items())}
+
+Columns, trained on / tested on:
+
+  all/all   all three saccades of N-MNIST / all three, of other digits
+  1/all     the first saccade only        / all three, of other digits
+  1/others  the first saccade only        / the second and third, of other digits
+  1/train   the first saccade only        / all three, of the digits trained on
+  all/sim   all three saccades            / 30 simulated motions of N-MOVING-MNIST
+  1/sim     the first saccade only        / 30 simulated motions
+  confounded: each digit in one saccade only, 0-3 in the first, 4-6 in the second, 7-9 in the third
+
+Rows are compared seed by seed; the results hold each difference with its 95 % interval.
+
+A network is validated on held-out digits of its training motion, and tested only at the end. Checkpoints and results
+of all networks are kept in --out: stop with Ctrl-C, give the same command again, and it resumes.
+"""
+EPILOG = """\
+examples:
+  python -m experiments.thesis_table --smoke --nmnist N-MNIST --mnist MNIST    everything in a minute or two
+  python -m experiments.thesis_table --list                                    the networks, and their steps
+  python -m experiments.moving_mnist --mnist MNIST --out moving                10,000 digits, 30 motions
+  python -m experiments.thesis_table --nmnist N-MNIST --simulated moving --out table
+  python -m experiments.thesis_table --nmnist N-MNIST --simulated moving --out table --finished
+                                                                               the table so far
+  python -m experiments.thesis_table --nmnist N-MNIST --simulated moving bells --rows raw line --seeds 0 1
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    data = parser.add_argument_group("data")
+    add_folder(
+        data,
+        "--nmnist",
+        "N-MNIST: the folder with Train/<digit>/*.bin and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)",
+    )
+    data.add_argument(
+        "--simulated",
+        type=Path,
+        nargs="+",
+        metavar="FOLDER",
+        help="a set made by experiments.moving_mnist, the columns .../sim, and any others; by default the test set of "
+        "30 motions is first made in --out",
+    )
+    add_folder(data, "--mnist", "MNIST's IDX files, to make that set from (default: $TNT_DATA/mnist)")
+    data.add_argument(
+        "--skip-damaged",
+        action="store_true",
+        help="leave damaged recordings out, with a warning each, instead of stopping",
+    )
+    what = parser.add_argument_group("what to train")
+    what.add_argument(
+        "--rows",
+        nargs="+",
+        choices=[*GROUPS, *ROWS],
+        metavar="ROW",
+        help="rows, or groups of them: " + ", ".join(GROUPS) + " (default: all groups)",
+    )
+    what.add_argument(
+        "--trained-on",
+        nargs="+",
+        choices=TRAINED_ON,
+        default=list(TRAINED_ON),
+        help=f"only networks trained on these (default: {' '.join(TRAINED_ON)})",
+    )
+    what.add_argument(
+        "--seeds",
+        nargs="+",
+        type=whole_number,
+        default=[0, 1, 2, 3, 4],
+        metavar="N",
+        help="of weights, order and augmentation (default: 0 1 2 3 4)",
+    )
+    what.add_argument("--list", action="store_true", help="print the networks, and stop")
+    what.add_argument(
+        "--finished",
+        action="store_true",
+        help="bring together the networks of --out that are finished, and train no others: how far a long run is",
+    )
+    how = parser.add_argument_group("training")
+    how.add_argument(
+        "--iterations",
+        type=positive_int,
+        metavar="N",
+        help="steps of the optimizer for each network (default: each row's, see --list)",
+    )
+    how.add_argument("--batch", type=positive_int, default=64, metavar="N", help="windows per step (default: 64)")
+    add_precision(how)
+    how.add_argument(
+        "--workers",
+        type=positive_int,
+        metavar="N",
+        help="networks trained at a time, one thread each (default: all cores; 1 where torch sees a GPU)",
+    )
+    how.add_argument(
+        "--smoke",
+        action="store_true",
+        help="try everything in a minute or two: five rows, 8 recordings a digit, 30 steps, seed 0, 20 simulated "
+        "digits",
+    )
+    out = parser.add_argument_group("results")
+    add_folder(out, "--out", "networks, results.json, table.md (default: table; with --smoke: table-smoke)")
+    out.add_argument("--json", action="store_true", help="print the results as one JSON object")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Train, test, compare, and write. Returns the exit code 0."""
+    parser = plain_parser("thesis_table", DESCRIPTION, EPILOG)
+    add_arguments(parser)
+    args = parser.parse_args(argv)
+    if args.smoke:
+        args.rows, args.seeds, args.iterations = (
+            args.rows or list(INPUTS),
+            args.seeds[:1],
+            min(args.iterations or 30, 30),
+        )
+    runs = runs_of(args.rows or GROUPS, args.trained_on, list(dict.fromkeys(args.seeds)))
+    if not runs:
+        raise ValueError(f"none of the rows {', '.join(args.rows)} is trained on {', '.join(args.trained_on)}")
+    if args.list:
+        say(*_listed(runs, args.iterations))
+        return 0
+    with needs_extra("train", "the table needs torch"):
+        import torch
+        from tnt_reference import Classifier  # noqa: F401
+    from experiments.table_data import RealFolder
+    from experiments.table_numbers import aggregate, differences, markdown_table, text_table
+    from experiments.table_runs import is_finished, run_networks
+
+    args.out = args.out or Path("table-smoke" if args.smoke else "table")
+    if args.finished:
+        runs = [run for run in runs if is_finished(run, args.out / "networks")]
+        if not runs:
+            raise ValueError(f"{args.out}: no network of these rows is finished; train without --finished")
+    check_folder(args.out, ("results.json", "table.md"))
+    per_digit = 8 if args.smoke else None
+    nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
+    # now, so that a missing or damaged file shows before anything is trained
+    real = RealFolder(nmnist, 0.25 if args.smoke else 0.1, per_digit, args.skip_damaged)
+    data = real.read()
+    args.out.mkdir(parents=True, exist_ok=True)
+    simulated = _by_name(args.simulated or [_simulate(args, args.out / "simulated")])
+    descriptions = {name: _set_description(folder, data) for name, folder in simulated.items()}
+    note(*_listed(runs, args.iterations))
+    settings = TrainSettings(iterations=args.iterations, batch=args.batch, precision=args.precision)
+    workers = args.workers or (1 if torch.cuda.is_available() else available_cores())
+    started = time.monotonic()
+    results = run_networks(runs, real, simulated, settings, args.out / "networks", workers)
+    table = aggregate(results)
+    record = {
+        "command": command_words(
+            "python -m experiments.thesis_table --nmnist N-MNIST --simulated MOVING-MNIST",
+            args,
+            add_arguments,
+            leave_out=("json", "workers", "skip_damaged", "finished"),
+        ),
+        "data": {**data.description, "simulated": descriptions},
+        "rows": {
+            name: {
+                "config": ROWS[name].config.to_dict(),
+                "augmentation": asdict(ROWS[name].augmentation),
+                "iterations": args.iterations or ROWS[name].iterations,
+                "recordings": ROWS[name].recordings,
+                "motions": {r["trained_on"]: r["motions"] for r in results if r["row"] == name and r["motions"]},
+            }
+            for name in table
+        },
+        "settings": {"batch": args.batch, "precision": args.precision},
+        "seeds": list(dict.fromkeys(run.seed for run in runs)),
+        "machine": machine("torch"),
+        "table": table,
+        "differences": differences(table),
+        "validation": {Run(r["row"], r["trained_on"], r["seed"]).name: r["validation"] for r in results},
+    }
+    write_text(args.out / "results.json", json.dumps(record, indent=1) + "\n")
+    groups = dict.fromkeys(ROWS[name].group for name in table)
+    write_text(args.out / "table.md", "\n\n".join(markdown_table(table, group) for group in groups) + "\n")
+    if args.json:
+        say(json.dumps(record))
+    else:
+        say(*text_table(table).splitlines(), *_in_words(record, args, time.monotonic() - started))
+    return 0
+
+
+def _listed(runs: list[Run], iterations: int | None) -> list[str]:
+    """The networks, a line for each row: what it is trained on, with how many seeds, for how many steps."""
+    lines = [f"{len(runs)} networks:"]
+    for name in dict.fromkeys(run.row for run in runs):
+        row, of = ROWS[name], [run for run in runs if run.row == name]
+        on = ", ".join(dict.fromkeys(run.trained_on for run in of))
+        seeds = len({run.seed for run in of})
+        steps = f"{iterations or row.iterations:,} steps"
+        lines.append(f"  {name:<30} trained on {on:<10} {seeds} seed{'s' if seeds > 1 else ' '}  {steps}")
+    return lines
+
+
+def _by_name(folders: list[Path]) -> dict[str, Path]:
+    """Simulated sets by the name of their columns: the first is "sim"."""
+    from experiments.moving_mnist_set import open_set
+    from experiments.table_data import set_name
+
+    named = {"sim": folders[0]}
+    for folder in folders[1:]:
+        name = set_name(open_set(folder).parameters)
+        if name in named:
+            raise ValueError(f"{named[name]} and {folder} are the same kind of set, {name}; give one of them")
+        named[name] = folder
+    return named
+
+
+def _simulate(args: argparse.Namespace, folder: Path) -> Path:
+    from experiments.moving_mnist_set import build
+
+    mnist = data_folder(args.mnist, "mnist", "--mnist")
+    build(mnist, folder, split="test", kind="constant", digits=20 if args.smoke else None, workers=args.workers)
+    return folder
+
+
+def _set_description(folder: Path, data: RealData) -> dict[str, Any]:
+    """What the simulated set is, and how much of it is tested on."""
+    from experiments.moving_mnist_set import open_set
+
+    made = open_set(folder)
+    if made.parameters["split"] != "test" or made.parameters["kind"] == "nmnist":
+        raise ValueError(
+            f"{folder}: the table needs simulated motions of MNIST's test images, got split "
+            f"{made.parameters['split']!r}, motions {made.parameters['kind']!r}; see experiments.moving_mnist"
+        )
+    n_images = made.parameters["digits"]
+    n_unseen = n_images - int((data.seen_images < n_images).sum())
+    if n_unseen == 0:
+        raise ValueError(
+            f"{folder}: all of its {n_images} images are shown by training recordings; simulate more digits"
+        )
+    return {"motions": len(made.motions), "images_tested_on": n_unseen, **made.parameters}
+
+
+def _in_words(record: dict[str, Any], args: argparse.Namespace, seconds: float) -> list[str]:
+    from experiments.table_data import set_name
+
+    data = record["data"]
+    seeds = ", ".join(map(str, record["seeds"]))
+    counts = {name: min(len(part["seeds"]) for part in columns.values()) for name, columns in record["table"].items()}
+    fewer = ", ".join(f"{name} {n}" for name, n in counts.items() if n < len(record["seeds"]))
+    return [
+        "",
+        f"mean ± deviation over seeds {seeds}{f' (fewer: {fewer})' if fewer else ''}; windows per step: {args.batch}.",
+        f"N-MNIST: {data['training_recordings']} recordings to train on, {data['held_out_recordings']} held out, "
+        f"{data['test_recordings']} to test on; the split is {data['split']}.",
+        *(
+            f"{name}: {found['motions']} {set_name(found)} motions of {found['images_tested_on']} MNIST test images "
+            "that no training recording shows."
+            for name, found in data["simulated"].items()
+        ),
+        f"wrote {args.out / 'results.json'} and {args.out / 'table.md'} ({seconds / 60:.1f} minutes)",
+    ]
+
+
+if __name__ == "__main__":
+    exit_with(main)

@@ -1,0 +1,175 @@
+"""Fair comparisons: the same moments for all, interleaved, and refused where results differ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made import events_of, random_events, random_model
+
+from async_tnt import CompiledClassifier, Processor, TNTConfig, load_model
+from async_tnt.checking import backends
+from async_tnt.checking import bench_every_event as every_event
+from async_tnt.checking import bench_network as network
+from async_tnt.checking.interleaved import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
+from async_tnt.checking.moments import Moments, bench_recordings, windows_of
+from async_tnt.checking.timing import spread
+from experiments import measure_end_to_end as end_to_end
+from experiments import measure_noise as noise
+
+WINDOW_US = 1000
+SMALL = random_model(TNTConfig(sensor=(20, 16), grid=(20, 16), bins=3, window_us=WINDOW_US), widths=(4, 6, 8))
+DIGITS = load_model("digits")
+LOGITS = np.array([1.0, -20.0], np.float32)
+
+
+def window(n, seed=0):
+    return random_events(n, seed=seed, duration_us=WINDOW_US, sensor=(20, 16))
+
+
+def test_windows_of_a_recording_by_hand():
+    events = events_of([5, 999, 1000, 3500, 3501], [1, 2, 3, 4, 5], [0] * 5, [1] * 5)
+    found = windows_of(events, WINDOW_US)  # the third window is empty
+    assert [w["t"].tolist() for w in found] == [[5, 999], [0], [500, 501]]
+    assert [w["x"].tolist() for w in found] == [[1, 2], [3], [4, 5]]
+    assert windows_of(events[:0], WINDOW_US) == []
+    assert events["t"].tolist() == [5, 999, 1000, 3500, 3501]  # the caller's are unchanged
+
+
+@pytest.mark.parametrize("n_new", [1, 3, 10])
+def test_every_moment_has_so_many_new_events_after_the_first_one_of_its_window(n_new):
+    moments = Moments([window(31), window(7, 1), window(2, 2)], WINDOW_US, n_new)
+    assert moments.a_lap == 30 // n_new + 6 // n_new + 1 // n_new
+    last = None
+    for i in range(3 * moments.a_lap):
+        moment = moments[i]
+        assert moment.n_new == n_new and moment.start_us % WINDOW_US == 0
+        assert (moment.events["t"] // WINDOW_US == moment.start_us // WINDOW_US).all()
+        assert np.array_equal(moment.before.events, moment.events[:-n_new]) and moment.before.n_new == 0
+        if moment.follows:
+            assert np.array_equal(moment.before.events, last.events)
+        else:
+            assert len(moment.before.events) == 1 and (last is None or moment.start_us > last.start_us)
+        last = moment
+    with pytest.raises(ValueError, match=f"a window of at least {n_new + 1} events is needed, the longest has {n_new}"):
+        Moments([window(n_new), window(1)], WINDOW_US, n_new)
+
+
+class Recorder:
+    """Records what it is asked."""
+
+    def __init__(self, name, log, logits=LOGITS):
+        self.name, self.log, self.logits = name, log, logits
+
+    def prepare(self, moment):
+        self.log.append((self.name, len(moment.events), moment.n_new))
+
+    def decide(self):
+        self.log.append((self.name, "decides"))
+        return self.logits
+
+
+def blocks(n_blocks=3, size=4):
+    return list(Moments([window(40)], WINDOW_US, 2).blocks(n_blocks, size))
+
+
+@pytest.mark.parametrize("mode", [call_by_call, in_blocks])
+def test_everyone_decides_at_every_moment_and_at_the_one_before_a_block(mode):
+    log = []
+    timed = mode({name: Recorder(name, log) for name in "abc"}, blocks(2, 3))
+    moments = ((1, 0), (3, 2), (5, 2), (7, 2), (19, 0), (21, 2), (23, 2), (25, 2))
+    for name in "abc":
+        own = [entry[1:] for entry in log if entry[0] == name]
+        assert own == [step for moment in moments for step in (moment, ("decides",))]
+        assert timed.us[name].shape == (2, 3) and (timed.us[name] > 0).all()
+
+
+def test_no_backend_always_follows_the_same_one():
+    calls, of_blocks = [], []
+    call_by_call({name: Recorder(name, calls) for name in "abc"}, blocks(5, 8))
+    in_blocks({name: Recorder(name, of_blocks) for name in "ab"}, blocks(3, 2))
+    order, of_blocks = ("".join(e[0] for e in log if e[1] == "decides") for log in (calls, of_blocks))
+    assert {order[k : k + 3] for k in range(0, len(order), 3)} == {"abc", "acb", "bac", "bca", "cab", "cba"}
+    assert of_blocks == "aaabbb" + "bbbaaa" + "aaabbb"
+
+
+@pytest.mark.parametrize("mode", [call_by_call, in_blocks])
+def test_different_logits_stop_the_comparison(mode):
+    wrong = LOGITS + np.array([0, 3e-3], np.float32)  # 1.5e-4 of the largest
+    compared = {"ours": Recorder("ours", []), "wrong": Recorder("wrong", [], wrong)}
+    with pytest.raises(WorkDiffers, match=r"within 0\.0001, got ours and wrong 1\.5e-04 apart at event 3 of"):
+        mode(compared, blocks())
+    compared["wrong"].logits = np.array([np.nan, 0], np.float32)
+    with pytest.raises(WorkDiffers, match="got ours and wrong nan apart"):
+        mode(compared, blocks())
+    compared["wrong"].logits = None  # one that cannot be compared is timed
+    assert mode(compared, blocks()).largest_difference == 0
+
+
+def test_differences_are_relative_to_the_largest_logit_where_that_is_above_one():
+    small = np.array([0.5, 0.25], np.float32)
+    assert check_logits({"a": small, "b": small + np.float32(5e-5)}, "") == pytest.approx(5e-5, rel=1e-2)
+    assert check_logits({"a": LOGITS, "b": LOGITS + np.float32(1e-3)}, "") == pytest.approx(5e-5, rel=1e-2)
+
+
+def test_ratios_are_paired_and_by_hand():
+    us = {"ours": np.array([[1.0, 2.0, 9.0], [4.0, 4.0, 4.0]]), "other": np.array([[3.0, 2.0, 9.0], [8.0, 20.0, 12.0]])}
+    paired, of_blocks = (Timed(us, call_by_call=mode).report() for mode in (True, False))
+    assert paired["ratio"]["other"]["median"] == np.median([3, 1, 1, 2, 5, 3])
+    assert of_blocks["ratio"]["other"]["median"] == np.mean([3 / 2, 12 / 4])
+    assert of_blocks["us"] == paired["us"] and paired["us"]["ours"]["median"] == 4.0
+    assert spread(np.array([1, 2, 3, 4, 9])) == {"median": 3, "q1": 2, "q3": 4, "min": 1, "max": 9, "n": 5}
+
+
+def test_all_engines_give_the_same_logits_and_keep_nothing_of_the_volume():
+    networks = backends.dense_networks(DIGITS)
+    assert set(networks) | set(backends.left_out()) == set(backends.ENGINES) - {"incremental"}
+    volumes = np.random.default_rng(0).standard_normal((3, *DIGITS.config.shape)).astype(np.float32)
+    expected = [CompiledClassifier(DIGITS)(volume).copy() for volume in volumes]
+    for name, run in networks.items():
+        for volume, logits in zip([*volumes, volumes[0]], [*expected, expected[0]], strict=True):
+            assert np.abs(run(volume) - logits).max() < 1e-4 * np.abs(logits).max(), name
+
+
+def test_a_missing_package_leaves_its_rows_out_and_is_named(monkeypatch):
+    monkeypatch.setattr(backends, "is_installed", lambda *names: "onnxruntime" not in names)
+    assert {"onnxruntime_run", "onnxruntime_binding"} <= set(backends.left_out())
+    assert end_to_end.left_out()["ours_onnxruntime"] == "onnxruntime is not installed"
+    monkeypatch.setattr(backends, "is_installed", lambda *names: not names)
+    assert set(backends.dense_networks(DIGITS)) == {"dense"}
+    assert backends.left_out()["openvino"] == "onnx and openvino are not installed"
+
+
+@pytest.mark.parametrize("n_new", [1, 7])
+def test_ours_sees_exactly_the_new_events(n_new):
+    moments = Moments([window(60), window(40, 1)], WINDOW_US, n_new)
+    feed, seen = network.Feed(SMALL), []
+    ours, whole = network.Incremental(SMALL, feed), network.Dense(CompiledClassifier(SMALL), feed)
+    stream, push = end_to_end.Stream(SMALL), Processor.push
+    for block in moments.blocks(3, moments.a_lap // 2):  # through both windows, and again
+        for moment in block:
+            if not moment.follows:
+                for one in (ours, stream):
+                    one.prepare(moment.before)
+                    one.decide()
+            before = feed.volume.n_events
+            ours.prepare(moment)
+            seen.append(feed.volume.n_events - before)
+            whole.prepare(moment)  # the same feed: nothing more comes
+            stream.prepare(moment)
+            assert np.array_equal(ours.decide(), whole.decide())
+            expected = Processor(SMALL, start_us=0)
+            push(expected, moment.events)
+            assert np.array_equal(stream.decide(), expected.fire().logits)
+    assert len(seen) >= 15 and set(seen) == {n_new}
+
+
+def test_networks_that_differ_are_not_timed():
+    right, recordings = CompiledClassifier(DIGITS), bench_recordings(DIGITS.config)[:1]
+    windows = windows_of(recordings[0], DIGITS.config.window_us)
+    networks = {"dense": right, "wrong": lambda volume: right(volume) * np.float32(1.001)}
+    with pytest.raises(WorkDiffers, match=r"got incremental and wrong 1\.0e-03 apart"):
+        network.bench_network(DIGITS, networks, windows, 10, blocks=1, size=3)
+    with pytest.raises(WorkDiffers, match=r"got dense and wrong \d\.\de-04 apart"):
+        noise.bench_on_noise(DIGITS, networks, blocks=1, size=3)
+    with pytest.raises(WorkDiffers, match=r"got ours and wrong 1\.\de-0[34] apart"):
+        every_event.bench_every_event(DIGITS, {"wrong": networks["wrong"]}, recordings, rounds=1, n_events=1000)

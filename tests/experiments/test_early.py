@@ -1,0 +1,123 @@
+"""Early decisions: which one counts, when it fell, what it took; and the script that measures them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from async_tnt import CompiledClassifier, Decision, LeakyIntegrator, Processor, load_model
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from experiments import early as script
+from experiments import measure_early as early
+
+WINDOW_US = 105_000
+DIGITS = load_model("digits")
+
+
+def decision(time_us, trigger, index=3, events=10):
+    one = np.zeros(10)
+    one[index] = 1.0
+    complete = trigger in ("window", "confidence")
+    start_us = 210_000
+    return Decision(str(index), index, one, one.astype("f4"), start_us, start_us + time_us, events, complete, trigger)
+
+
+EVERY_20_MS, SURE, SURE_EVERY_MS = {"every_us": 20_000}, {"confidence": 0.9}, {"confidence": 0.9, "every_us": 1000}
+AT_EVENTS = [decision(1234, "every_events", 4), decision(1300, "every_events"), decision(9000, "end")]
+AT_ACTIVITY = [decision(1234, "activity", 4), decision(1300, "activity"), decision(9000, "end")]
+
+
+@pytest.mark.parametrize(
+    "settings, decisions, right, ms, by_trigger, until, evaluations",
+    [
+        # a fixed moment counts from itself and not from its newest event
+        (EVERY_20_MS, [decision(19_000, "every_us", 5), decision(39_999, "every_us")], False, 20.0, True, 1, 2),
+        (EVERY_20_MS, [decision(40_000, "every_us"), decision(104_000, "window")], True, 60.0, True, 1, 2),
+        # confidence counts where it closed the window
+        (SURE_EVERY_MS, [decision(900, "every_us", 1), decision(2700, "confidence")], True, 3.0, True, 2, 2),
+        (SURE_EVERY_MS, [decision(900, "every_us", 1), decision(104_000, "window")], True, 105.0, False, 2, 2),
+        # alone it asks at every event, and once more at the end
+        (SURE, [decision(31_234, "confidence", events=245)], True, 31.234, True, 245, 245),
+        (SURE, [decision(104_000, "window", 7, events=1400)], False, 105.0, False, 1401, 1401),
+        (SURE, [decision(104_000, "end", 7, events=1400)], False, 105.0, False, 1401, 1401),
+        # events count from their own time
+        ({"every_events": 10}, AT_EVENTS, False, 1.234, True, 1, 3),
+        ({"activity": LeakyIntegrator(9, 100)}, AT_ACTIVITY, False, 1.234, True, 1, 3),
+    ],
+)
+def test_the_early_decision_by_hand(settings, decisions, right, ms, by_trigger, until, evaluations):
+    found = early.early_decision(decisions, settings, WINDOW_US, truth=3)
+    assert found == early.Early(right, ms, found.events, by_trigger, until, evaluations, len(decisions))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"confidence": 0.5}, {"confidence": 0.95}, {"confidence": 0.9, "every_us": 3000}, {"every_events": 200}, {}],
+    ids=str,
+)
+def test_evaluations_are_those_that_a_counting_classifier_counts(settings):
+    events = open_recording(sample_recordings()[3]).read()
+    network, asked = CompiledClassifier(DIGITS), []
+    processor = Processor(DIGITS, classifier=lambda v: asked.append(None) or network(v), start_us=0, **settings)
+    processor.push(events)
+    processor.finish()
+    found = early.early_decisions(DIGITS, [(3, events)], settings)
+    assert len(found) == 3 and sum(e.evaluations for e in found) == len(asked)
+
+
+def test_summaries_by_hand():
+    rows = [(True, 10.0, 20, True, 1, 3, 4), (False, 30.0, 60, True, 3, 5, 6), (True, 105.0, 100, False, 8, 8, 2)]
+    rows = [early.Early(*row) for row in rows]
+    third = pytest.approx(1 / 3)
+    assert early.summary(rows) == {
+        "windows": 3,
+        "accuracy": pytest.approx(2 / 3),
+        "mean_ms": pytest.approx(145 / 3),
+        "median_ms": 30.0,
+        "mean_events": 60.0,
+        "fewest_events": 20,
+        "at_end": third,
+        "soon": third,
+        "soon_accuracy": 1.0,
+        "evaluations_until": 4.0,
+        "evaluations": pytest.approx(16 / 3),
+        "emitted": 4.0,
+    }
+    assert early.summary(rows[1:])["soon_accuracy"] is None
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The bundled samples, twice, as a folder of recordings."""
+    folder = tmp_path_factory.mktemp("Test")
+    for digit, path in sample_recordings().items():
+        (folder / str(digit)).mkdir()
+        for k in range(2):
+            shutil.copy(path, folder / str(digit) / f"{k:05}.bin")
+    return folder
+
+
+def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys, monkeypatch):
+    few = {"MOMENTS_MS": (10, 50, 105), "LEVELS": (0.5, 0.9), "NUMBERS": (25,), "INTEGRATORS": early.INTEGRATORS[-1:]}
+    for name, values in few.items():
+        monkeypatch.setattr(early, name, values)
+    assert [digit for digit, _ in early.labelled(folder, None)] == [d for d in range(10) for _ in range(2)]
+    target, picture, again = tmp_path / "early.json", tmp_path / "early.png", tmp_path / "again.png"
+    words = [folder, "--recordings", 10, "--workers", 1, "--json", target, "--picture", picture]
+    assert script.main([str(word) for word in words]) == 0
+    text = capsys.readouterr().out
+    report = json.loads(target.read_text(encoding="utf-8"))
+    assert report["recordings"] == 10 and report["machine"]["cpu"]
+    groups = early.all_settings(WINDOW_US)
+    assert {name: len(rows) for name, rows in report["results"].items()} == {k: len(v) for k, v in groups.items()}
+    for row in (row for group in report["results"].values() for row in group):
+        assert row["windows"] == 30 and script.words(row["settings"]) in text
+    moments = {row["settings"].get("every_us"): row for row in report["results"]["moment"]}
+    assert moments[10_000]["mean_ms"] == 10.0 and moments[None]["mean_ms"] == 105.0
+    assert moments[None]["accuracy"] > 0.9 > moments[10_000]["accuracy"]
+    assert 0.1 <= report["of_nothing"] < 0.3
+    assert script.main(["--from", str(target), "--picture", str(again)]) == 0
+    assert again.read_bytes() == picture.read_bytes()

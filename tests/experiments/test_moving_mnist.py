@@ -1,0 +1,133 @@
+"""N-MOVING-MNIST's command: what it writes and prints, its errors, and that it resumes when stopped at any moment."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from processes import started
+from waiting import until
+
+from async_tnt.simulation.shards import open_shard
+from async_tnt.sources.files.nmnist import read_nmnist
+from experiments import moving_mnist
+from experiments.moving_mnist_set import build, open_set
+
+ALONG = "ON - OFF centroid, along the motion"
+
+
+@pytest.fixture(autouse=True)
+def no_data(monkeypatch):
+    monkeypatch.delenv("TNT_DATA", raising=False)
+
+
+@pytest.fixture
+def simulate(experiment, mnist, tmp_path):
+    """Run the command on the small MNIST, into the folder `set`."""
+
+    def run(*words):
+        return experiment("moving_mnist", "--mnist", mnist, "--out", tmp_path / "set", "--workers", 1, *words)
+
+    return run
+
+
+def test_a_small_set_with_everything(simulate, tmp_path):
+    binary = tmp_path / "as-nmnist"
+    code, printed, err = simulate("--digits", 3, "--bin", binary)
+    assert code == 0 and err == "no N-MNIST to compare with; give --nmnist FOLDER\n"
+    assert "90 recordings (3 images x 30 motions) in 30 files" in printed
+    assert printed.splitlines()[2].split() == ["simulated", "this", "set"]
+    assert f"{ALONG} [px]" in printed and "nan" not in printed
+    for shard in open_set(tmp_path / "set"):
+        for i in range(len(shard)):
+            digit, number = shard.labels[i], shard.image[i] + 1
+            path = binary / shard.metadata["motion"]["name"] / str(digit) / f"{number:05}.bin"
+            np.testing.assert_array_equal(read_nmnist(path), shard.recording(i))
+    assert len(list(binary.rglob("*.*"))) == 90
+
+
+def test_bright_digits_that_start_at_the_centre(simulate, tmp_path):
+    assert simulate("--digits", 2, "--motions", "constant-from-centre", "--bright-on-dark")[0] == 0
+    made = open_set(tmp_path / "set")
+    assert made.parameters["kind"] == "constant-from-centre"
+    assert made.parameters["simulator"]["scene"]["dark_on_bright"] is False
+    path, place = made.locate(0, 0)  # to the right: ON events lead
+    events = open_shard(path).recording(place)
+    assert events["x"][events["p"] == 1].mean() > events["x"][events["p"] == 0].mean()
+    code, _, err = simulate("--digits", 2, "--motions", "constant-from-centre")
+    assert code == 2 and "made with other parameters: dark_on_bright is False, requested True. Give the same" in err
+    path.unlink()
+    with pytest.raises(ValueError, match="constant-from-centre --digits 2 --seed 0 --bright-on-dark, or by `build`"):
+        open_set(tmp_path / "set")
+
+
+def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(simulate, tmp_path):
+    """Simulations in N-MNIST's layout stand for N-MNIST: numbered from 1 under Test, as officially."""
+    nmnist, out = tmp_path / "nmnist", tmp_path / "moving"
+    assert simulate("--digits", 8, "--motions", "nmnist", "--bin", nmnist)[0] == 0
+    (nmnist / "nmnist").rename(nmnist / "Test")
+    code, printed, _ = simulate("--digits", 8, "--out", out, "--motions", "bell", "--nmnist", nmnist, "--json")
+    answer = json.loads(printed)
+    assert (answer["recordings"], answer["shards"], answer["motions"]) == (240, 30, "bell")
+    assert answer["bytes"] == sum(path.stat().st_size for path in out.glob("*.safetensors"))
+    columns = answer["statistics"]
+    assert code == 0 and list(columns) == ["N-MNIST", "simulated", "this set"]
+    for name in ("events per saccade", "active pixels", "ON share", ALONG):
+        assert columns["simulated"][name] == pytest.approx(columns["N-MNIST"][name], rel=0.1)  # another seed
+    assert columns["this set"][ALONG] < -2 and "ON - OFF centroid, saccade 1, x" not in columns["this set"]
+
+    one = sorted((nmnist / "Test").glob("*/*.bin"))[0]
+    one.rename(one.with_name("60024.bin"))  # numbered on from the training images, and shows another digit
+    code, _, err = simulate("--digits", 8, "--out", out, "--motions", "bell", "--nmnist", nmnist)
+    assert code == 2 and "60024.bin: MNIST's test image 24, which it should show, is another digit" in err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--mnist", "nowhere"], "no folder nowhere; give --mnist FOLDER"),
+        (["--mnist", "damaged"], "t10k-images-idx3-ubyte.gz: damaged gzip file"),
+        (["--digits", "25"], "`digits` must be at most 24"),
+        (["--nmnist", "damaged"], "no N-MNIST recordings; expected"),
+        (["--out", "file"], "file is not a folder; expected a folder to write to"),
+        (["--out", "made", "--digits", "1"], "set.json: made with other parameters: kind is 'nmnist', requested 'cons"),
+    ],
+)
+def test_errors_are_one_line_and_exit_code_2(simulate, mnist, tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    Path("file").touch()
+    Path("damaged").mkdir()
+    for path in mnist.glob("t10k*"):
+        Path("damaged", path.name).write_bytes(path.read_bytes()[:-20])
+    build(mnist, "made", digits=1, kind="nmnist", workers=1, frame_us=50_000.0)
+    code, printed, err = simulate(*options)
+    assert code == 2 and printed == "" and err.startswith("moving_mnist: ") and err.count("\n") == 1
+    assert message in err and not (tmp_path / "set").exists()
+
+
+def test_a_killed_simulation_resumes_to_the_same_files(mnist, tmp_path, experiment):
+    for attempt in range(5):  # on a busy machine the kill may come when all is done: then once more
+        folder = tmp_path / f"set {attempt}"
+        words = ["--mnist", mnist, "--out", folder, "--motions", "bell", "--digits", 8, "--workers"]
+        with started("-m", "experiments.moving_mnist", *words, 2) as process:
+            until(lambda folder=folder: any(folder.glob("*.safetensors")))
+            process.kill()
+            process.communicate(timeout=600)  # its workers have its output, too: all have ended
+        n_made = len(list(folder.glob("*.safetensors")))
+        if n_made < 30:
+            break
+    with pytest.raises(ValueError, match=f"{30 - n_made} of 30 shards are missing"):
+        open_set(folder)
+    assert experiment("moving_mnist", *words, 1)[0] == 0
+    build(mnist, tmp_path / "whole", kind="bell", digits=8, workers=1)
+    files = [{path.name: path.read_bytes() for path in one.iterdir()} for one in (folder, tmp_path / "whole")]
+    assert files[0] == files[1] and len(files[0]) == 31
+
+
+def test_ctrl_c_is_answered_in_one_line(simulate, monkeypatch):
+    def interrupt(*words, **more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(moving_mnist, "build", interrupt)
+    code, _, err = simulate()
+    assert code == 130 and "Give the same command again to resume" in err and err.count("\n") == 1

@@ -1,0 +1,138 @@
+"""The set: every recording is what its seed says, however the work was shared out, cut or interrupted."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from small_sets import idx_bytes
+
+from async_tnt.files import locked_folder
+from async_tnt.simulation.digits import simulate_digit
+from async_tnt.simulation.mnist import load_mnist
+from async_tnt.simulation.shards import open_shard
+from async_tnt.simulation.trajectories import ConstantVelocity
+from experiments.motions import motions_of
+from experiments.moving_mnist_set import build, open_set
+
+QUICK = {"digits": 5, "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
+
+
+def files_of(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+@pytest.fixture(scope="module")
+def made(mnist, tmp_path_factory):
+    return build(mnist, tmp_path_factory.mktemp("made"), **QUICK)
+
+
+@pytest.fixture
+def copied(made, tmp_path):
+    return shutil.copytree(made.folder, tmp_path / "set")
+
+
+def test_each_recording_is_simulated_with_its_own_seed(mnist, made):
+    images, labels = load_mnist(mnist, "test")
+    for index, image in ((0, 0), (7, 3), (29, 4)):
+        motion = motions_of("constant")[index]
+        angle, speed = np.radians(motion.direction_deg), motion.distance_px / 0.105
+        trajectory = ConstantVelocity.towards(motion.direction_deg, speed)
+        rng = np.random.default_rng((0, index, image))
+        expected = simulate_digit(images[image], rng, trajectory=trajectory, frame_us=5_250.0)
+        path, place = made.locate(index, image)
+        shard = open_shard(path)
+        np.testing.assert_array_equal(shard.recording(place), expected[expected["t"] < 105_000])
+        assert len(expected) > 100
+        assert shard.image[place] == image and shard.labels[place] == labels[image]
+        velocity = speed * np.cos(angle), speed * np.sin(angle)
+        np.testing.assert_allclose(shard.flow[place], [velocity], rtol=1e-6, atol=1e-12)
+        assert shard.metadata["motion"]["name"] == motion.name and shard.metadata["split"] == "test"
+
+
+def test_workers_and_the_size_of_shards_change_no_recording(mnist, made, tmp_path):
+    build(mnist, tmp_path / "two workers", **QUICK | {"workers": 2})
+    assert files_of(tmp_path / "two workers") == files_of(made.folder)
+    other = build(mnist, tmp_path / "larger", **QUICK | {"recordings_per_shard": 3})
+    assert len(other.shards) == 60
+    for index, image in ((0, 0), (11, 2), (11, 3), (29, 4)):
+        (path, place), (other_path, other_place) = made.locate(index, image), other.locate(index, image)
+        one, same = open_shard(path), open_shard(other_path)
+        assert one.recording(place).tolist() == same.recording(other_place).tolist()
+        assert one.image[place] == same.image[other_place] == image
+
+
+def test_what_is_there_is_kept_and_what_is_missing_or_damaged_is_made(mnist, made, copied):
+    missing, cut, flipped = (copied / path.name for path in made.shards[3:6])
+    missing.unlink()
+    cut.write_bytes(cut.read_bytes()[:-1])
+    flipped.write_bytes(flipped.read_bytes()[:-1] + bytes([flipped.read_bytes()[-1] ^ 0xFF]))
+    (copied / f"{missing.name}.part").write_bytes(b"left by a killed process")
+    times = {path.name: path.stat().st_mtime_ns for path in copied.iterdir()}
+    build(mnist, copied, **QUICK)
+    assert files_of(copied) == files_of(made.folder)
+    kept = {path.name for path in copied.iterdir() if times.get(path.name) == path.stat().st_mtime_ns}
+    assert kept == set(times) - {missing.name, cut.name, flipped.name, f"{missing.name}.part"}
+
+
+def test_a_second_program_that_makes_a_set_in_the_folder_is_refused(mnist, made, copied):
+    with locked_folder(copied, "set.lock"), pytest.raises(BlockingIOError, match="at work there"):
+        build(mnist, copied, **QUICK)
+
+
+def test_a_set_of_other_parameters_shards_or_images_is_refused_and_left_alone(mnist, made, tmp_path):
+    """As when someone copies files between folders, or loses set.json."""
+    before = files_of(made.folder)
+    with pytest.raises(ValueError, match=r"set\.json: made with other .*: seed is 0, requested 1\. Give the same, or "):
+        build(mnist, made.folder, **QUICK | {"seed": 1})
+    (tmp_path / made.shards[0].name).write_bytes(made.shards[0].read_bytes())
+    with pytest.raises(ValueError, match=r"3px_00000\.safetensors: made with other .*: seed is 0, requested 3"):
+        build(mnist, tmp_path, **QUICK | {"seed": 3})
+    other = shutil.copytree(mnist, tmp_path / "mnist")
+    images, _ = load_mnist(mnist, "test")
+    (other / "t10k-images-idx3-ubyte.gz").write_bytes(idx_bytes(255 - images))
+    with pytest.raises(ValueError, match="made with other parameters: mnist_sha256"):
+        build(other, made.folder, **QUICK)
+    assert files_of(made.folder) == before
+
+
+def test_open_set_gives_what_build_gave(made):
+    """A shard for each motion and two images; all recordings differ, and lie in one window of 105 ms."""
+    opened = open_set(made.folder)
+    assert opened == made and opened.motions == motions_of("constant") and opened.missing == 0
+    assert len(made) == 150 and [len(shard) for shard in made] == [2, 2, 1] * 30
+    assert sorted(files_of(made.folder)) == [*(path.name for path in made.shards), "set.json"]
+    assert len({shard.recording(i).tobytes() for shard in made for i in range(len(shard))}) == len(made)
+    # the last half microsecond would round up to 105,000, where the next window begins
+    assert 104_900 < max(int(shard.t.max()) for shard in made) < 105_000
+    with pytest.raises(IndexError, match=r"motion must be in \[0, 30\) and image in \[0, 5\), got"):
+        opened.locate(30, 0)
+
+
+def test_an_incomplete_set_is_refused_with_the_command_to_resume(made, copied):
+    for path in made.shards[10:13]:
+        (copied / path.name).unlink()
+    command = f"python -m experiments.moving_mnist --mnist MNIST --out {copied} --split test "
+    command += "--motions constant --digits 5 --seed 0"
+    with pytest.raises(ValueError, match=f"3 of 90 shards are missing. Resume with: {command}"):
+        open_set(copied)
+    opened = open_set(copied, allow_incomplete=True)
+    assert opened.missing == 3 and len(opened.shards) == 90 and sum(1 for _ in opened) == 87
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda _: [],
+        lambda content: content | {"motions": ["000deg-3px"]},
+        lambda content: content | {"shards": ["../elsewhere", *content["shards"][1:]]},
+        lambda content: content | {"parameters": content["parameters"] | {"digits": 5.0}},
+    ],
+)
+def test_a_damaged_manifest_is_refused_in_one_line(made, tmp_path, damage):
+    content = json.dumps(damage(json.loads((made.folder / "set.json").read_text())))
+    for text in (content, content[:-1]):
+        (tmp_path / "set.json").write_text(text)
+        with pytest.raises(ValueError, match=r"set\.json: damaged, or not a set of this release: ") as caught:
+            open_set(tmp_path, allow_incomplete=True)
+        assert "\n" not in str(caught.value)

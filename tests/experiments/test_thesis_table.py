@@ -1,0 +1,287 @@
+"""The thesis' table: what is compared, the numbers brought together, and its command."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from small_sets import write_small_mnist
+
+torch = pytest.importorskip("torch")
+
+from async_tnt import Processor, load_model  # noqa: E402
+from async_tnt.simulation.scene import Scene  # noqa: E402
+from experiments import thesis_table  # noqa: E402
+from experiments.moving_mnist_set import build, open_set  # noqa: E402
+from experiments.table_data import (  # noqa: E402
+    RealFolder,
+    saccade,
+    shown_test_images,
+    some_recordings,
+    trained_on,
+)
+from experiments.table_numbers import aggregate, differences, markdown_table, text_table  # noqa: E402
+from experiments.table_rows import DIFFERENCES, INPUTS, ROWS, Run, runs_of  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def mnist(tmp_path_factory):
+    """45 images."""
+    return write_small_mnist(tmp_path_factory.mktemp("MNIST"), 45)
+
+
+def test_rows_differ_only_in_what_they_are_named_for():
+    """Every row of the comparison, rebuilt from its name."""
+    compared = [row for row in ROWS.values() if row.group in ("comparison", "learning")]
+    assert len([row for row in compared if row.group == "comparison"]) == 24
+    for row in compared:
+        name, *words = row.name.split("-")
+        config = INPUTS[name].replace(polarity="unsigned" if "unsigned" in words else "signed")
+        for word in words:
+            if word[0] == "t" and word[1:].isdigit():
+                config = config.replace(t_max=float(word[1:]))
+        recordings = [int(word) for word in words if word.isdigit()]
+        assert (row.config, row.recordings) == (config, recordings[0] if recordings else None)
+        moved = row.augmentation
+        assert moved.translate_px == (4 if "translated" in words else 0)
+        assert (moved.drop, moved.shift_px, moved.rotation_deg, moved.scale, moved.shear) == (0.3, 0, 0, 0, 0)
+    for row in ROWS.values():
+        if row.group == "motions":
+            plain = ROWS[row.name.split("-")[0]]
+            assert (row.config, row.augmentation) == (plain.config, plain.augmentation)
+        if row.group == "thesis":
+            assert row.config.transform == "none" or row.config.t_max == 8
+            assert (row.augmentation.drop, row.augmentation.translate_px > 0) == (0, row.name == "thesis-regress")
+
+
+def test_pairs_that_are_compared_differ_in_one_thing():
+    assert {name for pair in DIFFERENCES for name in pair} <= set(ROWS)
+    for row, against in DIFFERENCES:
+        a, b = ROWS[row], ROWS[against]
+        assert (a.iterations, a.recordings) == (b.iterations, b.recordings)
+        if a.config.representation != "volume":  # another input: no transform, and split
+            assert (a.augmentation, a.config.transform) == (b.augmentation, "none")
+            continue
+        differ = [
+            a.augmentation != b.augmentation,
+            a.config.polarity != b.config.polarity,
+            a.config.t_max != b.config.t_max and row.split("-")[0] == against.split("-")[0],
+            a.config.replace(polarity="signed", t_max=2) != b.config.replace(polarity="signed", t_max=2),
+            a.motions != b.motions,
+        ]
+        assert sum(differ) == 1, (row, against)
+
+
+def test_networks_in_the_order_they_are_trained():
+    runs = runs_of(["line", "thesis", "raw"], ["1", "all"], [3, 4])
+    assert [run.name for run in runs[:5]] == [
+        "raw-all-seed3",
+        "raw-1-seed3",
+        "line-all-seed3",
+        "line-1-seed3",
+        "raw-all-seed4",
+    ]
+    assert [run.seed for run in runs[8:]] == [3] * 6  # one seed of the thesis' rows
+    assert runs_of(["raw-moved"], ["1"], [0]) == []
+
+
+def test_images_seen_in_training_are_read_from_the_names():
+    names = ["3/00001.bin", "3/60000.bin", "7/60001.bin", "7/60026.bin", "1/70000.bin", "1/other.bin", "1/70001.bin"]
+    assert shown_test_images(names).tolist() == [0, 25, 9999]
+
+
+@pytest.fixture(scope="module")
+def moving(mnist, tmp_path_factory):
+    """45 images under 30 motions, three shards each; the small N-MNIST's Train shows all but the first 5."""
+    folder = tmp_path_factory.mktemp("moving")
+    build(mnist, folder, workers=1, recordings_per_shard=20)
+    return folder
+
+
+def test_real_windows_by_saccade(nmnist):
+    data = RealFolder(nmnist, validation=0.25).read()
+    assert data.description["split"].startswith("not the official one")
+    counts = [data.description[f"{part}_recordings"] for part in ("training", "held_out", "test")]
+    assert counts == [30, 10, 10] and np.bincount(saccade(data.test)).tolist() == [10, 10, 10]
+    assert len(trained_on(data.training, "1")) == 30
+    assert not set(data.training.recording) & set(data.held_out.recording)
+    assert data.seen_images.tolist() == list(range(5, 45))
+
+
+def test_fewer_recordings_with_as_many_of_each_class(nmnist):
+    windows = RealFolder(nmnist, validation=0.25).read().training
+    some = some_recordings(windows, 12)
+    assert len(np.unique(some.recording)) == 12 and len(some) == 36
+    assert set(np.bincount(some.labels, minlength=10)) == {3, 6}
+    assert set(some_recordings(windows, 5).recording) < set(some.recording)
+
+
+def test_numbers_and_tables_by_hand():
+    def run(row, seed, **accuracies):
+        columns = {
+            column.replace("_", "/"): {"accuracy": a, "windows": 4, "per_motion": {"saccade 1": a, "saccade 2": a / 2}}
+            for column, a in accuracies.items()
+        }
+        return {"row": row, "seed": seed, "columns": columns}
+
+    runs = [
+        run("thesis-tnt", 0, all_all=0.96, all_sim=0.6, all_bell=0.5),
+        run("raw", 1, all_all=1.0),
+        run("raw", 0, all_all=0.98),
+        run("raw-translated", 0, all_all=0.94),
+        run("raw-translated", 1, all_all=0.98),
+    ]
+    table = aggregate(runs)
+    assert list(table) == ["raw", "raw-translated", "thesis-tnt"]
+    assert list(table["thesis-tnt"]) == ["all/all", "all/sim", "all/bell"]
+    part = table["raw"]["all/all"]
+    assert part["mean"] == pytest.approx(0.99) and part["deviation"] == pytest.approx(0.01 * 2**0.5)
+    assert part["seeds"] == {"0": 0.98, "1": 1.0}
+    assert part["per_motion"]["saccade 2"]["mean"] == pytest.approx(0.495)
+    assert table["thesis-tnt"]["all/sim"]["deviation"] is None
+    lines = text_table(table).splitlines()
+    assert lines[0].split() == ["comparison", "all/all"] and lines[1].split() == ["raw", ".990", "±", ".014"]
+    assert lines[-1].split() == ["in", "the", "thesis", ".981", ".592"]
+    assert markdown_table(table, "comparison").splitlines()[2] == "| raw | .990 ± .014 |"
+    assert markdown_table(table, "thesis").splitlines()[2] == "| TNT | .960 (.981) | .600 (.592) | .500 |"
+    (found,) = differences(table)  # -.04 and -.02: mean -.03, deviation .01414, 12.706 x .01414 / sqrt 2 = .12706
+    assert (found["row"], found["against"], found["column"], found["seeds"]) == ("raw-translated", "raw", "all/all", 2)
+    assert [found[name] for name in ("mean", "low", "high")] == pytest.approx([-0.03, -0.15706, 0.09706])
+
+
+@pytest.fixture(scope="module")
+def words(nmnist, moving):
+    """A small table of two rows."""
+    words = ["--nmnist", nmnist, "--simulated", moving, "--rows", "raw", "regressor-translated", "--seeds", 3]
+    return [*words, "--iterations", 3, "--batch", 16, "--workers", 1, "--out"]
+
+
+@pytest.fixture(scope="module")
+def done(words, tmp_path_factory):
+    out = tmp_path_factory.mktemp("table")
+    assert thesis_table.main([*map(str, words), str(out)]) == 0
+    return out
+
+
+def test_results_record_what_was_done(done):
+    record = json.loads((done / "results.json").read_text())
+    assert record["command"] == (
+        "python -m experiments.thesis_table --nmnist N-MNIST --simulated MOVING-MNIST "
+        "--rows raw regressor-translated --seeds 3 --iterations 3 --batch 16"
+    )
+    assert set(record["table"]) == {"raw", "regressor-translated"}
+    for columns in record["table"].values():
+        assert list(columns) == ["all/all", "1/all", "1/others", "1/train", "all/sim", "1/sim"]
+        assert [columns[c]["windows"] for c in columns] == [30, 30, 20, 120, 150, 150]  # 40 recordings; 5 unseen images
+        assert [len(columns[c]["per_motion"]) for c in columns] == [3, 3, 2, 3, 30, 30]
+    assert record["data"]["simulated"]["sim"]["images_tested_on"] == 5
+    assert record["rows"]["regressor-translated"]["augmentation"]["translate_px"] == 4
+    assert record["rows"]["raw"]["iterations"] == 3
+    assert "raw-1-seed3" in record["validation"] and str(done) not in json.dumps(record)
+    assert "| raw |" in (done / "table.md").read_text()
+
+
+def test_the_numbers_are_those_of_the_networks_beside_them(done, moving):
+    """Counted once more, recording by recording, through the stream's own volumes and compiled network."""
+    model = load_model(done / "networks" / Run("raw", "1", 3).name / "model.safetensors")
+    processor, right = Processor(model, start_us=0), []
+    for shard in open_set(moving):
+        for i in np.flatnonzero(shard.image < 5):
+            processor.reset()
+            processor.push(shard.recording(i))
+            right.append(processor.fire().index == shard.labels[i])
+    found = json.loads((done / "results.json").read_text())["table"]["raw"]["1/sim"]["mean"]
+    assert np.mean(right) == pytest.approx(found)
+
+
+def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(
+    done, words, tmp_path, monkeypatch, experiment
+):
+    before = json.loads((done / "results.json").read_text())
+    shutil.copytree(done, tmp_path / "cut")
+    shutil.rmtree(tmp_path / "cut" / "networks" / "regressor-translated-1-seed3")
+    code, printed, _ = experiment("thesis_table", *words, tmp_path / "cut", "--finished", "--json")
+    so_far = json.loads(printed)["table"]
+    assert (code, list(so_far["regressor-translated"])) == (0, ["all/all", "all/sim"])
+    assert so_far["raw"] == before["table"]["raw"]
+    code, printed, _ = experiment("thesis_table", *words, tmp_path / "cut", "--json")
+    assert code == 0 and json.loads(printed)["table"] == before["table"]
+    code, _, err = experiment("thesis_table", *words, tmp_path / "none", "--finished")
+    assert code == 2 and "no network of these rows is finished" in err
+    monkeypatch.setattr("torch.optim.AdamW.step", lambda *a, **k: pytest.fail("trained again"))
+    code, printed, _ = experiment("thesis_table", *words, done, "--json")
+    assert code == 0 and json.loads(printed)["table"] == before["table"]
+    code, _, err = experiment("thesis_table", *words, done, "--iterations", 4)
+    assert code == 2 and "holds a run with other iterations" in err
+
+
+def test_another_set_is_tested_on_without_training(done, words, mnist, tmp_path, experiment, monkeypatch):
+    bells = tmp_path / "bells"
+    build(mnist, bells, workers=1, kind="bell", scene=Scene(dark_on_bright=False))
+    shutil.copytree(done, tmp_path / "more")
+    monkeypatch.setattr("torch.optim.AdamW.step", lambda *a, **k: pytest.fail("trained again"))
+    place = words.index("--rows")
+    code, printed, _ = experiment("thesis_table", *words[:place], bells, *words[place:], tmp_path / "more", "--json")
+    record, before = json.loads(printed), json.loads((done / "results.json").read_text())
+    assert code == 0 and list(record["data"]["simulated"]) == ["sim", "bell bright"]
+    for row, columns in record["table"].items():
+        assert columns.pop("1/bell bright")["windows"] == columns.pop("all/bell bright")["windows"] == 150
+        assert columns == before["table"][row]
+    code, _, err = experiment("thesis_table", *words[:place], bells, bells, *words[place:], tmp_path / "more")
+    assert code == 2 and "are the same kind of set, bell bright" in err
+
+
+def test_networks_are_listed(experiment):
+    code, printed, _ = experiment("thesis_table", "--list", "--rows", "thesis", "raw", "--seeds", 1, 2)
+    assert code == 0 and printed.splitlines()[:2] == [
+        "10 networks:",
+        "  raw                            trained on all, 1     2 seeds  3,000 steps",
+    ]
+
+
+def test_rows_with_resynthesis(nmnist, moving, tmp_path, experiment):
+    """Motions are made once for both seeds, and counted in the results."""
+    words = ["--rows", "raw-confounded", "raw-moved", "--trained-on", "confounded", "--seeds", 0, 1, "--out", tmp_path]
+    words += ["--nmnist", nmnist, "--simulated", moving, "--iterations", 4, "--batch", 16, "--workers", 1]
+    code, printed, _ = experiment("thesis_table", *words)
+    record = json.loads((tmp_path / "results.json").read_text())
+    assert code == 0 and "raw, re-synthesis only" in printed and "conf./all" in printed
+    motions = record["rows"]["raw-moved"]["motions"]["confounded"]
+    assert motions["windows"] == 40 == motions["with_path"] and motions["variations"] == 2  # no more than epochs
+    assert record["rows"]["raw-confounded"]["motions"] == {}
+    assert record["table"]["raw-moved"]["confounded/sim"]["windows"] == 150
+    assert sorted(record["validation"]) == [
+        f"{row}-confounded-seed{s}" for row in ("raw-confounded", "raw-moved") for s in (0, 1)
+    ]
+
+
+def test_each_class_is_seen_in_one_saccade(nmnist):
+    windows = trained_on(RealFolder(nmnist, validation=0.25).read().training, "confounded")
+    pairs = set(zip(windows.labels.tolist(), saccade(windows).tolist(), strict=True))
+    assert pairs == {(digit, 0) for digit in range(4)} | {(4, 1), (5, 1), (6, 1), (7, 2), (8, 2), (9, 2)}
+
+
+def test_smoke_makes_its_own_motions(nmnist, mnist, tmp_path, experiment, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["--nmnist", nmnist, "--mnist", mnist, "--rows", "line", "--workers", 1, "--iterations", 2]
+    code, printed, _ = experiment("thesis_table", "--smoke", *words)
+    assert code == 0 and "line" in printed and "30 constant motions of 5 MNIST test images" in printed
+    assert (tmp_path / "table-smoke" / "results.json").exists()
+
+
+def test_errors_are_one_line(nmnist, mnist, tmp_path, monkeypatch, experiment):
+    monkeypatch.delenv("TNT_DATA", raising=False)
+    monkeypatch.chdir(tmp_path)
+    seen = shutil.copytree(nmnist, tmp_path / "seen")
+    for k, path in enumerate(sorted(seen.glob("Train/*/*.bin"))):  # of test images from the first on
+        path.rename(path.with_name(f"{60_001 + k}-{path.name}"))
+    for path in seen.glob("Train/*/*-*.bin"):
+        path.rename(path.with_name(path.name[:5] + ".bin"))
+    for words, message in (
+        ([], "no data: give --nmnist FOLDER"),
+        (["--nmnist", nmnist], "no data: give --mnist FOLDER"),
+        (["--rows", "raw", "--trained-on", "confounded"], "none of the rows raw is trained on confounded"),
+        (["--nmnist", seen, "--mnist", mnist, "--smoke"], "all of its 20 images are shown by training recordings"),
+    ):
+        code, _, err = experiment("thesis_table", "--workers", 1, *words)
+        assert code == 2 and message in err and err.count("\n") == 1
