@@ -24,9 +24,6 @@ from made_objects import SENSOR, write
 from script_options import run_script, script_parser, write_outputs
 from unseen_motions import command
 
-from async_tnt.checking.bench_every_event import bench_every_event, in_full
-from async_tnt.checking.interleaved import WorkDiffers
-from async_tnt.checking.timing import interleave, machine, spread, work_clock
 from async_tnt.config import LANDMARKS
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.loading import load_model
@@ -37,6 +34,9 @@ from async_tnt.sources import open_recording
 from async_tnt.sources.sensor import format_size
 from async_tnt.training.table import cell, summary
 from async_tnt.volume import TNTVolume
+from experiments.bench_every_event import bench_every_event, in_full
+from experiments.bench_interleaved import WorkDiffers
+from experiments.bench_timing import interleave, machine, spread, work_clock
 
 TUNED = "--grid 60x50 --network residual --mirror --epochs 30 --patience 0 --validation 0.05"
 EQUAL = "--network residual --mirror --epochs 6 --patience 0 --validation 0.05 --polarity split"

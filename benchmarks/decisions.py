@@ -28,12 +28,12 @@ from measure_touched import bench_touched
 from script_options import run_script, script_parser
 
 from async_tnt import load_model, warmup
-from async_tnt.checking import backends
-from async_tnt.checking.bench_every_event import bench_every_event
-from async_tnt.checking.bench_network import bench_network
-from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
-from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
 from async_tnt.progress import Bar, progress
+from experiments import bench_backends as backends
+from experiments.bench_every_event import bench_every_event
+from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
+from experiments.bench_network import bench_network
+from experiments.bench_timing import is_installed, machine, machine_text, one_thread, quartiles
 
 MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")

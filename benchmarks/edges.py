@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from script_options import script_parser, write_outputs
 
-from async_tnt.checking.timing import machine
 from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.progress import progress
 from async_tnt.simulation.comparison import recordings_by_image
@@ -28,6 +27,7 @@ from async_tnt.simulation.saccades import segment
 from async_tnt.simulation.scene import render
 from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist
+from experiments.bench_timing import machine
 
 N_RECORDINGS = 1_000
 ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90)

@@ -25,13 +25,13 @@ from script_options import run_script, script_parser
 from torch import nn
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, warmup
-from async_tnt.checking import backends
-from async_tnt.checking.bench_every_event import bench_every_event
-from async_tnt.checking.bench_network import bench_network
-from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
-from async_tnt.checking.timing import machine, machine_text, one_thread
 from async_tnt.progress import progress
 from async_tnt.training.networks import conv4, residual, thesis
+from experiments import bench_backends as backends
+from experiments.bench_every_event import bench_every_event
+from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
+from experiments.bench_network import bench_network
+from experiments.bench_timing import machine, machine_text, one_thread
 
 FULL = {"blocks": 30, "decisions_a_block": 40, "rounds": 5, "moments": 400}
 QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "moments": 40}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from async_tnt.checking.moments import made_columns
 from async_tnt.events import structured
+from experiments.bench_moments import made_columns
 
 KINDS = {
     "uniform": "over pixels, time and polarity, as in training",

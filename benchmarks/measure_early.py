@@ -18,8 +18,8 @@ from made_noise import KINDS, made_noise
 
 from async_tnt import Decision, LeakyIntegrator, Model, Processor, load_model, warmup
 from async_tnt.archive.executor import run_all
-from async_tnt.checking.timing import machine
 from async_tnt.sources.files.recording import open_recording
+from experiments.bench_timing import machine
 
 MODEL = "digits"
 N_WINDOWS = 3  # saccades; a few events follow them

@@ -24,8 +24,8 @@ import numpy as np
 from made_objects import CLASSES, SENSOR, WINDOW_US, write
 from script_options import script_parser, write_outputs
 
-from async_tnt.checking.timing import machine
 from async_tnt.progress import progress
+from experiments.bench_timing import machine
 
 N_TRAIN, N_TEST = 200, 56
 RIGHT, OTHERS = (0.0,), tuple(np.pi / 4 * np.arange(1, 8))

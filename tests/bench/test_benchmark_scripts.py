@@ -14,10 +14,10 @@ from made import random_events, random_model
 from small_sets import write_small_mnist
 
 from async_tnt import TNTConfig, load_model
-from async_tnt.checking.moments import bench_recordings, windows_of
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.sources.files.nmnist import write_nmnist
+from experiments.bench_moments import bench_recordings, windows_of
 
 DIGITS = load_model("digits")
 decisions, touched = map(load_benchmark, ("decisions", "measure_touched"))

@@ -8,12 +8,12 @@ from bench.scripts import load_benchmark
 from made import events_of, random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig, load_model
-from async_tnt.checking import backends
-from async_tnt.checking import bench_every_event as every_event
-from async_tnt.checking import bench_network as network
-from async_tnt.checking.interleaved import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
-from async_tnt.checking.moments import Moments, bench_recordings, windows_of
-from async_tnt.checking.timing import spread
+from experiments import bench_backends as backends
+from experiments import bench_every_event as every_event
+from experiments import bench_network as network
+from experiments.bench_interleaved import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
+from experiments.bench_moments import Moments, bench_recordings, windows_of
+from experiments.bench_timing import spread
 
 end_to_end, noise = map(load_benchmark, ("measure_end_to_end", "measure_noise"))
 
