@@ -165,8 +165,8 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
 
 def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr(sys, "argv", ["laws.py", "--picture", str(tmp_path / "laws.png")])
-    runpy.run_path(str(ROOT / "docs" / "figures" / "laws.py"), run_name="__main__")
+    monkeypatch.setattr(sys, "argv", ["figure_laws.py", "--picture", str(tmp_path / "laws.png")])
+    runpy.run_path(str(ROOT / "experiments" / "figure_laws.py"), run_name="__main__")
     printed = capsys.readouterr().out.splitlines()
     rows = [line for line in printed if line.startswith("|")]
     assert [line for line in THEORY.splitlines() if line in set(rows)] == rows
@@ -179,8 +179,8 @@ def test_the_numbers_of_the_theory_are_those_that_the_script_prints(tmp_path, mo
 def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path, monkeypatch, capsys):
     """The figure of the theory: no error about the centre in any layer, and large ones without the transform."""
     pytest.importorskip("matplotlib")
-    script = ROOT / "docs" / "figures" / "equivariance.py"
-    monkeypatch.setattr(sys, "argv", ["equivariance.py", "--picture", str(tmp_path / "equivariance.png")])
+    script = ROOT / "experiments" / "figure_equivariance.py"
+    monkeypatch.setattr(sys, "argv", ["figure_equivariance.py", "--picture", str(tmp_path / "equivariance.png")])
     runpy.run_path(str(script), run_name="__main__")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()[2:]]
     found = {(name, layer): [float(error) for error in errors] for name, layer, *errors in rows}

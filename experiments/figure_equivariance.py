@@ -1,6 +1,6 @@
 """Print and draw how far features are from moving along with optical flow, layer by layer.
 
-    python docs/figures/equivariance.py [--picture docs/images/equivariance.png]
+    python -m experiments.figure_equivariance [--picture docs/images/equivariance.png]
 
 Flow is added to the first saccade of the bundled 3, on a larger sensor. With F the features of a layer and T a
 translation by whole pixels, the equivariance error is the smallest
@@ -48,7 +48,7 @@ def volume_of(landmark: dict[str, Any], flow: float) -> torch.Tensor:
     t = torch.from_numpy(events["t"].astype(np.int64))
     place = torch.from_numpy(np.stack([events["x"] + middle, events["y"] + middle]))
     x, y = move_by_flow(t, place[0], place[1], (flow, 0.0), start_us=0, window_us=WINDOW_US)
-    columns = {"t": t, "x": x, "y": y, "p": torch.from_numpy(events["p"].astype(np.int64))}
+    columns: dict[str, Any] = {"t": t, "x": x, "y": y, "p": torch.from_numpy(events["p"].astype(np.int64))}
     if not landmark:
         return event_volume(**columns, **AT, dtype=torch.float64)[None]
     return tnt_volume(**columns, **AT, t_max=T_MAX, **landmark, dtype=torch.float64)[None]

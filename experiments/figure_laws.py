@@ -1,6 +1,6 @@
 """Print the measured tables of docs/theory.md in Markdown, and draw the law of v/2.
 
-    python docs/figures/laws.py [--picture docs/images/laws.png]
+    python -m experiments.figure_laws [--picture docs/images/laws.png]
 
 Needs the batch reference (torch) and the bundled samples; the picture needs matplotlib.
 """
@@ -23,7 +23,7 @@ from async_tnt.sources import open_recording, sample_recordings
 LANDMARKS = ("center", "running", "line", "window")
 CASES = (*((name, False) for name in LANDMARKS), ("line", True))  # landmark, remove_flow
 WINDOW_US, N = 104_000, 1_300
-AT = dict(start_us=0, window_us=WINDOW_US, sensor=(201, 201), grid=(201, 201))
+AT: dict[str, Any] = dict(start_us=0, window_us=WINDOW_US, sensor=(201, 201), grid=(201, 201))
 FRACTIONS = (1 / 8, 1 / 4, 1 / 2, 3 / 4, 1)
 
 
@@ -172,12 +172,13 @@ def translation_table() -> None:
         windows.append((window[(x >= 2) & (x < 32) & (y >= 2) & (y < 32)], k % 3 * 105_000))
     rows = []
     for landmark, remove_flow in CASES:
-        options = dict(landmark=landmark, remove_flow=remove_flow, t_max=2.0)
+        options: dict[str, Any] = dict(landmark=landmark, remove_flow=remove_flow, t_max=2.0)
         cells = []
-        for volume_of, shift in ((streamed, 2), (batch, 1 / 3)):
+        ways: list[tuple[Callable[..., Any], float]] = [(streamed, 2), (batch, 1 / 3)]
+        for volume_of, shift in ways:
             worst = 0.0
-            for window in windows:
-                here, there = volume_of(*window, 0, options), volume_of(*window, shift, options)
+            for window, start_us in windows:
+                here, there = (volume_of(window, start_us, by, options) for by in (0, shift))
                 worst = max(worst, np.abs(there - here).max() / np.abs(here).max())
             cells.append("below 1e-6" if worst < 1e-6 else f"{worst:.2f}")  # rounding is the machine's own
         rows.append([name_of(landmark, remove_flow), *cells])
@@ -186,7 +187,7 @@ def translation_table() -> None:
 
 def t_max_table() -> None:
     windows = sample_windows()
-    at = dict(window_us=105_000, sensor=(34, 34), grid=(34, 34))
+    at: dict[str, Any] = dict(window_us=105_000, sensor=(34, 34), grid=(34, 34))
     rows = []
     for t_max in (0.5, 1.0, 2.0, 3.0, 4.0, 8.0, 16.0):
         kept_by = {}
