@@ -30,11 +30,11 @@ from async_tnt.archive.early import every_us
 from async_tnt.archive.executor import Executor, executor_of
 from async_tnt.archive.job import Task, job_of, task_of
 from async_tnt.archive.records import evaluate_recording
-from async_tnt.checking.timing import machine
 from async_tnt.engines import choose_engine
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.labelled_recordings import find_recordings
+from experiments.bench_timing import machine
 from experiments.script_options import complain, exit_with, script_parser, write_outputs
 
 QUICK = 40  # recordings

@@ -19,9 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checking.bench_every_event import bench_every_event, in_full
-from async_tnt.checking.interleaved import WorkDiffers
-from async_tnt.checking.timing import interleave, machine, spread, work_clock
 from async_tnt.config import LANDMARKS
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.loading import load_model
@@ -32,6 +29,9 @@ from async_tnt.sources import open_recording
 from async_tnt.sources.sensor import format_size
 from async_tnt.views.figure_style import GREY, OFF, ON, PALE, axes_at, headline, new_figure, note
 from async_tnt.volume import TNTVolume
+from experiments.bench_every_event import bench_every_event, in_full
+from experiments.bench_interleaved import WorkDiffers
+from experiments.bench_timing import interleave, machine, spread, work_clock
 from experiments.made_objects import SENSOR, write
 from experiments.script_options import exit_with, run_script, script_parser, write_outputs
 from experiments.table_numbers import cell, summary

@@ -19,14 +19,14 @@ if __name__ == "__main__":  # before any library reads them
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", RAYON_NUM_THREADS="1")
 
 from async_tnt import load_model, warmup
-from async_tnt.checking import backends
-from async_tnt.checking.bench_every_event import bench_every_event
-from async_tnt.checking.bench_network import bench_network
-from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
-from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
 from async_tnt.progress import Bar, progress
+from experiments import bench_backends as backends
 from experiments import measure_end_to_end as end_to_end
 from experiments import measure_starts as starts
+from experiments.bench_every_event import bench_every_event
+from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
+from experiments.bench_network import bench_network
+from experiments.bench_timing import is_installed, machine, machine_text, one_thread, quartiles
 from experiments.draw_decisions import draw_decisions
 from experiments.measure_noise import bench_on_noise, fastest
 from experiments.measure_singles import bench_singles

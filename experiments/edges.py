@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checking.timing import machine
 from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.progress import progress
 from async_tnt.simulation.mnist import load_mnist
@@ -26,6 +25,7 @@ from async_tnt.simulation.saccades import segment
 from async_tnt.simulation.scene import render
 from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist
+from experiments.bench_timing import machine
 from experiments.comparison import recordings_by_image
 from experiments.script_options import exit_with, script_parser, write_outputs
 

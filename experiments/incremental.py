@@ -21,14 +21,14 @@ import torch
 from torch import nn
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, warmup
-from async_tnt.checking import backends
-from async_tnt.checking.bench_every_event import bench_every_event
-from async_tnt.checking.bench_network import bench_network
-from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
-from async_tnt.checking.timing import machine, machine_text, one_thread
 from async_tnt.progress import progress
 from async_tnt.training.networks import conv4, residual, thesis
 from async_tnt.views.figure_style import LARGE, SMALL, TEXT, axes_at, headline, new_figure, write_at
+from experiments import bench_backends as backends
+from experiments.bench_every_event import bench_every_event
+from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
+from experiments.bench_network import bench_network
+from experiments.bench_timing import machine, machine_text, one_thread
 from experiments.draw_decisions import NETWORKS as LOOKS
 from experiments.draw_decisions import draw_lines, lay_axis
 from experiments.measure_touched import bench_touched

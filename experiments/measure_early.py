@@ -17,10 +17,10 @@ import numpy as np
 
 from async_tnt import Decision, LeakyIntegrator, Model, Processor, load_model, warmup
 from async_tnt.archive.executor import run_all
-from async_tnt.checking.moments import made_columns
-from async_tnt.checking.timing import machine
 from async_tnt.events import structured
 from async_tnt.sources.files.recording import open_recording
+from experiments.bench_moments import made_columns
+from experiments.bench_timing import machine
 
 MODEL = "digits"
 N_WINDOWS = 3  # saccades; a few events follow them

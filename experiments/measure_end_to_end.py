@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from async_tnt import Model, Processor
-from async_tnt.checking.backends import ENGINES, Network, missing
-from async_tnt.checking.interleaved import Backend, compare
-from async_tnt.checking.moments import Moment, Moments
-from async_tnt.checking.timing import is_installed
+from experiments.bench_backends import ENGINES, Network, missing
+from experiments.bench_interleaved import Backend, compare
+from experiments.bench_moments import Moment, Moments
+from experiments.bench_timing import is_installed
 
 WORK = {
     "ours": "push(packet), fire(): checks, transform and volume of the new events, what changed of the network, "
@@ -52,12 +52,12 @@ class TorchRebuild:
     def __init__(self, model: Model) -> None:
         import torch
 
-        from async_tnt.checking.torch_batch import TorchBatch
+        from experiments.bench_torch_batch import TorchBatch
 
         self._torch, self._batch = torch, TorchBatch(model.config, model)
 
     def prepare(self, moment: Moment) -> None:
-        from async_tnt.checking.torch_batch import as_tensors
+        from experiments.bench_torch_batch import as_tensors
 
         self._columns = as_tensors(moment.events, moment.start_us)
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Model
-from async_tnt.checking.backends import Network
-from async_tnt.checking.interleaved import Backend, compare
-from async_tnt.checking.moments import Moment
+from experiments.bench_backends import Network
+from experiments.bench_interleaved import Backend, compare
+from experiments.bench_moments import Moment
 
 N_RANDOM = 8  # volumes of random numbers, used in rotation
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt import Model, Processor
-from async_tnt.checking.timing import latency
+from experiments.bench_timing import latency
 
 STRETCH = 2000  # single decisions with, then as many without the collector
 

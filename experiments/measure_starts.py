@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt import Model
-from async_tnt.checking.backends import missing
-from async_tnt.checking.timing import spread
+from experiments.bench_backends import missing
+from experiments.bench_timing import spread
 
 WORK = {
     "ours_cold": "ours, with an empty NUMBA_CACHE_DIR: everything is compiled",

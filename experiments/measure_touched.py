@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from async_tnt import CompiledClassifier, Model
-from async_tnt.checking.bench_network import Feed
-from async_tnt.checking.moments import NEW_EVENTS, Moments
+from experiments.bench_moments import NEW_EVENTS, Moments
+from experiments.bench_network import Feed
 
 
 def bench_touched(model: Model, windows: list[np.ndarray], *, moments: int) -> dict[str, Any]:

@@ -16,9 +16,9 @@ import time
 import numpy as np
 
 from async_tnt import Processor, load_model, warmup
-from async_tnt.checking.moments import made_columns
-from async_tnt.checking.timing import machine
 from async_tnt.events import structured
+from experiments.bench_moments import made_columns
+from experiments.bench_timing import machine
 from experiments.script_options import exit_with, plain_parser
 
 MODEL = "digits"

@@ -32,11 +32,11 @@ from typing import Any
 import numpy as np
 
 from async_tnt import EVENT_DTYPE, Processor, load_model, warmup
-from async_tnt.checking.timing import latency, machine
 from async_tnt.sources.background_reader import BackgroundReader
 from async_tnt.sources.playback import wait_until
 from async_tnt.sources.udp import UdpSource
 from async_tnt.sources.udp_sender import UdpSender
+from experiments.bench_timing import latency, machine
 from experiments.script_options import exit_with, plain_parser
 
 EVERY_US = 5_000

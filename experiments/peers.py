@@ -19,9 +19,10 @@ if __name__ == "__main__":  # before any library reads them
 import numpy as np
 
 from async_tnt import TNTConfig, TNTVolume, warmup
-from async_tnt.checking.bench_volumes import GRIDS
-from async_tnt.checking.moments import made_columns
-from async_tnt.checking.timing import (
+from async_tnt.events import structured
+from async_tnt.progress import progress
+from experiments.bench_moments import made_columns
+from experiments.bench_timing import (
     interleave,
     is_installed,
     machine,
@@ -31,8 +32,7 @@ from async_tnt.checking.timing import (
     spread,
     work_clock,
 )
-from async_tnt.events import structured
-from async_tnt.progress import progress
+from experiments.bench_volumes import GRIDS
 from experiments.script_options import exit_with, script_parser, write_outputs
 
 BINS = 9
@@ -50,7 +50,7 @@ WORK = {
     "tonic": "transforms.ToVoxelGrid: 2 cells an event, whole pixels, no transform, float64",
     "dsec_torch": "the method of DSEC's VoxelGrid: 8 cells an event, each a mask and a put_, no transform; "
     "tensors made beforehand",
-    "torch_scatter": "TNT, 8 cells, one scatter_add_ (async_tnt.checking.torch_batch): the work of ours_fresh; tensors "
+    "torch_scatter": "TNT, 8 cells, one scatter_add_ (experiments.bench_torch_batch): the work of ours_fresh; tensors "
     "made beforehand",
 }
 PACKAGES = {
@@ -140,7 +140,7 @@ def tonic_cases(grid: tuple[int, int], packets: list[np.ndarray]) -> dict[str, C
 def torch_cases(grid: tuple[int, int], packets: list[np.ndarray], window_us: int) -> dict[str, Case]:
     import torch
 
-    from async_tnt.checking.torch_batch import TorchBatch, as_tensors
+    from experiments.bench_torch_batch import TorchBatch, as_tensors
 
     batch = TorchBatch(TNTConfig(sensor=grid, grid=grid, bins=BINS, window_us=window_us))
     tensors = [as_tensors(packet, 0) for packet in packets]

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from async_tnt.checking.interleaved import WorkDiffers
 from async_tnt.checks import printable
 from async_tnt.files import check_writable, write_text
 from async_tnt.views.figure_style import check_picture, save, styled
+from experiments.bench_interleaved import WorkDiffers
 
 
 def writable_file(text: str) -> Path:

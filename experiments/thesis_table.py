@@ -6,11 +6,12 @@ import argparse
 import json
 import time
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from async_tnt.checking.timing import machine
 from async_tnt.checks import needs_extra
+from async_tnt.cli.bench import machine
 from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder
 from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.cli.output import note, say
@@ -196,7 +197,7 @@ def main(argv: list[str] | None = None) -> int:
         },
         "settings": {"batch": args.batch, "precision": args.precision},
         "seeds": list(dict.fromkeys(run.seed for run in runs)),
-        "machine": machine("torch"),
+        "machine": machine() | {"torch": version("torch")},
         "table": table,
         "differences": differences(table),
         "validation": {Run(r["row"], r["trained_on"], r["seed"]).name: r["validation"] for r in results},

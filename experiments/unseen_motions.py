@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checking.timing import machine
 from async_tnt.progress import progress
+from experiments.bench_timing import machine
 from experiments.made_objects import CLASSES, SENSOR, WINDOW_US, write
 from experiments.script_options import exit_with, script_parser, write_outputs
 

@@ -1,1 +1,1 @@
-"""Stream against batch: whether both agree (`async-tnt check`), and what they cost (`async-tnt bench`)."""
+"""Whether the stream agrees with the batch reference (`async-tnt check`), and exported networks with ours."""

@@ -1,215 +1,189 @@
-"""The command `async-tnt bench`."""
+"""The command `async-tnt bench`: what an event and a decision cost on this machine."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import platform
+import time
 from collections.abc import Iterator
 from typing import Any
 
+import numba
 import numpy as np
 
-from async_tnt.checking.backends import ENGINES, dense_networks, left_out
-from async_tnt.checking.bench_every_event import bench_every_event
-from async_tnt.checking.bench_latency import bench_latency, bench_stream
-from async_tnt.checking.bench_network import bench_network
-from async_tnt.checking.bench_volumes import GRIDS, PACKETS, bench_volume
-from async_tnt.checking.interleaved import WorkDiffers
-from async_tnt.checking.moments import NEW_EVENTS, bench_recordings, windows_of
-from async_tnt.checking.timing import is_installed, machine, machine_text, one_thread, quartiles
-from async_tnt.cli.output import note, say
+from async_tnt.cli.output import say
 from async_tnt.compile_ahead import warmup
-from async_tnt.config import LANDMARKS, UNTRANSFORMED
+from async_tnt.config import TNTConfig
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
-from async_tnt.progress import Bar, progress
+from async_tnt.processor import Processor
+from async_tnt.progress import progress
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.version import __version__
+from async_tnt.volume import TNTVolume
 
 DESCRIPTION = """\
-Measure, on this machine: how long TNTVolume takes for an event, how long a Processor with its network takes,
-and the latency from the last event to the decision. If torch is installed, the same decisions are also made in
-batches (the window's whole volume again, then torch's network), in the same run, interleaved with ours; both are
-first checked to give the same volumes and the same classes.
+Measure on this machine, warm and on one thread, what an event costs in the volume, how long a decision takes some
+events after the one before, and how many decisions a second follow from one after every event. Events come from the
+bundled recordings, or at random if the model is for another sensor. A quiet machine gives narrow quartiles.
 
-Then the network alone, 1 to 1300 events after the previous decision (ours computes what has changed), and a
-Processor that decides after every event, compared with onnxruntime, OpenVINO and torch if they are installed and
-give the same logits. See also docs/results.md.
-
-One thread. Events are made by a seeded generator; decisions are measured on bundled recordings.
+  async-tnt bench                               the bundled model digits
+  async-tnt bench --model mine.safetensors --json
 """
-EPILOG = """\
-examples:
-  async-tnt bench                     a minute or less; a quiet machine gives narrow quartiles
-  async-tnt bench --quick --json      a few seconds, for scripts
-  async-tnt bench --landmark line     another landmark
-"""
-NO_TORCH = "torch is not installed: only our own times (pip install 'async_tnt[reference]' for batch processing)"
-PACKAGES = ("torch", "onnxruntime", "openvino")
-SIZES: dict[str, tuple[Any, Any]] = {  # name: in full, with --quick
-    "rounds": (31, 5),
-    "moments": (1000, 120),
-    "blocks": (10, 2),
-    "decisions_a_block": (50, 10),
-    "recordings": (3, 1),
-    "events": (None, 300),
-}
+NEW_EVENTS = (1, 100, 1300)
+PACKET = 1000  # events
+COUNTS = {"rounds": (50, 3), "moments": (50, 5), "events": (2000, 300)}  # in full, with --quick; the last two of each
+# recording
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `async-tnt bench` to its parser."""
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument(
-        "--landmark",
-        choices=[name for name in LANDMARKS if name != "regressor"],  # which needs a trained network
-        default="running",
-        help="landmark of the volumes that are timed alone (default: running)",
+        "--model", metavar="NAME|FILE", default="digits", help="a bundled model or a file (default: %(default)s)"
     )
-    parser.add_argument(
-        "--model",
-        metavar="NAME|FILE",
-        default="digits",
-        help="network for the decisions (default: the bundled %(default)s)",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated events (default: 0)")
-    parser.add_argument("--quick", action="store_true", help="fewer events and rounds: seconds, wider quartiles")
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    parser.add_argument("--quick", action="store_true", help="fewer repetitions: seconds, wider quartiles")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def main(args: argparse.Namespace) -> int:
-    """Run `async-tnt bench`. Returns 0; 1 if stream and batch do not agree."""
     model = load_model(args.model)
-    _check_model(model)
-    with_torch = is_installed("torch", "tnt_reference")
-    try:
-        with progress(len(GRIDS) + len(NEW_EVENTS) + 4, "compiling") as bar, one_thread(with_torch):
-            warmup(model)
-            report = _measure(args, model, with_torch, bar)
-    except WorkDiffers as error:
-        note(f"async-tnt bench: {error}")
-        return 1
-    say(*([json.dumps(report)] if args.json else table(report)))
+    rounds, moments, n_events = (both[args.quick] for both in COUNTS.values())
+    recordings, origin = _recordings(model.config)
+    with progress(len(NEW_EVENTS) + 2, "compiling") as bar:
+        warmup(model)
+        bar.update(title="events into the volume")
+        report: dict[str, Any] = {"ns_an_event": _spread(_volume_ns(model, recordings, rounds))}
+        bar.update(title="decisions")
+        report["us_a_decision"] = {}
+        for n_new in NEW_EVENTS:
+            report["us_a_decision"][str(n_new)] = _spread(_decision_us(model, recordings, n_new, moments))
+            bar.update()
+        rates = _decisions_a_second(model, [events[:n_events] for events in recordings])
+        report["decisions_a_second"] = _spread(rates)
+    report |= {
+        "machine": machine(),
+        "model": {"name": args.model, "config": model.config.to_dict(), "classes": len(model.classes)},
+        "events_from": origin,
+    }
+    say(*([json.dumps(report)] if args.json else _lines(report)))
     return 0
 
 
-def _check_model(model: Model) -> None:
-    """Refuse what the batch computations beside the stream do not make."""
+def _recordings(config: TNTConfig) -> tuple[list[np.ndarray], str]:
+    """The bundled recordings, or random events in their number; and which of both."""
+    opened = [open_recording(path) for path in sample_recordings().values()]
+    if all(recording.sensor == config.sensor for recording in opened):
+        return [recording.read() for recording in opened], "bundled recordings"
+    rng, made = np.random.default_rng(0), []
+    for recording in opened:
+        events = np.zeros(recording.n_events, EVENT_DTYPE)
+        events["t"] = np.sort(rng.integers(0, recording.duration_us, events.size))
+        for name, end in zip("xyp", (*config.sensor, 2), strict=True):
+            events[name] = rng.integers(0, end, events.size)
+        made.append(events)
+    return made, "random events"
+
+
+def _packets(events: np.ndarray) -> list[np.ndarray]:
+    return [events[first : first + PACKET].copy() for first in range(0, events.size, PACKET)]
+
+
+def _volume_ns(model: Model, recordings: list[np.ndarray], rounds: int) -> Iterator[float]:
+    """Nanoseconds an event, over the first windows of all recordings. Opening a window is not timed."""
     config = model.config
-    if config.representation in UNTRANSFORMED or config.window_events is not None:
-        got = f"representation={config.representation!r}, window_events={config.window_events}"
-        raise ValueError(f"bench compares event volumes of windows of a duration; the model has {got}")
+    volume = TNTVolume(config, regressor=CompiledRegressor(model) if config.needs_regressor else None)
+    windows = []
+    for events in recordings:
+        in_window = events["t"] < events["t"][0] + config.window_us
+        windows.append(_packets(events[in_window][: config.window_events]))
+    for _ in range(rounds):
+        taken_s = 0.0
+        for window in windows:
+            volume.open(int(window[0]["t"][0]))
+            started = time.perf_counter()
+            for packet in window:
+                volume.update(packet)
+            taken_s += time.perf_counter() - started
+        yield 1e9 * taken_s / sum(packet.size for window in windows for packet in window)
 
 
-def _measure(args: argparse.Namespace, model: Model, with_torch: bool, bar: Bar) -> dict[str, Any]:
-    rng = np.random.default_rng(args.seed)
-    sizes = {name: both[args.quick] for name, both in SIZES.items()}
-    rounds = sizes["rounds"]  # many short rounds: another process interrupts few of them
-    volumes = []
-    for grid in GRIDS:
-        bar.update(title=f"volume, {grid[0]} x {grid[1]}")
-        n_events = 13_000 if args.quick else 26_000  # whole packets of every size
-        volumes.append(bench_volume(grid, args.landmark, rng, n_events=n_events, rounds=rounds))
-    recordings = bench_recordings(model.config, args.seed)
-    events = recordings[3]
-    bar.update(title="recording through a Processor")
-    stream = bench_stream(model, events, rounds=rounds, with_torch=with_torch)
-    bar.update(title="latency of decisions")
-    decisions = bench_latency(model, events, moments=sizes["moments"], with_torch=with_torch)
-    windows = [window for r in recordings for window in windows_of(r, model.config.window_us)]
-    networks, of_network = dense_networks(model), {}
-    for n_new in NEW_EVENTS:
-        bar.update(title=f"the network, {n_new} new events")
-        of_network[str(n_new)] = bench_network(
-            model, networks, windows, n_new, blocks=sizes["blocks"], size=sizes["decisions_a_block"]
-        )
-    bar.update(title="a decision after every event")
-    rates = bench_every_event(
-        model, networks, recordings[: sizes["recordings"]], rounds=sizes["recordings"], n_events=sizes["events"]
-    )
+def _decision_us(model: Model, recordings: list[np.ndarray], n_new: int, moments: int) -> Iterator[float]:
+    """Microseconds of `fire`, `n_new` events after a decision, at moments spread over each recording."""
+    processor = Processor(model)
+    for events in recordings:
+        processor.reset()
+        done = 0
+        for at in np.linspace(n_new, events.size, moments).astype(int):
+            if at - n_new >= max(done, 1):
+                processor.push(events[done : at - n_new])
+                processor.fire()
+                processor.push(events[at - n_new : at])
+                started = time.perf_counter()
+                processor.fire()
+                yield 1e6 * (time.perf_counter() - started)
+                done = at
+
+
+def _decisions_a_second(model: Model, recordings: list[np.ndarray]) -> Iterator[float]:
+    """One rate of each recording, pushed in packets."""
+    processor = Processor(model, every_events=1)
+    for events in recordings:
+        processor.reset()
+        packets = _packets(events)
+        started = time.perf_counter()
+        n_decisions = sum(len(processor.push(packet)) for packet in packets)
+        yield n_decisions / (time.perf_counter() - started)
+
+
+def _spread(values: Iterator[float]) -> dict[str, float]:
+    measured = list(values)
+    q1, median, q3 = (float(value) for value in np.percentile(measured, [25, 50, 75]))
+    return {"median": median, "q1": q1, "q3": q3, "n": len(measured)}
+
+
+def machine() -> dict[str, Any]:
+    """What a figure depends on: processor, load, versions."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {
-        "machine": machine(*PACKAGES),
-        "settings": {"quick": args.quick, "seed": args.seed, "threads": 1, "batch": with_torch, **sizes},
-        "model": {"name": args.model, "config": model.config.to_dict(), "classes": len(model.classes)},
-        "volume": volumes,
-        "processor": {"stream": stream, "latency": decisions, "every_event": rates},
-        "network": of_network,
-        "left_out": left_out(),
+        "cpu": _cpu_name(),
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "load_1min": None if load is None else round(load, 2),
+        "python": platform.python_version(),
+        "async_tnt": __version__,
+        "numpy": np.__version__,
+        "numba": numba.__version__,
     }
 
 
-def table(report: dict[str, Any]) -> Iterator[str]:
-    """The report as text."""
-    about, settings = report["machine"], report["settings"]
-    yield machine_text(about, *PACKAGES)
-    yield f"processor time, medians of {settings['rounds']} interleaved rounds, quartiles in brackets"
-    volumes = report["volume"]
-    yield ""
-    yield (
-        f"TNTVolume, landmark {volumes[0]['landmark']}, {volumes[0]['bins']} bins, "
-        f"{volumes[0]['events']:,} events a window: ns per event"
-    )
-    yield f"{'':28}" + "".join(f"{'{} x {}'.format(*v['grid']):>28}" for v in volumes)
-    ways = {"single": "update_one, each event"}
-    ways |= {f"packet_{n}_{form}": f"packets of {n}, {form}" for n in PACKETS for form in ("structured", "columns")}
-    for way, title in ways.items():
-        yield f"{title:28}" + _row([v["ns_per_event"][way] for v in volumes])
-    yield f"{'us to open a window':28}" + _row([v["open_us"] for v in volumes])
-    yield f"{'us to read after 1300':28}" + _row([v["read_us"] for v in volumes])
-    stream, decisions = report["processor"]["stream"], report["processor"]["latency"]
-    config = report["model"]["config"]
-    yield ""
-    yield (
-        f"Processor, model {report['model']['name']} at {config['grid'][0]} x {config['grid'][1]}, "
-        f"landmark {config['landmark']}; a recording of {stream['events']:,} events, "
-        f"{stream['windows']} windows decided"
-    )
-    names = {"single": "push_one, each event", "batch": "batch, torch, a window at once"}
-    for way, figure in stream["ns_per_event"].items():
-        title = names.get(way) or f"packets of {way.split('_')[1]}"
-        yield f"{title + ', ns per event':48}" + _row([figure])
-    yield ""
-    yield f"from the last event to the decision, {decisions['moments']} moments: us by the wall clock, then p99"
-    names = {
-        "stream": "stream: push_one + fire",
-        "push_one": "  push_one",
-        "fire": "  fire",
-        "batch": "batch: window's volume + network, torch",
-        "batch_volume": "  volume",
-        "batch_network": "  network",
-    }
-    for way, figure in decisions["us"].items():
-        yield f"{names[way]:48}" + _row([figure]) + f"   p99 {figure['p99']:.1f}"
-    if settings["batch"]:
-        ratio, worst = decisions["batch_over_stream"], decisions["largest_difference"]
-        yield f"{'batch / stream':48}" + _row([ratio])
-        yield f"checked: the same logits, the same volumes (at most {worst['volume']:.0e} of the largest cell apart)"
-    else:
-        yield NO_TORCH
-    yield from _decisions(report)
+def _cpu_name() -> str:
+    """The processor's model as the system calls it."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            fields = {k.strip(): v.strip() for k, v in (line.split(":", 1) for line in file if line.count(":") == 1)}
+    except OSError:
+        return platform.processor() or platform.machine()
+    name = fields.get("model name", platform.machine())
+    if any(c.isdigit() for c in name):
+        return name
+    # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still identify it
+    return f"{name} (family {fields.get('cpu family', '?')}, model {fields.get('model', '?')})"
 
 
-def _decisions(report: dict[str, Any]) -> Iterator[str]:
-    """The network alone, and a Processor that decides after every event."""
-    rows, size = report["network"], report["settings"]["decisions_a_block"]
-    yield ""
-    yield f"the network alone, each in blocks of {size} decisions: us by the wall clock"
-    yield f"{'new events since the last decision':36}" + "".join(f"{int(n):>26,}" for n in rows)
-    first = next(iter(rows.values()))["in_blocks"]["us"]
-    for name in first:
-        figures = [row["in_blocks"]["us"][name] for row in rows.values()]
-        yield f"{_title(name):36}" + "".join(f"{quartiles(figure):>26}" for figure in figures)
-    worst = max(row[mode]["largest_difference"] for row in rows.values() for mode in row)
-    yield f"checked: the same logits (at most {worst:.0e} apart)"
-    yield ""
-    yield "a decision after every event, recordings in packets: decisions a second, us each"
-    for name, row in report["processor"]["every_event"].items():
-        yield f"{_title(name):36}{row['a_second']:>12,.0f}" + _row([row["us"]])
-    for name, why in report["left_out"].items():
-        yield f"{_title(name)}: {why}"
-
-
-def _title(backend: str) -> str:
-    return "the Processor's own network" if backend == "ours" else ENGINES[backend].title
-
-
-def _row(figures: list[dict[str, float]]) -> str:
-    return "".join(f"{quartiles(figure):>28}" for figure in figures)
+def _lines(report: dict[str, Any]) -> Iterator[str]:
+    about, config = report["machine"], report["model"]["config"]
+    versions = ", ".join(f"{name} {about[name]}" for name in ("python", "async_tnt", "numpy", "numba"))
+    yield f"{about['cpu']}, {about['cores']} cores, load {about['load_1min']}; {versions}"
+    sensor, landmark = "{} x {}".format(*config["sensor"]), config["landmark"]
+    yield f"model {report['model']['name']}: {sensor} pixels, landmark {landmark}; {report['events_from']}"
+    yield f"{'':44}{'median':>10}  quartiles"
+    rows = {"ns an event into the volume": report["ns_an_event"]}
+    for n_new, figure in report["us_a_decision"].items():
+        rows[f"us a decision, {int(n_new):,} new event{'s' if n_new != '1' else ''}"] = figure
+    rows["decisions a second, one after every event"] = report["decisions_a_second"]
+    for title, figure in rows.items():
+        digits = 0 if figure["median"] >= 1000 else 1
+        yield f"{title:44}{figure['median']:>10,.{digits}f}  {figure['q1']:,.{digits}f} to {figure['q3']:,.{digits}f}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from async_tnt.checks import needs_extra
 from async_tnt.cli.options import positive_int, size_of
@@ -17,70 +16,41 @@ from async_tnt.networks.model import Model
 from async_tnt.sources.files.formats import READERS
 from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
-from async_tnt.views.figure_events import draw_events
-from async_tnt.views.figure_heatmap import draw_heatmap
-from async_tnt.views.figure_motions import draw_motions
 from async_tnt.views.figure_overview import draw_overview
-from async_tnt.views.figure_pipeline import draw_pipeline
-from async_tnt.views.figure_probabilities import draw_probabilities
-from async_tnt.views.figure_slices import draw_slices
 from async_tnt.views.figure_style import FORMATS, save, styled
 from async_tnt.views.figure_subject import Subject
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-FIGURES = {
-    "overview": "a window's events and volumes, and the class probabilities, on one page",
-    "events": "a window's events in space-time: raw (x, y, t) and transformed (u, v, t)",
-    "slices": "the bins of a window's raw and transformed volume as pictures",
-    "probabilities": "the probability of each class during the recording",
-    "motions": "one digit under two motions, two windows or two files: raw against transformed",
-    "heatmap": "what a landmark network looks at while a window's events arrive (a model with landmark regressor)",
-    "pipeline": "recording, raw events, landmark, transformed events, volume, network, probabilities",
-}
 VOLUME_OPTIONS = ("landmark", "t_max", "polarity", "remove_flow", "bins", "window_us", "grid")
-DRAWN_FREELY = ("overview", "events", "slices", "motions")  # the other figures draw what the model's network sees
-USED_BY = {option: DRAWN_FREELY for option in VOLUME_OPTIONS} | {
-    "window": ("overview", "events", "slices", "heatmap", "pipeline"),
-    "windows": ("motions",),
-    "slices": ("overview", "slices", "motions"),
-    "every_us": ("overview", "probabilities"),
-}
 DEFAULT_MODEL = "digits"
 DEFAULT_SAMPLE = 3
 
-_LIST = "\n".join(f"  {name:<14} {words}" for name, words in FIGURES.items())
-DESCRIPTION = f"""Draw what happens to the events of a recording, as PNG, SVG or PDF.
-
-{_LIST}
+DESCRIPTION = """Draw what happens to the events of a recording, on one page, as PNG, SVG or PDF: a window's events in
+space-time, raw and transformed, the bins of both volumes, and the probability of each class during the recording.
 
 Events and volumes are drawn as the model makes them, or by the options. Decisions always use the model's own
 volume: a network only knows the kind of volume that it was trained on.
 
-  async-tnt plot                                         overview of a bundled recording of a 3
-  async-tnt plot 8 --figure pipeline --out eight.svg     of the bundled 8
-  async-tnt plot --figure motions --windows 1 2          two saccades of one recording
-  async-tnt plot right.npy down.npy --figure motions     two recordings
-  async-tnt plot my.npz --figure events --landmark line --remove-flow --t-max 2
+  async-tnt plot                                         a bundled recording of a 3
+  async-tnt plot 8 --window 2 --out eight.svg            the second window of the bundled 8
+  async-tnt plot my.npz --landmark line --remove-flow --t-max 2
+
+async-tnt train and async-tnt evaluate draw confusion matrices, and train what motion re-synthesis makes of a window.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "files",
-        nargs="*",
+        "file",
+        nargs="?",
         metavar="FILE",
-        type=str,
-        help=f"recording ({', '.join(sorted(READERS))}), or the digit of a bundled one (default: {DEFAULT_SAMPLE}); "
-        "two of them for --figure motions",
+        default=str(DEFAULT_SAMPLE),
+        help=f"recording ({', '.join(sorted(READERS))}), or the digit of a bundled one (default: %(default)s)",
     )
-    parser.add_argument("--figure", choices=tuple(FIGURES), default="overview", help="default: %(default)s")
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
-        help=f"{', '.join(FORMATS)} (default: <recording>-<figure>.png in the current folder)",
+        help=f"{', '.join(FORMATS)} (default: <recording>.png in the current folder)",
     )
     parser.add_argument(
         "--model",
@@ -90,14 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     what = parser.add_argument_group("what is drawn")
     what.add_argument(
-        "--window", type=positive_int, metavar="K", help="the window, counted from 1; for all but motions (default: 1)"
-    )
-    what.add_argument(
-        "--windows",
-        type=positive_int,
-        nargs=2,
-        metavar=("K", "K"),
-        help="the two windows of --figure motions (default: 1 2; of two files: the first of each)",
+        "--window", type=positive_int, default=1, metavar="K", help="the window, counted from 1 (default: 1)"
     )
     what.add_argument("--start-us", type=int, metavar="US", help="start of the first window (default: the first event)")
     what.add_argument("--slices", type=int, nargs="+", metavar="B", help="bins to draw, counted from 0 (default: all)")
@@ -130,21 +93,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     with needs_extra("plot", "plot draws with matplotlib"):
         import matplotlib  # noqa: F401
-    _check_options(args)
-    paths = _paths(args)
-    out = args.out or Path("-".join(path.stem for path in paths) + f"-{args.figure}.png")
+    path = _path(args.file)
+    out = args.out or Path(f"{path.stem}.png")
     check_writable(out, FORMATS)
-    subjects = [subject_of(path, args) for path in paths]
+    subject = subject_of(path, args)
     with styled():
-        figure = _draw(subjects, args)
+        figure = draw_overview(subject, args.window, args.slices, args.every_us)
         save(figure, out, args.dpi)
     width, height = figure.get_size_inches()
     size = f"{width:g} x {height:.1f} inches"
     if out.suffix.lower() == ".png":
         size = f"{int(width * args.dpi)} x {int(height * args.dpi)} pixels"
-    if args.figure == "overview" and subjects[0].model is None:
-        sensor = format_size(subjects[0].config.sensor)
-        complain(f"{paths[0]}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
+    if subject.model is None:
+        sensor = format_size(subject.config.sensor)
+        complain(f"{path}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
     say(f"{out} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
     return 0
 
@@ -163,9 +125,8 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     sensor = _sensor(recording, args, trained)
     config = trained.config
     if sensor != config.sensor:
-        if args.model is not None or args.figure not in DRAWN_FREELY:
-            advice = "" if args.model else f"; give another --model than {DEFAULT_MODEL}"
-            check_sensor(path, sensor, config.sensor, advice=advice)
+        if args.model is not None:
+            check_sensor(path, sensor, config.sensor, advice="")
         model, config = None, config.replace(sensor=sensor, grid=sensor)
     config = _configured(config, args)
     try:
@@ -177,25 +138,10 @@ def subject_of(path: Path, args: argparse.Namespace) -> Subject:
     return Subject(path.name, events, config, model, args.model or DEFAULT_MODEL, args.start_us)
 
 
-def _paths(args: argparse.Namespace) -> list[Path]:
+def _path(name: str) -> Path:
     samples = sample_recordings()
-    paths = []
-    for name in args.files or [str(DEFAULT_SAMPLE)]:
-        is_digit = name.isdigit() and int(name) in samples and not Path(name).exists()
-        paths.append(samples[int(name)] if is_digit else Path(name))
-    most = 2 if args.figure == "motions" else 1
-    if len(paths) > most:
-        raise ValueError(f"--figure {args.figure} draws {most} recording{'s' * (most > 1)}, got {len(paths)}")
-    return paths
-
-
-def _check_options(args: argparse.Namespace) -> None:
-    """Refuse options that the figure would silently ignore."""
-    for option, figures in USED_BY.items():
-        if getattr(args, option) is not None and args.figure not in figures:
-            raise ValueError(
-                f"--{option.replace('_', '-')} has no effect on --figure {args.figure}, only on {', '.join(figures)}"
-            )
+    is_digit = name.isdigit() and int(name) in samples and not Path(name).exists()
+    return samples[int(name)] if is_digit else Path(name)
 
 
 def _sensor(recording: Recording, args: argparse.Namespace, model: Model) -> tuple[int, int]:
@@ -223,30 +169,9 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
         raise ValueError(f"{args.model}: windows of a duration can be drawn, but not of {config.window_events} events")
     if config.representation in UNTRANSFORMED:
         raise ValueError(f"{args.model}: event volumes and counts can be drawn, but not {config.representation}")
-    if args.figure in DRAWN_FREELY and config.transform == "none":
+    if config.transform == "none":
         changes["transform"] = "tnt"
     return config.replace(**changes)
-
-
-def _draw(subjects: list[Subject], args: argparse.Namespace) -> Figure:
-    first, last = subjects[0], subjects[-1]
-    number = args.window or 1
-    match args.figure:
-        case "motions":
-            numbers = args.windows or ((1, 2) if first is last else (1, 1))
-            return draw_motions(first.window(numbers[0]), last.window(numbers[1]), args.slices)
-        case "events":
-            return draw_events(first, number)
-        case "slices":
-            return draw_slices(first, number, args.slices)
-        case "probabilities":
-            return draw_probabilities(first, args.every_us)
-        case "heatmap":
-            return draw_heatmap(first, number)
-        case "pipeline":
-            return draw_pipeline(first, number)
-        case _:
-            return draw_overview(first, number, args.slices, args.every_us)
 
 
 def _dpi(text: str) -> int:

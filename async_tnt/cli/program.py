@@ -20,7 +20,7 @@ COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(a
     "run": ("async_tnt.cli.run", "stream recordings through a model and print its decisions"),
     "export": ("async_tnt.cli.export", "write a model's networks to ONNX files, checked (extra: onnx)"),
     "check": ("async_tnt.cli.check", "prove on recordings that the stream equals the batch reference"),
-    "bench": ("async_tnt.cli.bench", "measure time per event and time to decision, compared with batch processing"),
+    "bench": ("async_tnt.cli.bench", "measure what an event and a decision cost on this machine"),
     "train": ("async_tnt.cli.train", "train a model on recordings (extra: train)"),
     "evaluate": ("async_tnt.cli.evaluate", "report how well a model classifies a folder of held-out recordings"),
     "mask": ("async_tnt.cli.mask", "find the hot pixels of recordings, which PixelFilter leaves out"),

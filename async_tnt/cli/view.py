@@ -20,11 +20,10 @@ from async_tnt.progress import progress
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selector import PixelSelector
 from async_tnt.sources.playback import replay
-from async_tnt.views.rerun_sinks import SUFFIXES, import_rerun
-from async_tnt.views.rerun_view import RerunView
+from async_tnt.views.rerun_view import SUFFIXES, RerunView, import_rerun
 
 DESCRIPTION = """Show a stream in the Rerun viewer while it is classified: the events and the landmark, the raw and the
-transformed volume, the probability of each class, the decisions, rates and latencies (extra `view`). The timeline is
+transformed volume, the probability of each class, the decisions and rates (extra `view`). The timeline is
 that of the recording, in microseconds, and can be played, stopped and scrubbed.
 
   async-tnt view a.bin                             start the viewer and play at the recorded speed
@@ -52,7 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--out", type=Path, metavar="FILE.rrd", help="write a file for the viewer instead")
     where.add_argument("--connect", metavar="URL", help="show it in a running viewer: rerun+http://HOST:9876/proxy")
-    where.add_argument("--spawn", action="store_true", help="start the viewer here, or use the running one (default)")
     parser.add_argument(
         "--speed",
         type=positive_number,

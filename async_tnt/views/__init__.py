@@ -4,7 +4,7 @@
         for packet in open_recording("seven.bin"):
             view.push(packet)
 
-Needs the extra `view`. The names of what is logged are in `rerun_layout`. The figures of `async-tnt plot` are in the
+Needs the extra `view`. The names of what is logged are in `rerun_log`. The figures of `async-tnt plot` are in the
 modules `figure_...`.
 """
 

@@ -14,26 +14,15 @@ from async_tnt.views.figure_style import (
     SMALL,
     TEXT,
     axes_at,
-    headline,
-    new_figure,
     polarity_legend,
     write_at,
 )
-from async_tnt.views.figure_subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_subject import Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_DOTS = 12_000  # in a window; more would hide one another
-
-
-def draw_events(subject: Subject, number: int = 1) -> Figure:
-    """One window's events, before and after the transform, side by side."""
-    window = subject.window(number)
-    figure = new_figure(4.9)
-    headline(figure, f"{subject.name}, window {number}")
-    draw_both(figure, window, height=4.2)
-    return figure
 
 
 def draw_both(figure: Figure, window: Window, height: float) -> None:

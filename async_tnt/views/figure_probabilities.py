@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,38 +18,16 @@ from async_tnt.views.figure_style import (
     OFF,
     ON,
     PALE,
-    SMALL,
     TEXT,
-    axes_at,
     few_ticks,
-    new_figure,
     note,
     shortened,
-    write_at,
 )
 from async_tnt.views.figure_subject import Subject
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 EVERY_US = 2_500
 MOST_DECISIONS = 2_000  # unless the user sets the interval
 PACKET = 20_000
-
-
-def draw_probabilities(subject: Subject, every_us: int | None = None) -> Figure:
-    """Probabilities above, the rate of events below."""
-    decisions = decisions_of(subject, every_us)
-    figure = new_figure(4.9)
-    above = axes_at(figure, 0.78, 0.54, 8.63, 2.55)
-    below = axes_at(figure, 0.78, 3.43, 8.63, 0.93)
-    draw_classes(above, subject, decisions)
-    above.tick_params(labelbottom=False)
-    draw_rate(below, subject)
-    below.set_xlim(above.get_xlim())
-    below.set_xlabel(f"{time_label(subject)}; {who_decides(subject, every_us)}", fontsize=SMALL)
-    write_at(figure, 0.21, 0.25, f"{subject.name}: {verdict(subject, decisions)}")
-    return figure
 
 
 def default_every_us(subject: Subject) -> int:
@@ -66,7 +44,7 @@ def decisions_of(subject: Subject, every_us: int | None = None) -> list[Decision
     ValueError : the subject has no model; or no event lies in any window.
     """
     if subject.model is None:
-        raise ValueError(f"{subject.name}: no model to make decisions; give --model")
+        raise ValueError(f"{subject.name}: no model to make decisions")
     every_us = default_every_us(subject) if every_us is None else every_us
     processor = Processor(subject.model, start_us=subject.start_us, every_us=every_us)
     decisions = []

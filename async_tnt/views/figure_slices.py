@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.views.figure_events import transform_words
 from async_tnt.views.figure_style import (
     LARGE,
     OFF,
@@ -19,12 +18,10 @@ from async_tnt.views.figure_style import (
     WIDTH,
     axes_at,
     few_ticks,
-    new_figure,
     one_colour_map,
     polarity_map,
-    write_at,
 )
-from async_tnt.views.figure_subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_subject import Window, shown_evenly
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,19 +42,6 @@ class Layer(NamedTuple):
     """signed, unsigned, ON or OFF."""
 
 
-def draw_slices(subject: Subject, number: int = 1, bins: Sequence[int] | None = None) -> Figure:
-    """All bins, or chosen ones, of one window's raw and transformed volume."""
-    window = subject.window(number)
-    shown = shown_bins(subject.config, bins)
-    figure = new_figure(1.0 + layers_height(subject.config, len(shown)))
-    draw_layers(figure, window, shown, top=0.5)
-    how = f"raw and after TNT ({transform_words(subject.config)})"
-    write_at(figure, 0.21, 0.28, f"{subject.name}, window {number}: event volume, {how}")
-    bottom = figure.get_figheight() - 0.15
-    write_at(figure, LEFT, bottom, caption(subject.config), fontsize=SMALL, color=TEXT, va="baseline")
-    return figure
-
-
 def shown_bins(config: TNTConfig, bins: Sequence[int] | None = None) -> list[int]:
     """The requested bins; else all, or as many as fit, evenly spread.
 
@@ -69,7 +53,7 @@ def shown_bins(config: TNTConfig, bins: Sequence[int] | None = None) -> list[int
         return shown_evenly(config.bins, MOST_SLICES).tolist()
     for k in bins:
         if not 0 <= k < config.bins:
-            raise ValueError(f"--slices must be in [0, {config.bins}), the volume's bins, got {k}")
+            raise ValueError(f"no bin {k}; the volume has bins 0 to {config.bins - 1}")
     return list(bins)
 
 

@@ -1,7 +1,8 @@
-"""StreamLog: what is logged for a picture and for the decisions since the previous one."""
+"""What is logged to Rerun for a picture and for the decisions since the previous one, and the viewer's layout."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -11,17 +12,24 @@ import numpy as np
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
-from async_tnt.views import rerun_layout as layout
-from async_tnt.views.rerun_pictures import bin_sheet, class_colours, event_image, newest_text
 
+TIMELINE = "time"
+"""The recording's own microseconds, as a duration."""
+EVENTS, LANDMARK = "events/image", "events/landmark"
+RAW, TNT = "volumes/raw", "volumes/tnt"
+PROBABILITIES, RATES = "probabilities", "rates"
+CLASS, DECISIONS = "class", "decisions"
+
+# Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is dark
+ON_COLOUR, OFF_COLOUR = (230, 159, 0), (86, 180, 233)
+NOTHING_COLOUR, GAP_COLOUR, WHITE = (18, 20, 24), (70, 74, 80), (255, 255, 255)
+NOTHING, OFF, ON = 0, 1, 2
+"""Cells of an event image."""
 MOST_LINES = 20  # decisions written between two pictures, the newest
 MOST_SERIES = 64  # with more classes, only the probability of the likeliest is drawn
-MOST_TENSOR_BYTES = 1 << 20  # of a volume; a larger one is only written at the ends of windows
-LANDMARK_COLOUR = (255, 255, 255)  # distinct from both polarities and the background
-LANDMARK_RADIUS, CROSS_RADIUS = 4.0, 1.0  # points of the screen
-CROSS_ARM = 0.06  # of the sensor's longer side
-BEGIN_COLOUR = (150, 150, 150)  # the viewer would show lines without a colour in the colours of others
-RATE_COLOURS = ((200, 200, 200), (213, 94, 0))
+MOST_NAMED = 12  # classes in the text, the likeliest
+MOST_SHEET_PIXELS = 1 << 17
+LIVE_SECONDS = 10  # of the plots, where a stream has no end
 
 
 class StreamLog:
@@ -30,7 +38,7 @@ class StreamLog:
     Parameters
     ----------
     rr : the module `rerun`.
-    stream : a `rerun.RecordingStream` whose sink is open.
+    stream : a `rerun.RecordingStream`.
     config : of the processor.
     live : whether the stream may go on for hours.
     """
@@ -44,17 +52,14 @@ class StreamLog:
         """Whether there was any event."""
         self.n_pictures = 0
         self._rr, self._stream, self._config = rr, stream, config
-        self._transformed = config.transform == "tnt"
-        self._channels = ["polarity and bin" if config.polarity == "split" else "bin", "y", "x"]
-        self._classes: tuple[str, ...] | None = None
+        self._classes: tuple[str, ...] = ()
         self._pending: deque[Decision] = deque(maxlen=MOST_LINES)
         self._n_pending = 0
-        self._latencies: list[float] = []
         self._counts = Counts()
-        stream.send_blueprint(layout.blueprint(rr, config.sensor, self._transformed, live))
-        self._write(layout.EVENTS, layout.event_classes(rr), static=True)
-        for where, names in ((layout.RATES, layout.RATE_NAMES), (layout.LATENCY, layout.LATENCY_NAMES)):
-            self._write(where, rr.SeriesLines(names=list(names), colors=list(RATE_COLOURS)), static=True)
+        stream.send_blueprint(_blueprint(rr, config.transform == "tnt", live))
+        colours = [(NOTHING, "no event", NOTHING_COLOUR), (OFF, "OFF (darker)", OFF_COLOUR), (ON, "ON", ON_COLOUR)]
+        self._write(EVENTS, rr.AnnotationContext(colours), static=True)
+        self._write(RATES, rr.SeriesLines(names=["events received / s", "events dropped / s"]), static=True)
 
     def begin(self, first_us: int) -> None:
         """A source's first event."""
@@ -63,25 +68,15 @@ class StreamLog:
         if self.name:
             shift = f", its times moved by {self.offset_us:+,} us" if self.offset_us else ""
             self._set_time(first_us)
-            line = self._rr.TextLog(f"{self.name} begins{shift}", level="DEBUG", color=BEGIN_COLOUR)
-            self._write(layout.DECISIONS, line)
+            self._write(DECISIONS, self._rr.TextLog(f"{self.name} begins{shift}", level="DEBUG"))
 
-    def add(self, decisions: Sequence[Decision], latency_us: float, n_events: int) -> None:
-        """Add the decisions of a packet and their latency."""
+    def add(self, decisions: Sequence[Decision]) -> None:
+        """Add the decisions of a packet."""
         self._pending.extend(decisions)
         self._n_pending += len(decisions)
-        if n_events:
-            self._latencies.append(latency_us)
 
     def write(
-        self,
-        at_us: int,
-        span_us: int,
-        now: Decision,
-        recent: Sequence[np.ndarray],
-        raw: np.ndarray,
-        processor: Processor,
-        whole: bool,
+        self, at_us: int, span_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor
     ) -> None:
         """A picture.
 
@@ -89,113 +84,169 @@ class StreamLog:
         ----------
         at_us, span_us : the moment, and the recorded time since the last picture.
         now : the result of the processor's `fire`.
-        recent : packets for the event image.
-        raw : the raw volume, float32, shape (C, H, W).
-        whole : whether the window is at its end.
+        recent : events for the event image.
+        raw : the volume without the transform, float32, shape (C, H, W).
         """
         rr = self._rr
         self.n_pictures += 1
-        self._set_classes(processor.classes)
+        if processor.classes is not None and processor.classes != self._classes:
+            self._classes = processor.classes
+            names = self._classes if self._is_few else ["likeliest class"]
+            self._write(PROBABILITIES, rr.SeriesLines(names=list(names)), static=True)
         self.write_decisions()
         self._set_time(at_us)
-        packets = np.concatenate(recent) if recent else np.empty(0, [("x", "u2"), ("y", "u2"), ("p", "u1")])
-        self._write(layout.EVENTS, rr.SegmentationImage(event_image(packets, self._config.sensor)))
-        self._write_class(now)
-        if self._transformed:
-            self._write_landmark(processor, now)
-            self._write_volume(layout.TNT_SHEET, layout.TNT_VOLUME, processor.volume(), whole)
-        self._write_volume(layout.RAW_SHEET, layout.RAW_VOLUME, raw, whole)
+        self._write(EVENTS, rr.SegmentationImage(event_image(recent, self._config.sensor)))
+        self._write(RAW, rr.Image(bin_sheet(raw)))
+        if self._config.transform == "tnt":
+            self._write(TNT, rr.Image(bin_sheet(processor.volume())))
+            # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
+            places = [np.add(self._config.to_sensor(*processor.landmark), 0.5)] if now.events else np.empty((0, 2))
+            radius = rr.components.Radius.ui_points(5.0)
+            self._write(LANDMARK, rr.Points2D(places, radii=radius, colors=[WHITE], draw_order=100.0))
+        self._write(CLASS, rr.TextDocument(class_text(now, self._classes), media_type=rr.MediaType.MARKDOWN))
         if now.events:
             self._write_probabilities(now)
-        self._write_numbers(processor.counts, span_us)
-
-    def no_events(self, at_us: int) -> None:
-        """Log that no event arrived between the last picture and this moment."""
-        self._set_time(at_us)
-        self._write(layout.EVENTS, self._rr.SegmentationImage(np.zeros(self._config.sensor[::-1], np.uint8)))
-        self._write(layout.RATES, self._rr.Scalars([0.0, 0.0]))
+        self._write_rates(processor.counts, span_us)
 
     def write_decisions(self) -> None:
         """Those since the last picture, each at its own time."""
         n_left_out = self._n_pending - len(self._pending)
-        for decision in self._pending:
-            self._set_time(decision.time_us)
-            left_out = f" ({n_left_out:,} decisions before it are not shown)" if n_left_out else ""
-            n_left_out = 0
-            self._write(layout.DECISIONS, self._line(decision, left_out))
-            self._write_probabilities(decision)
+        for d in self._pending:
+            span = f"{d.window_start_us / 1e3:,.3f} to {d.time_us / 1e3:,.3f} ms"
+            text = f"{d.label}  {d.probability:.3f}  {d.trigger}: {d.events:,} events, {span}"
+            if n_left_out:
+                text += f" ({n_left_out:,} decisions before it are not shown)"
+                n_left_out = 0
+            self._set_time(d.time_us)
+            self._write(
+                DECISIONS, self._rr.TextLog(text, level="INFO" if d.complete or d.trigger == "end" else "TRACE")
+            )
+            self._write_probabilities(d)
         self._pending.clear()
         self._n_pending = 0
 
-    def _line(self, decision: Decision, left_out: str) -> Any:
-        text = (
-            f"{decision.label}  {decision.probability:.3f}  {decision.trigger}: {decision.events:,} events, "
-            f"{decision.window_start_us / 1e3:,.3f} to {decision.time_us / 1e3:,.3f} ms{left_out}"
-        )
-        closed = decision.complete or decision.trigger == "end"
-        return self._rr.TextLog(text, level="INFO" if closed else "TRACE", color=self._colours[decision.index])
-
-    def _write_class(self, now: Decision) -> None:
-        """The class at this moment: below the event image, and next to it with all probabilities."""
-        rr = self._rr
-        text = newest_text(now, self._classes or ())
-        self._write(layout.NEWEST, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
-        points = rr.Points2D(np.empty((0, 2)))
-        if now.events:
-            width, height = self._config.sensor
-            place = [[width / 2, height]]  # the viewer writes a label below its point
-            label, colour = f"{now.label} {now.probability:.2f}", self._colours[now.index]
-            points = rr.Points2D(place, radii=0.0, colors=[colour], labels=[label], show_labels=True)
-        self._write(layout.CLASS, points)
-
-    def _write_landmark(self, processor: Processor, now: Decision) -> None:
-        """The landmark on the event image, in the sensor's pixels."""
-        rr = self._rr
-        if now.events == 0:
-            self._write(layout.LANDMARK, rr.Points2D(np.empty((0, 2))))
-            self._write(layout.LANDMARK_CROSS, rr.LineStrips2D([]))
-            return
-        x, y = self._config.to_sensor(*processor.landmark)
-        x, y = x + 0.5, y + 0.5  # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
-        arm = CROSS_ARM * max(self._config.sensor)
-        points, look = rr.components.Radius.ui_points, {"colors": [LANDMARK_COLOUR], "draw_order": 100.0}
-        arms = [[[x - arm, y], [x + arm, y]], [[x, y - arm], [x, y + arm]]]
-        self._write(layout.LANDMARK, rr.Points2D([[x, y]], radii=points(LANDMARK_RADIUS), **look))
-        self._write(layout.LANDMARK_CROSS, rr.LineStrips2D(arms, radii=points(CROSS_RADIUS), **look))
-
-    def _write_volume(self, sheet: str, place: str, volume: np.ndarray, whole: bool) -> None:
-        self._write(sheet, self._rr.Image(bin_sheet(volume)))
-        if whole or volume.nbytes <= MOST_TENSOR_BYTES:
-            largest = max(float(np.abs(volume).max()), 1e-6)
-            shown = self._rr.Tensor(volume, dim_names=self._channels, value_range=(-largest, largest))  # 0 is grey
-            self._write(place, shown)
+    @property
+    def _is_few(self) -> bool:
+        return 1 < len(self._classes) <= MOST_SERIES
 
     def _write_probabilities(self, decision: Decision) -> None:
-        shown = decision.probabilities if len(self._series) > 1 else [decision.probability]
-        self._write(layout.PROBABILITIES, self._rr.Scalars(shown))
+        shown = decision.probabilities if self._is_few else [decision.probability]
+        self._write(PROBABILITIES, self._rr.Scalars(shown))
 
-    def _write_numbers(self, counts: Counts, span_us: int) -> None:
+    def _write_rates(self, counts: Counts, span_us: int) -> None:
         received = counts.received - self._counts.received
         dropped = received - (counts.kept - self._counts.kept)
         self._counts = counts
         per_s = 1e6 / max(span_us, 1)
-        self._write(layout.RATES, self._rr.Scalars([received * per_s, dropped * per_s]))
-        if self._latencies:
-            self._write(layout.LATENCY, self._rr.Scalars([np.mean(self._latencies), max(self._latencies)]))
-        self._latencies = []
-
-    def _set_classes(self, classes: tuple[str, ...] | None) -> None:
-        """Names and colours of the series, once they are known."""
-        if classes is None or classes == self._classes:
-            return
-        self._classes = classes
-        self._colours = class_colours(len(classes))
-        self._series = list(classes) if 1 < len(classes) <= MOST_SERIES else ["likeliest class"]
-        style = self._rr.SeriesLines(names=self._series, colors=self._colours[: len(self._series)])
-        self._write(layout.PROBABILITIES, style, static=True)
+        self._write(RATES, self._rr.Scalars([received * per_s, dropped * per_s]))
 
     def _set_time(self, t_us: int) -> None:
-        self._stream.set_time(layout.TIMELINE, duration=np.timedelta64(t_us + self.offset_us, "us"))
+        self._stream.set_time(TIMELINE, duration=np.timedelta64(t_us + self.offset_us, "us"))
 
     def _write(self, entity: str, what: Any, static: bool = False) -> None:
         self._stream.log(entity, what, static=static)
+
+
+def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:
+    """The initial layout: pictures and class at the top, plots and the log of decisions below.
+
+    transformed : whether there are a TNT volume and a landmark.
+    live : the plots show the last seconds only.
+    """
+    b = rr.blueprint
+    pictures = [
+        b.Spatial2DView(origin="events", name="Events and landmark" if transformed else "Events"),
+        b.Spatial2DView(origin=RAW, name="Raw volume, all bins"),
+    ]
+    if transformed:
+        pictures.append(b.Spatial2DView(origin=TNT, name="TNT volume, all bins"))
+    plotted: dict[str, Any] = {}
+    if live:
+        begins = rr.TimeRangeBoundary.cursor_relative(seconds=-LIVE_SECONDS)
+        ends = rr.TimeRangeBoundary.cursor_relative()
+        plotted["time_ranges"] = [rr.VisibleTimeRange(TIMELINE, start=begins, end=ends)]
+    plots = b.Tabs(
+        b.TimeSeriesView(origin=PROBABILITIES, name="Probabilities", **plotted),
+        b.TimeSeriesView(origin=RATES, name="Rates", **plotted),
+        active_tab=0,
+    )
+    top = b.Horizontal(*pictures, b.TextDocumentView(origin=CLASS, name="Class now"))
+    below = b.Horizontal(plots, b.TextLogView(origin=DECISIONS, name="Decisions"))
+    return b.Blueprint(b.Vertical(top, below, row_shares=[5, 4]), collapse_panels=True)
+
+
+def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
+    """Which polarity each pixel's newest event had.
+
+    Parameters
+    ----------
+    events : structured array with x, y, p; checked, in order of arrival.
+    sensor : (width, height) in pixels.
+
+    Returns
+    -------
+    uint8, shape (height, width), indexed [y, x]: NOTHING, OFF or ON.
+    """
+    image = np.zeros((sensor[1], sensor[0]), np.uint8)
+    image[events["y"], events["x"]] = OFF + events["p"]  # of several at one pixel NumPy keeps the last
+    return image
+
+
+def bin_sheet(volume: np.ndarray, most_pixels: int = MOST_SHEET_PIXELS) -> np.ndarray:
+    """All bins of a volume side by side: row by row, the first one at the top left.
+
+    The colour shows the sign (ON positive, OFF negative), its brightness the square root of the value relative to the
+    largest one in the volume: single events stay visible next to many.
+
+    Parameters
+    ----------
+    volume : float32, shape (C, H, W).
+    most_pixels : of the sheet, gaps not counted. A larger volume is reduced by a whole number, each of its blocks of
+        cells shown by the largest value in it.
+
+    Returns
+    -------
+    uint8, shape (height, width, 3): RGB.
+    """
+    bins = _reduced(volume, math.ceil(math.sqrt(volume.size / most_pixels)))
+    channels, height, width = bins.shape
+    columns = math.ceil(math.sqrt(channels))
+    rows = -(-channels // columns)
+    level = np.sqrt(np.abs(bins) / max(float(np.abs(bins).max()), 1e-9))[..., None]
+    colours = np.where(bins[..., None] > 0, ON_COLOUR, OFF_COLOUR)
+    coloured = np.rint(NOTHING_COLOUR + level * (colours - np.array(NOTHING_COLOUR)))
+    sheet = np.full((rows * (height + 1) - 1, columns * (width + 1) - 1, 3), GAP_COLOUR, np.uint8)
+    for k in range(channels):
+        top, left = k // columns * (height + 1), k % columns * (width + 1)
+        sheet[top : top + height, left : left + width] = coloured[k]
+    return sheet
+
+
+def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
+    """Each block of factor x factor cells as the one of the largest magnitude, with its sign."""
+    if factor <= 1:
+        return volume
+    _, height, width = volume.shape
+    rows, columns = -(-height // factor), -(-width // factor)
+    padded = np.pad(volume, ((0, 0), (0, rows * factor - height), (0, columns * factor - width)))
+    largest = padded[:, ::factor, ::factor].copy()
+    for k in range(1, factor * factor):  # every k-th cell of all blocks at once: many times faster than block by block
+        cells = padded[:, k // factor :: factor, k % factor :: factor]
+        np.copyto(largest, cells, where=np.abs(cells) > np.abs(largest))
+    return largest
+
+
+def class_text(now: Decision, classes: Sequence[str]) -> str:
+    """Markdown: the class of the open window at this moment, and the likeliest classes."""
+    if now.events == 0:
+        return "# no event\n\nThe window has no event yet."
+    length_ms = (now.time_us - now.window_start_us) / 1e3
+    likeliest = np.argsort(-now.probabilities, kind="stable")[:MOST_NAMED]
+    rows = "\n".join(f"| {_plain(classes[k])} | {now.probabilities[k]:.3f} |" for k in likeliest)
+    about = f"with probability {now.probability:.3f}, from {now.events:,} events in {length_ms:,.1f} ms"
+    return f"# {_plain(now.label)}\n\n{about}\n\n| class | probability |\n|---|---|\n{rows}\n"
+
+
+def _plain(text: str) -> str:
+    """Markdown that shows the text itself, on one line."""
+    return "".join(f"\\{c}" if c in r"\`*_{}[]<>()#+-.!|~&$" else c for c in " ".join(text.split()))

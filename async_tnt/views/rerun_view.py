@@ -3,27 +3,42 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import socket
+import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Unpack
+from urllib.parse import urlsplit
 
 import numpy as np
 
+from async_tnt.checks import needs_extra
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
-from async_tnt.events import Late, as_events
+from async_tnt.events import EVENT_DTYPE, as_events
+from async_tnt.files import Replacement, check_writable
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
 from async_tnt.streams import Settings, as_processor
-from async_tnt.views import rerun_layout as layout
 from async_tnt.views.rerun_log import StreamLog
-from async_tnt.views.rerun_sinks import import_rerun, sink_of
 from async_tnt.volume import TNTVolume
 
-CHECK_S = 1.0  # between checks of the sink, which also bound what waits for a slow viewer
+SUFFIXES = (".rrd",)
+DEFAULT_PORT = 9876  # where a Rerun viewer listens
+PATIENCE_S = 5.0  # for a viewer that does not respond
+CHECK_S = 1.0  # between flushes, which report a full disk and bound what waits for a slow viewer
 LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits
+
+
+def import_rerun() -> Any:
+    """The module `rerun`. Raises ImportError if it is not installed."""
+    with needs_extra("view", "views need rerun-sdk"):
+        import rerun
+        import rerun.blueprint
+    return rerun
 
 
 class RerunView:
@@ -31,8 +46,7 @@ class RerunView:
 
     Parameters
     ----------
-    model : a Model, its name or path, a TNTConfig (with `classifier=`), or a Processor that has seen no event yet and
-        whose windows do not overlap.
+    model : a Model, its name or path, a TNTConfig (with `classifier=`), or a Processor that has seen no event yet.
     out : a .rrd file to write; `rerun FILE.rrd` opens it.
     connect : URL of a running viewer, rerun+http://HOST:9876/proxy. Without `out` and `connect`, a viewer is
         started.
@@ -40,7 +54,7 @@ class RerunView:
     most_pictures_per_s : in real time; further ones are skipped, and drawing takes half of the time at most. For
         live streams, whose plots then show the last seconds.
     name : of this recording in the viewer's list; by default a number.
-    settings : keyword arguments of `Processor`, all but `hop_us`.
+    settings : keyword arguments of `Processor`. Of overlapping windows the one that `Processor.fire` names is shown.
 
     Raises
     ------
@@ -61,31 +75,31 @@ class RerunView:
         **settings: Unpack[Settings],
     ) -> None:
         rr = import_rerun()
-        if settings.get("hop_us") is not None:
-            raise ValueError("`hop_us` makes windows overlap; a view shows windows laid end to end")
         if picture_us < 1:
             raise ValueError(f"`picture_us` must be at least 1, got {picture_us}")
         if most_pictures_per_s is not None and not most_pictures_per_s > 0:
             raise ValueError(f"`most_pictures_per_s` must be above 0, got {most_pictures_per_s}")
+        if out is not None and connect is not None:
+            raise ValueError("`out` writes a file and `connect` goes to a viewer: give one of them")
         self.processor = as_processor(model, **settings)
         config = self.processor.config
         if config.window_events is not None:
             raise ValueError(f"windows of a duration can be viewed, but not of {config.window_events} events")
-        self._picture_us = int(picture_us)
-        self._pause_s = 0.0 if most_pictures_per_s is None else 1 / most_pictures_per_s
-        self._untransformed = UntransformedVolume(config, self.processor.late)
-        self._sink = sink_of(None if out is None else Path(out), connect)
-        self._stream = stream = rr.RecordingStream(layout.APPLICATION)
-        self._sink.open(stream)
-        try:
-            if name is not None:
-                stream.send_recording_name(name)
-            self._log = StreamLog(rr, stream, config, live=most_pictures_per_s is not None)
-        except BaseException:
-            self._sink.close(stream, keep=False)
-            raise
         self.n_events = 0
         """Events shown so far."""
+        self._picture_us = int(picture_us)
+        self._pause_s = 0.0 if most_pictures_per_s is None else 1 / most_pictures_per_s
+        raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
+        self._raw = TNTVolume(raw_config, late=self.processor.late)
+        self._stream = rr.RecordingStream("async_tnt")
+        self._file = None if out is None else _save(self._stream, Path(out))
+        if self._file is None:
+            _show(self._stream, connect)
+        viewer = "the Rerun viewer was closed or does not respond"
+        self._trouble = str(out or (f"{connect}: {viewer}" if connect else viewer))
+        if name is not None:
+            self._stream.send_recording_name(name)
+        self._log = StreamLog(rr, self._stream, config, live=most_pictures_per_s is not None)
         self._closed = False
         self._next_check_s = time.perf_counter() + CHECK_S
         self._end_us: int | None = None  # on the timeline: of the sources before
@@ -94,10 +108,8 @@ class RerunView:
     def _forget(self) -> None:
         """Reset what is known of the source."""
         self._origin_us: int | None = None
-        self._due_us = self._newest_us = 0
-        self._unseen: list[np.ndarray] = []  # since the last moment of a picture
-        self._recent: list[np.ndarray] = []  # before it, but still shown
-        self._shown_us = 0
+        self._due_us = self._newest_us = self._shown_us = 0
+        self._recent = [np.empty(0, EVENT_DTYPE)]  # packets, of the open window and of the event image
         self._next_picture_s = 0.0
 
     # -- events in ---------------------------------------------------------------------------------------
@@ -109,7 +121,6 @@ class RerunView:
         """
         self.finish()
         self.processor.reset()
-        self._untransformed.reset()
         self._forget()
         self._log.name = name
 
@@ -118,8 +129,7 @@ class RerunView:
 
         Raises
         ------
-        ValueError, TypeError : the packet is invalid; none of it was used. Also if the view cannot follow the
-            processor, see `UntransformedVolume`.
+        ValueError, TypeError : the packet is invalid; none of it was used.
         """
         packet = as_events(events, self.processor.config.sensor)
         if len(packet) == 0:
@@ -134,9 +144,15 @@ class RerunView:
         first = 0
         while first < len(packet):
             if newest[first] >= self._due_us:
-                self._draw_due(int(newest[first]))
+                self._picture(self._due_us)
+                self._due_us = self._after(int(newest[first]))
             last = int(np.searchsorted(newest, self._due_us))
-            self._process(packet[first:last], decisions)
+            part = packet[first:last]
+            new = self.processor.push(part)
+            self._log.add(new)
+            decisions += new
+            self.n_events += len(part)
+            self._recent.append(part)
             self._newest_us = int(newest[last - 1])
             first = last
         return decisions
@@ -145,11 +161,9 @@ class RerunView:
         """End the source: a last picture, and the decision of `Processor.finish` on the open window."""
         if self._origin_us is None:
             return []
-        if self._unseen:
-            self._picture(self._newest_us + 1, last=True)
-        started = time.perf_counter_ns()
+        self._picture(self._newest_us + 1, last=True)
         decisions = self.processor.finish()
-        self._log.add(decisions, (time.perf_counter_ns() - started) / 1e3, 0)
+        self._log.add(decisions)
         self._log.write_decisions()
         self._end_us = self._newest_us + self._log.offset_us
         self._origin_us = None
@@ -166,47 +180,37 @@ class RerunView:
         self._shown_us = first_us
         self._due_us = self._after(first_us)
 
-    def _process(self, packet: np.ndarray, decisions: list[Decision]) -> None:
-        started = time.perf_counter_ns()
-        new = self.processor.push(packet)
-        self._log.add(new, (time.perf_counter_ns() - started) / 1e3, len(packet))
-        decisions += new
-        self.n_events += len(packet)
-        self._unseen.append(packet)
-
     # -- pictures ----------------------------------------------------------------------------------------
 
     def _after(self, t_us: int) -> int:
         assert self._origin_us is not None
         return next_moment(t_us, self._origin_us, self.processor.config.window_us, self._picture_us)
 
-    def _draw_due(self, t_us: int) -> None:
-        """Draw the pictures that are due before the next event at `t_us`; of a long silence, only its beginning."""
-        self._picture(self._due_us)
-        silent_us = self._after(self._due_us)
-        if silent_us <= t_us:
-            self._log.no_events(silent_us)
-        self._due_us = self._after(t_us)
-
     def _picture(self, at_us: int, last: bool = False) -> None:
         """The state just before `at_us`."""
-        assert self._origin_us is not None
-        now = self.processor.fire()
-        raw = self._untransformed.follow(self._unseen, now)
-        oldest_us = at_us - self._picture_us
-        recent = [packet[packet["t"] >= oldest_us] for packet in (*self._recent, *self._unseen)]
-        self._recent, self._unseen = [packet for packet in recent if len(packet)], []
         clock_s = time.perf_counter()
+        now = self.processor.fire()
+        events = np.concatenate(self._recent)
+        image_us = at_us - self._picture_us
+        self._recent = [events[events["t"] >= min(image_us, now.window_start_us)]]
         if clock_s >= self._next_picture_s or last:
-            whole = last or (at_us - self._origin_us) % self.processor.config.window_us == 0
-            self._log.write(at_us, at_us - self._shown_us, now, self._recent, raw, self.processor, whole)
+            raw = self._raw_volume(events, now)
+            self._log.write(at_us, at_us - self._shown_us, now, events[events["t"] >= image_us], raw, self.processor)
             self._shown_us = at_us
             if self._pause_s:
                 took_s = time.perf_counter() - clock_s
                 self._next_picture_s = clock_s + max(self._pause_s, 2 * took_s)
         if clock_s >= self._next_check_s:
-            self._sink.check(self._stream)
+            self._flush()
             self._next_check_s = clock_s + CHECK_S
+
+    def _raw_volume(self, events: np.ndarray, now: Decision) -> np.ndarray:
+        """The open window's volume without the transform: float32, shape (C, H, W), valid until the next call."""
+        self._raw.reset()
+        self._raw.open(now.window_start_us)
+        if now.events:
+            self._raw.update(events[events["t"] >= now.window_start_us])
+        return self._raw.array
 
     @property
     def n_pictures(self) -> int:
@@ -226,7 +230,25 @@ class RerunView:
         try:
             self.finish()
         finally:
-            self._sink.close(self._stream, keep=self._log.has_begun)
+            self._end()
+
+    def _end(self) -> None:
+        try:
+            self._flush()
+            self._stream.disconnect()
+        except OSError as error:
+            if self._file is None:
+                raise
+            raise OSError(f"{error}; what was written before is in {self._file.part}") from None
+        if self._file is not None:
+            if self._log.has_begun:
+                self._file.complete()
+            self._file.discard()
+
+    def _flush(self) -> None:
+        """Wait until all is written that was logged. Raises OSError if it cannot be."""
+        with _as_os_error(self._trouble):
+            self._stream.flush(timeout_sec=PATIENCE_S)
 
     def __enter__(self) -> RerunView:
         return self
@@ -241,54 +263,56 @@ class RerunView:
         self.close()
 
 
-class UntransformedVolume:
-    """A volume without the transform that follows the open window of a processor.
+def _save(stream: Any, path: Path) -> Replacement:
+    """Write to NAME.rrd.part, which gets its name when it is complete."""
+    check_writable(path, SUFFIXES)
+    file = Replacement(path)
+    try:
+        with _as_os_error(path):
+            stream.save(file.part)
+    except OSError:
+        file.discard()
+        raise
+    return file
 
-    Parameters
-    ----------
-    config : the processor's.
-    late : the processor's setting.
-    """
 
-    def __init__(self, config: TNTConfig, late: Late = "accept") -> None:
-        raw = config.replace(transform="none", landmark="center", remove_flow=False)
-        self._volume = TNTVolume(raw, late=late)
+def _show(stream: Any, url: str | None) -> None:
+    """Send to the viewer at a URL, or to one that is started and outlives this program."""
+    if url is None:
+        if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise OSError("no display to open the Rerun viewer on: write a file, or connect to a viewer elsewhere")
+        with _as_os_error("the Rerun viewer cannot be started"):
+            stream.spawn(memory_limit="25%")
+            stream.flush(timeout_sec=PATIENCE_S)
+        return
+    try:
+        parts = urlsplit(url)
+        address = parts.hostname or "", parts.port or DEFAULT_PORT
+    except ValueError:
+        address = "", 0
+    if not address[0] or parts.path != "/proxy":
+        raise ValueError(f"a viewer's URL is rerun+http://HOST:{DEFAULT_PORT}/proxy, got {url}")
+    if not _listens(*address):  # the SDK would wait for seconds
+        raise OSError(f"{url}: no Rerun viewer listens there; `rerun` starts one")
+    with _as_os_error(url):
+        stream.connect_grpc(url)
 
-    def reset(self) -> None:
-        """Start a new stream."""
-        self._volume.reset()
 
-    def follow(self, packets: Iterable[np.ndarray], now: Decision) -> np.ndarray:
-        """Add the events that the processor received since the last call.
+def _listens(host: str, port: int) -> bool:
+    try:
+        socket.create_connection((host, port), timeout=PATIENCE_S).close()
+    except OSError:
+        return False
+    return True
 
-        Parameters
-        ----------
-        packets : structured arrays of events, all of them, in order.
-        now : the result of the processor's `fire` after the last packet, which names the open window. If a decision
-            closed a window early, this is a later one than the events alone imply.
 
-        Returns
-        -------
-        float32, shape (C, H, W), read-only, valid until the next call.
-
-        Raises
-        ------
-        ValueError : the processor's window holds other events.
-        """
-        volume = self._volume
-        if volume.n_events == 0 or volume.start_us != now.window_start_us:
-            volume.open(now.window_start_us)  # earlier events are late from now on
-        for packet in packets:
-            volume.update(packet)
-        if now.events == 0:
-            volume.open(now.window_start_us)
-        if volume.n_events != now.events or volume.start_us != now.window_start_us:
-            raise ValueError(
-                f"the raw volume has {volume.n_events} events from {volume.start_us} us on, the processor's window "
-                f"{now.events} from {now.window_start_us} us on: a view can only follow windows without overlap (no "
-                "`hop_us`) whose events all went through its `push`"
-            )
-        return volume.array
+@contextlib.contextmanager
+def _as_os_error(what: object) -> Iterator[None]:
+    """Turn an error of the SDK (a full disk, a viewer that was closed) into an OSError of one line."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise OSError(f"{what}: {' '.join(str(error).split())}") from None
 
 
 def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:

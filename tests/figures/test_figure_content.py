@@ -5,14 +5,13 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="figures need matplotlib (extra: plot)")
 
-from made import events_of, random_model
+from made import events_of
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.views import figure_events, figure_motions, figure_probabilities, figure_resynthesis, figure_slices
+from async_tnt.views import figure_events, figure_probabilities, figure_resynthesis
 from async_tnt.views.figure_overview import draw_overview
-from async_tnt.views.figure_pipeline import draw_pipeline
-from async_tnt.views.figure_style import OFF, ON
+from async_tnt.views.figure_style import OFF, ON, new_figure
 from async_tnt.views.figure_subject import Subject
 
 DIGITS = async_tnt.load_model("digits")
@@ -36,12 +35,6 @@ def dots(axes):
     colours = np.array(cloud._facecolors)  # in the order of the dots; the getter's is that of the last drawing
     assert {tuple(colour) for colour in colours} == {to_rgba(ON), to_rgba(OFF)}
     return *(np.asarray(column, np.float64) for column in columns), (colours == to_rgba(ON)).all(axis=1)
-
-
-def words(figure):
-    from matplotlib.text import Text
-
-    return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
 
 
 def pictures(axes):
@@ -73,7 +66,9 @@ def test_resynthesis_shows_counts_the_image_and_paths():
 def test_events_are_drawn_where_they_are_and_where_the_transform_puts_them():
     shown = subject(4)
     window = shown.window(3)
-    raw, tnt = figure_events.draw_events(shown, 3).axes
+    figure = new_figure(4.9)
+    figure_events.draw_both(figure, window, height=4.2)
+    raw, tnt = figure.axes
     events, (u, v, kept, _) = window.events, window.coordinates()
     time_ms, on = (events["t"] - window.start_us) / 1e3, events["p"] == 1
     assert_equal(dots(raw), (time_ms, events["x"], events["y"], on))
@@ -85,7 +80,7 @@ def test_slices_are_the_bins_of_the_volumes(polarity):
     shown = subject(5, polarity=polarity, bins=5)
     raw, tnt = shown.window(2).volumes()
     bins = [1, 4, 6, 9] if polarity == "split" else [1, 4]
-    drawn = pictures(figure_slices.draw_slices(shown, 2, [1, 4]).axes)
+    drawn = pictures(draw_overview(shown, 2, [1, 4]).axes)
     assert_equal([cells for cells in drawn if cells.shape == raw[0].shape], [*raw[bins], *tnt[bins]])
     assert np.abs(raw).max() > 1 and np.abs(tnt).max() > 1
 
@@ -94,7 +89,8 @@ def test_slices_are_the_bins_of_the_volumes(polarity):
 def test_probabilities_are_those_of_the_streams_decisions(every_us):
     shown = subject(8)
     decisions = list(async_tnt.stream([sample(8)], "digits", every_us=every_us or figure_probabilities.EVERY_US))
-    axes = figure_probabilities.draw_probabilities(shown, every_us).axes[0]
+    drawn = draw_overview(shown, every_us=every_us).axes
+    (axes,) = [each for each in drawn if each.get_ylabel() == "class probability"]
     ends = np.flatnonzero(np.diff([d.window_start_us for d in decisions]))
     assert len(ends) == 2
     for k in range(10):
@@ -117,45 +113,8 @@ def test_the_verdict_is_that_of_async_tnt_run(program):
     assert printed.splitlines()[-1] == "7.bin: " + answer.replace("“7”, ", "7 (") + ")"
 
 
-def test_two_motions_are_drawn_along_the_axis_in_which_they_differ():
-    shown = subject(3)
-    windows = [shown.window(number) for number in (1, 2)]
-    figure = figure_motions.draw_motions(*windows)
-    assert {"window 1: moving down", "window 2: moving up"} <= set(words(figure))
-    for axes, window in zip((figure.axes[1], figure.axes[11]), windows, strict=True):
-        _, v, kept, _ = window.coordinates()
-        assert_equal(dots(axes), (window.time_ms[kept], v[kept], window.events["p"][kept] == 1))
-    expected = [volume[k] for window in windows for volume in window.volumes() for k in (2, 3, 4, 5)]
-    assert_equal(pictures(figure.axes), expected)
-    with pytest.raises(ValueError, match="one configuration, got sensors of 34x34 pixels and 40x34 pixels"):
-        figure_motions.draw_motions(windows[0], subject(sensor=(40, 34)).window(1))
-
-
-def stacked(axes):
-    return [np.asarray(image.get_array()) for image in sorted(axes.images, key=lambda image: -image.get_zorder())]
-
-
-@pytest.mark.parametrize("changes", [{}, {"landmark": "regressor"}], ids=str)
-def test_the_pipeline_shows_what_the_network_sees_and_decides(changes):
-    model = random_model(async_tnt.TNTConfig(**changes), widths=(5, 6, 7)) if changes else DIGITS
-    shown = Subject("9.bin", sample(9), model.config, model, "mine")
-    window = shown.window(1)
-    figure = draw_pipeline(shown)
-    processor = async_tnt.Processor(model)
-    decision = next(d for d in processor.push(shown.events) if d.trigger == "window")
-    assert f"9.bin, window 1: from events to “{decision.label}”" in words(figure)
-    assert_equal(stacked(figure.axes[-3]), window.volumes()[1])
-    np.testing.assert_array_equal([bar.get_width() for bar in figure.axes[-1].patches], decision.probabilities)
-    *path, cross = figure.axes[2].lines
-    landmarks = window.coordinates().landmark
-    assert_equal(cross.get_xydata(), landmarks[-1:])
-    assert [line.get_xydata()[[0, -1]].tolist() for line in path] == [landmarks[[0, -1]].tolist()] * (not changes)
-
-
 def test_figures_that_need_another_model_are_refused():
     without = Subject("3.bin", sample(), DIGITS.config)
-    with pytest.raises(ValueError, match="drawn with the configuration of model digits"):
-        draw_pipeline(subject(t_max=2.0))
     with pytest.raises(ValueError, match="needs a model with a landmark network, but model digits has none"):
         subject(landmark="regressor")
     with pytest.raises(ValueError, match="but there is no model"):
@@ -178,10 +137,9 @@ def test_odd_recordings_are_drawn(events):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     shown = Subject("odd $x", events, DIGITS.config, DIGITS, "digits")
-    window = shown.window(1)
-    for figure in (draw_overview(shown), draw_pipeline(shown), figure_motions.draw_motions(window, window)):
-        figure.set_dpi(30)
-        FigureCanvasAgg(figure).draw()
+    figure = draw_overview(shown)
+    figure.set_dpi(30)
+    FigureCanvasAgg(figure).draw()
 
 
 def test_windows_are_those_of_the_stream():

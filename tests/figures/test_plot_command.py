@@ -14,8 +14,6 @@ image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib 
 from made import random_events, random_model, random_regressor_model  # noqa: E402
 
 from async_tnt import TNTConfig  # noqa: E402
-from async_tnt.cli.plot import FIGURES  # noqa: E402
-from async_tnt.sources.files.nmnist import write_nmnist  # noqa: E402
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 
@@ -34,62 +32,40 @@ def text_of(svg):
     return " ".join("".join(ElementTree.parse(svg).getroot().itertext()).split())
 
 
-@pytest.mark.parametrize(
-    "figure, labels",
-    {
-        "overview": ["3.bin: “3”, mean", "after TNT (running, t_max 4)", "event volume of window 1", "every 2.5 ms"],
-        "probabilities": ["“3”", "window 3", "class probability", "time in the recording (ms)"],
-        "motions": ["window 1: moving down", "window 2: moving up", "y, after TNT v (px)", "52 ms"],
-        "pipeline": ["landmark: running", "class probabilities", "64 to 10 fully connected"],
-    }.items(),
-)
-def test_every_figure_as_png_and_svg(figure, labels, plot):
-    png = Path(f"3-{figure}.png")
-    code, printed, _ = plot("--figure", figure, "--dpi", 50)
-    height, width, _ = image.imread(png).shape
+def test_a_page_as_png_and_svg(plot):
+    code, printed, _ = plot("--dpi", 50)
+    height, width, _ = image.imread("3.png").shape
     assert code == 0 and width == 520
-    assert printed == f"{png} ({width} x {height} pixels, {png.stat().st_size / 1e3:.0f} kB)\n"
-    assert plot("--figure", figure, "--out", "a.svg")[0] == 0
+    assert printed == f"3.png ({width} x {height} pixels, {Path('3.png').stat().st_size / 1e3:.0f} kB)\n"
+    assert plot("--out", "a.svg")[0] == 0
+    labels = ["3.bin: “3”, mean", "after TNT (running, t_max 4)", "event volume of window 1", "every 2.5 ms", "“3”"]
+    labels += ["window 3", "class probability", "time in the recording (ms)"]
     assert not [label for label in labels if label not in text_of("a.svg")]
-    assert Path("a.svg").stat().st_size < 1_000_000 and sorted(os.listdir()) == [png.name, "a.svg"]
+    assert Path("a.svg").stat().st_size < 1_000_000 and sorted(os.listdir()) == ["3.png", "a.svg"]
 
 
-@pytest.mark.parametrize(
-    "figure, labels",
-    {
-        "heatmap": ["3.bin, window 2: the landmark network's heatmap", "21 ms", "running centroid", "image centre"],
-        "pipeline": ["landmark: regressor"],
-        "motions": ["window 1: moving down", "y, after TNT v (px)"],
-        "slices": ["after TNT (regressor, t_max 8)"],
-    }.items(),
-)
-def test_figures_of_a_model_with_a_landmark_network(figure, labels, plot):
+def test_a_model_with_a_landmark_network(plot):
     random_regressor_model().save("r.safetensors")
-    window = ["--window", "2"] if figure == "heatmap" else []
-    assert plot("--figure", figure, "--model", "r.safetensors", "--out", "a.svg", *window)[0] == 0
-    assert not [label for label in labels if label not in text_of("a.svg")]
+    assert plot("--model", "r.safetensors", "--out", "a.svg")[0] == 0
+    assert "after TNT (regressor, t_max 8)" in text_of("a.svg")
 
 
 @pytest.mark.parametrize("name, begin", [("a.pdf", b"%PDF"), ("a.svg", b"<?xml"), ("a.png", b"\x89PNG")])
 def test_the_same_command_gives_the_same_bytes(name, begin, plot):
     written = []
     for _ in range(2):
-        assert plot("--figure", "slices", "--slices", 0, "--out", name, "--dpi", 40)[0] == 0
+        assert plot("--slices", 0, "--out", name, "--dpi", 40)[0] == 0
         written.append(Path(name).read_bytes())
     assert written[0] == written[1] and written[0].startswith(begin)
 
 
-@pytest.mark.parametrize(
-    "name, words",
-    [("what_happens", []), ("motions", ["--figure", "motions"]), ("pipeline", ["--figure", "pipeline"])],
-)
-def test_the_pictures_in_the_documentation_are_what_the_command_draws(name, words, plot):
-    """Up to the dots that one matplotlib puts elsewhere than the next. When this fails: draw them again."""
-    assert plot(*words, "--out", "again.png")[0] == 0
-    kept, again = (in_squares(image.imread(path)) for path in (IMAGES / f"{name}.png", "again.png"))
+def test_the_picture_of_the_readme_is_what_the_command_draws(plot):
+    """Up to the dots that one matplotlib puts elsewhere than the next. When this fails: draw it again."""
+    assert plot("--out", "again.png")[0] == 0
+    kept, again = (in_squares(image.imread(path)) for path in (IMAGES / "what_happens.png", "again.png"))
     assert kept.shape == again.shape
     assert np.abs(kept - again).max() < 0.2  # another landmark makes 0.35, another recording 0.6
-    assert (IMAGES / f"{name}.png").stat().st_size < 200_000
+    assert (IMAGES / "what_happens.png").stat().st_size < 200_000
 
 
 def in_squares(pixels, side=20):
@@ -101,20 +77,11 @@ def in_squares(pixels, side=20):
 
 def test_options_reach_the_picture(plot):
     volume = "--landmark line --remove-flow --t-max 2 --polarity unsigned --bins 5 --window-us 50000 --grid 20x30"
-    words = "--figure slices --window 2 --slices 1 4 --out s.svg"
+    words = "--window 2 --slices 1 4 --every-us 30000 --out s.svg"
     assert plot(5, *volume.split(), *words.split())[0] == 0
     text = text_of("s.svg")
-    labels = "5.bin, window 2", "line, flow removed, t_max 2", "20 x 30 pixels, 5 time bins; ink", "bin 4", "50 ms"
+    labels = "of window 2", "line, flow removed, t_max 2", "20 x 30 pixels, 5 time bins; ink", "bin 4", "every 30 ms"
     assert not [label for label in labels if label not in text] and "bin 2" not in text
-
-
-def test_two_recordings_are_two_motions(plot):
-    for name, step in (("right", 1), ("left", -1)):
-        events = random_events(600, seed=1)
-        events["x"] = np.clip(17 + step * (events["t"] - 52_500) // 8_000 + events["x"] // 6, 0, 33)
-        write_nmnist(f"{name}.bin", events)
-    assert plot("right.bin", "left.bin", "--figure", "motions", "--out", "m.svg")[0] == 0
-    assert {"right.bin: moving right", "left.bin: moving left"} <= set(ElementTree.parse("m.svg").getroot().itertext())
 
 
 def test_a_recording_of_another_camera_needs_no_model(plot):
@@ -125,9 +92,9 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     assert code == 0
     assert err == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
     np.save("camera.npy", events)
-    code, _, err = plot("camera.npy", "--figure", "events", "--dpi", 40)
+    code, _, err = plot("camera.npy", "--dpi", 40)
     assert code == 2 and "events reach pixel (119, 79); give its size with --sensor WxH" in err
-    assert plot("camera.npy", "--figure", "events", "--sensor", "120x80", "--out", "e.svg")[::2] == (0, "")
+    assert plot("camera.npy", "--sensor", "120x80", "--slices", 4, "--out", "e.svg")[0] == 0
     assert Path("e.svg").stat().st_size < 1_000_000  # a cloud of dots is one picture
 
 
@@ -142,10 +109,8 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
         ("h.npz --model digits", "h.npz: a sensor of 40x40 pixels, but the model is for 34x34"),
         ("h.npz --sensor 50x50", "h.npz: a sensor of 40x40 pixels, got --sensor 50x50"),
         ("--t-max nan", "`t_max` must be in [1e-6, 1e6], got nan"),
-        ("--slices 9", "--slices must be in [0, 9), the volume's bins, got 9"),
-        ("--figure pipeline --t-max 2", "--t-max has no effect on --figure pipeline, only on overview, events"),
-        ("3 4", "--figure overview draws 1 recording, got 2"),
-        ("--figure heatmap", '--figure heatmap needs a model with landmark="regressor", but model digits has'),
+        ("--slices 9", "no bin 9; the volume has bins 0 to 8"),
+        ("--landmark regressor", "needs a model with a landmark network, but model digits has none"),
         ("3 --model times.safetensors", "event volumes and counts can be drawn, but not mean_time"),
         ("3 --model of_events.safetensors", "windows of a duration can be drawn, but not of 500 events"),
     ],
@@ -162,7 +127,7 @@ def test_mistakes_are_one_line_and_exit_code_2(words, message, plot):
     assert sorted(os.listdir()) == before
 
 
-@pytest.mark.parametrize("words", ["--dpi 5", "--sensor 34", "--figure cube", "--window 0"])
+@pytest.mark.parametrize("words", ["--dpi 5", "--sensor 34", "--window 0"])
 def test_bad_usage_exits_with_2(words, plot, capsys):
     with pytest.raises(SystemExit, match="2"):
         plot(*words.split())
@@ -173,8 +138,7 @@ def test_without_matplotlib_there_is_help_and_one_line_names_what_to_install(mon
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(SystemExit, match="0"):
         plot("--help")
-    printed = capsys.readouterr().out
-    assert not [name for name in FIGURES if f"  {name} " not in printed]
+    assert "--landmark" in capsys.readouterr().out
     code, _, err = plot()
     assert code == 2 and err.count("\n") == 1
     assert err.startswith("async-tnt: plot draws with matplotlib: pip install 'async_tnt[plot]'")
@@ -183,15 +147,15 @@ def test_without_matplotlib_there_is_help_and_one_line_names_what_to_install(mon
 def test_an_interrupted_save_leaves_the_old_picture(monkeypatch, plot):
     from matplotlib.figure import Figure
 
-    Path("3-slices.png").write_bytes(b"old")
+    Path("3.png").write_bytes(b"old")
 
     def interrupt(self, path, **settings):
         Path(path).write_bytes(b"half")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Figure, "savefig", interrupt)
-    assert plot("--figure", "slices")[0] == 130
-    assert Path("3-slices.png").read_bytes() == b"old" and len(os.listdir()) == 1
+    assert plot()[0] == 130
+    assert Path("3.png").read_bytes() == b"old" and len(os.listdir()) == 1
 
 
 def test_drawing_needs_no_torch_and_no_pyplot_changes_no_settings_and_imports_late():

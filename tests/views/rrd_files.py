@@ -62,17 +62,8 @@ class Rrd:
         """The last of the values that are for all times."""
         return [row[component] for t, row in self.rows[entity] if t is None and component in row][-1]
 
-    def tensors(self, entity: str) -> list[tuple[int, np.ndarray]]:
-        """The numbers, shown in a range that has zero in its middle."""
-        found = []
-        for _, ((low, high),) in self.series(entity, "Tensor:value_range"):
-            assert low == -high < 0
-        for t, (tensor,) in self.series(entity, "Tensor:data"):
-            found.append((t, np.array(tensor["buffer"], np.float32).reshape(tensor["shape"])))
-        return found
-
     def images(self, entity: str, archetype: str = "Image") -> list[tuple[int, np.ndarray]]:
-        """uint8, shape (height, width) or (height, width, 3)."""
+        """(microseconds, uint8 of shape (height, width) or (height, width, 3))."""
         found = []
         formats = self.series(entity, f"{archetype}:format")
         for (t, (pixels,)), (_, (form,)) in zip(self.series(entity, f"{archetype}:buffer"), formats, strict=True):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import gc
 import importlib.util
-import os
-import platform
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -14,6 +12,8 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
+
+from async_tnt.cli.bench import machine as this_machine
 
 # Work of milliseconds is timed by the processor time it takes, which other processes cannot lengthen;
 # on a quiet machine it equals the wall clock. Windows counts it in steps of 16 ms only. Latencies, whose tail we
@@ -98,15 +98,7 @@ def is_installed(*packages: str) -> bool:
 
 def machine(*packages: str) -> dict[str, Any]:
     """What a figure depends on: processor, load, versions (None where a package is missing)."""
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {
-        "cpu": cpu_name(),
-        "cores": os.cpu_count(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "load_1min": None if load is None else round(load, 2),
-        "python": platform.python_version(),
-        **{name: _version(name) for name in ("async_tnt", "numpy", "numba", *packages)},
-    }
+    return this_machine() | {name: _version(name) for name in packages}
 
 
 def machine_text(about: Mapping[str, Any], *packages: str) -> str:
@@ -120,26 +112,7 @@ def quartiles(figure: Mapping[str, float]) -> str:
     return f"{figure['median']:,.1f} [{figure['q1']:,.1f}, {figure['q3']:,.1f}]"
 
 
-def cpu_name() -> str:
-    """The processor's model as the system calls it."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            fields = dict(line.split(":", 1) for line in file if line.count(":") == 1)
-    except OSError:
-        return platform.processor() or platform.machine()
-    name = next((v.strip() for k, v in fields.items() if k.strip() == "model name"), platform.machine())
-    if any(c.isdigit() for c in name):
-        return name
-    # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still identify it
-    numbers = {k.strip(): v.strip() for k, v in fields.items()}
-    return f"{name} (family {numbers.get('cpu family', '?')}, model {numbers.get('model', '?')})"
-
-
 def _version(package: str) -> str | None:
-    if package == "async_tnt":
-        from async_tnt.version import __version__  # also right in a checkout that is not installed
-
-        return __version__
     try:
         return version(package)
     except PackageNotFoundError:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checking.bench_volumes import PACKETS, timed_packets, timed_singles
-from async_tnt.checking.interleaved import WorkDiffers, check_logits
-from async_tnt.checking.moments import windows_of
-from async_tnt.checking.timing import interleave, latency, no_collector, spread, work_clock
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
+from experiments.bench_interleaved import WorkDiffers, check_logits
+from experiments.bench_moments import windows_of
+from experiments.bench_timing import interleave, latency, no_collector, spread, work_clock
+from experiments.bench_volumes import PACKETS, timed_packets, timed_singles
 
 TOLERANCE = 1e-4
 """Largest difference of a cell, as a share of the largest cell."""
@@ -63,7 +63,7 @@ def bench_latency(model: Model, events: np.ndarray, *, moments: int, with_torch:
     batch = None
     taken: dict[str, list[float]] = {"stream": [], "push_one": [], "fire": []}
     if with_torch:
-        from async_tnt.checking.torch_batch import TorchBatch
+        from experiments.bench_torch_batch import TorchBatch
 
         batch = TorchBatch(model.config, model)
         taken |= {"batch": [], "batch_volume": [], "batch_network": []}
@@ -117,7 +117,7 @@ def _time_batch(
         return None
     import torch
 
-    from async_tnt.checking.torch_batch import as_tensors
+    from experiments.bench_torch_batch import as_tensors
 
     columns = as_tensors(window, start_us)
     with torch.inference_mode():
@@ -143,7 +143,7 @@ def _check_volumes(ours: np.ndarray, theirs: np.ndarray, where: str) -> float:
 def _batch_windows(model: Model, windows: list[np.ndarray], classes: list[int]) -> Callable[[], float]:
     import torch
 
-    from async_tnt.checking.torch_batch import TorchBatch, as_tensors
+    from experiments.bench_torch_batch import TorchBatch, as_tensors
 
     batch = TorchBatch(model.config, model)
 

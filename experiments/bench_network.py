@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checking.backends import Network
-from async_tnt.checking.interleaved import Backend, compare
-from async_tnt.checking.moments import Moment, Moments
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.model import Model
 from async_tnt.volume import TNTVolume
+from experiments.bench_backends import Network
+from experiments.bench_interleaved import Backend, compare
+from experiments.bench_moments import Moment, Moments
 
 
 class Feed:

@@ -7,14 +7,14 @@ import pytest
 from made import events_of, random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig, load_model
-from async_tnt.checking import backends
-from async_tnt.checking import bench_every_event as every_event
-from async_tnt.checking import bench_network as network
-from async_tnt.checking.interleaved import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
-from async_tnt.checking.moments import Moments, bench_recordings, windows_of
-from async_tnt.checking.timing import spread
+from experiments import bench_backends as backends
+from experiments import bench_every_event as every_event
+from experiments import bench_network as network
 from experiments import measure_end_to_end as end_to_end
 from experiments import measure_noise as noise
+from experiments.bench_interleaved import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
+from experiments.bench_moments import Moments, bench_recordings, windows_of
+from experiments.bench_timing import spread
 
 WINDOW_US = 1000
 SMALL = random_model(TNTConfig(sensor=(20, 16), grid=(20, 16), bins=3, window_us=WINDOW_US), widths=(4, 6, 8))

@@ -14,8 +14,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from async_tnt.checking.moments import Moment
-from async_tnt.checking.timing import latency, no_collector, spread
+from experiments.bench_moments import Moment
+from experiments.bench_timing import latency, no_collector, spread
 
 LOGIT_TOLERANCE = 1e-4
 """Largest difference between logits of the same moment; as a share of the largest logit where that is above 1."""

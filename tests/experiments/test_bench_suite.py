@@ -1,4 +1,4 @@
-"""`async-tnt bench`: what it reports, and that it refuses to compare different work."""
+"""`python -m experiments.bench_suite`: what it reports, and that it refuses to compare different work."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from async_tnt import TNTConfig, load_model
-from async_tnt.checking import backends
-from async_tnt.checking.bench_latency import bench_latency
-from async_tnt.checking.interleaved import WorkDiffers
-from async_tnt.checking.moments import bench_recordings, made_recording
-from async_tnt.cli import main
+from experiments import bench_backends as backends
+from experiments import bench_suite
+from experiments.bench_interleaved import WorkDiffers
+from experiments.bench_latency import bench_latency
+from experiments.bench_moments import bench_recordings, made_recording
 
 needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch is not installed")
 
@@ -23,9 +23,9 @@ needs_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reas
 @pytest.fixture(autouse=True, scope="module")
 def small_grids():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("async_tnt.cli.bench.GRIDS", ((34, 34), (64, 48)))
+        patch.setattr("experiments.bench_suite.GRIDS", ((34, 34), (64, 48)))
         small = {"rounds": 2, "moments": 40, "blocks": 1, "decisions_a_block": 5, "recordings": 1, "events": 100}
-        patch.setattr("async_tnt.cli.bench.SIZES", {name: (None, n) for name, n in small.items()})
+        patch.setattr("experiments.bench_suite.SIZES", {name: (None, n) for name, n in small.items()})
         yield
 
 
@@ -33,7 +33,7 @@ def small_grids():
 def report(small_grids):
     """What `--quick --json` prints, run once for the tests that read it."""
     with contextlib.redirect_stdout(io.StringIO()) as printed:
-        assert main(["bench", "--quick", "--json"]) == 0
+        assert bench_suite.main(["--quick", "--json"]) == 0
     return json.loads(printed.getvalue())
 
 
@@ -75,17 +75,18 @@ def test_batch_processing_is_timed_and_makes_the_same_volumes(report):
     assert "batch" in report["processor"]["stream"]["ns_per_event"] and decisions["batch_over_stream"]["median"] > 0
 
 
-def test_different_work_is_refused(monkeypatch, program):
+def test_different_work_is_refused(monkeypatch, capsys):
     def differ(*settings, **counts):
         raise WorkDiffers("got ours and theirs 1.0e-03 apart")
 
-    monkeypatch.setattr("async_tnt.cli.bench.bench_volume", differ)
-    assert program("bench", "--quick") == (1, "", "async-tnt bench: got ours and theirs 1.0e-03 apart\n")
+    monkeypatch.setattr(bench_suite, "bench_volume", differ)
+    assert bench_suite.main(["--quick"]) == 1
+    assert capsys.readouterr().err.endswith(": got ours and theirs 1.0e-03 apart\n")
 
 
 @needs_torch
 def test_different_volumes_are_refused(monkeypatch):
-    from async_tnt.checking.torch_batch import TorchBatch
+    from experiments.bench_torch_batch import TorchBatch
 
     model, right = load_model("digits"), TorchBatch.volume
     monkeypatch.setattr(TorchBatch, "volume", lambda self, *columns: 1.001 * right(self, *columns))
@@ -93,21 +94,23 @@ def test_different_volumes_are_refused(monkeypatch):
         bench_latency(model, bench_recordings(model.config)[0], moments=5, with_torch=True)
 
 
-def test_without_other_packages_ours_are_timed(monkeypatch, program):
-    for module in ("cli.bench", "checking.backends"):
-        monkeypatch.setattr(f"async_tnt.{module}.is_installed", lambda *packages: not packages)
-    code, text, _ = program("bench", "--quick")
-    assert code == 0 and "torch is not installed: only our own times" in text
+def test_without_other_packages_ours_are_timed(monkeypatch, capsys):
+    for module in (bench_suite, backends):
+        monkeypatch.setattr(module, "is_installed", lambda *packages: not packages)
+    assert bench_suite.main(["--quick"]) == 0
+    text = capsys.readouterr().out
+    assert "torch is not installed: only our own times" in text
     assert "packets of 1300, columns" in text and "batch: " not in text
     assert "onnxruntime, run: onnx and onnxruntime are not installed" in text
     assert "CompiledClassifier.refresh" in text and "CompiledClassifier(array)" in text
 
 
-def test_mistakes(program):
-    code, _, err = program("bench", "--model", "no_such_model")
-    assert code == 2 and "no model file no_such_model" in err
-    with pytest.raises(SystemExit, match="2"):
-        program("bench", "--landmark", "regressor")
+def test_mistakes(capsys):
+    mistakes = {"--model no_such_model": "no model file no_such_model", "--landmark regressor": "invalid choice"}
+    for words, message in mistakes.items():
+        with pytest.raises(SystemExit, match="2"):
+            bench_suite.main(words.split())
+        assert message in capsys.readouterr().err
 
 
 TWINS = [{"landmark": landmark} for landmark in ("center", "running", "line", "window")]
@@ -122,7 +125,7 @@ def test_batch_processing_equals_the_reference(settings):
     import torch
 
     from async_tnt.checking.reference import reference_volume
-    from async_tnt.checking.torch_batch import TorchBatch, as_tensors
+    from experiments.bench_torch_batch import TorchBatch, as_tensors
 
     config = TNTConfig(grid=(20, 41), window_us=20_000, **settings)
     events = made_recording(np.random.default_rng(5), config, 3000)

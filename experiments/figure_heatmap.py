@@ -1,7 +1,13 @@
-"""What a landmark network looks at: its heatmap over a window's events so far, at moments of the window."""
+"""What a landmark network looks at: its heatmap over a window's events so far, at moments of the window.
+
+    python -m experiments.figure_heatmap 3 --model MODEL --picture docs/images/heatmap.png --dpi 110
+
+MODEL has a landmark network: async-tnt train --landmark regressor makes one.
+"""
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,8 +29,9 @@ from async_tnt.views.figure_style import (
     one_colour_map,
     write_at,
 )
-from async_tnt.views.figure_subject import Subject, Window
+from async_tnt.views.figure_subject import Window
 from async_tnt.volume import TNTVolume
+from experiments.figure_script import run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,24 +40,24 @@ N_MOMENTS = 5
 LEFT, GAP, HEAD, TALLEST = 0.75, 0.12, 0.85, 3.0  # inches
 
 
-def draw_heatmap(subject: Subject, number: int = 1) -> Figure:
+def draw_heatmap(window: Window) -> Figure:
     """One window's raw events, and below them the heatmap of the model's landmark network, at fifths of the window.
 
     Raises
     ------
     ValueError : the model has no landmark network.
     """
-    regressor = subject.regressor()
+    subject = window.subject
+    regressor, config = subject.regressor(), subject.config
     if regressor is None:
         raise ValueError(
-            f'--figure heatmap needs a model with landmark="regressor", but model {subject.model_name} has '
-            f"landmark={subject.config.landmark!r} (async-tnt train --landmark regressor makes one)"
+            f'a heatmap needs a model with landmark="regressor", but model {subject.model_name} has '
+            f"landmark={config.landmark!r}"
         )
-    window, config = subject.window(number), subject.config
     width = (WIDTH - LEFT - 0.2 - GAP * (N_MOMENTS - 1)) / N_MOMENTS
     height = min(TALLEST, width * config.grid[1] / config.grid[0])
     figure = new_figure(HEAD + 2 * height + GAP + 0.6)
-    headline(figure, f"{subject.name}, window {number}: the landmark network's heatmap")
+    headline(figure, f"{subject.name}, window {window.number}: the landmark network's heatmap")
     for k in range(1, N_MOMENTS + 1):
         until_us = window.start_us + config.window_us * k // N_MOMENTS
         raw = _volume_of(window, subject.raw_config, until_us)
@@ -101,3 +108,11 @@ def _mark(axes: Any, x: list[float], y: list[float], marker: str, colour: str, l
     if marker == "o":
         look["mfc"] = "none"
     return axes.plot(x, y, marker=marker, label=label, **look)[0]
+
+
+def main(argv: list[str] | None = None) -> int:
+    return run(__doc__, lambda windows: draw_heatmap(*windows), argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

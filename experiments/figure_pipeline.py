@@ -1,7 +1,11 @@
-"""The whole pipeline for one window: recording, events, landmark, transform, volume, network, class."""
+"""The whole pipeline for one window: recording, events, landmark, transform, volume, network, class.
+
+python -m experiments.figure_pipeline 3 --picture docs/images/pipeline.png
+"""
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +32,8 @@ from async_tnt.views.figure_style import (
     shortened,
     write_at,
 )
-from async_tnt.views.figure_subject import Subject, Window, shown_evenly
+from async_tnt.views.figure_subject import Window, shown_evenly
+from experiments.figure_script import run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,26 +46,20 @@ POOLS = {"average_pool": "average of {}", "max_pool": "maximum of {}", "global_a
 NETWORK_COLOUR, PATH = "#eef3f7", "#009E73"
 
 
-def draw_pipeline(subject: Subject, number: int = 1) -> Figure:
+def draw_pipeline(window: Window) -> Figure:
     """One window on its way from the recording to the class probabilities.
 
     Raises
     ------
     ValueError : no model; or one that was trained with another configuration than is drawn.
     """
-    model = subject.model
-    if model is None:
-        raise ValueError(f"{subject.name}: figure pipeline needs a model; --model names one")
-    if model.config != subject.config:
-        raise ValueError(
-            f"figure pipeline is drawn with the configuration of model {subject.model_name}: "
-            f"{model.config}; got {subject.config}"
-        )
-    window, config = subject.window(number), subject.config
+    subject, model, config = window.subject, window.subject.model, window.subject.config
+    if model is None or model.config != config:
+        raise ValueError(f"{subject.name}: a pipeline is drawn with a model and its own configuration")
     transformed = config.transform == "tnt"
     decision = decision_of(window, model)
     figure = new_figure(6.9)
-    headline(figure, f"{subject.name}, window {number}: from events to “{shortened(decision.label, 10)}”")
+    headline(figure, f"{subject.name}, window {window.number}: from events to “{shortened(decision.label, 10)}”")
     polarity_legend(figure)
 
     recording = _stage(figure, "1  recording", 0.62, (0.62, 1.05, 1.7, 1.75))
@@ -226,3 +225,11 @@ def _draw_answer(axes: Any, model: Model, decision: Decision) -> None:
     place, look = (value - 0.02, ("right", "white")) if inside else (value + 0.02, ("left", "black"))
     axes.text(place, best, f"{value:.3f}", va="center", fontsize=SMALL, ha=look[0], color=look[1])
     axes.set_xlabel("after the window's last event", fontsize=SMALL, color=TEXT)
+
+
+def main(argv: list[str] | None = None) -> int:
+    return run(__doc__, lambda windows: draw_pipeline(*windows), argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

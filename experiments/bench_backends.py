@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from async_tnt.checking.timing import is_installed
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.model import Model
+from experiments.bench_timing import is_installed
 
 Network = Callable[[np.ndarray], np.ndarray]
 """Volume (C, H, W) -> logits (n_classes,), float32, in memory that the next call may overwrite."""
@@ -84,7 +84,7 @@ def _openvino(model: Model) -> Network:
 def _torch(model: Model) -> Network:
     import torch
 
-    from async_tnt.checking.torch_batch import TorchBatch
+    from experiments.bench_torch_batch import TorchBatch
 
     batch = TorchBatch(model.config, model)
     tensor = torch.zeros(model.config.shape)

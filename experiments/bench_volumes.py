@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checking.moments import made_columns
-from async_tnt.checking.timing import interleave, spread, work_clock
 from async_tnt.config import Landmark, TNTConfig
 from async_tnt.events import structured
 from async_tnt.volume import TNTVolume
+from experiments.bench_moments import made_columns
+from experiments.bench_timing import interleave, spread, work_clock
 
 GRIDS = ((34, 34), (346, 260), (1280, 720))
 PACKETS = (10, 100, 1300)

@@ -1,14 +1,20 @@
-"""The point of the transform: one digit under two motions, raw against transformed. Two motions, one shape."""
+"""One digit under two motions, raw against transformed: two motions, one shape.
+
+    python -m experiments.figure_motions 3 --picture docs/images/motions.png
+    python -m experiments.figure_motions right.npy down.npy --picture two.png
+
+Two windows of one recording (the first ones, or those of --windows), or one of each of two recordings.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from async_tnt.views.figure_events import MOST_DOTS, transform_words
-from async_tnt.views.figure_slices import GAP, ROW_GAP, bin_ms, draw_rows, layers_of_window, shown_bins
+from async_tnt.views.figure_slices import GAP, ROW_GAP, bin_ms, draw_rows, layers_of_window
 from async_tnt.views.figure_style import (
     OFF,
     ON,
@@ -21,6 +27,7 @@ from async_tnt.views.figure_style import (
     write_at,
 )
 from async_tnt.views.figure_subject import Window, shown_evenly
+from experiments.figure_script import run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +36,7 @@ N_SLICES = 4
 MEAN_PARTS, MEAN_SHARE = 12, 0.03  # the mean path: parts of the window, and the least share of events in one
 
 
-def draw_motions(first: Window, second: Window, bins: Sequence[int] | None = None) -> Figure:
+def draw_motions(first: Window, second: Window) -> Figure:
     """Two windows, a row each: events along the axis in which their motions differ most, and slices of the
     volumes, raw and transformed.
 
@@ -47,11 +54,7 @@ def draw_motions(first: Window, second: Window, bins: Sequence[int] | None = Non
     flows = [np.array(window.flow()) for window in windows]
     axis = int(np.abs(flows[0] - flows[1]).argmax())
     layers = [layers_of_window(window) for window in windows]
-    if bins is None:
-        transformed = np.abs(np.stack([window.volumes()[1] for window in windows]))
-        shown = busiest_bins(transformed, config.bins)
-    else:
-        shown = shown_bins(config, bins)
+    shown = busiest_bins(np.abs(np.stack([window.volumes()[1] for window in windows])), config.bins)
     figure = new_figure(7.2)
     same = first.subject is second.subject
     names = first.subject.name if same else f"{first.subject.name} and {second.subject.name}"
@@ -135,3 +138,11 @@ def _draw_dots(axes: Any, window: Window, place: np.ndarray, kept: np.ndarray) -
     if len(means) > 1:
         axes.plot(*zip(*means, strict=True), color="white", lw=4.5, solid_capstyle="round")
         axes.plot(*zip(*means, strict=True), color="black", lw=2, solid_capstyle="round")
+
+
+def main(argv: list[str] | None = None) -> int:
+    return run(__doc__, lambda windows: draw_motions(*windows), argv, n_windows=2)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

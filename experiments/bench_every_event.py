@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checking.backends import Network
-from async_tnt.checking.interleaved import WorkDiffers, check_logits
-from async_tnt.checking.timing import interleave, spread, work_clock
 from async_tnt.decision import Decision
 from async_tnt.networks.compiled import CompiledClassifier
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
+from experiments.bench_backends import Network
+from experiments.bench_interleaved import WorkDiffers, check_logits
+from experiments.bench_timing import interleave, spread, work_clock
 
 PACKET = 1000  # events, as `open_recording` makes packets
 

@@ -1,0 +1,139 @@
+"""The figures that only the pages show: what they draw is what the package computes, and the pages have it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib (extra: plot)")
+
+from figures.test_figure_content import assert_equal, dots, pictures  # noqa: E402
+from figures.test_plot_command import in_squares  # noqa: E402
+from made import events_of, random_events, random_model, random_regressor_model  # noqa: E402
+
+from async_tnt import Processor, TNTConfig, load_model  # noqa: E402
+from async_tnt.sources.files.nmnist import write_nmnist  # noqa: E402
+from async_tnt.views.figure_subject import Subject  # noqa: E402
+from experiments import figure_heatmap, figure_motions, figure_pipeline  # noqa: E402
+from experiments.figure_motions import draw_motions  # noqa: E402
+from experiments.figure_pipeline import draw_pipeline  # noqa: E402
+from experiments.figure_script import subject_of  # noqa: E402
+
+IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
+DIGITS = load_model("digits")
+
+
+def words(figure):
+    from matplotlib.text import Text
+
+    return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
+
+
+def test_two_motions_are_drawn_along_the_axis_in_which_they_differ():
+    shown = subject_of("3")
+    windows = [shown.window(number) for number in (1, 2)]
+    figure = draw_motions(*windows)
+    assert {"window 1: moving down", "window 2: moving up"} <= set(words(figure))
+    for axes, window in zip((figure.axes[1], figure.axes[11]), windows, strict=True):
+        _, v, kept, _ = window.coordinates()
+        assert_equal(dots(axes), (window.time_ms[kept], v[kept], window.events["p"][kept] == 1))
+    expected = [volume[k] for window in windows for volume in window.volumes() for k in (2, 3, 4, 5)]
+    assert_equal(pictures(figure.axes), expected)
+    with pytest.raises(ValueError, match="one configuration, got sensors of 34x34 pixels and 40x34 pixels"):
+        draw_motions(windows[0], replace(shown, config=shown.config.replace(sensor=(40, 34))).window(1))
+
+
+def stacked(axes):
+    return [np.asarray(image.get_array()) for image in sorted(axes.images, key=lambda image: -image.get_zorder())]
+
+
+@pytest.mark.parametrize("changes", [{}, {"landmark": "regressor"}], ids=str)
+def test_the_pipeline_shows_what_the_network_sees_and_decides(changes):
+    model = random_model(TNTConfig(**changes), widths=(5, 6, 7)) if changes else DIGITS
+    shown = Subject("9.bin", subject_of("9").events, model.config, model, "mine")
+    window = shown.window(1)
+    figure = draw_pipeline(window)
+    processor = Processor(model)
+    decision = next(d for d in processor.push(shown.events) if d.trigger == "window")
+    assert f"9.bin, window 1: from events to “{decision.label}”" in words(figure)
+    assert_equal(stacked(figure.axes[-3]), window.volumes()[1])
+    np.testing.assert_array_equal([bar.get_width() for bar in figure.axes[-1].patches], decision.probabilities)
+    *path, cross = figure.axes[2].lines
+    landmarks = window.coordinates().landmark
+    assert_equal(cross.get_xydata(), landmarks[-1:])
+    assert [line.get_xydata()[[0, -1]].tolist() for line in path] == [landmarks[[0, -1]].tolist()] * (not changes)
+
+
+def test_a_pipeline_is_drawn_with_the_models_own_configuration():
+    shown = subject_of("3")
+    with pytest.raises(ValueError, match="a pipeline is drawn with a model and its own configuration"):
+        draw_pipeline(replace(shown, config=shown.config.replace(t_max=2.0)).window(1))
+
+
+@pytest.mark.parametrize("script, name", [(figure_motions, "motions"), (figure_pipeline, "pipeline")])
+def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_path):
+    """Up to the dots that one matplotlib puts elsewhere than the next. When this fails: draw them again."""
+    again = tmp_path / "again.png"
+    assert script.main(["3", "--picture", str(again)]) == 0
+    kept, drawn = (in_squares(image.imread(path)) for path in (IMAGES / f"{name}.png", again))
+    assert kept.shape == drawn.shape and np.abs(kept - drawn).max() < 0.2
+    assert (IMAGES / f"{name}.png").stat().st_size < 200_000
+
+
+@pytest.mark.parametrize(
+    "script, labels",
+    [
+        (figure_heatmap, ["3.bin, window 1: the landmark network's heatmap", "21 ms", "running centroid"]),
+        (figure_pipeline, ["landmark: regressor"]),
+        (figure_motions, ["window 1: moving down", "y, after TNT v (px)"]),
+    ],
+)
+def test_figures_of_a_model_with_a_landmark_network(script, labels, tmp_path):
+    model, out = tmp_path / "r.safetensors", tmp_path / "a.svg"
+    random_regressor_model().save(model)
+    assert script.main(["3", "--model", str(model), "--picture", str(out)]) == 0
+    text = " ".join("".join(ElementTree.parse(out).getroot().itertext()).split())
+    assert not [label for label in labels if label not in text]
+
+
+def test_two_recordings_are_two_motions(tmp_path):
+    for name, step in (("right", 1), ("left", -1)):
+        events = random_events(600, seed=1)
+        events["x"] = np.clip(17 + step * (events["t"] - 52_500) // 8_000 + events["x"] // 6, 0, 33)
+        write_nmnist(tmp_path / f"{name}.bin", events)
+    shown = [subject_of(str(tmp_path / f"{name}.bin")).window(1) for name in ("right", "left")]
+    assert {"right.bin: moving right", "left.bin: moving left"} <= set(words(draw_motions(*shown)))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "events",
+    [events_of([7], [3], [4], [1]), events_of([200_000, 100, 250_000], [3, 9, 9], [4, 5, 6], [1, 1, 1])],
+    ids=["one", "unsorted"],
+)
+def test_odd_recordings_are_drawn(events):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    window = Subject("odd $x", events, DIGITS.config, DIGITS, "digits").window(1)
+    for figure in (draw_pipeline(window), draw_motions(window, window)):
+        figure.set_dpi(30)
+        FigureCanvasAgg(figure).draw()
+
+
+@pytest.mark.parametrize(
+    "script, words, message",
+    [
+        (figure_heatmap, "3", 'a heatmap needs a model with landmark="regressor", but model digits has'),
+        (figure_motions, "3 4 5", "2 windows of one recording or of as many are drawn, got 3 recordings"),
+        (figure_motions, "3 --windows 1", "2 windows are drawn, got the numbers [1]"),
+        (figure_pipeline, "missing.bin", "No such file"),
+    ],
+)
+def test_mistakes_are_one_line(script, words, message, tmp_path, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        script.main([*words.split(), "--picture", str(tmp_path / "a.png")])
+    assert message in capsys.readouterr().err

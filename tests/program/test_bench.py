@@ -1,0 +1,67 @@
+"""`async-tnt bench`: what an event and a decision cost on this machine."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from made import random_model
+
+from async_tnt import Processor, TNTConfig, load_model
+from async_tnt.cli.bench import COUNTS, _decision_us, _recordings
+
+CONFIGS = {
+    "another sensor": {"sensor": (40, 30), "grid": (20, 16)},
+    "windows of events": {"window_events": 500},
+    "images": {"representation": "count"},
+    "replayed": {"landmark": "window"},
+}
+
+
+def check(report):
+    figures = [report["ns_an_event"], *report["us_a_decision"].values(), report["decisions_a_second"]]
+    assert list(report["us_a_decision"]) == ["1", "100", "1300"]
+    assert all(0 < figure["q1"] <= figure["median"] <= figure["q3"] and figure["n"] > 1 for figure in figures)
+
+
+def test_the_report_has_machine_model_and_every_figure(program):
+    code, text, _ = program("bench", "--quick", "--json")
+    report = json.loads(text)
+    check(report)
+    assert code == 0 and report["machine"]["cpu"] and report["machine"]["numba"]
+    assert report["model"] == {"name": "digits", "config": load_model("digits").config.to_dict(), "classes": 10}
+
+
+@pytest.mark.parametrize("settings", CONFIGS.values(), ids=CONFIGS)
+def test_any_model_is_measured(settings, tmp_path, program):
+    path = random_model(TNTConfig(**settings), widths=(4, 6, 8)).save(tmp_path / "own.safetensors")
+    code, text, _ = program("bench", "--quick", "--json", "--model", str(path))
+    report = json.loads(text)
+    check(report)
+    assert code == 0 and report["events_from"] == ("random events" if "sensor" in settings else "bundled recordings")
+
+
+def test_a_decision_is_timed_so_many_events_after_the_one_before(monkeypatch):
+    calls = []
+    push, fire = Processor.push, Processor.fire
+    monkeypatch.setattr(Processor, "push", lambda self, events: calls.append(len(events)) or push(self, events))
+    monkeypatch.setattr(Processor, "fire", lambda self: calls.append("fire") or fire(self))
+    model = load_model("digits")
+    taken = list(_decision_us(model, _recordings(model.config)[0][:2], 100, moments=5))
+    assert len(taken) == 8 and len(calls) == 4 * len(taken)  # the first of five would have no decision before
+    assert calls[1::4] == calls[3::4] == ["fire"] * 8 and calls[2::4] == [100] * 8
+
+
+def test_text_names_the_figures(program):
+    code, text, _ = program("bench", "--quick")
+    assert code == 0
+    for words in ("model digits: 34 x 34 pixels, landmark running; bundled recordings", "ns an event into the volume"):
+        assert words in text
+    for words in ("1 new event ", "100 new events ", "1,300 new events ", "decisions a second, one after every event"):
+        assert words in text
+    assert all(full > quick for full, quick in COUNTS.values())
+
+
+def test_a_model_that_is_not_there_is_named(program):
+    code, _, err = program("bench", "--model", "no_such_model")
+    assert code == 2 and "no model file no_such_model" in err
