@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.training.digits import OFFICIAL, read_nmnist_folder, recording_numbers
+from async_tnt.training.digits import read_nmnist_folder, recording_numbers
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import COLUMNS, SACCADE_US, Windows, make_windows, saccade, split_recordings
 from experiments.moving_mnist_set import open_set
 
+OFFICIAL = 60_000, 10_000
+"""Recordings of N-MNIST's Train and Test. Number n of Train shows image n of MNIST's training set, index n - 1."""
 CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
 """The one saccade of each digit in `confounded`."""
 VALIDATION_SEED = 0  # the same digits are held out, or left out, in every row and for every seed

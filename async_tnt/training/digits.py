@@ -20,8 +20,6 @@ from async_tnt.training.recordings import Recordings
 FIRST_INDEX = 5_000
 """Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000, some of which are
 held out for validation; the bundled samples show images 2,000 to 2,100."""
-OFFICIAL = 60_000, 10_000
-"""Recordings of N-MNIST's Train and Test. Number n of Train shows image n of MNIST's training set, index n - 1."""
 LAYOUT = "expected N-MNIST's layout, Train/<digit>/*.bin and Test/<digit>/*.bin"
 
 

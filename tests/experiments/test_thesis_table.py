@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from small_sets import write_small_mnist
 
 torch = pytest.importorskip("torch")
 
-from async_tnt import Processor, load_model  # noqa: E402
+from async_tnt import Processor, TNTConfig, load_model  # noqa: E402
 from async_tnt.simulation.scene import Scene  # noqa: E402
 from experiments import thesis_table  # noqa: E402
 from experiments.moving_mnist_set import build, open_set  # noqa: E402
+from experiments.page_parts import results  # noqa: E402
 from experiments.table_data import (  # noqa: E402
     RealFolder,
     saccade,
@@ -285,3 +287,20 @@ def test_errors_are_one_line(nmnist, mnist, tmp_path, monkeypatch, experiment):
     ):
         code, _, err = experiment("thesis_table", "--workers", 1, *words)
         assert code == 2 and message in err and err.count("\n") == 1
+
+
+def test_the_committed_table_is_that_of_the_code():
+    record = results("table")
+    for name, row in record["rows"].items():
+        of = ROWS[name]
+        assert (of.config, asdict(of.augmentation), of.iterations) == (
+            TNTConfig.from_dict(row["config"]),
+            row["augmentation"],
+            row["iterations"],
+        ), name
+    comparison = [row for row in ROWS.values() if row.group == "comparison"]
+    assert len(comparison) == 24 and {row.name for row in comparison} <= set(record["table"])
+    for row in comparison:
+        columns = record["table"][row.name]
+        assert {column.split("/")[0] for column in columns} == set(row.trained_on)
+        assert all(len(part["seeds"]) == 5 for part in columns.values()), row.name

@@ -8,7 +8,7 @@ import io
 import json
 import re
 import shlex
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -203,24 +203,3 @@ def test_features_move_along_with_the_flow_about_a_fixed_landmark(tmp_path, caps
         else:
             assert 0 < errors[-1] < found["raw", layer][-1]
     assert (tmp_path / "equivariance.png").stat().st_size > 10_000
-
-
-def test_the_committed_table_is_that_of_the_code():
-    pytest.importorskip("torch")
-    from experiments.table_rows import ROWS
-
-    record = json.loads((ROOT / "experiments" / "results" / "table.json").read_text(encoding="utf-8"))
-    for name, row in record["rows"].items():
-        of = ROWS[name]
-        assert (of.config, asdict(of.augmentation), of.iterations) == (
-            TNTConfig.from_dict(row["config"]),
-            row["augmentation"],
-            row["iterations"],
-        ), name
-    comparison = [row for row in ROWS.values() if row.group == "comparison"]
-    assert len(comparison) == 24 and {row.name for row in comparison} <= set(record["table"])
-    for row in comparison:
-        columns = record["table"][row.name]
-        assert {column.split("/")[0] for column in columns} == set(row.trained_on)
-        assert all(len(part["seeds"]) == 5 for part in columns.values()), row.name
-    assert "over five seeds" in RESULTS

@@ -58,7 +58,8 @@ def test_there_is_no_circle():
 
 def test_what_is_installed_does_not_know_the_laboratory():
     imports = {name for names in IMPORTS.values() for name in names}
-    imports |= {name for path in ROOT.glob("reference/**/*.py") for name in imports_of(path, ROOT / "reference")}
+    for folder in (ROOT / "reference", ROOT / "examples"):
+        imports |= {name for path in folder.rglob("*.py") for name in imports_of(path, folder)}
     assert len(imports) > 500 and not any(name.split(".")[0] == "experiments" for name in imports)
     built = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
     assert not any("experiments" in package for package in built["packages"])
