@@ -168,7 +168,13 @@ class Processor:
 
     def _compile(self, regressor: Regressor | None) -> None:
         """Now, so that no event has to wait for it."""
-        compile_for(self.config, self.classifier, regressor, late=self.late, by_event=self._triggers.by_event)
+        compile_for(
+            self.config,
+            self.classifier,
+            regressor,
+            drops_late=self.late != "accept",
+            by_event=self._triggers.by_event,
+        )
 
     def _choose_paths(self) -> None:
         """Whether triggers look at each event; whether single events may go straight to the one volume."""

@@ -20,6 +20,7 @@ from async_tnt.cli.options import (
 from async_tnt.cli.output import HEADER, complain, json_line, say, text_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected, print_decisions
+from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import ENGINES, choose_engine
 from async_tnt.sources.playback import replay
 
@@ -90,6 +91,7 @@ def main(args: argparse.Namespace) -> int:
     if args.speed is not None and not args.live:
         raise ValueError("--speed belongs to --live; otherwise a recording is streamed as fast as possible")
     engine = choose_engine(args.model, args.engine)
+    fill_cache()
     processor = engine.processor(start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args))
     pixels = selector_of(args, engine.model)
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
