@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, get_args
@@ -12,11 +11,10 @@ from async_tnt.checks import is_whole, real_number, short, whole_number
 Landmark = Literal["center", "running", "line", "window", "regressor"]
 Polarity = Literal["signed", "unsigned", "split"]
 Transform = Literal["tnt", "none"]
-Representation = Literal["volume", "count", "count_time", "mean_time", "time_surface", "hats"]
+Representation = Literal["volume", "count", "count_time", "mean_time", "time_surface"]
 LANDMARKS, POLARITIES, TRANSFORMS, REPRESENTATIONS = map(get_args, (Landmark, Polarity, Transform, Representation))
-IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1, "hats": 49}  # channels of one polarity
+IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1}  # channels of one polarity
 TIME_IMAGES = ("count_time", "mean_time", "time_surface")
-UNTRANSFORMED = (*TIME_IMAGES, "hats")
 BINS = 9
 MAX_SIDE = 1 << 15
 WINDOW_US = 105_000
@@ -51,10 +49,9 @@ class TNTConfig:
     transform : `tnt`, or `none` for the plain event volume; by default `tnt` for a volume and `none` for an image.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
     representation : `volume`, the event volume; or an image: `count` (events per pixel), `count_time` (the same, and
-        the time of the newest, as a fraction of the window), `mean_time` (the mean time), `time_surface` (exp(-age /
-        tau) of the newest event at the window's end, tau half a window); or `hats`, histograms of averaged time
-        surfaces, 49 bins for each cell of the grid. These have their channels once, or with `split` polarity for ON and
-        then for OFF. Images of times and histograms take no transform, and no `signed`.
+        the time of the newest, as a fraction of the window), `mean_time` (the mean time), or `time_surface` (exp(-age /
+        tau) of the newest event at the window's end, tau half a window). With `split` polarity the channels of ON come
+        first, then those of OFF. Images of times (all but `count`) take no transform, and no `signed` polarity.
 
     Raises
     ------
@@ -125,17 +122,12 @@ class TNTConfig:
         if self.bins != IMAGE_BINS.get(self.representation, self.bins):
             needed = IMAGE_BINS[self.representation]
             raise ValueError(f"`bins` must be {needed} with representation={self.representation!r}, got {self.bins}")
-        if self.representation in UNTRANSFORMED and (self.transform != "none" or self.polarity == "signed"):
+        if self.representation in TIME_IMAGES and (self.transform != "none" or self.polarity == "signed"):
             raise ValueError(
                 f'representation={self.representation!r} needs transform="none" and polarity "split" or "unsigned", '
                 f"got transform={self.transform!r}, polarity={self.polarity!r}"
             )
-        if self.representation == "hats" and (self.grid[0] > self.sensor[0] or self.grid[1] > self.sensor[1]):
-            raise ValueError(
-                "`grid` must have no more cells than the sensor has pixels with representation='hats', "
-                f"got {self.grid} on {self.sensor}"
-            )
-        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1) + self.remembered
+        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1)
         if cells > MAX_CELLS:
             raise ValueError(
                 f"`grid` and `bins` must give at most {MAX_CELLS:_} cells, got {cells:_} (a program may raise "
@@ -151,14 +143,6 @@ class TNTConfig:
     def shape(self) -> tuple[int, int, int]:
         """(C, H, W), the shape of `TNTVolume.array`."""
         return self.channels, self.grid[1], self.grid[0]
-
-    @property
-    def remembered(self) -> int:
-        """Numbers that histograms remember: events by polarity and pixel, events by cell, sums by bin and cell."""
-        if self.representation != "hats":
-            return 0
-        n_polarities, n_cells = self.channels // self.bins, math.prod(self.grid)
-        return n_polarities * math.prod(self.sensor) + (1 + self.channels) * n_cells
 
     @property
     def needs_regressor(self) -> bool:

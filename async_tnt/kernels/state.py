@@ -4,7 +4,7 @@ Each array argument adds about 45 ns to a call from Python into compiled code, m
 event takes. So all numbers that an event reads or writes share one float64 buffer, which kernels access in two
 ways: as `buffer`, and as `ints`, a view of the same memory as int64. Each slot below belongs to one of them.
 
-    buffer = [ parameters, sums, counts | scratch of a block | cells | log | memory of `histograms` ]
+    buffer = [ parameters, sums, counts | scratch of a block | cells | log ]
 
 Cells, shape (intervals, H + 1, W + 1, 2): between bins b and b + 1 an event adds to both, and the two sums
 lie side by side, cells[b, y, x] = (lower: to bin b, upper: to bin b + 1); of an image of times, see COMBINE. Time
@@ -66,7 +66,6 @@ BIN_LO = 38  # intervals that changed since the array was read; BIN_HI < BIN_LO:
 BIN_HI = 39
 # ints: parameters, too
 COMBINE = 42  # one of the COMBINE_ numbers
-MEMORY = 43  # where the memory of `histograms` begins; 0: there is none
 # ints: of windows that were closed before their end
 HOP_US = 40  # from one window's start to the next one's
 DECIDED = 41  # late events whose newest window was one of these, since the volume was made
@@ -99,7 +98,6 @@ COMBINE_SUM = 0  # the volume, or an image of counts: add its weights to (lower,
 COMBINE_NEWEST = 1  # (count, time of the newest event)
 COMBINE_MEAN = 2  # (mean time, count)
 COMBINE_SURFACE = 3  # (surface of the newest event, count)
-COMBINE_HISTOGRAM = 4  # see `histograms`
 
 NO_BIN = 1 << 30
 NEVER_US = 1 << 62

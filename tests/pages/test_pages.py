@@ -200,8 +200,10 @@ def test_the_committed_table_is_that_of_the_code():
     from async_tnt.training.table_rows import ROWS
 
     record = json.loads((ROOT / "benchmarks" / "results" / "table.json").read_text(encoding="utf-8"))
+    assert record["rows"].keys() - ROWS.keys() == {"hats-translated"}  # measured when the stream still had HATS
     for name, row in record["rows"].items():
-        of = ROWS[name]
+        if (of := ROWS.get(name)) is None:
+            continue
         assert (of.config, asdict(of.augmentation), of.iterations) == (
             TNTConfig.from_dict(row["config"]),
             row["augmentation"],
