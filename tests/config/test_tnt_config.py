@@ -67,13 +67,15 @@ WRONG = [
     (
         {"representation": "count_time", "bins": 9},
         ValueError,
-        "`bins` must be 2 with representation='count_time', got 9",
+        "`bins` of an image must be 1 (count), 2 (count_time), 1 (mean_time), 1 (time_surface), got "
+        "representation='count_time', bins=9",
     ),
     *[
         (
             {"representation": "mean_time", "bins": 1} | other,
             ValueError,
-            'representation=\'mean_time\' needs transform="none" and polarity "split" or "unsigned", got ' + got,
+            'an image of times needs transform="none" and polarity "split" or "unsigned", got '
+            f"representation='mean_time', {got}",
         )
         for other, got in (
             ({"transform": "tnt"}, "transform='tnt', polarity='split'"),
