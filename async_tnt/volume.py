@@ -115,12 +115,9 @@ class TNTVolume:
         """Make `absorb` stop before events at or after `limit_us`, or at the window's end if that comes first."""
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
-    def set_closed_early(self, closed_early: int, hop_us: int) -> None:
-        """Which windows before the open one were closed before their end, for `dropped_decided`: bit k is the window
-        that starts k + 1 times `hop_us` before the open one."""
-        self._ints[S.HOP_US] = hop_us
-        words = closed_early.to_bytes(S.REMEMBERED // 8, "little")
-        self._ints[S.CLOSED_EARLY : S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS] = np.frombuffer(words, np.int64)
+    def set_decided_from(self, start_us: int) -> None:
+        """Count late events at or after `start_us` as `dropped_decided`, for as long as the open window is open."""
+        self._ints[S.DECIDED_FROM_US] = start_us
 
     def warn(self) -> None:
         """Issue the warnings that the last packet made due."""

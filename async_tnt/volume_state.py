@@ -41,7 +41,6 @@ def new_state(config: TNTConfig) -> np.ndarray:
     ints[S.MODE] = S.MODE_RAW if raw else mode
     combine = {"count_time": S.COMBINE_NEWEST, "mean_time": S.COMBINE_MEAN, "time_surface": S.COMBINE_SURFACE}
     ints[S.COMBINE] = combine.get(config.representation, S.COMBINE_SUM)
-    ints[S.HOP_US] = config.window_us
     ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
     ints[S.ROW] = 2 * (width + 1)
     ints[S.PLANE] = plane

@@ -154,10 +154,8 @@ def _count_event(ints, t, x, y):
 
 @inlined
 def _count_late(ints, t):
-    """Count an event before the open window: as DECIDED where the newest window that holds it was closed early."""
-    hops = (ints[S.START_US] - 1 - t) // ints[S.HOP_US]  # 0: that window is the one before the open one
-    decided = hops < S.REMEMBERED and (ints[S.CLOSED_EARLY + (hops >> 6)] >> (hops & 63)) & 1 == 1
-    ints[S.DECIDED if decided else S.LATE] += 1
+    """Count an event before the open window: as DECIDED if all windows from its own on were closed early."""
+    ints[S.DECIDED if t >= ints[S.DECIDED_FROM_US] else S.LATE] += 1
 
 
 @compiled

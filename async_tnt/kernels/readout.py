@@ -46,8 +46,7 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     ints[S.SUM_Y] = 0
     ints[S.SUM_T] = 0
     ints[S.NEWEST_US] = -1
-    for k in range(S.CLOSED_EARLY, S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS):
-        ints[k] = 0
+    ints[S.DECIDED_FROM_US] = S.NEVER_US
 
 
 @compiled

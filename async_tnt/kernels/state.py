@@ -67,15 +67,12 @@ BIN_HI = 39
 # ints: parameters, too
 COMBINE = 42  # one of the COMBINE_ numbers
 # ints: of windows that were closed before their end
-HOP_US = 40  # from one window's start to the next one's
-DECIDED = 41  # late events whose newest window was one of these, since the volume was made
-CLOSED_EARLY = 48  # bit k: the window that starts k + 1 hops before the open one was closed early
-CLOSED_EARLY_WORDS = 16
-REMEMBERED = 64 * CLOSED_EARLY_WORDS  # windows: those of MAX_OPEN_WINDOWS overlapping ones four times over
+DECIDED_FROM_US = 40  # start of the windows closed early that lead up to the open one; NEVER_US: there are none
+DECIDED = 41  # late events at or after that time, since the volume was made
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 BLOCK = 336  # so that all rows together (27 kB) and an interval's cells fit in the first-level cache
-NUM_X = CLOSED_EARLY + CLOSED_EARLY_WORDS  # buffer: displacement from the landmark
+NUM_X = 48  # buffer: displacement from the landmark
 NUM_Y = NUM_X + BLOCK
 DEN = NUM_Y + BLOCK
 Y_FRAC = DEN + BLOCK  # buffer: place in the volume
