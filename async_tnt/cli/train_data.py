@@ -68,7 +68,7 @@ def of_dataset(
         "recordings": file_sizes(args.dataset, "Train"),
         "validation": validation,
         "groups": args.groups or _groups_file(args.dataset),
-        "pixels": pixels.record,
+        "pixels": pixels.about,
     }
     choice = None
     if questions:

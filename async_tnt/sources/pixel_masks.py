@@ -86,7 +86,6 @@ class PackedMask:
     ----------
     size : (width, height) of its sensor.
     sha256 : of the mask's bytes.
-    n_pixels : how many are masked.
     packed : the pixels as compressed bits. Every recording sent to a worker takes its mask along; hot pixels of a
         1280x720 sensor pack into 1 to 3 kB instead of 900.
     name : its file, for messages.
@@ -94,7 +93,6 @@ class PackedMask:
 
     size: Sensor
     sha256: str
-    n_pixels: int
     packed: bytes = field(compare=False, repr=False)
     name: str = field(default="mask", compare=False)
 
@@ -117,7 +115,7 @@ class PackedMask:
             )
         height, width = checked_mask(mask).shape
         packed = zlib.compress(np.packbits(mask).tobytes())
-        return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), int(mask.sum()), packed, name)
+        return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), packed, name)
 
     def pixels(self, sensor: Sensor) -> np.ndarray:
         """The mask itself: bool, shape (H, W); a ValueError if it is not of this sensor."""
