@@ -178,7 +178,8 @@ class TNTVolume:
         try:
             # `|` refuses floats; a NumPy scalar would make Numba compile for its type
             if type(t | x | y | p) is int and self._is_plain:
-                return absorb_one(self._buffer, t, x, y, p * 1)  # True becomes 1, or Numba would compile for bool
+                answer: int = absorb_one(self._buffer, t, x, y, p * 1)  # True becomes 1: Numba would compile for bool
+                return answer
         except (TypeError, OverflowError):
             pass  # the decoder names the mistake
         return REFUSED
@@ -187,7 +188,8 @@ class TNTVolume:
         """Add checked events `first <= i < last` up to the limit; returns the first one not added."""
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
-        return absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)
+        absorbed: int = absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)
+        return absorbed
 
     def _open_next(self, t_us: int) -> int:
         """Open the window that holds `t_us`, at or after the open window's end; returns how many that closes."""

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import NoReturn
 
-from async_tnt.cli.output import complain, printable
+from async_tnt.checks import printable
+from async_tnt.cli.output import complain
 from async_tnt.process import handled_by
 from async_tnt.version import __version__
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from async_tnt.simulation.moving_mnist import open_set
 from async_tnt.training.digits import OFFICIAL, read_nmnist_folder, recording_numbers
-from async_tnt.training.recordings import Recordings
-from async_tnt.training.windows import COLUMNS, SACCADE_US, Windows, make_windows, saccade, split_recordings
+from async_tnt.training.recordings import COLUMNS, Recordings
+from async_tnt.training.windows import SACCADE_US, Windows, make_windows, saccade, split_recordings
 
 CONFOUNDED = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 2])
 """The one saccade of each digit in `confounded`."""
