@@ -27,13 +27,12 @@ from async_tnt.training.settings import TrainSettings
 from async_tnt.training.table_data import (
     RealData,
     RealFolder,
-    saccade,
     simulated_windows,
     some_recordings,
     trained_on,
 )
 from async_tnt.training.table_rows import COLUMNS, ROWS, Run
-from async_tnt.training.windows import Windows
+from async_tnt.training.windows import Windows, saccade
 
 RESULT = "result.json"
 VALIDATION = ("per_window", "validation_loss", "motions_per_window", "motions_validation_loss")
