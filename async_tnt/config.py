@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, get_args
 
@@ -12,11 +11,10 @@ from async_tnt.checks import is_whole, real_number, short, whole_number
 Landmark = Literal["center", "running", "line", "window", "regressor"]
 Polarity = Literal["signed", "unsigned", "split"]
 Transform = Literal["tnt", "none"]
-Representation = Literal["volume", "count", "count_time", "mean_time", "time_surface", "hats"]
+Representation = Literal["volume", "count", "count_time", "mean_time", "time_surface"]
 LANDMARKS, POLARITIES, TRANSFORMS, REPRESENTATIONS = map(get_args, (Landmark, Polarity, Transform, Representation))
-IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1, "hats": 49}  # channels of one polarity
+IMAGE_BINS = {"count": 1, "count_time": 2, "mean_time": 1, "time_surface": 1}  # channels of one polarity
 TIME_IMAGES = ("count_time", "mean_time", "time_surface")
-UNTRANSFORMED = (*TIME_IMAGES, "hats")
 BINS = 9
 MAX_SIDE = 1 << 15
 WINDOW_US = 105_000
@@ -51,10 +49,9 @@ class TNTConfig:
     transform : `tnt`, or `none` for the plain event volume; by default `tnt` for a volume and `none` for an image.
     remove_flow : subtract the flow that the running line has found (landmark `line` only).
     representation : `volume`, the event volume; or an image: `count` (events per pixel), `count_time` (the same, and
-        the time of the newest, as a fraction of the window), `mean_time` (the mean time), `time_surface` (exp(-age /
-        tau) of the newest event at the window's end, tau half a window); or `hats`, histograms of averaged time
-        surfaces, 49 bins for each cell of the grid. These have their channels once, or with `split` polarity for ON and
-        then for OFF. Images of times and histograms take no transform, and no `signed`.
+        the time of the newest, as a fraction of the window), `mean_time` (the mean time), or `time_surface` (exp(-age /
+        tau) of the newest event at the window's end, tau half a window). With `split` polarity the channels of ON come
+        first, then those of OFF. Images of times (all but `count`) take no transform, and no `signed` polarity.
 
     Raises
     ------
@@ -83,64 +80,30 @@ class TNTConfig:
     representation: Representation = "volume"
 
     def __post_init__(self) -> None:
+        self._set("representation", _FIELDS["representation"]("representation", self.representation))
         is_image = self.representation != "volume"
         for name, default in (
+            ("bins", IMAGE_BINS.get(self.representation, BINS)),
             ("polarity", "split" if is_image else "signed"),
             ("transform", "none" if is_image else "tnt"),
             ("window_us", WINDOW_US if self.window_events is None else MAX_WINDOW_US),
         ):
             if getattr(self, name) is None:
-                object.__setattr__(self, name, default)
-        choices = {"landmark": LANDMARKS, "polarity": POLARITIES, "transform": TRANSFORMS}
-        for name, allowed in {**choices, "representation": REPRESENTATIONS}.items():
-            value = getattr(self, name)
-            if not isinstance(value, str) or value not in allowed:
-                raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {short(value)}")
-        if self.bins is None:
-            object.__setattr__(self, "bins", IMAGE_BINS.get(self.representation, BINS))
-        for name in ("sensor", "grid"):
-            side = getattr(self, name)
-            if not (isinstance(side, (tuple, list)) and len(side) == 2 and all(is_whole(s) for s in side)):
-                raise TypeError(f"`{name}` must be two whole numbers (width, height), got {short(side)}")
-            side = int(side[0]), int(side[1])
-            object.__setattr__(self, name, side)
-            if not all(2 <= s <= MAX_SIDE for s in side):
-                raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {short(side)}")
-        ranges = {"bins": (1, 1024), "window_us": (1, MAX_WINDOW_US)}
-        if self.window_events is not None:
-            ranges["window_events"] = (1, MAX_WINDOW_EVENTS)
-        for name, (low, high) in ranges.items():
-            object.__setattr__(self, name, whole_number(name, getattr(self, name), low, high + 1))
-        t_max = real_number("t_max", self.t_max)
-        if not 1e-6 <= t_max <= 1e6:
-            raise ValueError(f"`t_max` must be in [1e-6, 1e6], got {t_max}")
-        object.__setattr__(self, "t_max", t_max)
-        if not isinstance(self.remove_flow, bool):
-            raise TypeError(f"`remove_flow` must be True or False, got {short(self.remove_flow)}")
-        if self.remove_flow and (self.landmark != "line" or self.transform != "tnt"):
-            raise ValueError(
-                '`remove_flow` needs landmark="line" and transform="tnt", '
-                f"got landmark={self.landmark!r}, transform={self.transform!r}"
-            )
-        if self.bins != IMAGE_BINS.get(self.representation, self.bins):
-            needed = IMAGE_BINS[self.representation]
-            raise ValueError(f"`bins` must be {needed} with representation={self.representation!r}, got {self.bins}")
-        if self.representation in UNTRANSFORMED and (self.transform != "none" or self.polarity == "signed"):
-            raise ValueError(
-                f'representation={self.representation!r} needs transform="none" and polarity "split" or "unsigned", '
-                f"got transform={self.transform!r}, polarity={self.polarity!r}"
-            )
-        if self.representation == "hats" and (self.grid[0] > self.sensor[0] or self.grid[1] > self.sensor[1]):
-            raise ValueError(
-                "`grid` must have no more cells than the sensor has pixels with representation='hats', "
-                f"got {self.grid} on {self.sensor}"
-            )
-        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1) + self.remembered
+                self._set(name, default)
+        for name, check in _FIELDS.items():
+            self._set(name, check(name, getattr(self, name)))
+        for holds, rule, names in _RELATIONS:
+            if not holds(self):
+                raise ValueError(f"{rule}, got {', '.join(f'{name}={getattr(self, name)!r}' for name in names)}")
+        cells = 2 * self.channels * (self.grid[0] + 1) * (self.grid[1] + 1)
         if cells > MAX_CELLS:
             raise ValueError(
                 f"`grid` and `bins` must give at most {MAX_CELLS:_} cells, got {cells:_} (a program may raise "
                 "async_tnt.config.MAX_CELLS)"
             )
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
 
     @property
     def channels(self) -> int:
@@ -151,14 +114,6 @@ class TNTConfig:
     def shape(self) -> tuple[int, int, int]:
         """(C, H, W), the shape of `TNTVolume.array`."""
         return self.channels, self.grid[1], self.grid[0]
-
-    @property
-    def remembered(self) -> int:
-        """Numbers that histograms remember: events by polarity and pixel, events by cell, sums by bin and cell."""
-        if self.representation != "hats":
-            return 0
-        n_polarities, n_cells = self.channels // self.bins, math.prod(self.grid)
-        return n_polarities * math.prod(self.sensor) + (1 + self.channels) * n_cells
 
     @property
     def needs_regressor(self) -> bool:
@@ -216,3 +171,80 @@ class TNTConfig:
         if (changes.get("window_events", self.window_events) is None) != (self.window_events is None):
             changes = {"window_us": None} | changes
         return replace(self, **changes)
+
+
+# -- the constraints: of each field, and between fields ----------------------------------------------------
+
+
+def _one_of(allowed: Sequence[str]) -> Callable[[str, Any], str]:
+    def check(name: str, value: Any) -> str:
+        if not isinstance(value, str) or value not in allowed:
+            raise ValueError(f"`{name}` must be one of {', '.join(allowed)}, got {short(value)}")
+        return value
+
+    return check
+
+
+def _whole(low: int, high: int) -> Callable[[str, Any], int]:
+    return lambda name, value: whole_number(name, value, low, high + 1)
+
+
+def _size(name: str, value: Any) -> tuple[int, int]:
+    if not (isinstance(value, (tuple, list)) and len(value) == 2 and all(is_whole(side) for side in value)):
+        raise TypeError(f"`{name}` must be two whole numbers (width, height), got {short(value)}")
+    size = int(value[0]), int(value[1])
+    if not all(2 <= side <= MAX_SIDE for side in size):
+        raise ValueError(f"`{name}` must have sides of 2 to {MAX_SIDE} pixels, got {short(size)}")
+    return size
+
+
+def _window_events(name: str, value: Any) -> int | None:
+    return None if value is None else whole_number(name, value, 1, MAX_WINDOW_EVENTS + 1)
+
+
+def _t_max(name: str, value: Any) -> float:
+    number = real_number(name, value)
+    if not 1e-6 <= number <= 1e6:
+        raise ValueError(f"`{name}` must be in [1e-6, 1e6], got {number}")
+    return number
+
+
+def _flag(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"`{name}` must be True or False, got {short(value)}")
+    return value
+
+
+_FIELDS: dict[str, Callable[[str, Any], object]] = {
+    "sensor": _size,
+    "grid": _size,
+    "bins": _whole(1, 1024),
+    "window_us": _whole(1, MAX_WINDOW_US),
+    "t_max": _t_max,
+    "landmark": _one_of(LANDMARKS),
+    "polarity": _one_of(POLARITIES),
+    "transform": _one_of(TRANSFORMS),
+    "remove_flow": _flag,
+    "window_events": _window_events,
+    "representation": _one_of(REPRESENTATIONS),
+}
+"""Name -> check(name, value), which returns the value as it is kept."""
+
+_RELATIONS: tuple[tuple[Callable[[TNTConfig], bool], str, tuple[str, ...]], ...] = (
+    (
+        lambda c: not c.remove_flow or (c.landmark == "line" and c.transform == "tnt"),
+        '`remove_flow` needs landmark="line" and transform="tnt"',
+        ("landmark", "transform"),
+    ),
+    (
+        lambda c: c.bins == IMAGE_BINS.get(c.representation, c.bins),
+        f"`bins` of an image must be {', '.join(f'{n} ({name})' for name, n in IMAGE_BINS.items())}",
+        ("representation", "bins"),
+    ),
+    (
+        lambda c: c.representation not in TIME_IMAGES or (c.transform == "none" and c.polarity != "signed"),
+        'an image of times needs transform="none" and polarity "split" or "unsigned"',
+        ("representation", "transform", "polarity"),
+    ),
+)
+"""What must hold, the rule in words, and the fields that the message shows."""

@@ -78,8 +78,8 @@ class Counts:
     dropped_unstored: int = 0
     """The replay buffer of landmark "window" or "regressor" was full."""
     dropped_decided: int = 0
-    """Late, and the newest window that holds it was closed early by `confidence`. The 1024 windows before the oldest
-    open one are remembered; events of older ones count as `dropped_late`."""
+    """Late, and all windows from the newest one that holds it up to the oldest open one were closed early by
+    `confidence`."""
 
     @property
     def moved_off(self) -> int:

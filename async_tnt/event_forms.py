@@ -45,27 +45,12 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
     if events is None:
         return None
     if isinstance(events, (np.ndarray, np.void)):
-        refuse_mask("events", events, UNMASKED)
-        names = events.dtype.names
-        if names is None:
-            if isinstance(events, np.ndarray) and events.size == 0:
-                return None
-            raise TypeError(f"events must be {FORMS}; got a plain array of shape {np.shape(events)}")
-        what = f"a structured array with fields {', '.join(names)}"
-        t, x, y, p = (np.atleast_1d(events[the_name(field, names, what)]) for field in NAMES)
-        return t, x, y, p
+        return _columns_of_array(events)
     by_name = hasattr(events, "x") and hasattr(events, "y")
     if isinstance(events, (tuple, list)):
         if len(events) == 0:
             return None
-        is_event = isinstance(events[0], (dict, np.void)) or (isinstance(events[0], tuple) and len(events) != 4)
-        if isinstance(events, list) and is_event:
-            raise TypeError(
-                f"a list of single events ({type(events[0]).__name__} at event 0) is not a packet: pass it to "
-                "`stream`, event by event, or push four columns (t, x, y, p)"
-            )
-        if len(events) != 4:
-            raise ValueError(f"a tuple of events must hold four columns (t, x, y, p), got {len(events)}")
+        _check_four(events)
         if not by_name:  # a named tuple names its columns
             t, x, y, p = (_as_column(field, column) for field, column in zip(NAMES, events, strict=True))
             return t, x, y, p
@@ -83,6 +68,30 @@ def named_columns(events: Any, depth: int = 0) -> Four | None:
             raise TypeError(f"{type(events).__name__}.numpy() failed: {one_line(error)}") from error
         return named_columns(array, depth + 1)
     raise TypeError(f"events must be {FORMS}; got {type(events).__name__}")
+
+
+def _columns_of_array(events: np.ndarray | np.void) -> Four | None:
+    refuse_mask("events", events, UNMASKED)
+    names = events.dtype.names
+    if names is None:
+        if isinstance(events, np.ndarray) and events.size == 0:
+            return None
+        raise TypeError(f"events must be {FORMS}; got a plain array of shape {np.shape(events)}")
+    what = f"a structured array with fields {', '.join(names)}"
+    t, x, y, p = (np.atleast_1d(events[the_name(field, names, what)]) for field in NAMES)
+    return t, x, y, p
+
+
+def _check_four(events: tuple[Any, ...] | list[Any]) -> None:
+    """Refuse a list of single events, and anything but four columns."""
+    is_event = isinstance(events[0], (dict, np.void)) or (isinstance(events[0], tuple) and len(events) != 4)
+    if isinstance(events, list) and is_event:
+        raise TypeError(
+            f"a list of single events ({type(events[0]).__name__} at event 0) is not a packet: pass it to "
+            "`stream`, event by event, or push four columns (t, x, y, p)"
+        )
+    if len(events) != 4:
+        raise ValueError(f"a tuple of events must hold four columns (t, x, y, p), got {len(events)}")
 
 
 def _as_column(field: str, values: Any) -> np.ndarray:

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import IO
 
 
-def check_writable(path: Path, suffixes: Sequence[str] = (), *, option: str = "--out") -> Path:
+def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
     """The file to write, following a symbolic link; refuses, before any work, what `Replacement` could not replace.
 
     Parameters
     ----------
     suffixes : `path` must have one of these, in upper or lower case; empty: any.
-    option : the option that is named in an error about the suffix.
 
     Raises
     ------
@@ -25,13 +24,11 @@ def check_writable(path: Path, suffixes: Sequence[str] = (), *, option: str = "-
     OSError : something other than a regular file is there, the folder is missing, or there is no permission.
     """
     if suffixes and path.suffix.lower() not in suffixes:
-        raise ValueError(f"{option} must end in {', '.join(suffixes)}, got {path}")
+        raise ValueError(f"{path}: its name must end in {', '.join(suffixes)}")
     target = file_of(path)
     if not target.parent.is_dir():
         raise FileNotFoundError(f"no folder {target.parent} to write {target.name} to")
     there = _regular(path)
-    if there is not None and any(os.path.samestat(there, stream) for stream in _standard_streams()):
-        raise FileExistsError(f"{path} is what this program prints to: name another file")
     if not os.access(target.parent, os.W_OK) or (there is not None and not os.access(target, os.W_OK)):
         raise PermissionError(f"{path} cannot be written: no permission")
     _regular(_part_of(target), follow_symlinks=False)
@@ -217,12 +214,5 @@ def _regular(path: Path, *, follow_symlinks: bool = True) -> os.stat_result | No
     except FileNotFoundError:
         return None
     if not stat.S_ISREG(status.st_mode):
-        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a link or a special file"
-        raise FileExistsError(f"{path} is {kind}, expected a regular file or a new name")
+        raise FileExistsError(f"{path} is not a regular file; only those are replaced: give another name")
     return status
-
-
-def _standard_streams() -> Iterator[os.stat_result]:
-    for descriptor in (1, 2):
-        with contextlib.suppress(OSError):  # closed
-            yield os.fstat(descriptor)

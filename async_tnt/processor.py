@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from operator import attrgetter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,14 +25,9 @@ from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
 from async_tnt.one_call import Running, one_at_a_time
 from async_tnt.replay_buffer import Regressor
-from async_tnt.triggers import LeakyIntegrator, Triggers
+from async_tnt.triggers import LeakyIntegrator, Triggers, TriggerSettings
 from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
-
-
-def _trigger(name: str) -> property:
-    doc = f"The trigger `{name}`, see `Processor`; may be changed between calls."
-    return property(attrgetter(f"_triggers.{name}"), lambda self, value: self._set(name, value), doc=doc)
 
 
 class Processor:
@@ -102,11 +97,10 @@ class Processor:
         self._classifier = WindowClassifier(self.config, classifier, classes)
         self._running = Running("Processor")
         self._start_us = start_us = None if start_us is None else checked_time("start_us", start_us)
-        self._triggers = Triggers()
-        self._triggers.set(every_us=every_us, every_events=every_events, confidence=confidence, activity=activity)
+        self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence, activity))
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._compile(regressor)
-        self._by_event = self._triggers.by_event
+        self._by_event = self._triggers.settings.by_event
         self._windows = WindowScheduler(self.config, hop_us, start_us, replay_events, regressor)
         self.reset()
 
@@ -151,15 +145,46 @@ class Processor:
         """What is done with an event older than the newest one seen: `accept`, `drop` or `raise`."""
         return self._decoder.late
 
-    every_us = _trigger("every_us")
-    every_events = _trigger("every_events")
-    confidence = _trigger("confidence")
-    activity = _trigger("activity")
+    @property
+    def every_us(self) -> int | None:
+        """Decide also whenever this many microseconds have passed; None: never. May change between calls."""
+        return self._triggers.settings.every_us
+
+    @every_us.setter
+    def every_us(self, every_us: int | None) -> None:
+        self._set_triggers(replace(self._triggers.settings, every_us=every_us))
+
+    @property
+    def every_events(self) -> int | None:
+        """Decide also after every this many events of the window; None: never. May change between calls."""
+        return self._triggers.settings.every_events
+
+    @every_events.setter
+    def every_events(self, every_events: int | None) -> None:
+        self._set_triggers(replace(self._triggers.settings, every_events=every_events))
+
+    @property
+    def confidence(self) -> float | None:
+        """Close a window at a decision whose class has this probability; None: never. May change between calls."""
+        return self._triggers.settings.confidence
+
+    @confidence.setter
+    def confidence(self, confidence: float | None) -> None:
+        self._set_triggers(replace(self._triggers.settings, confidence=confidence))
+
+    @property
+    def activity(self) -> LeakyIntegrator | None:
+        """Decide also when much happens in little time; None: never. May change between calls."""
+        return self._triggers.settings.activity
+
+    @activity.setter
+    def activity(self, activity: LeakyIntegrator | None) -> None:
+        self._set_triggers(replace(self._triggers.settings, activity=activity))
 
     @one_at_a_time
-    def _set(self, name: str, value: Any) -> None:
-        """Change a trigger; it applies to the open window, too."""
-        self._triggers.set(**{name: value})
+    def _set_triggers(self, settings: TriggerSettings) -> None:
+        """Change the triggers; they apply to the open window, too."""
+        self._triggers.set(settings)
         self._choose_paths()
         if len(self._windows):
             oldest = self._windows.oldest
@@ -168,15 +193,21 @@ class Processor:
 
     def _compile(self, regressor: Regressor | None) -> None:
         """Now, so that no event has to wait for it."""
-        compile_for(self.config, self.classifier, regressor, late=self.late, by_event=self._triggers.by_event)
+        compile_for(
+            self.config,
+            self.classifier,
+            regressor,
+            drops_late=self.late != "accept",
+            by_event=self._triggers.settings.by_event,
+        )
 
     def _choose_paths(self) -> None:
         """Whether triggers look at each event; whether single events may go straight to the one volume."""
-        if self._triggers.by_event and not self._by_event:
+        if self._triggers.settings.by_event and not self._by_event:
             self._compile(None)
         direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
         self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
-        self._by_event = self._triggers.by_event
+        self._by_event = self._triggers.settings.by_event
 
     # -- events in ---------------------------------------------------------------------------------------
 
@@ -274,7 +305,7 @@ class Processor:
         why = why_due(triggers.state, n_before, oldest.n_events, fires)
         if why == NOT_DUE:
             return []
-        decision = self._classifier.decide(oldest, TRIGGER_NAMES[why], confidence=triggers.confidence)
+        decision = self._classifier.decide(oldest, TRIGGER_NAMES[why], confidence=triggers.settings.confidence)
         return [decision] if decision.trigger else []
 
     def _advance(self, t_us: int, decisions: list[Decision]) -> None:
@@ -285,7 +316,7 @@ class Processor:
             if triggers.next_due_us <= t_us and triggers.next_due_us < end_us:
                 new = []
                 if oldest.n_events > triggers.n_decided:
-                    new.append(self._classifier.decide(oldest, "every_us", confidence=triggers.confidence))
+                    new.append(self._classifier.decide(oldest, "every_us", confidence=triggers.settings.confidence))
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
                 self._accept(new, t_us, decisions)
             elif end_us <= t_us:

@@ -26,8 +26,8 @@ from async_tnt.volume_state import MAX_EVENTS, next_epoch, set_duration
 Regressor = Callable[[np.ndarray], Any]
 FIRST_CAPACITY = 4096
 UNCHANGED_BY_REPLAY = (
-    *(S.N, S.SUM_X, S.SUM_Y, S.NEWEST_US, S.START_US, S.LIMIT_US, S.RECEIVED, S.LATE, S.DECIDED),
-    *range(S.CLOSED_EARLY, S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS),
+    *(S.N, S.SUM_X, S.SUM_Y, S.NEWEST_US, S.START_US, S.LIMIT_US),
+    *(S.RECEIVED, S.LATE, S.DECIDED, S.DECIDED_FROM_US),
 )
 
 

@@ -44,48 +44,71 @@ class LeakyIntegrator:
             object.__setattr__(self, name, number)
 
 
+@dataclass(frozen=True)
+class TriggerSettings:
+    """When a processor decides apart from the end of each window, see `Processor`; None switches a trigger off.
+
+    Raises
+    ------
+    ValueError, TypeError : an invalid value; the message names its rule.
+    """
+
+    every_us: int | None = None
+    every_events: int | None = None
+    confidence: float | None = None
+    activity: LeakyIntegrator | None = None
+
+    def __post_init__(self) -> None:
+        for name, check in _CHECKS.items():
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, check(name, value))
+
+    @property
+    def by_event(self) -> bool:
+        """Whether a single event may make a decision due."""
+        return self.every_events is not None or self.activity is not None or self.each_event
+
+    @property
+    def each_event(self) -> bool:
+        """Whether `confidence` is checked after every event, as no other trigger is set."""
+        others = (self.every_us, self.every_events, self.activity)
+        return self.confidence is not None and others == (None, None, None)
+
+
 class Triggers:
     """The triggers of one processor: their settings, and what they remember of the stream.
 
     Attributes
     ----------
+    settings : TriggerSettings.
+    state : float64, the settings and the potential of `activity` as kernels read them, see `kernels.trigger`.
     next_due_us : next moment of `every_us` in the oldest window.
     n_decided : events of the oldest window at its last triggered decision.
     """
 
-    def __init__(self) -> None:
-        self.every_us: int | None = None
-        self.every_events: int | None = None
-        self.confidence: float | None = None
-        self.activity: LeakyIntegrator | None = None
+    def __init__(self, settings: TriggerSettings) -> None:
         self.state = np.zeros(T.SIZE)
         self._ints = self.state.view(np.int64)
-        self.set()
+        self.settings = settings
+        self.set(settings)
         self.forget()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._ints = self.state.view(np.int64)  # a view again, and not a copy
 
-    def set(self, **settings: Any) -> None:
-        """Change some of `every_us`, `every_events`, `confidence`, `activity`; None switches one off.
-
-        Raises
-        ------
-        ValueError, TypeError : an invalid value. Nothing changes then.
-        """
-        for name, value in settings.items():
-            settings[name] = None if value is None else _CHECKS[name](name, value)
-        restarts = settings.get("activity", self.activity) != self.activity
-        vars(self).update(settings)
-        self.state[T.CONFIDENCE] = math.inf if self.confidence is None else self.confidence
-        activity = self.activity
+    def set(self, settings: TriggerSettings) -> None:
+        """Use these settings from now on; the potential stays where `activity` does not change."""
+        restarts = settings.activity != self.settings.activity
+        self.settings = settings
+        activity = settings.activity
+        self.state[T.CONFIDENCE] = math.inf if settings.confidence is None else settings.confidence
         self.state[T.THRESHOLD] = math.inf if activity is None else activity.threshold
         if activity is not None:
             self.state[T.LEAK_US], self.state[T.CHARGE] = activity.leak_us, activity.charge
-        self._ints[T.EVERY_EVENTS] = self.every_events or 0
-        others = (self.every_us, self.every_events, self.activity)
-        self._ints[T.EACH_EVENT] = self.confidence is not None and others == (None, None, None)
+        self._ints[T.EVERY_EVENTS] = settings.every_events or 0
+        self._ints[T.EACH_EVENT] = settings.each_event
         if restarts:
             self._discharge()
 
@@ -102,14 +125,10 @@ class Triggers:
     def schedule(self, now_us: int, start_us: int) -> None:
         """Set the next moment of `every_us`: the first after `now_us` in a window that starts at `start_us`."""
         self.next_due_us = NEVER_US
-        if self.every_us is not None:
-            due_us = start_us + ((now_us - start_us) // self.every_us + 1) * self.every_us
+        every_us = self.settings.every_us
+        if every_us is not None:
+            due_us = start_us + ((now_us - start_us) // every_us + 1) * every_us
             self.next_due_us = min(due_us, NEVER_US)
-
-    @property
-    def by_event(self) -> bool:
-        """Whether a single event may make a decision due."""
-        return bool(self._ints[T.EVERY_EVENTS] or self._ints[T.EACH_EVENT] or self.activity is not None)
 
 
 def _level(name: str, value: Any) -> float:

@@ -115,12 +115,9 @@ class TNTVolume:
         """Make `absorb` stop before events at or after `limit_us`, or at the window's end if that comes first."""
         self._ints[S.LIMIT_US] = min(limit_us, self.start_us + self.config.window_us)
 
-    def set_closed_early(self, closed_early: int, hop_us: int) -> None:
-        """Which windows before the open one were closed before their end, for `dropped_decided`: bit k is the window
-        that starts k + 1 times `hop_us` before the open one."""
-        self._ints[S.HOP_US] = hop_us
-        words = closed_early.to_bytes(S.REMEMBERED // 8, "little")
-        self._ints[S.CLOSED_EARLY : S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS] = np.frombuffer(words, np.int64)
+    def set_decided_from(self, start_us: int) -> None:
+        """Count late events at or after `start_us` as `dropped_decided`, for as long as the open window is open."""
+        self._ints[S.DECIDED_FROM_US] = start_us
 
     def warn(self) -> None:
         """Issue the warnings that the last packet made due."""
@@ -181,7 +178,8 @@ class TNTVolume:
         try:
             # `|` refuses floats; a NumPy scalar would make Numba compile for its type
             if type(t | x | y | p) is int and self._is_plain:
-                return absorb_one(self._buffer, t, x, y, p * 1)  # True becomes 1, or Numba would compile for bool
+                answer: int = absorb_one(self._buffer, t, x, y, p * 1)  # True becomes 1: Numba would compile for bool
+                return answer
         except (TypeError, OverflowError):
             pass  # the decoder names the mistake
         return REFUSED
@@ -190,7 +188,8 @@ class TNTVolume:
         """Add checked events `first <= i < last` up to the limit; returns the first one not added."""
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
-        return absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)
+        absorbed: int = absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)
+        return absorbed
 
     def _open_next(self, t_us: int) -> int:
         """Open the window that holds `t_us`, at or after the open window's end; returns how many that closes."""

@@ -24,7 +24,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     plane = 2 * (width + 1) * (height + 1)
     n_cells = config.channels * plane
     log_size = 1 << (max(S.BLOCK, n_cells // S.NUMBERS_PER_LOGGED) - 1).bit_length()
-    buffer = np.zeros(S.CELLS + n_cells + log_size + config.remembered)
+    buffer = np.zeros(S.CELLS + n_cells + log_size)
     ints = buffer.view(np.int64)
     raw = config.transform == "none"
     set_duration(buffer, config, config.window_us)
@@ -40,9 +40,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     mode = S.MODE_LINE_FLOW_REMOVED if config.remove_flow else modes.get(config.landmark, S.MODE_FIXED)
     ints[S.MODE] = S.MODE_RAW if raw else mode
     combine = {"count_time": S.COMBINE_NEWEST, "mean_time": S.COMBINE_MEAN, "time_surface": S.COMBINE_SURFACE}
-    combine["hats"] = S.COMBINE_HISTOGRAM
     ints[S.COMBINE] = combine.get(config.representation, S.COMBINE_SUM)
-    ints[S.HOP_US] = config.window_us
     ints[S.SENSOR_W], ints[S.SENSOR_H] = sensor_w, sensor_h
     ints[S.ROW] = 2 * (width + 1)
     ints[S.PLANE] = plane
@@ -50,7 +48,6 @@ def new_state(config: TNTConfig) -> np.ndarray:
     ints[S.LOG] = S.CELLS + n_cells
     ints[S.BIN_LO], ints[S.BIN_HI] = S.NO_BIN, -1
     ints[S.LOG_SIZE] = log_size
-    ints[S.MEMORY] = S.CELLS + n_cells + log_size if config.remembered else 0
     return buffer
 
 

@@ -15,7 +15,6 @@ from async_tnt.checks import positive_int, short
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.events import Columns
-from async_tnt.kernels.state import REMEMBERED
 from async_tnt.replay_buffer import Regressor
 from async_tnt.volume import TNTVolume
 from async_tnt.volume_state import MAX_EVENTS
@@ -96,8 +95,8 @@ class WindowScheduler:
         self._open: deque[TNTVolume] = deque()
         self._free = list(self.volumes)
         self._next_start_us: int | None = self._start_us  # of the next window to be opened; None: at the first event
-        # Bit k: the window k + 1 hops before the oldest open one, or before the next where none is, was closed early.
-        self._closed_early = 0
+        # The start of the windows closed early that lead up to the oldest open one, or to the next where none is.
+        self._decided_from_us: int | None = None
         self._n_received = 0
         self._n_late = 0
         self._n_decided = 0
@@ -163,7 +162,7 @@ class WindowScheduler:
         if start_us + self._window_us <= t_us:  # then none is open
             hops = (t_us - self._window_us - start_us) // self.hop_us + 1
             start_us += hops * self.hop_us
-            self._remember(hops, early=False)
+            self._decided_from_us = None
         while start_us <= t_us or not self._open:
             volume = self._free.pop()
             volume.open(start_us)
@@ -188,24 +187,21 @@ class WindowScheduler:
             number of events, none do: the next window begins with the next event.
         """
         volume = self._open.popleft()
+        if self._window_events is not None:
+            self._next_start_us = None
+        elif not early:
+            self._decided_from_us = None
+        elif self._decided_from_us is None:
+            self._decided_from_us = volume.start_us
         volume.close()
         self._free.append(volume)
-        if self._window_events is None:
-            self._remember(1, early)
-        else:
-            self._next_start_us = None
         if self._open:
             self._inform_oldest()
 
-    def _remember(self, hops: int, early: bool) -> None:
-        """The window to look back from is now this many hops later; `early`: the one before it was closed early."""
-        before = self._closed_early << hops if hops < REMEMBERED else 0
-        self._closed_early = (before | early) & ((1 << REMEMBERED) - 1)
-
     def _inform_oldest(self) -> None:
-        """Tell the oldest volume, which counts late events, which windows were closed early."""
-        if self._closed_early:
-            self.oldest.set_closed_early(self._closed_early, self.hop_us)
+        """Tell the oldest volume, which counts late events, from when on the windows before it were closed early."""
+        if self._decided_from_us is not None:
+            self.oldest.set_decided_from(self._decided_from_us)
 
     def counts(self, n_dropped: int) -> Counts:
         """See `Processor.counts`. `n_dropped` : late events that the decoder has dropped."""

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt.compile_ahead import warmup
-from async_tnt.config import LANDMARKS, UNTRANSFORMED
+from async_tnt.config import LANDMARKS, TIME_IMAGES
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, progress
@@ -94,7 +94,7 @@ def main(argv: list[str] | None = None) -> int:
 def _check_model(model: Model) -> None:
     """Refuse what the batch computations beside the stream do not make."""
     config = model.config
-    if config.representation in UNTRANSFORMED or config.window_events is not None:
+    if config.representation in TIME_IMAGES or config.window_events is not None:
         got = f"representation={config.representation!r}, window_events={config.window_events}"
         raise ValueError(f"bench compares event volumes of windows of a duration; the model has {got}")
 

@@ -19,6 +19,7 @@ REPRESENTATIONS = {
     "volume": ("event volume", "raw-translated"),
     **{name: (f"TNT, `{name}`", f"{name}-translated") for name in LANDMARKS},
     **{name: (title.partition(",")[0], f"{name}-translated") for name, title in IMAGES.items()},
+    "hats": ("HATS", "hats-translated"),  # measured by an earlier version
 }
 """Recipe of N-CARS, without `equal_` -> title, row of the thesis' table."""
 

@@ -77,7 +77,6 @@ DATA_SETS = {
             "bare": "",
             **{f"equal_{name}": f"{options} --grid 60x50 {EQUAL}" for name, options in VOLUMES.items()},
             **{f"equal_{name}": f"--representation {name} --grid 60x50 {EQUAL}" for name in IMAGES},
-            "equal_hats": f"--representation hats --grid 12x10 {EQUAL}",
         },
         others={"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # see docs/results.md
     ),

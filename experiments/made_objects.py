@@ -22,12 +22,12 @@ THRESHOLD, MISMATCH, NOISE_HZ = 0.2, 0.1, 0.5
 def inside(shape: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Whether points lie in a shape of radius 1 about 0."""
     if shape == "disc":
-        return np.hypot(x, y) < 0.9
+        return np.asarray(np.hypot(x, y) < 0.9)
     if shape == "square":
-        return np.maximum(abs(x), abs(y)) < 0.8
+        return np.asarray(np.maximum(abs(x), abs(y)) < 0.8)
     if shape == "cross":
-        return (np.minimum(abs(x), abs(y)) < 0.3) & (np.maximum(abs(x), abs(y)) < 1.0)
-    return (y > -0.6) & (np.sqrt(3) * abs(x) < 1.1 - y)
+        return np.asarray((np.minimum(abs(x), abs(y)) < 0.3) & (np.maximum(abs(x), abs(y)) < 1.0))
+    return np.asarray((y > -0.6) & (np.sqrt(3) * abs(x) < 1.1 - y))
 
 
 def record(name: str, direction: float, rng: np.random.Generator) -> dict[str, np.ndarray]:

@@ -114,7 +114,7 @@ def markdown_table(table: dict[str, Any], group: str) -> str:
 
 def _part(table: dict[str, Any], group: str) -> tuple[list[str], list[str]]:
     """The rows of a group and their columns: those of `COLUMNS`, and of other simulated sets."""
-    rows = [row for row in table if ROWS[row].group == group]
+    rows = [row for row in table if row in ROWS and ROWS[row].group == group]
     found = dict.fromkeys(column for row in rows for column in table[row])
     return rows, [*(c for c in COLUMNS if c in found), *(c for c in found if c not in COLUMNS)]
 

@@ -50,9 +50,7 @@ IMAGES: dict[Representation, str] = {
     "count_time": "image of counts and times",
     "mean_time": "image of mean times",
     "time_surface": "time surface",
-    "hats": "HATS, 8x8 cells",
 }
-HATS_GRID = (8, 8)
 TITLES = {"raw": "raw", **{name: f"`{name}`" for name in INPUTS if name != "raw"}}
 
 COLUMNS = {
@@ -179,7 +177,7 @@ def _representations() -> Iterator[Row]:
     inputs = {"window": ("`window`", TNTConfig(landmark="window", t_max=T_MAX))}
     for image, title in IMAGES.items():
         config = TNTConfig(representation=image, transform="none", landmark="center", polarity="split")
-        inputs[image] = title, config.replace(grid=HATS_GRID) if image == "hats" else config
+        inputs[image] = title, config
     augmentation = replace(THINNED, translate_px=TRANSLATE_PX)
     for name, (title, config) in inputs.items():
         yield Row(f"{name}-translated", "representations", f"{title}, translated", config, augmentation)

@@ -23,12 +23,11 @@ from async_tnt.training.pipeline import Pipeline, pipeline_of
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.run_folder import CURVES, plot_curves
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.windows import Windows
+from async_tnt.training.windows import Windows, saccade
 from experiments.moving_mnist_set import open_set
 from experiments.table_data import (
     RealData,
     RealFolder,
-    saccade,
     simulated_windows,
     some_recordings,
     trained_on,

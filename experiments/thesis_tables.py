@@ -144,7 +144,7 @@ def resynthesis_worst() -> str:
     rows = []
     for name, columns in _accuracies().items():
         for column in columns:
-            if ROWS[name].group == "motions" and column.endswith("/sim"):
+            if name in ROWS and ROWS[name].group == "motions" and column.endswith("/sim"):
                 motions = {motion: part["mean"] for motion, part in columns[column]["per_motion"].items()}
                 worst = min(motions, key=lambda motion: motions[motion])
                 rows.append([ROWS[name].title, column, worst, short(motions[worst])])

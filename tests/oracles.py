@@ -127,7 +127,7 @@ class Oracle:
         self.hop_us = hop_us or config.window_us
         self.windows: list[Window] = []
         self.next_start_us = start_us
-        self.decided: set[int] = set()  # starts of windows that confidence closed
+        self.decided_from_us = math.inf  # start of the last windows in a row that confidence closed
         self.newest_us = -1  # of all events, for `late`
         self.potential, self.charged_us = 0.0, 0
         self.n_decided = 0  # events of the oldest window at its last decision
@@ -160,8 +160,7 @@ class Oracle:
         self._open_windows(t_us)
         oldest = self.windows[0]
         if t_us < oldest.start_us:
-            newest_us = oldest.start_us - -(-(oldest.start_us - t_us) // self.hop_us) * self.hop_us  # that holds it
-            decided = newest_us in self.decided
+            decided = t_us >= self.decided_from_us
             self.dropped_decided += decided
             self.dropped_late += not decided
             return decisions
@@ -185,6 +184,8 @@ class Oracle:
 
     def finish(self) -> list[Values]:
         decisions = [self._decision(window, "end")[0] for window in self.windows if window.times]
+        if self.windows and not self.config.window_events:
+            self.decided_from_us = math.inf
         self.windows = []
         return decisions
 
@@ -220,6 +221,7 @@ class Oracle:
         while self.next_start_us + self.config.window_us <= t_us:
             gap = (t_us - self.config.window_us - self.next_start_us) // self.hop_us
             self.next_start_us += max(gap, 1) * self.hop_us
+            self.decided_from_us = math.inf
         while self.next_start_us <= t_us or not self.windows:
             if not self.windows:
                 self.n_decided, self.passed_us = 0, max(t_us, self.next_start_us)
@@ -231,8 +233,8 @@ class Oracle:
         oldest = self.windows.pop(0)
         if self.config.window_events:
             self.next_start_us = None  # at the next event
-        elif decided:
-            self.decided.add(oldest.start_us)
+        else:
+            self.decided_from_us = min(self.decided_from_us, oldest.start_us) if decided else math.inf
         self.n_decided, self.passed_us = 0, now_us
 
     def _charge(self, t_us: int) -> bool:

@@ -38,7 +38,6 @@ KINDS = {
         representation="mean_time", bins=None, transform="none", polarity="unsigned", grid=(30, 24)
     ),
     "time surface": CONFIG.replace(representation="time_surface", bins=None, transform="none", polarity="split"),
-    "histograms": CONFIG.replace(representation="hats", bins=None, transform="none", polarity="split", grid=(9, 7)),
     "no transform": CONFIG.replace(transform="none", polarity="split"),
     "one bin, large": CONFIG.replace(sensor=(300, 200), grid=(300, 200), bins=1),
 }

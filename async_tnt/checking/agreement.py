@@ -12,10 +12,10 @@ from async_tnt.checking.equality import LOGIT_BOUND, REGRESSED_LANDMARK_BOUND, C
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.processor import Classifier
 from async_tnt.progress import progress
 from async_tnt.replay_buffer import Regressor
 from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.window_classifier import Classifier
 
 N_WINDOWS = 3  # of a recording
 N_MADE = 2  # streams for sensors other than the samples'

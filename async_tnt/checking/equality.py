@@ -27,7 +27,7 @@ from async_tnt.checking.reference import (
     reference_volume,
     reference_windows,
 )
-from async_tnt.config import LANDMARKS, UNTRANSFORMED, TNTConfig
+from async_tnt.config import LANDMARKS, TIME_IMAGES, TNTConfig
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.networks.torch_modules import landmark_function
@@ -83,8 +83,8 @@ def same_class(ours: np.ndarray, theirs: np.ndarray, bound: float) -> bool:
 
 def configurations(base: TNTConfig) -> dict[str, TNTConfig]:
     """A configuration with every landmark (`regressor` where it has one), with the flow removed, and without the
-    transform; images of times and histograms have only the last."""
-    if base.representation in UNTRANSFORMED:
+    transform; images of times have only the last."""
+    if base.representation in TIME_IMAGES:
         return {"no transform": base}
     tnt = base.replace(transform="tnt", remove_flow=False)
     landmarks = [name for name in LANDMARKS if name != "regressor" or base.needs_regressor]

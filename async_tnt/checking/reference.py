@@ -31,8 +31,6 @@ def reference_volume(
     settings: dict[str, Any] = {**_window(events, config, start_us), "polarity": config.polarity}
     if config.representation in TIME_IMAGES:
         return tnt_reference.time_image(*columns, **settings, representation=config.representation).numpy()
-    if config.representation == "hats":
-        return tnt_reference.hats(*columns, **settings).numpy()
     settings["bins"] = config.bins
     if config.transform == "none":
         return tnt_reference.event_volume(*columns, **settings).numpy()

@@ -17,6 +17,7 @@ from async_tnt.archive.results import check_out
 from async_tnt.cli.options import paths_of, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import selector_of
+from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import choose_engine
 from async_tnt.progress import progress as progress_bar
 
@@ -93,6 +94,7 @@ def run_archive(args: argparse.Namespace) -> int:
     executor = archive_executor(args)
     _check_run(args)
     engine = choose_engine(args.model, args.engine)
+    fill_cache()
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
     engine.processor(**settings)  # refuses bad settings before any work
     pixels = selector_of(args, engine.model)

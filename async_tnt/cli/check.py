@@ -10,6 +10,7 @@ from async_tnt.checking.equality import PACKET_SIZES, Comparison, check_recordin
 from async_tnt.checks import needs_extra
 from async_tnt.cli.options import add_files, add_start, model_of, paths_of
 from async_tnt.cli.output import note, say
+from async_tnt.compile_ahead import fill_cache
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.sensor import check_events, check_sensor
@@ -49,6 +50,7 @@ def main(args: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     model = model_of(args)
     paths = paths_of(args)
+    fill_cache()
     results: dict[Path, list[Comparison]] = {}
     with progress(len(paths) * (len(configurations(model.config)) + 1), "checking") as bar:
         for path in paths:

@@ -20,6 +20,7 @@ from async_tnt.cli.archives import archive_executor, stream_archive
 from async_tnt.cli.options import model_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
+from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import Engine
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
@@ -74,6 +75,7 @@ def main(args: argparse.Namespace) -> int:
     model = model_of(args)
     pixels = selector_of(args, model)
     recordings, labels = labelled_recordings(args.dataset, model)
+    fill_cache()
     engine = Engine("compiled", model, model.classes)
     job = job_of("evaluate", args.model, engine, pixels.selection, every_us=every_us(model.config))
     tasks = [

@@ -7,7 +7,6 @@ import json
 import math
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -91,7 +90,7 @@ def main(args: argparse.Namespace) -> int:
 
 def _count(paths: list[Path], sensor: tuple[int, int] | None) -> np.ndarray:
     """Events of each pixel over all recordings, int64 of shape (H, W)."""
-    counts: Any = 0
+    counts = np.zeros((), np.int64)
     given = sensor
     with progress(len(paths), "counting events") as bar:
         for path in paths:

@@ -6,10 +6,9 @@ import argparse
 from pathlib import Path
 
 from async_tnt.cli.options import size_of, size_text
-from async_tnt.cli.output import complain
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
-from async_tnt.sources.pixel_selection import PixelSelection, Region, difference
+from async_tnt.sources.pixel_selection import PixelSelection, Region
 from async_tnt.sources.pixel_selector import PixelSelector
 
 
@@ -44,25 +43,15 @@ def add_selection(parser: argparse._ActionsContainer) -> None:
 
 
 def selector_of(args: argparse.Namespace, model: Model | TNTConfig) -> PixelSelector:
-    """The pixels that a model sees, by the options of `add_pixels`; prints a line if it was trained on other ones.
-
-    Parameters
-    ----------
-    model : of --model; the configuration alone if nothing is known of its training.
+    """The pixels that a model sees, by the options of `add_pixels`.
 
     Raises
     ------
     ValueError, OSError : options that exclude each other, a region or a camera of another size than the model's
         sensor, or a mask that is missing, damaged, or of another sensor.
     """
-    selection = selection_of(args)
-    if not isinstance(model, Model):
-        return PixelSelector(selection, model.sensor)
-    selector = PixelSelector(selection, model.config.sensor)
-    other = difference(model.record, selection)
-    if other:  # not an error: the camera may have been moved, or a new mask made
-        complain(f"{args.model}: {other}")
-    return selector
+    config = model.config if isinstance(model, Model) else model
+    return PixelSelector(selection_of(args), config.sensor)
 
 
 def selection_of(args: argparse.Namespace) -> PixelSelection:

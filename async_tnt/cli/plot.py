@@ -8,7 +8,7 @@ from pathlib import Path
 from async_tnt.checks import needs_extra
 from async_tnt.cli.options import positive_int, size_of
 from async_tnt.cli.output import complain, say
-from async_tnt.config import LANDMARKS, POLARITIES, UNTRANSFORMED, TNTConfig
+from async_tnt.config import LANDMARKS, POLARITIES, TIME_IMAGES, TNTConfig
 from async_tnt.events import as_events
 from async_tnt.files import check_writable
 from async_tnt.networks.loading import bundled_models, load_model
@@ -167,7 +167,7 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
         changes.setdefault("remove_flow", False)
     if config.window_events is not None:
         raise ValueError(f"{args.model}: windows of a duration can be drawn, but not of {config.window_events} events")
-    if config.representation in UNTRANSFORMED:
+    if config.representation in TIME_IMAGES:
         raise ValueError(f"{args.model}: event volumes and counts can be drawn, but not {config.representation}")
     if config.transform == "none":
         changes["transform"] = "tnt"

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import NoReturn
 
-from async_tnt.cli.output import complain, printable
+from async_tnt.checks import printable
+from async_tnt.cli.output import complain
 from async_tnt.process import handled_by
 from async_tnt.version import __version__
 
@@ -93,11 +94,8 @@ def _run(argv: Sequence[str]) -> int:
             code = args.main(args)
     except BrokenPipeError:  # `| head`: the reader has seen enough
         pass
-    except (OSError, ValueError, ImportError) as error:
-        complain(error)
-        code = 2
-    except MemoryError as error:  # NumPy's says of what, Python's is empty
-        complain(f"not enough memory. {error}".strip())
+    except (OSError, ValueError, ImportError, MemoryError) as error:
+        _complain_about(error)
         code = 2
     except KeyboardInterrupt as error:
         told = str(error)
@@ -107,9 +105,21 @@ def _run(argv: Sequence[str]) -> int:
             raise
     finally:
         sys.unraisablehook = hook
-    if received and code < 2:  # the command itself has not said so
-        complain(told or ("interrupted" if received[0] == signal.SIGINT else "terminated"))
-    return 128 + received[0] if received else code
+    return _code_after_signal(received[0], code, told) if received else code
+
+
+def _code_after_signal(number: int, code: int, told: str) -> int:
+    """The exit code where a signal came, which is told unless the command has failed and said so itself."""
+    if code < 2:
+        complain(told or ("interrupted" if number == signal.SIGINT else "terminated"))
+    return 128 + number
+
+
+def _complain_about(error: Exception) -> None:
+    if isinstance(error, MemoryError):  # NumPy's says of what, Python's is empty
+        complain(f"not enough memory. {error}".strip())
+    else:
+        complain(error)
 
 
 def _flushed(code: int) -> int:

@@ -20,6 +20,7 @@ from async_tnt.cli.options import (
 from async_tnt.cli.output import HEADER, complain, json_line, say, text_line
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected, print_decisions
+from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import ENGINES, choose_engine
 from async_tnt.sources.playback import replay
 
@@ -83,13 +84,9 @@ def main(args: argparse.Namespace) -> int:
         from async_tnt.cli.archives import run_archive  # here, so that other runs do not wait for its imports
 
         return run_archive(args)
-    check_no_archive(args)
-    if args.live and args.json:
-        raise ValueError("--live and --json exclude each other")
-    check_pace(args)
-    if args.speed is not None and not args.live:
-        raise ValueError("--speed belongs to --live; otherwise a recording is streamed as fast as possible")
+    _check(args)
     engine = choose_engine(args.model, args.engine)
+    fill_cache()
     processor = engine.processor(start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args))
     pixels = selector_of(args, engine.model)
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
@@ -124,3 +121,13 @@ def main(args: argparse.Namespace) -> int:
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
     return 130 if stopped else 2 if failed else 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together."""
+    check_no_archive(args)
+    if args.live and args.json:
+        raise ValueError("--live and --json exclude each other")
+    check_pace(args)
+    if args.speed is not None and not args.live:
+        raise ValueError("--speed belongs to --live; otherwise a recording is streamed as fast as possible")

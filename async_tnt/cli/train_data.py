@@ -40,8 +40,6 @@ def config_of(args: argparse.Namespace) -> TNTConfig:
         representation=args.representation or "volume",
     )
     grid = size_of(args.grid) if args.grid else config.grid
-    if args.dataset is not None:  # whose sensor is not known yet; HATS need no fewer pixels than cells
-        config = config.replace(sensor=(max(config.sensor[0], grid[0]), max(config.sensor[1], grid[1])))
     return config.replace(grid=grid, window_us=args.window_us or config.window_us)
 
 
@@ -70,7 +68,7 @@ def of_dataset(
         "recordings": file_sizes(args.dataset, "Train"),
         "validation": validation,
         "groups": args.groups or _groups_file(args.dataset),
-        "pixels": pixels.record,
+        "pixels": pixels.about,
     }
     choice = None
     if questions:

@@ -155,8 +155,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     volume.add_argument(
         "--representation",
         choices=REPRESENTATIONS,
-        help="the event volume, or an image: events per pixel, with the time of the newest, the mean time, a time "
-        "surface, or HATS (default: volume)",
+        help="the event volume, or an image: events per pixel, with the time of the newest, the mean time, or a "
+        "time surface (default: volume)",
     )
     volume.add_argument(
         "--transform", choices=TRANSFORMS, help="tnt, or none: the plain event volume (default: tnt; none for an image)"

@@ -14,6 +14,7 @@ from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, 
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.cli.run_recording import open_selected
+from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import choose_engine
 from async_tnt.files import check_writable
 from async_tnt.progress import progress
@@ -78,6 +79,7 @@ def main(args: argparse.Namespace) -> int:
     sources = [path if isinstance(path, str) else open_selected(path, pixels) for path in paths_of(args)]
     speed = args.speed or (1.0 if args.out is None else math.inf)
     live = any(isinstance(source, str) for source in sources)
+    fill_cache()
     view = RerunView(
         engine.model,
         out=args.out,

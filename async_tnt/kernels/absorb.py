@@ -14,7 +14,6 @@ Where the landmark or the duration is known only when the volume is read, events
 import numpy as np
 
 from . import state as S
-from .histograms import add_to_histograms
 from .jit import compiled, inlined
 from .landmark import block_of, displace, displace_fixed, displace_line, displace_raw, displace_running
 from .records import MAX_TIME_US
@@ -41,8 +40,7 @@ def absorb(buffer, t, x, y, p, first, last):
         m = min(S.BLOCK, last - first)
         block_t = t[first : first + m]
         oldest_us, newest_us = _time_range(block_t, m)
-        in_window = (oldest_us >= ints[S.START_US]) & (newest_us < ints[S.LIMIT_US])
-        if in_window & (ints[S.COMBINE] != S.COMBINE_HISTOGRAM):
+        if (oldest_us >= ints[S.START_US]) & (newest_us < ints[S.LIMIT_US]):
             _count_block(buffer, ints, block_t, m, oldest_us, newest_us)
             displace(buffer, ints, block_t, x[first : first + m], y[first : first + m], m)
             _place(buffer, ints, block_t, p[first : first + m], m)
@@ -51,7 +49,7 @@ def absorb(buffer, t, x, y, p, first, last):
             else:
                 _combine_times(buffer, ints, block_t, m)
             first += m
-        else:  # late events, the limit, or histograms: one by one
+        else:  # late events, or the limit: one by one
             end = first + m
             while first < end:
                 if t[first] >= ints[S.LIMIT_US]:
@@ -118,9 +116,6 @@ def _absorb_event(buffer, ints, t, x, y, p):
         _count_late(ints, t)
         return
     _count_event(ints, t, x, y)
-    if ints[S.COMBINE] == S.COMBINE_HISTOGRAM:
-        add_to_histograms(buffer, ints, np.int64(x), np.int64(y), np.int64(p))
-        return
     mode = ints[S.MODE]
     if mode == S.MODE_RUNNING:
         num_x, num_y, den = displace_running(x, y, dt, ints[S.N], ints[S.SUM_X], ints[S.SUM_Y])
@@ -159,10 +154,8 @@ def _count_event(ints, t, x, y):
 
 @inlined
 def _count_late(ints, t):
-    """Count an event before the open window: as DECIDED where the newest window that holds it was closed early."""
-    hops = (ints[S.START_US] - 1 - t) // ints[S.HOP_US]  # 0: that window is the one before the open one
-    decided = hops < S.REMEMBERED and (ints[S.CLOSED_EARLY + (hops >> 6)] >> (hops & 63)) & 1 == 1
-    ints[S.DECIDED if decided else S.LATE] += 1
+    """Count an event before the open window: as DECIDED if all windows from its own on were closed early."""
+    ints[S.DECIDED if t >= ints[S.DECIDED_FROM_US] else S.LATE] += 1
 
 
 @compiled

@@ -17,7 +17,7 @@ ARGUMENTS = (uint8[::1], int64, int64, int64, int64, int64, int64, int64[::1])
 
 
 @compiled
-def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):
+def repair_times(records, start, n, size, time_at, arrival, max_jump, clock):  # noqa: C901 (one loop: a call for each element would cost more than its work)
     """Drop the events of one packet whose time jumps, and shift the others' times by the clock's offset.
 
     Parameters

@@ -105,7 +105,7 @@ def decode_evt21(words, start, state, t, x, y, p):
 
 
 @compiled
-def decode_evt3(words, start, state, t, x, y, p):
+def decode_evt3(words, start, state, t, x, y, p):  # noqa: C901 (one loop: a call for each element would cost more than its work)
     """16-bit words: type (4 bits) and what changed (12): the row, half of the time, one pixel, or a vector."""
     n = 0
     i = start

@@ -131,7 +131,7 @@ def _note_tile(program, at, places, bits, listed, n_places, changed):
 
 
 @compiled
-def _list_dirty(program, at, places, bits):
+def _list_dirty(program, at, places, bits):  # noqa: C901 (one loop: a call for each element would cost more than its work)
     """List the places of a step that a change of its sources reaches, row by row; returns how many.
 
     They are those with y stride - padding + i dilation = y of the change for a tap i, and with the same in x.

@@ -19,8 +19,7 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     ints = buffer.view(np.int64)
     first = ints[S.LOG]
     n_log = ints[S.N_LOG]
-    # where there is a memory, all of it is emptied anyway, and the log names every second bin only
-    if ints[S.MEMORY] or n_log > ints[S.LOG_SIZE] or n_log * S.NUMBERS_PER_EMPTIED > first - S.CELLS:
+    if n_log > ints[S.LOG_SIZE] or n_log * S.NUMBERS_PER_EMPTIED > first - S.CELLS:
         for i in range(S.CELLS, first):
             buffer[i] = 0.0
         array[:] = 0.0
@@ -34,8 +33,6 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
                 buffer[place + 3] = 0.0
         for k in range(first, first + ints[S.N_READ]):  # now that all cells are zero
             _copy_around(buffer, ints, ints[k], array)
-    if ints[S.MEMORY]:
-        buffer[ints[S.MEMORY] :] = 0.0
     ints[S.N_LOG] = 0
     ints[S.EPOCH] = epoch
     _note_read(ints)
@@ -49,8 +46,7 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
     ints[S.SUM_Y] = 0
     ints[S.SUM_T] = 0
     ints[S.NEWEST_US] = -1
-    for k in range(S.CLOSED_EARLY, S.CLOSED_EARLY + S.CLOSED_EARLY_WORDS):
-        ints[k] = 0
+    ints[S.DECIDED_FROM_US] = S.NEVER_US
 
 
 @compiled

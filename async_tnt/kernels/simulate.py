@@ -43,7 +43,7 @@ def translate(frames, image, dx, dy):
 
 
 @compiled
-def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, reference, refractory_us):
+def pixel_events(log_frames, frame_times_us, threshold_on, threshold_off, reference, refractory_us):  # noqa: C901 (one loop: a call for each element would cost more than its work)
     """Threshold crossings of every pixel, pixel after pixel, each pixel's in order of time.
 
     Parameters

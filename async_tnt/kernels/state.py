@@ -4,7 +4,7 @@ Each array argument adds about 45 ns to a call from Python into compiled code, m
 event takes. So all numbers that an event reads or writes share one float64 buffer, which kernels access in two
 ways: as `buffer`, and as `ints`, a view of the same memory as int64. Each slot below belongs to one of them.
 
-    buffer = [ parameters, sums, counts | scratch of a block | cells | log | memory of `histograms` ]
+    buffer = [ parameters, sums, counts | scratch of a block | cells | log ]
 
 Cells, shape (intervals, H + 1, W + 1, 2): between bins b and b + 1 an event adds to both, and the two sums
 lie side by side, cells[b, y, x] = (lower: to bin b, upper: to bin b + 1); of an image of times, see COMBINE. Time
@@ -66,17 +66,13 @@ BIN_LO = 38  # intervals that changed since the array was read; BIN_HI < BIN_LO:
 BIN_HI = 39
 # ints: parameters, too
 COMBINE = 42  # one of the COMBINE_ numbers
-MEMORY = 43  # where the memory of `histograms` begins; 0: there is none
 # ints: of windows that were closed before their end
-HOP_US = 40  # from one window's start to the next one's
-DECIDED = 41  # late events whose newest window was one of these, since the volume was made
-CLOSED_EARLY = 48  # bit k: the window that starts k + 1 hops before the open one was closed early
-CLOSED_EARLY_WORDS = 16
-REMEMBERED = 64 * CLOSED_EARLY_WORDS  # windows: those of MAX_OPEN_WINDOWS overlapping ones four times over
+DECIDED_FROM_US = 40  # start of the windows closed early that lead up to the open one; NEVER_US: there are none
+DECIDED = 41  # late events at or after that time, since the volume was made
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 BLOCK = 336  # so that all rows together (27 kB) and an interval's cells fit in the first-level cache
-NUM_X = CLOSED_EARLY + CLOSED_EARLY_WORDS  # buffer: displacement from the landmark
+NUM_X = 48  # buffer: displacement from the landmark
 NUM_Y = NUM_X + BLOCK
 DEN = NUM_Y + BLOCK
 Y_FRAC = DEN + BLOCK  # buffer: place in the volume
@@ -99,7 +95,6 @@ COMBINE_SUM = 0  # the volume, or an image of counts: add its weights to (lower,
 COMBINE_NEWEST = 1  # (count, time of the newest event)
 COMBINE_MEAN = 2  # (mean time, count)
 COMBINE_SURFACE = 3  # (surface of the newest event, count)
-COMBINE_HISTOGRAM = 4  # see `histograms`
 
 NO_BIN = 1 << 30
 NEVER_US = 1 << 62

@@ -23,7 +23,7 @@ ROW_TYPES = (
 
 
 @compiled
-def _whole_number(data, pos, decimals):
+def _whole_number(data, pos, decimals):  # noqa: C901 (one loop: a call for each element would cost more than its work)
     """Read a decimal number times 10**decimals, as an integer; `1.5`, `-3`, `2e-3`.
 
     With decimals, the nearest integer (a half: upwards); without, only an integer is a valid number.
@@ -111,7 +111,7 @@ def _truth(data, pos):
 
 
 @compiled
-def parse_rows(data, start, end, roles, separator, decimals, seen, t, x, y, p):
+def parse_rows(data, start, end, roles, separator, decimals, seen, t, x, y, p):  # noqa: C901 (one loop: a call for each element would cost more than its work)
     """Parse rows of text into columns.
 
     Parameters

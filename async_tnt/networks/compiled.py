@@ -142,4 +142,5 @@ class CompiledRegressor:
         self._program.run(self._input(volume))
         exponent = self._program.output_map()[..., 0].astype(np.float64)
         heat: np.ndarray = np.exp(exponent - exponent.max())
-        return heat / heat.sum()
+        shares: np.ndarray = heat / heat.sum()
+        return shares

@@ -94,4 +94,5 @@ def _check_meanings(model: onnx.ModelProto) -> int:
     versions = [entry.version for entry in model.opset_import if entry.domain in STANDARD]
     if not versions or min(versions) < FIRST_OPSET:
         raise NotImplementedError(f"the network must be of opset {FIRST_OPSET} or later, got {versions}{WAY_OUT}")
-    return max(versions)
+    newest: int = max(versions)
+    return newest

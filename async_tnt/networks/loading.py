@@ -152,7 +152,7 @@ def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) 
 
     def theirs(volume: np.ndarray) -> np.ndarray:
         answer: np.ndarray = session.run(None, {given.name: np.repeat(volume[None], n, 0).astype(dtype)})[0]
-        return answer.reshape(n, -1)[0].astype(np.float64)
+        return np.asarray(answer.reshape(n, -1)[0], np.float64)
 
     def ours(volume: np.ndarray) -> np.ndarray:
         logits = compiled(volume).astype(np.float64)

@@ -192,6 +192,12 @@ def _check_network(network: Any, weights: Mapping[str, np.ndarray], config: TNTC
     logits = list(shapes[CLASSIFIER].values())[-1]
     if logits not in ((n_classes,), (n_classes, 1, 1)):
         raise ValueError(f"the network must compute {n_classes} logits, one for each class, got {logits}")
+    _check_centroids(network, shapes, config)
+    _check_values(network, weights)
+
+
+def _check_centroids(network: Mapping[str, Any], shapes: Mapping[str, Any], config: TNTConfig) -> None:
+    """A regressor ends in a centroid of a heatmap of the volume's size; no other layer is one."""
     centroids = [layer for layers in network.values() for layer in layers if layer["op"] == CENTROID]
     if centroids != [layers[-1] for name, layers in network.items() if name == REGRESSOR]:
         raise ValueError(f"a {CENTROID} must be the last layer of a regressor, and nowhere else")
@@ -199,6 +205,10 @@ def _check_network(network: Any, weights: Mapping[str, np.ndarray], config: TNTC
         heatmap = shapes[REGRESSOR][layer["inputs"][0]]
         if heatmap != (1, *config.shape[1:]):
             raise ValueError(f"the heatmap must be of shape {(1, *config.shape[1:])}, as the volume, got {heatmap}")
+
+
+def _check_values(network: Mapping[str, Any], weights: Mapping[str, np.ndarray]) -> None:
+    """Every weight is used and finite, and a batch norm never divides by zero."""
     unused = set(weights) - set().union(*(tensors_of(layers) for layers in network.values()))
     if unused:
         raise ValueError(f"no layer has the weights {', '.join(sorted(unused))}")

@@ -202,4 +202,4 @@ def _model(model: Model, network: str, nodes: _Nodes, output: tuple[str, Any, in
     make.set_model_props(made, metadata_of(model, network))
     seal(made)
     onnx.checker.check_model(made, full_check=True)
-    return made
+    return made  # type: ignore[no-any-return]

@@ -22,7 +22,7 @@ DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # by onnxr
 
 def source_of(path_or_bytes: Any) -> str | bytes:
     if hasattr(path_or_bytes, "SerializeToString"):  # onnx.ModelProto, without importing onnx
-        return path_or_bytes.SerializeToString()
+        return bytes(path_or_bytes.SerializeToString())
     if isinstance(path_or_bytes, (bytes, bytearray, memoryview)):
         return bytes(path_or_bytes)
     if not isinstance(path_or_bytes, (str, os.PathLike)):

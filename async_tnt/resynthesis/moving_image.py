@@ -106,7 +106,8 @@ class MovingImage:
     def white_motion(self, paths: np.ndarray, qx: np.ndarray, qy: np.ndarray) -> np.ndarray:
         """W a of paths (..., K, 2) in cells: (..., ny, nx, K)."""
         angle = qy[:, None, None] * paths[..., None, None, :, 1] + qx[:, None] * paths[..., None, None, :, 0]
-        return (np.exp(-1j * angle) - 1.0) @ self.whitening.T
+        white: np.ndarray = (np.exp(-1j * angle) - 1.0) @ self.whitening.T
+        return white
 
     def evidence(self, band: np.ndarray, path: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """E of one path for all windows together, dE/dr (K, 2), and its curvature (2K, 2K), images held fixed."""
@@ -133,7 +134,8 @@ class MovingImage:
 
 def squared_differences(qx: np.ndarray, qy: np.ndarray) -> np.ndarray:
     """|D(q)|^2 = 4 - 2 cos qx - 2 cos qy, (ny, nx): the power of neighbours' differences."""
-    return 4.0 - 2.0 * np.cos(qx) - 2.0 * np.cos(qy)[:, None]
+    laplacian: np.ndarray = 4.0 - 2.0 * np.cos(qx) - 2.0 * np.cos(qy)[:, None]
+    return laplacian
 
 
 def fft_size(least: int) -> int:

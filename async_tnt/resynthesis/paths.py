@@ -99,7 +99,8 @@ class PathFinder:
         for one, spectra in zip(table, np.ascontiguousarray(band.transpose(1, 2, 0), np.complex64), strict=True):
             product = one @ spectra  # of one frequency: (D, N), small enough for the cache
             explained += product.real**2 + product.imag**2
-        return explained.T - freedom
+        evidence: np.ndarray = explained.T - freedom
+        return evidence
 
     def refine(self, band: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, float]:
         """The path of the highest evidence near `path`, (K, 2) in cells, for all windows together; and its evidence."""
@@ -134,7 +135,8 @@ class PathFinder:
         share = np.arange(1, N_FRAMES + 1) / N_FRAMES
         profiles = [share] + [minimum_jerk((share - start) / (end - start)) for start, end in PROFILES]
         paths = np.einsum("ad,l,pk->alpkd", direction, np.array(LENGTHS), np.array(profiles))
-        return paths.reshape(-1, N_FRAMES, 2)
+        placed: np.ndarray = paths.reshape(-1, N_FRAMES, 2)
+        return placed
 
     @cached_property
     def _table(self) -> tuple[np.ndarray, np.ndarray]:

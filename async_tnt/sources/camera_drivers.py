@@ -162,7 +162,8 @@ class NeuromorphicDevice:
         if (ring := status.ring) is not None:  # None: nothing came within WAIT_S
             self.losses.dropped = ring.dropped_packets
             self.losses.most_waiting = max(ring.backlog, self.losses.most_waiting or 0)
-        if packet is None or (events := packet.polarity_events) is None:
+        events: np.ndarray | None = None if packet is None else packet.polarity_events
+        if events is None:
             return None
         gaps = packet.polarity_events_overflow_indices
         if gaps is not None:
@@ -216,7 +217,8 @@ class DvDevice:
         running = self.handle.isRunning()  # first, as events from before the end can be read after it
         store = self.handle.getNextEventBatch()
         if store is not None:
-            return store.numpy()  # a copy: a store is a list of the driver's own packets
+            events: np.ndarray = store.numpy()  # a copy: a store is a list of the driver's own packets
+            return events
         if not running:
             raise RuntimeError("it stopped running")
         return None

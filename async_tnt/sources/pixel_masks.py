@@ -31,14 +31,14 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
         rule = f"a mask of a {format_size(sensor)} sensor must be a bool array of shape {shape}"
     if not isinstance(mask, np.ndarray):
         raise ValueError(f"{rule}; got {type(mask).__name__}")
-    mask = plain_array("mask", mask)
-    if mask.dtype != np.bool_:
-        raise ValueError(f"{rule}; got {mask.dtype} of shape {mask.shape}")
-    fits = mask.ndim == 2 and min(mask.shape) >= 1 and max(mask.shape) <= MAX_SIDE
-    if not fits or sensor not in (None, mask.shape[::-1]):
-        transposed = "; transpose it with .T" if mask.shape == sensor else ""
-        raise ValueError(f"{rule}; got shape {mask.shape}{transposed}")
-    return mask
+    array = plain_array("mask", mask)
+    if array.dtype != np.bool_:
+        raise ValueError(f"{rule}; got {array.dtype} of shape {array.shape}")
+    fits = array.ndim == 2 and min(array.shape) >= 1 and max(array.shape) <= MAX_SIDE
+    if not fits or sensor not in (None, array.shape[::-1]):
+        transposed = "; transpose it with .T" if array.shape == sensor else ""
+        raise ValueError(f"{rule}; got shape {array.shape}{transposed}")
+    return array
 
 
 def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.ndarray:
@@ -86,7 +86,6 @@ class PackedMask:
     ----------
     size : (width, height) of its sensor.
     sha256 : of the mask's bytes.
-    n_pixels : how many are masked.
     packed : the pixels as compressed bits. Every recording sent to a worker takes its mask along; hot pixels of a
         1280x720 sensor pack into 1 to 3 kB instead of 900.
     name : its file, for messages.
@@ -94,7 +93,6 @@ class PackedMask:
 
     size: Sensor
     sha256: str
-    n_pixels: int
     packed: bytes = field(compare=False, repr=False)
     name: str = field(default="mask", compare=False)
 
@@ -117,7 +115,7 @@ class PackedMask:
             )
         height, width = checked_mask(mask).shape
         packed = zlib.compress(np.packbits(mask).tobytes())
-        return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), int(mask.sum()), packed, name)
+        return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), packed, name)
 
     def pixels(self, sensor: Sensor) -> np.ndarray:
         """The mask itself: bool, shape (H, W); a ValueError if it is not of this sensor."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,6 +87,8 @@ class PixelSelection:
     def about(self) -> dict[str, Any]:
         """Option -> value, short and for JSON, of all that decides which events are seen; {} for all events.
 
+        Results have it so that those of different selections are not mixed, and the record of a trained model has it.
+
         With a mask, `sensor` could only repeat its size. Without one, it decides which recordings are of this camera,
         and so which have results and which errors: results of different sensors must not be mixed.
         """
@@ -101,61 +102,3 @@ class PixelSelection:
         elif self.sensor is not None:
             options["sensor"] = format_size(self.sensor)
         return options
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """For a model's training record: which events it learned from; {} for all events."""
-        record: dict[str, Any] = {}
-        if self.roi is not None:
-            record |= {"roi": list(self.roi), "crop": self.crop}
-        if self.mask is not None:
-            record |= {"masked_pixels": self.mask.n_pixels, "mask_sha256": self.mask.sha256}
-        return record
-
-
-def difference(record: Mapping[str, Any], selection: PixelSelection) -> str:
-    """How a selection differs from the one that a model was trained with, in one line; "" if it does not.
-
-    Parameters
-    ----------
-    record : `Model.record`; `async-tnt train` stores its selection in `record["data"]["pixels"]`. Without one, nothing
-        differs.
-    selection : what the model sees now. Cameras are compared if it names one.
-
-    Example
-    -------
-    >>> record = {"data": {"pixels": {"roi": [10, 4, 40, 40], "crop": True, "camera": [60, 48]}}}
-    >>> difference(record, PixelSelection((0, 0, 40, 40), crop=True))
-    'trained with --roi 10,4,40,40 --crop, but now it is --roi 0,0,40,40 --crop'
-    >>> difference(record, PixelSelection((10, 4, 40, 40), crop=True))
-    ''
-    """
-    data = record.get("data")
-    pixels = data.get("pixels") if isinstance(data, Mapping) else None
-    if not isinstance(pixels, Mapping):
-        return ""
-    then, now = _options(pixels), _options(selection.record)
-    camera = _numbers(pixels.get("camera"))
-    if len(camera) == 2 and selection.camera is not None and selection.camera != tuple(camera):
-        then.append(f"of a {camera[0]}x{camera[1]} camera")
-        now.append(f"of a {format_size(selection.camera)} camera")
-    if then == now:
-        return ""
-    return f"trained with {' '.join(then) or 'all pixels'}, but now it is {' '.join(now) or 'all pixels'}"
-
-
-def _options(pixels: Mapping[str, Any]) -> list[str]:
-    """As on the command line. A record comes from a file, and may hold anything."""
-    options = []
-    roi = _numbers(pixels.get("roi"))
-    if roi:
-        options.append("--roi " + ",".join(map(str, roi)))
-        if pixels.get("crop") is True:
-            options.append("--crop")
-    if pixels.get("mask_sha256") is not None:
-        options.append(f"--mask of {pixels.get('masked_pixels')} pixels ({str(pixels['mask_sha256'])[:16]})")
-    return options
-
-
-def _numbers(value: Any) -> list[Any]:
-    return list(value) if isinstance(value, (list, tuple)) else []

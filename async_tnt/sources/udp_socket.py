@@ -110,7 +110,7 @@ def lost_datagrams(sock: socket.socket) -> int | None:
     if not sys.platform.startswith("linux"):
         return None
     try:
-        return _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))[8]
+        return int(_MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))[8])
     except (OSError, struct.error):  # closed, or an older system
         return None
 

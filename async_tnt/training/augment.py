@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.config import MAX_SIDE, UNTRANSFORMED, TNTConfig
+from async_tnt.config import MAX_SIDE, TIME_IMAGES, TNTConfig
 
 FINE = 32
 
@@ -154,7 +154,7 @@ class Augmentation:
         matrix[:, 1, 0], matrix[:, 1, 1] = sin * side, sin * shear + cos
         center = (np.array(config.sensor) - 1) / 2
         matrix[:, :, 2] = center + shift - matrix[:, :, :2] @ center
-        # an image of times takes an event between pixels for one of all of them; histograms count pixels
-        fine = 1 if config.representation in UNTRANSFORMED else fineness(config.sensor)
+        # an image of times takes an event between pixels for one of all of them
+        fine = 1 if config.representation in TIME_IMAGES else fineness(config.sensor)
         sensor = ((config.sensor[0] - 1) * fine + 1, (config.sensor[1] - 1) * fine + 1)
         return Draws(start_us, until_us, fine * matrix, keep, seed, scatter, sensor)

@@ -114,7 +114,7 @@ def dataset_data(
         "left_out": list(dataset.left_out),
     }
     if pixels.leaves_out:
-        record["pixels"] = {**pixels.record, "camera": list(dataset.camera), **dataset.left_out_events}
+        record["pixels"] = {**pixels.about, "camera": list(dataset.camera), **dataset.left_out_events}
     if dataset.n_late:
         record["left_out_late"] = dataset.n_late
     notes.append("recordings: " + ", ".join(f"{name} {n}" for name, n in counts.items()))

@@ -11,8 +11,8 @@ import numpy as np
 
 from async_tnt.simulation.shards import open_shard
 from async_tnt.training.augment import Augmentation
-from async_tnt.training.recordings import Recordings
-from async_tnt.training.windows import COLUMNS, Windows
+from async_tnt.training.recordings import COLUMNS, Recordings
+from async_tnt.training.windows import Windows
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,9 @@ class Pipeline(nn.Module):
         if self.regressor is None:
             return torch.from_numpy(self._volumes(windows, draws))
         landmarks = self.landmarks(windows, draws)
-        volumes: torch.Tensor = _SplatAbout.apply(landmarks.cpu(), self._volumes, windows, draws)
+        volumes: torch.Tensor = _SplatAbout.apply(  # type: ignore[no-untyped-call]
+            landmarks.cpu(), self._volumes, windows, draws
+        )
         return volumes
 
     def landmarks(self, windows: Windows, draws: Draws | None = None) -> torch.Tensor:

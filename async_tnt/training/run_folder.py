@@ -120,7 +120,7 @@ def check_run(
     ----------
     config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known so far; {}
         where nothing is.
-    sources : as given to `train`. `pixels`: `PixelSelection.record`; `recordings`: name -> bytes; `used`: names of
+    sources : as given to `train`. `pixels`: `PixelSelection.about`; `recordings`: name -> bytes; `used`: names of
         those that were not left out, not known yet; `validation`: the share held out; `groups`: its pattern or table.
 
     Raises
@@ -137,7 +137,7 @@ def check_run(
     pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
     for name in {**pixels_then, **pixels_now}:
         if (pixels_then.get(name) or None) != (pixels_now.get(name) or None):  # no crop, and no region to crop
-            differ.append("mask" if name in ("masked_pixels", "mask_sha256") else name)
+            differ.append(name)
     if differ:
         raise other_run(run_folder, ", ".join(sorted(set(differ))))
     _check_recordings(run_folder, then, now)

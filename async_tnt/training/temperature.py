@@ -68,7 +68,8 @@ def softened(probabilities: np.ndarray, temperature: float) -> np.ndarray:
     array([0.75, 0.25])
     """
     powers: np.ndarray = (probabilities / probabilities.max(-1, keepdims=True)) ** (1 / temperature)
-    return powers / powers.sum(-1, keepdims=True)
+    shares: np.ndarray = powers / powers.sum(-1, keepdims=True)
+    return shares
 
 
 def calibrated(model: Model, temperature: float) -> tuple[Model, float]:

@@ -35,7 +35,8 @@ class Windows:
     @property
     def labels(self) -> np.ndarray:
         """int64, shape (N,)."""
-        return self.recordings.labels[self.recording]
+        labels: np.ndarray = self.recordings.labels[self.recording]
+        return labels
 
     def events(self, i: int, window_us: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """t, x, y, p of window `i`; t int64, microseconds since the window's start."""

@@ -88,7 +88,7 @@ def check_picture(path: Path) -> None:
     """
     with needs_extra("plot", "--picture draws with matplotlib"):
         import matplotlib  # noqa: F401
-    check_writable(path, FORMATS, option="--picture")
+    check_writable(path, FORMATS)
 
 
 def save(figure: Figure, path: Path, dpi: int) -> None:

@@ -110,7 +110,8 @@ def image_cost(
     )
     misfit = 0.5 * (left * torch.linalg.solve(noise_covariance(n_frames), left)).sum()
     across, down = (difference_matrix((shape[0], shape[1])) @ image.reshape(-1)).reshape(2, -1)
-    return misfit + sparseness * torch.hypot(across, down).sum() + 0.5 * level * (image**2).sum()
+    total: torch.Tensor = misfit + sparseness * torch.hypot(across, down).sum() + 0.5 * level * (image**2).sum()
+    return total
 
 
 def difference_matrix(shape: tuple[int, int]) -> torch.Tensor:
@@ -124,4 +125,5 @@ def _log_density(c: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
     """Of a Gaussian with mean 0, up to the constant that all share."""
     factor = torch.linalg.cholesky(covariance)
     white = torch.linalg.solve_triangular(factor, c[:, None], upper=False)[:, 0]
-    return -0.5 * (white**2).sum() - torch.log(factor.diagonal()).sum()
+    likelihood: torch.Tensor = -0.5 * (white**2).sum() - torch.log(factor.diagonal()).sum()
+    return likelihood

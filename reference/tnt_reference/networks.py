@@ -9,7 +9,6 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from .hats import hats
 from .images import time_image
 from .landmarks import LANDMARKS
 from .layers import heatmap_centroid
@@ -17,7 +16,7 @@ from .transform import tnt_coordinates
 from .volume import check_bins, event_volume, tnt_volume
 from .window import Column, check_polarity, check_size, until_newest
 
-REPRESENTATIONS = ("volume", "count", "count_time", "mean_time", "time_surface", "hats")
+REPRESENTATIONS = ("volume", "count", "count_time", "mean_time", "time_surface")
 
 
 class Classifier(nn.Module):
@@ -229,8 +228,6 @@ class Pipeline(nn.Module):
         }
         if self.representation in ("volume", "count"):
             return event_volume(t, x, y, p, bins=self.bins, **settings)
-        if self.representation == "hats":
-            return hats(t, x, y, p, **settings)
         return time_image(t, x, y, p, representation=self.representation, **settings)
 
     @property

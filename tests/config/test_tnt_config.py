@@ -62,30 +62,26 @@ WRONG = [
     (
         {"representation": "image"},
         ValueError,
-        "`representation` must be one of volume, count, count_time, mean_time, time_surface, hats, got 'image'",
+        "`representation` must be one of volume, count, count_time, mean_time, time_surface, got 'image'",
     ),
     (
         {"representation": "count_time", "bins": 9},
         ValueError,
-        "`bins` must be 2 with representation='count_time', got 9",
+        "`bins` of an image must be 1 (count), 2 (count_time), 1 (mean_time), 1 (time_surface), got "
+        "representation='count_time', bins=9",
     ),
     *[
         (
             {"representation": "mean_time", "bins": 1} | other,
             ValueError,
-            'representation=\'mean_time\' needs transform="none" and polarity "split" or "unsigned", got ' + got,
+            'an image of times needs transform="none" and polarity "split" or "unsigned", got '
+            f"representation='mean_time', {got}",
         )
         for other, got in (
             ({"transform": "tnt"}, "transform='tnt', polarity='split'"),
             ({"polarity": "signed"}, "transform='none', polarity='signed'"),
         )
     ],
-    (
-        {"representation": "hats", "sensor": (34, 34), "grid": (36, 20)},
-        ValueError,
-        "`grid` must have no more cells than the sensor has pixels with representation='hats', got (36, 20) on (34, "
-        "34)",
-    ),
     ({"window_events": 9.0}, TypeError, WHOLE.format("window_events", 9.0)),
     *[({"window_us": v}, ValueError, f"`window_us` must be in [1, 3600000000], got {v}") for v in (0, 3_600_000_001)],
     *[({"t_max": v}, TypeError, f"`t_max` must be a number, got {v!r}") for v in ("8", True, (8.0,), 8j)],
@@ -103,11 +99,6 @@ WRONG = [
     flow("line", "none"),
     ({"grid": (32768, 16000)}, ValueError, CELLS.format(18 * 32769 * 16001)),
     ({"grid": (1023, 1023), "bins": 65, "polarity": "split"}, ValueError, CELLS.format(260 << 20)),
-    (
-        {"representation": "hats", "sensor": (16384, 16384), "grid": (9, 9)},
-        ValueError,
-        CELLS.format(2 * 98 * 100 + 2 * (1 << 28) + 99 * 81),
-    ),
 ]
 
 

@@ -250,16 +250,6 @@ def test_where_nothing_is_held_out_the_defaults_are_taken(tmp_path, program):
     assert code == 0 and "takes its default" in err and "chosen" not in err
 
 
-def test_hats_may_have_more_cells_than_the_default_sensor_has_pixels(tmp_path, program):
-    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
-    rng = np.random.default_rng(0)
-    for label in "ab":
-        write(tmp_path / "set" / label / "one.npy", spot(rng, 7, 12, 1))
-    words = ("--sensor", "64x64", "--grid", "40x40", "--quick", "--epochs", 1, "--out", tmp_path / "m.safetensors")
-    code, _, err = program("train", tmp_path / "set", "--representation", "hats", *words, "--run", tmp_path / "run")
-    assert code == 0 and load_model(tmp_path / "m.safetensors").config.grid == (40, 40), err
-
-
 def interrupt_at_second():
     n = 0
 

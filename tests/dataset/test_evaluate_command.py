@@ -246,7 +246,7 @@ def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, p
         (("MODEL", "unknown"), "the model does not know class jump, wave; it knows flat, slanted, upright"),
         (("MODEL", "damaged"), "none of 1 recordings can be evaluated; "),
         (("MODEL", "empty"), "no recordings in its class folders (upright)"),
-        (("MODEL", "empty", "--picture", "c.gif"), "--picture must end in .png, .svg, .pdf, got c.gif"),
+        (("MODEL", "empty", "--picture", "c.gif"), "c.gif: its name must end in .png, .svg, .pdf"),
     ],
 )
 def test_errors_are_one_line_and_exit_code_2(words, message, saved, tmp_path, program, monkeypatch):

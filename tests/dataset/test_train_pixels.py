@@ -110,10 +110,9 @@ def at(sets, *words):
 def test_the_record_has_the_selected_pixels(models, sets):
     record = load_model(models / "large.safetensors").record
     assert record["data"]["pixels"] == {
-        "roi": [30, 10, 64, 64],
+        "roi": "30,10,64,64",
         "crop": True,
-        "masked_pixels": 2,
-        "mask_sha256": hashlib.sha256(np.load(sets / "large.npy").tobytes()).hexdigest(),
+        "mask": "120x90 " + hashlib.sha256(np.load(sets / "large.npy").tobytes()).hexdigest()[:16],
         "camera": [120, 90],
         "left_out_outside": 7500,
         "left_out_masked": 9000,

@@ -124,9 +124,9 @@ def test_one_class_that_differs_is_one_too_many():
 @pytest.mark.parametrize(
     "model, out, message",
     [
-        ("digits", "m.pt", "--out must end in .onnx, got {}/m.pt"),
+        ("digits", "m.pt", "{}/m.pt: its name must end in .onnx"),
         ("digits", "no/m.onnx", "no folder {}/no to write m.onnx to"),
-        ("digits", "folder.onnx", "{}/folder.onnx is a folder, expected a regular file or a new name"),
+        ("digits", "folder.onnx", "{}/folder.onnx is not a regular file; only those are replaced: give another name"),
     ],
 )
 def test_wrong_arguments_give_one_line(model, out, message, tmp_path, program):

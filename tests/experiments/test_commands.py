@@ -237,13 +237,13 @@ def test_each_recipe_is_written_at_once_beside_what_others_wrote(tmp_path, monke
     def measured(data, folder, out, recipe, seeds):
         if recipe == "bare":  # meanwhile another run has written its own
             report = json.loads(file.read_text())
-            report["recipes"]["equal_hats"] = entry
+            report["recipes"]["equal_mean_time"] = entry
             file.write_text(json.dumps(report))
         return {"title": data.title, "shown_ms": data.shown_ms, "others": {}, "recipes": {recipe: entry}}
 
     monkeypatch.setattr(datasets, "measure", measured)
     assert datasets.main(["cars", str(tmp_path), "--recipes", "equal_count", "bare", "--json", str(file)]) == 0
-    assert list(json.loads(file.read_text())["recipes"]) == ["bare", "equal_count", "equal_hats"]
+    assert list(json.loads(file.read_text())["recipes"]) == ["bare", "equal_count", "equal_mean_time"]
 
 
 def test_decisions_that_differ_from_the_dense_network_end_the_measurement(monkeypatch):

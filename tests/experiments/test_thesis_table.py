@@ -291,8 +291,10 @@ def test_errors_are_one_line(nmnist, mnist, tmp_path, monkeypatch, experiment):
 
 def test_the_committed_table_is_that_of_the_code():
     record = results("table")
+    assert record["rows"].keys() - ROWS.keys() == {"hats-translated"}  # measured when the stream still had HATS
     for name, row in record["rows"].items():
-        of = ROWS[name]
+        if (of := ROWS.get(name)) is None:
+            continue
         assert (of.config, asdict(of.augmentation), of.iterations) == (
             TNTConfig.from_dict(row["config"]),
             row["augmentation"],

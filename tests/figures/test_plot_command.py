@@ -103,7 +103,7 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     [
         ("missing.bin", "missing.bin: No such file"),
         ("empty.bin", "empty.bin: no events to draw"),
-        ("--out figure.jpg", "--out must end in .png, .svg, .pdf, got figure.jpg"),
+        ("--out figure.jpg", "figure.jpg: its name must end in .png, .svg, .pdf"),
         ("--window 4", "3.bin: no window 4; the recording has 3 windows of 105000 us"),
         ("--start-us 1000000000", "3.bin: no event at or after the first window's start, 1000000000 us"),
         ("h.npz --model digits", "h.npz: a sensor of 40x40 pixels, but the model is for 34x34"),

@@ -96,7 +96,6 @@ NETWORKS = [
     Network((9, 8), 2, (3, 5, 7), 3, representation="count_time", sensor=(20, 14)),
     Network((9, 8), 1, (3, 5, 7), 3, representation="mean_time", polarity="unsigned"),
     Network((9, 8), 1, (3, 5, 7), 3, representation="time_surface", sensor=(20, 14)),
-    Network((4, 4), 49, (3, 5, 7), 3, representation="hats", sensor=(20, 14)),
 ]
 LARGE = Network((346, 260), 9, (16, 32, 64), 10)
 SMALL, DIGITS = NETWORKS[1], NETWORKS[7]

@@ -1,5 +1,6 @@
-"""When a stream opens, all that it calls has been compiled, and a second process has taken half of the work."""
+"""When a stream opens, all that it calls has been compiled; a second process helps where it is asked for."""
 
+import os
 import subprocess
 import sys
 
@@ -90,51 +91,59 @@ def test_nothing_is_compiled_after(case, pytestconfig):
     assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
 
 
-@pytest.mark.parametrize(
-    "compiling, cached, told",
-    [
-        (True, True, "compiling kernels, once on this machine (about 10 s)"),
-        (True, False, "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR to one that can ("),
-        (False, True, ""),
-    ],
-)
-def test_a_long_wait_for_the_compiler_is_explained_and_one_for_the_disk_is_not(
-    compiling, cached, told, monkeypatch, capsys
-):
-    monkeypatch.setattr(compile_ahead, "_is_compiled", lambda name: False)
-    monkeypatch.setattr(compile_ahead, "_is_compiling", lambda: compiling)
-    monkeypatch.setattr(compile_ahead, "can_be_cached", lambda kernel: cached)
-    monkeypatch.setattr(compile_ahead, "_compile", lambda names: compile_ahead._explain_wait())
-    assert async_tnt.warmup() > 0
-    err = capsys.readouterr().err
-    assert told in err and bool(err) == compiling and ("once on this machine" in err) == (compiling and cached)
-
-
 @pytest.fixture
 def cold(monkeypatch):
-    """As on a machine with two cores where nothing has been compiled yet."""
-    monkeypatch.setattr(compile_ahead, "_is_compiled", lambda name: False)
+    """As on a machine with two cores where nothing has been compiled yet; collects what is then compiled here."""
+    here: list[str] = []
     monkeypatch.setattr(compile_ahead, "is_cached", lambda kernel, types: False)
+    monkeypatch.setattr(compile_ahead, "can_be_cached", lambda kernel: True)
     monkeypatch.setattr(compile_ahead, "available_cores", lambda: 2)
+    monkeypatch.setattr(compile_ahead, "compile_kernels", here.extend)
+    return here
 
 
-def test_a_second_process_compiles_the_network(cold):
-    child = compile_ahead._start_child(["classify_cells", "softmax"])
-    assert child.wait() == 0
+def test_a_processor_starts_no_process_and_prints_nothing(tmp_path):
+    """In a fresh process whose cache is empty."""
+    code = (
+        "import subprocess\nsubprocess.Popen = None\n"
+        "from async_tnt import Processor, TNTConfig\nProcessor(TNTConfig(), classifier=len)"
+    )
+    env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_a_second_process_that_fails_leaves_the_work_to_the_first(cold, monkeypatch):
+def test_a_second_process_compiles_the_network(cold, capsys, monkeypatch):
+    children = []
+    start = compile_ahead._start_child
+    monkeypatch.setattr(
+        compile_ahead, "_start_child", lambda names: children.append((names, start(names))) or children[0][1]
+    )
+    compile_ahead.fill_cache()
+    [(names, child)] = children
+    assert names == ["classify_cells"] and child.returncode == 0
+    assert set(cold) == compile_ahead.EVENTS
+    assert "compiling kernels, once on this machine" in capsys.readouterr().err
+
+
+def test_warmup_compiles_what_a_second_process_failed_to(cold, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    done = set()
-    monkeypatch.setattr(compile_ahead, "_compile", done.update)
     assert async_tnt.warmup(async_tnt.load_model("digits")) > 0
-    assert {"absorb", "classify_cells", "absorb_and_decide"} <= done
+    assert {"absorb", "classify_cells", "absorb_and_decide"} <= set(cold)
 
 
-def test_no_second_process_where_it_would_not_pay(cold, monkeypatch):
-    assert compile_ahead._start_child(["softmax"]) is None
+def test_one_core_compiles_in_one_process(cold, monkeypatch):
     monkeypatch.setattr(compile_ahead, "available_cores", lambda: 1)
-    assert compile_ahead._start_child(["classify_cells"]) is None
-    monkeypatch.undo()
-    async_tnt.warmup(async_tnt.load_model("digits"))
-    assert compile_ahead._start_child(["classify_cells"]) is None  # the cache has it
+    compile_ahead.fill_cache()
+    assert cold == []  # the Processor will
+
+
+def test_a_missing_cache_folder_is_named(cold, monkeypatch, capsys):
+    monkeypatch.setattr(compile_ahead, "can_be_cached", lambda kernel: False)
+    compile_ahead.fill_cache()
+    assert "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR" in capsys.readouterr().err
+
+
+def test_a_full_cache_is_not_mentioned(capsys):
+    compile_ahead.fill_cache()
+    assert capsys.readouterr().err == ""

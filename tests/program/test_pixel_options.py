@@ -61,11 +61,9 @@ def sets(tmp_path_factory):
     (folder / "bin" / "0").mkdir(parents=True)
     write_nmnist(folder / "bin" / "0" / "a.bin", EVENTS)  # whose file does not say that the camera has 60x48
     save_mask(folder / "bin.npy", np.fromfunction(lambda y, x: (x == 12) & (y == 10), (48, 60)))
-    selection = PixelSelection((5, 4, 30, 30), True, folder / "bin.npy")
-    record = {"data": {"pixels": {**selection.record, "camera": [60, 48]}}}
-    for name, sensor, training in (("whole", (60, 48), {}), ("part", (30, 30), record)):
+    for name, sensor in (("whole", (60, 48)), ("part", (30, 30))):
         model = random_model(TNTConfig(sensor=sensor), classes=3, seed=1)
-        Model(model.config, model.weights, ("0", "1", "2"), training).save(folder / f"{name}.safetensors")
+        Model(model.config, model.weights, ("0", "1", "2")).save(folder / f"{name}.safetensors")
     return folder
 
 
@@ -181,17 +179,6 @@ def test_an_event_off_the_camera_names_the_source_of_its_size(tmp_path, program)
 
 
 # -- messages ------------------------------------------------------------------------------------------------------
-
-
-@of_all_commands
-def test_the_selection_of_the_training_is_compared_with_the_one_given(command, sets, tmp_path, program):
-    model = sets / "part.safetensors"
-    words = *words_for(command, sets / "bin", model, tmp_path), "--mask", sets / "bin.npy", "--crop", "--roi"
-    code, _, message = program(*words, "5,4,30,30")
-    assert code == 0 and "trained with" not in message
-    code, _, message = program(*words, "0,0,30,30")
-    assert code == 0 and f"async-tnt: {model}: trained with --roi 5,4,30,30 --crop --mask of 1 pixels (" in message
-    assert ", but now it is --roi 0,0,30,30 --crop --mask of 1 pixels (" in message
 
 
 @of_all_commands

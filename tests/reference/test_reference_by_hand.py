@@ -1,8 +1,9 @@
 """Volumes and landmarks worked out with pencil and paper: twins cannot see an error made on both sides."""
 
+import numpy as np
 import pytest
 import torch
-from tnt_reference import event_volume, fitted_flow, landmark, tnt_coordinates, tnt_volume
+from tnt_reference import event_volume, fitted_flow, hats, landmark, tnt_coordinates, tnt_volume
 
 # 9 bins in 800 us: bin position = TNT time = t / 100. Centre of a 5 x 5 grid: (2, 2).
 SQUARE = dict(start_us=0, window_us=800, sensor=(5, 5), grid=(5, 5))
@@ -142,3 +143,16 @@ def test_events_outside_the_window_take_no_part():
         assert torch.equal(rows[[1, 3]], landmark(name, [101, 102], [2, 4], [1, 3], **SMALL))
         assert rows[[0, 2, 4]].tolist() == [[2.0, 1.0]] * 3  # the centre: filled in, never read
     assert fitted_flow(t, x, y, **SMALL)[[0, 2, 4]].tolist() == [[0.0, 0.0]] * 3
+
+
+def test_hats_count_earlier_events_of_the_same_cell_and_polarity():
+    """Cells of 10 x 5 pixels. In the left upper one, ON at (2, 1) twice, then at (4, 2); OFF at (4, 1)."""
+    t, x, y, p = np.array([(1, 2, 1, 1), (2, 2, 1, 1), (3, 4, 1, 0), (4, 4, 2, 1), (5, 9, 4, 1), (6, 10, 4, 1)]).T
+    at = dict(start_us=0, window_us=100, sensor=(20, 10), grid=(2, 2))
+    expected = torch.zeros(2, 7, 7, 2, 2)  # polarity, z_y + 3, z_x + 3, row, column
+    expected[0, 3, 3, 0, 0] = 1 / 5  # the second at (2, 1) finds the first; five events are in this cell
+    expected[0, 2, 1, 0, 0] = 2 / 5  # that at (4, 2) finds both, two pixels to the left and one up
+    torch.testing.assert_close(hats(t, x, y, p, **at), expected.reshape(98, 2, 2))  # (9, 4) is too far; (10, 4) outside
+    expected[0, 3, 1, 0, 0] = 2 / 5  # the OFF event finds both ON events
+    expected[0, 2, 3, 0, 0] = 1 / 5  # and is found
+    torch.testing.assert_close(hats(t, x, y, p, **at, polarity="unsigned"), expected[0].reshape(49, 2, 2))

@@ -21,7 +21,7 @@ CONFIGS = [
     if transform == "tnt" or landmark == "center"
 ] + [
     TNTConfig(representation=representation, polarity=polarity, transform="none")
-    for representation in ("count", "count_time", "mean_time", "time_surface", "hats")
+    for representation in ("count", "count_time", "mean_time", "time_surface")
     for polarity in ("unsigned", "split")
 ]
 SHAPES = [  # sensor, grid, bins, window_us, t_max

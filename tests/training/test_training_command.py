@@ -89,7 +89,7 @@ def test_damaged_recordings_of_the_default_folder_are_refused_or_left_out(nmnist
     ("words", "message"),
     [
         ([], "no data: give DATASET, a folder with a folder of recordings for each class, or --nmnist FOLDER, or set"),
-        (["--smoke", "--out", "m.pt"], "--out must end in .safetensors, got m.pt"),
+        (["--smoke", "--out", "m.pt"], "m.pt: its name must end in .safetensors"),
         (["--nmnist", "nowhere"], "no folder nowhere; give --nmnist FOLDER"),
         (["--smoke", "--remove-flow"], '`remove_flow` needs landmark="line"'),
         (["--smoke", "--start-from", "digits", "--representation", "count"], "--representation must come without"),

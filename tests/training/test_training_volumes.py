@@ -46,7 +46,6 @@ def streamed(config, windows, k, until_us):
         {"representation": "count_time", "transform": "none", "polarity": "split", "sensor": (64, 40)},
         {"representation": "mean_time", "transform": "none", "polarity": "unsigned"},
         {"representation": "time_surface", "transform": "none"},
-        {"representation": "hats", "grid": (7, 5)},
     ],
     ids=lambda changes: "-".join(map(str, changes.values())),
 )

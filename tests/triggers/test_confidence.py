@@ -68,6 +68,12 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
         [("confidence", 1000, 1502, 3, True)],
         (3, 2),
     ),
+    "events before a window that was closed at its end are late": (
+        {"start_us": 0},
+        (0, 1, 2, 3, 1000, 2000, 2001, 2002, 5, 2003),
+        [("confidence", 0, 2, 3, True), ("window", 1000, 1000, 1, True), ("confidence", 2000, 2002, 3, True)],
+        (2, 1),
+    ),
     "with every_us it is checked only there": (
         {"every_us": 100},
         (0, 50, 150, 160, 170, 180, 290, 1000),

@@ -70,7 +70,7 @@ def test_a_recording_is_played_at_the_given_speed(tmp_path, program, monkeypatch
 @pytest.mark.parametrize(
     "words, message",
     [
-        (["--out", "a.png"], "--out must end in .rrd, got a.png"),
+        (["--out", "a.png"], "a.png: its name must end in .rrd"),
         (["missing.bin", "--out", "a.rrd"], "missing.bin: No such file or directory"),
         (["large.npz", "--out", "a.rrd"], "large.npz: a sensor of 64x48 pixels, but the model is for 34x34"),
         (["empty.npy", "--out", "a.rrd"], "no event in empty.npy: nothing to show"),

@@ -70,4 +70,5 @@ def _column(name: str, array: Any) -> np.ndarray:
     array = np.asarray(array)
     if array.dtype.kind not in "iufb" or array.size not in (0, max(array.shape, default=1)):
         raise ValueError(f"{name} must be a vector of numbers, got {array.dtype} of shape {array.shape}")
-    return array.reshape(-1)
+    column: np.ndarray = array.reshape(-1)
+    return column

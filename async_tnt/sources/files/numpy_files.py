@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.event_forms import NAMES, Four, named_columns, one_line, the_name
+from async_tnt.checks import one_line
+from async_tnt.event_forms import NAMES, Four, named_columns, the_name
 from async_tnt.events import EVENT_DTYPE, checked_columns
 from async_tnt.sources.files.npy_arrays import MAGIC, map_npy, read_npy_header
 from async_tnt.sources.files.source import (
