@@ -17,8 +17,8 @@ import numpy as np
 from made_noise import KINDS, made_noise
 
 from async_tnt import Decision, LeakyIntegrator, Model, Processor, load_model, warmup
-from async_tnt.archive.executor import run_all
 from async_tnt.checking.timing import machine
+from async_tnt.evaluation.processes import run_all
 from async_tnt.sources.files.recording import open_recording
 
 MODEL = "digits"
