@@ -29,7 +29,7 @@ from script_options import script_parser, write_outputs
 from async_tnt import load_model, warmup
 from async_tnt.checking.timing import machine
 from async_tnt.engines import choose_engine
-from async_tnt.evaluation.collect import Progress, Run, collect_to_file
+from async_tnt.evaluation.collect import Progress, Run, collect
 from async_tnt.evaluation.dask_cluster import run_on_dask
 from async_tnt.evaluation.early import every_us
 from async_tnt.evaluation.job import Task, job_of, task_of
@@ -87,7 +87,7 @@ def measure(tasks: list[Task], executor: Run, out: Path) -> dict[str, float]:
     """One evaluation: seconds in all, to the first record, and the rate of the others."""
     times = []
     started = time.perf_counter()
-    records = collect_to_file(
+    records = collect(
         evaluate_recording, tasks, executor, out, Progress(), watch=lambda: times.append(time.perf_counter() - started)
     )
     took = time.perf_counter() - started

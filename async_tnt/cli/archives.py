@@ -5,22 +5,24 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from async_tnt.cli.options import paths_of, triggers_of
-from async_tnt.cli.output import complain, complain_late, say
+from async_tnt.cli.output import complain, complain_late, counted, say
 from async_tnt.cli.pixel_options import selector_of
 from async_tnt.engines import choose_engine
-from async_tnt.evaluation.collect import Progress, Run, collect, collect_to_file, counted
-from async_tnt.evaluation.job import Task, job_of, recordings_under, task_of
+from async_tnt.evaluation.collect import Progress, Run, collect
+from async_tnt.evaluation.job import Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import Record, run_recording
 from async_tnt.evaluation.results import SUFFIXES
 from async_tnt.files import check_writable
 from async_tnt.progress import progress as progress_bar
+from async_tnt.sources.labelled_recordings import recordings_under
 
 SHOWN = 20  # errors that are printed one by one
 
@@ -74,11 +76,10 @@ def stream_archive(
 
     try:
         with contextlib.ExitStack() as stack:
-            if args.out is None:
-                return collect(function, tasks, run, progress, watch=watch)
-            return collect_to_file(
-                function, tasks, run, args.out, progress, restart=args.restart, is_gone=is_gone, watch=watch
-            )
+            out = args.out or Path(stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl")
+            how = {"restart": args.restart, "is_gone": is_gone, "watch": watch}
+            records = collect(function, tasks, run, out, progress, **how)
+            return records if args.out else list(records)  # while the temporary file is there
     except KeyboardInterrupt:
         n_done = progress.kept + progress.done
         kept = "the same command resumes" if args.out else "nothing is kept without --out"

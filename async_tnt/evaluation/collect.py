@@ -1,4 +1,4 @@
-"""Collect the records of many recordings, in memory or in a result file, where a later run resumes."""
+"""Collect the records of many recordings in a result file, where a later run resumes."""
 
 from __future__ import annotations
 
@@ -40,38 +40,7 @@ class Progress:
     gone: int = 0
 
 
-def counted(n: int, noun: str) -> str:
-    """For messages.
-
-    Examples
-    --------
-    >>> counted(1, "recording"), counted(1000, "recording")
-    ('1 recording', '1,000 recordings')
-    """
-    return f"{n:,} {noun}{'' if n == 1 else 's'}"
-
-
 def collect(
-    function: Callable[[Task], Record],
-    tasks: Sequence[Task],
-    run: Run,
-    progress: Progress,
-    *,
-    watch: Callable[[], object] = lambda: None,
-) -> list[Record]:
-    """Records of all tasks, in order of the recordings' names. `watch` is called at the start and after each one."""
-    progress.total = len(tasks)
-    watch()
-    records = []
-    with contextlib.closing(run(function, tasks, lost=lost)) as results:
-        for record in results:
-            records.append(record)
-            progress.done += 1
-            watch()
-    return sorted(records, key=lambda record: record["recording"])
-
-
-def collect_to_file(
     function: Callable[[Task], Record],
     tasks: Sequence[Task],
     run: Run,
@@ -111,13 +80,13 @@ def collect_to_file(
         existing = [name for name in others if not is_gone(name)]
         if existing:
             raise ValueError(
-                f"{out} holds {counted(len(existing), 'recording')} that this command does not name, such as "
-                f"{existing[0]}: name all, or another file, or discard it by a restart"
+                f"{out} holds recordings that this command does not name ({len(existing):,}), such as {existing[0]}: "
+                "name them too, or another file, or discard it by a restart"
             )
         n_good = sum(version is not None for version in file.versions.values())
         if n_good and len(to_do) == len(wanted):
             raise ValueError(
-                f"{out} holds {counted(n_good, 'result')}, none of a recording as it is here: of another folder? "
+                f"{out} holds results ({n_good:,}), but none of a recording as it is here: of another folder? "
                 "Name another file, or discard it by a restart"
             )
         progress.total, progress.kept, progress.gone = len(wanted), len(wanted) - len(to_do), len(others)

@@ -102,21 +102,18 @@ def _check_workers(client: Any, address: str, tasks: Sequence[Task]) -> None:
         files.append(tasks[0].job.model)
 
     # A nested function is sent as code: a worker without async_tnt could not import another.
-    def look(files: list[str]) -> tuple[str | None, list[str]]:
+    def problem(files: list[str], expected: str) -> str:
         import os
 
         try:
-            from async_tnt.version import __version__
+            from async_tnt.version import __version__ as version
         except ImportError:
-            return None, []
-        return __version__, [file for file in files if not os.access(file, os.R_OK)]
+            version = "missing"
+        if version != expected:
+            return f"has async_tnt {version}, expected {expected}: install it there"
+        unreadable = [file for file in files if not os.access(file, os.R_OK)]
+        return f"cannot read {unreadable[0]}: all machines must see the files by the same path" if unreadable else ""
 
-    for worker, (version, unreadable) in client.run(look, files).items():
-        if version != __version__:
-            raise ValueError(
-                f"worker {worker} has {version or 'no'} async_tnt, expected {__version__}: install it there"
-            )
-        if unreadable:
-            raise ValueError(
-                f"worker {worker} cannot read {unreadable[0]}: all machines must see the files by the same path"
-            )
+    for worker, text in client.run(problem, files, __version__).items():
+        if text:
+            raise ValueError(f"worker {worker} {text}")

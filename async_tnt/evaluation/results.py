@@ -55,8 +55,7 @@ class ResultFile:
 
     def __init__(self, out: Path, job: Job, *, restart: bool = False) -> None:
         self.versions: dict[str, tuple[int, int, str | None] | None] = {}
-        self._out, self._job = out, job
-        self._is_kept = out.exists()  # also with no lines in it
+        self._out, self._job, self._is_new = out, job, not out.exists()
         self._where: dict[str, tuple[int, int]] = {}  # recording -> (offset, length) of its newest line
         self._names: list[str] = []  # of all lines
         self._file = open_locked(out, f"{out}: another program is writing it; wait for that one, or name another file")
@@ -95,14 +94,14 @@ class ResultFile:
                 self._file.close()
 
     def close(self) -> None:
-        """Unlock it."""
+        """Unlock it; a file that was made here and has no record is removed."""
         if self._file.closed:
             return
         with naming(self._out), contextlib.closing(self._file):
             is_empty = not self._file.seek(0, os.SEEK_END)
             if os.name == "nt":  # where an open file cannot be deleted
                 self._file.close()
-            if is_empty and not self._is_kept:
+            if is_empty and self._is_new:
                 self._out.unlink(missing_ok=True)
 
     def _load(self, restart: bool) -> None:

@@ -29,7 +29,7 @@ def test_workers_that_cannot_read_the_files_are_named(cluster, tasks):
 
 def test_workers_of_another_version_are_named(cluster, tasks, monkeypatch):
     monkeypatch.setattr(dask_cluster, "__version__", "9.9")
-    with pytest.raises(ValueError, match=r"worker tcp://\S+ has \S+ async_tnt, expected 9.9: install it there"):
+    with pytest.raises(ValueError, match=r"worker tcp://\S+ has async_tnt \S+, expected 9.9: install it there"):
         list(run_on_dask(record_of, tasks, cluster, lost))
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt import files
-from async_tnt.evaluation.collect import Progress, collect_to_file
+from async_tnt.evaluation.collect import Progress, collect
 from async_tnt.evaluation.job import Job
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import failed
@@ -39,7 +39,7 @@ def stopping_after(n):
 def collected_to(out, tasks, function=record_of, run=HERE, **words):
     """The records, and what was counted."""
     progress = Progress()
-    return list(collect_to_file(function, tasks, run, out, progress, **words)), progress
+    return list(collect(function, tasks, run, out, progress, **words)), progress
 
 
 def noting(done):
@@ -139,7 +139,7 @@ def test_recordings_with_an_error_are_tried_again(tasks, tmp_path):
 
 def test_results_of_recordings_that_are_gone_are_left_out_and_no_others(finished, tasks):
     before = finished.read_bytes()
-    with pytest.raises(ValueError, match=r"holds 2 recordings that this command does not name, such as a"):
+    with pytest.raises(ValueError, match=r"holds recordings that this command does not name \(2\), such as a"):
         collected_to(finished, tasks[2:], is_gone=lambda name: False)
     assert finished.read_bytes() == before
     records, progress = collected_to(finished, tasks[2:], is_gone=lambda name: True)
@@ -165,7 +165,7 @@ def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp
     for theirs in make_tasks(tmp_path / "other", ["x", "y"]), [replace(task, modified_ns=1) for task in tasks]:
         for out, n in (finished, 5), (unfinished, 3):
             before = out.read_bytes()
-            with pytest.raises(ValueError, match=f"holds {n} results, none of a recording as it is here: of another"):
+            with pytest.raises(ValueError, match=rf"holds results \({n}\), but none of a recording as it is"):
                 collected_to(out, theirs)
             assert out.read_bytes() == before
     collected_to(unfinished, theirs, restart=True)

@@ -13,7 +13,8 @@ from made import random_events, random_model
 from async_tnt import files
 from async_tnt.cli import main
 from async_tnt.engines import choose_engine
-from async_tnt.evaluation.collect import Progress, collect_to_file
+from async_tnt.evaluation.collect import Progress
+from async_tnt.evaluation.collect import collect as collect_results
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import run_recording
@@ -41,7 +42,7 @@ def view(path):
 def collect(path):
     sample = sample_recordings()[1]
     task = task_of("1.bin", sample, job_of("run", "digits", choose_engine("digits"), None))
-    list(collect_to_file(run_recording, [task], partial(run_all, workers=1), path, Progress()))
+    list(collect_results(run_recording, [task], partial(run_all, workers=1), path, Progress()))
 
 
 WRITERS = {
