@@ -29,7 +29,7 @@ class WorkerEnded(ChildProcessError):
 class Worker:
     """A process that calls importable functions until `end`, or until this process ends in any way.
 
-    It has its own process group: Ctrl-C reaches this process alone, which ends its workers.
+    It has its own process group, so that Ctrl-C reaches this process alone, which ends its workers.
 
     Attributes
     ----------
@@ -39,19 +39,19 @@ class Worker:
     def __init__(self) -> None:
         self.pipe, theirs = connection.Pipe()
         paths = os.pathsep.join(map(os.path.abspath, sys.path))
-        how: dict[str, Any] = {"process_group": 0, "stdin": theirs.fileno()}
+        stdin = theirs.fileno()
         if sys.platform == "win32":
             import msvcrt
 
-            stdin = msvcrt.open_osfhandle(theirs.fileno(), 0)
-            how = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP, "stdin": stdin}
+            stdin = msvcrt.open_osfhandle(stdin, 0)
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", "from async_tnt.worker import serve; serve()"],
+                stdin=stdin,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, "PYTHONPATH": paths, "RUST_BACKTRACE": "0"},
-                **how,
+                process_group=0,
             )
 
     @property

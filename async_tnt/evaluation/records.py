@@ -1,4 +1,4 @@
-"""Stream a recording of an archive through a Processor, and make a record of it for the result file.
+"""Stream a recording through a Processor, and make a record of it for the result file.
 
 `seconds`, which no two runs share, is in the record but not in the file.
 """
@@ -207,5 +207,5 @@ def _error_line(error: Exception, task: Task) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         return f"{task.recording}: {error.strerror}"
     text = " ".join(str(error).split()) or type(error).__name__
-    text = text.replace(str(task.path), task.recording)  # the same text wherever the archive lies
+    text = text.replace(str(task.path), task.recording)  # the same text wherever the recordings lie
     return text if task.recording in text else f"{task.recording}: {text}"
