@@ -18,19 +18,20 @@ import importlib.util
 import tempfile
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from async_tnt import load_model, warmup
-from async_tnt.archive.collect import Progress, collect_to_file
-from async_tnt.archive.dask_executor import DaskExecutor
-from async_tnt.archive.early import every_us
-from async_tnt.archive.executor import Executor, executor_of
-from async_tnt.archive.job import Task, job_of, task_of
-from async_tnt.archive.records import evaluate_recording
 from async_tnt.engines import choose_engine
+from async_tnt.evaluation.collect import Progress, Run, collect
+from async_tnt.evaluation.dask_cluster import run_on_dask
+from async_tnt.evaluation.early import every_us
+from async_tnt.evaluation.job import Task, job_of, task_of
+from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.records import evaluate_recording
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.labelled_recordings import find_recordings
@@ -62,10 +63,10 @@ def tasks_of(folder: Path, n: int | None) -> list[Task]:
 
 
 @contextlib.contextmanager
-def clusters(workers: list[int]) -> Iterator[dict[str, Executor]]:
+def clusters(workers: list[int]) -> Iterator[dict[str, Run]]:
     """A cluster on this machine for each number of workers; none if Dask is missing."""
     with contextlib.ExitStack() as stack:
-        executors: dict[str, Executor] = {}
+        executors: dict[str, Run] = {}
         if importlib.util.find_spec("distributed") is not None:
             from distributed import LocalCluster
 
@@ -75,15 +76,17 @@ def clusters(workers: list[int]) -> Iterator[dict[str, Executor]]:
                         n_workers=n, threads_per_worker=1, protocol="tcp", host="127.0.0.1", dashboard_address=":0"
                     )
                 )
-                executors[f"dask, {n} worker{'s' if n > 1 else ''}"] = DaskExecutor(cluster.scheduler_address)
+                executors[f"dask, {n} worker{'s' if n > 1 else ''}"] = partial(
+                    run_on_dask, address=cluster.scheduler_address
+                )
         yield executors
 
 
-def measure(tasks: list[Task], executor: Executor, out: Path) -> dict[str, float]:
+def measure(tasks: list[Task], executor: Run, out: Path) -> dict[str, float]:
     """One evaluation: seconds in all, to the first record, and the rate of the others."""
     times = []
     started = time.perf_counter()
-    records = collect_to_file(
+    records = collect(
         evaluate_recording, tasks, executor, out, Progress(), watch=lambda: times.append(time.perf_counter() - started)
     )
     took = time.perf_counter() - started
@@ -97,7 +100,9 @@ def measure(tasks: list[Task], executor: Executor, out: Path) -> dict[str, float
 def measure_all(tasks: list[Task], workers: list[int], rounds: int, folder: Path) -> dict[str, Any]:
     """Medians and quartiles of every executor over the rounds, and speed-ups against one worker of the same kind."""
     with clusters(workers) as of_dask:
-        executors = {f"processes, {n} worker{'s' if n > 1 else ''}": executor_of(n) for n in workers} | of_dask
+        executors = {
+            f"processes, {n} worker{'s' if n > 1 else ''}": partial(run_all, workers=n) for n in workers
+        } | of_dask
         found: dict[str, list[dict[str, float]]] = {name: [] for name in executors}
         first: bytes | None = None
         for executor in of_dask.values():

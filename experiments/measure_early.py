@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from async_tnt import Decision, LeakyIntegrator, Model, Processor, load_model, warmup
-from async_tnt.archive.executor import run_all
+from async_tnt.evaluation.processes import run_all
 from async_tnt.events import structured
 from async_tnt.sources.files.recording import open_recording
 from experiments.bench_moments import made_columns

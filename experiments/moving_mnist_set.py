@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.archive.executor import run_all
+from async_tnt.evaluation.processes import run_all
 from async_tnt.files import locked_folder
 from async_tnt.process import available_cores
 from async_tnt.progress import progress

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from async_tnt.archive.executor import run_all
+from async_tnt.evaluation.processes import run_all
 from async_tnt.files import write_text
 from async_tnt.progress import progress
 from async_tnt.training.evaluation import class_probabilities

@@ -15,8 +15,8 @@ def add_archive(parser: argparse.ArgumentParser, *, needs_out: bool) -> None:
         "--out",
         type=Path,
         metavar="FILE",
-        help="stream into this result file, .jsonl or .parquet (extra `cluster`), one record per recording; after an "
-        "interruption or a kill the same command resumes",
+        help="stream into this result file, .jsonl, one record per recording; after an interruption or a kill the same "
+        "command resumes",
     )
     parser.add_argument(
         "--workers", type=positive_int, metavar="N", help=f"{with_out}processes that stream recordings (default: 1)"

@@ -4,51 +4,55 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from async_tnt.archive.collect import Progress, collect, collect_to_file, counted
-from async_tnt.archive.executor import Executor, executor_of
-from async_tnt.archive.job import Task, job_of, recordings_under, task_of
-from async_tnt.archive.records import Record, run_recording
-from async_tnt.archive.results import check_out
 from async_tnt.cli.options import paths_of, triggers_of
-from async_tnt.cli.output import complain, complain_late, say
+from async_tnt.cli.output import complain, complain_late, counted, say
 from async_tnt.cli.pixel_options import selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import choose_engine
+from async_tnt.evaluation.collect import Progress, Run, collect
+from async_tnt.evaluation.job import Task, job_of, task_of
+from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.records import Record, run_recording
+from async_tnt.evaluation.results import SUFFIXES
+from async_tnt.files import check_writable
 from async_tnt.progress import progress as progress_bar
+from async_tnt.sources.labelled_recordings import recordings_under
 
 SHOWN = 20  # errors that are printed one by one
 
 
-def archive_executor(args: argparse.Namespace) -> Executor:
+def how_to_run(args: argparse.Namespace) -> Run:
     """Where to stream; checks, before any work, that the options agree and that --out can be written.
 
     Raises
     ------
-    ValueError, OSError, ImportError.
+    ValueError, OSError.
     """
     if args.workers is not None and args.dask is not None:
         raise ValueError("--workers are processes here and --dask is a cluster: give one of them")
     if args.restart and args.out is None:
         raise ValueError("--restart requires --out: it discards the results in that file")
     if args.out is not None:
-        check_out(args.out)
+        check_writable(args.out, SUFFIXES)
     if args.dask is None:
-        return executor_of(args.workers or 1)
-    from async_tnt.archive.dask_executor import DaskExecutor
+        return functools.partial(run_all, workers=args.workers or 1)
+    from async_tnt.evaluation.dask_cluster import run_on_dask
 
-    return DaskExecutor(args.dask)
+    return functools.partial(run_on_dask, address=args.dask)
 
 
 def stream_archive(
     args: argparse.Namespace,
     function: Callable[[Task], Record],
     tasks: Sequence[Task],
-    executor: Executor,
+    run: Run,
     progress: Progress,
     is_gone: Callable[[str], bool],
 ) -> Iterable[Record]:
@@ -73,11 +77,10 @@ def stream_archive(
 
     try:
         with contextlib.ExitStack() as stack:
-            if args.out is None:
-                return collect(function, tasks, executor, progress, watch=watch)
-            return collect_to_file(
-                function, tasks, executor, args.out, progress, restart=args.restart, is_gone=is_gone, watch=watch
-            )
+            out = args.out or Path(stack.enter_context(tempfile.TemporaryDirectory()), "results.jsonl")
+            how = {"restart": args.restart, "is_gone": is_gone, "watch": watch}
+            records = collect(function, tasks, run, out, progress, **how)
+            return records if args.out else list(records)  # while the temporary file is there
     except KeyboardInterrupt:
         n_done = progress.kept + progress.done
         kept = "the same command resumes" if args.out else "nothing is kept without --out"
@@ -91,7 +94,7 @@ def stream_archive(
 
 def run_archive(args: argparse.Namespace) -> int:
     """`async-tnt run --out`: the decisions of all recordings, into a file, and a summary."""
-    executor = archive_executor(args)
+    run = how_to_run(args)
     _check_run(args)
     engine = choose_engine(args.model, args.engine)
     fill_cache()
@@ -106,7 +109,7 @@ def run_archive(args: argparse.Namespace) -> int:
     labels = dict.fromkeys(engine.classes, 0)
     n_decisions = n_events = n_late = 0
     errors = []
-    for record in stream_archive(args, run_recording, tasks, executor, progress, lambda name: not Path(name).exists()):
+    for record in stream_archive(args, run_recording, tasks, run, progress, lambda name: not Path(name).exists()):
         if record["error"] is not None:
             errors.append(record["error"])
             continue

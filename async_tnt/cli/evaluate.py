@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.archive.collect import Progress
-from async_tnt.archive.early import early_report, every_us
-from async_tnt.archive.job import job_of, task_of
-from async_tnt.archive.records import TIMED, Record, evaluate_recording
-from async_tnt.archive.scores import score_recordings
 from async_tnt.cli.archive_options import add_archive
-from async_tnt.cli.archives import archive_executor, stream_archive
+from async_tnt.cli.archives import how_to_run, stream_archive
 from async_tnt.cli.options import model_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import Engine
+from async_tnt.evaluation.collect import Progress
+from async_tnt.evaluation.early import early_report, every_us
+from async_tnt.evaluation.job import job_of, task_of
+from async_tnt.evaluation.records import TIMED, Record, evaluate_recording
+from async_tnt.evaluation.scores import score_recordings
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
 from async_tnt.sources.labelled_recordings import LabelledRecording, file_of, find_recordings
@@ -41,7 +41,7 @@ windows. Recordings that cannot be read, and empty ones, are skipped and named a
   async-tnt evaluate gestures.safetensors held_out --picture confusion.png
   async-tnt evaluate digits N-MNIST --workers 4 --json | jq .accuracy
   async-tnt evaluate digits N-MNIST --workers 4 --out results.jsonl    keep each recording's result; resumable
-  async-tnt evaluate digits N-MNIST --dask tcp://10.0.0.1:8786 --out results.parquet    on many machines
+  async-tnt evaluate digits N-MNIST --dask tcp://10.0.0.1:8786 --out results.jsonl    on many machines
   async-tnt evaluate digits recorded --roi 600,300,34,34 --crop --mask mask.npy    of a larger camera with hot pixels
 
 With --out, an evaluation that was interrupted or killed resumes when the same command is given again, and ends with
@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     if args.picture is not None:
         check_picture(args.picture)
-    executor = archive_executor(args)
+    run = how_to_run(args)
     model = model_of(args)
     pixels = selector_of(args, model)
     recordings, labels = labelled_recordings(args.dataset, model)
@@ -95,7 +95,7 @@ def main(args: argparse.Namespace) -> int:
     def is_gone(name: str) -> bool:
         return file_of(name) in sessions or not (args.dataset / file_of(name)).exists()  # its table names it no more
 
-    records = list(stream_archive(args, evaluate_recording, tasks, executor, Progress(), is_gone))
+    records = list(stream_archive(args, evaluate_recording, tasks, run, Progress(), is_gone))
     good = [record for record in records if record["error"] is None]
     skipped = [record["error"] for record in records if record["error"] is not None]
     if not good:

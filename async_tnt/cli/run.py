@@ -36,7 +36,7 @@ the class of the highest mean probability over its closed windows.
   async-tnt run camera --live --latest 64    a camera, shown in the terminal without delay (extra `cameras`)
   async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels
   async-tnt run --json | jq .label           one JSON object a line for each decision
-  async-tnt run archive --out r.parquet --workers 4    all recordings under a folder, resumable (docs/guide.md)
+  async-tnt run archive --out r.jsonl --workers 4    all recordings under a folder, resumable (docs/guide.md)
   async-tnt run archive --out r.jsonl --mask mask.npy  without the events of hot pixels
   async-tnt run a.bin --live --speed 0.2     watch it at a fifth of the recorded speed (extra `view`)
   async-tnt run --engine onnx                the same network run by onnxruntime (extra `onnx`), or torch

@@ -12,7 +12,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from async_tnt.archive.scores import Scores
 from async_tnt.checks import needs_extra
 from async_tnt.cli.data_options import command_words
 from async_tnt.cli.output import note, say
@@ -20,6 +19,7 @@ from async_tnt.cli.train_data import config_of, of_dataset, of_digits
 from async_tnt.cli.train_motions import other_motions
 from async_tnt.cli.train_option_checks import check_options
 from async_tnt.cli.train_options import NETWORK, add_arguments
+from async_tnt.evaluation.scores import Scores
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.progress import progress

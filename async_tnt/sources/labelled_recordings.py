@@ -1,4 +1,4 @@
-"""Which labelled recordings a folder holds: class folders of recordings, or sessions with tables of what they show.
+"""Which recordings a folder holds; with labels: in class folders, or sessions with tables of what they show.
 
 A session is a recording with a table beside it, `NAME_labels.csv`: a row for each part that shows one class, with the
 columns `class`, `start` and `end`, in microseconds, as DVS128 Gesture has them. Its file `gesture_mapping.csv` gives
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -128,6 +128,48 @@ def has_part(folder: Path, part: str) -> bool:
 def is_recording(path: Path) -> bool:
     """Whether `open_recording` knows the suffix, and the file is neither hidden nor a table of labels."""
     return path.suffix.lower() in READERS and not path.name.startswith(".") and not path.name.endswith(TABLE)
+
+
+def recordings_under(paths: Iterable[Path]) -> list[Path]:
+    """The files, and all recordings below the folders, by suffix (`READERS`); each once.
+
+    Hidden files and folders are left out, and links to folders are not followed.
+
+    Raises
+    ------
+    FileNotFoundError : no such file or folder. ValueError : a folder without recordings.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     for name in ("b.npz", "a/c.npy", "a/notes.md", ".cache/d.npy"):
+    ...         Path(folder, name).parent.mkdir(exist_ok=True)
+    ...         Path(folder, name).touch()
+    ...     found = recordings_under([Path(folder), Path(folder, "a/c.npy")])
+    >>> [path.name for path in found]
+    ['c.npy', 'b.npz']
+    """
+    found: dict[str, Path] = {}  # by absolute path
+    for path in paths:
+        if not path.is_dir():
+            if not path.exists():
+                raise FileNotFoundError(f"no file or folder {path}")
+            found.setdefault(os.path.abspath(path), path)
+            continue
+        inside = []
+        for folder, names, files in os.walk(path, onerror=_raise):
+            names[:] = sorted(name for name in names if not name.startswith("."))
+            inside += [Path(folder, name) for name in files if is_recording(Path(name))]
+        if not inside:
+            raise ValueError(f"{path}: no recordings in this folder; expected files in {', '.join(sorted(READERS))}")
+        for file in sorted(inside):
+            found.setdefault(os.path.abspath(file), file)
+    return list(found.values())
+
+
+def _raise(error: OSError) -> None:
+    raise error  # os.walk alone would silently skip what it may not read
 
 
 def _folders(folder: Path) -> list[Path]:

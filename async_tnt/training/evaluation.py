@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from async_tnt.archive.early import calibration_of
-from async_tnt.archive.scores import share_right
+from async_tnt.evaluation.scores import calibration_of, share_right
 from async_tnt.training.augment import unchanged
 from async_tnt.training.pipeline import Pipeline
 from async_tnt.training.temperature import fit_temperature, softened

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from async_tnt.archive.scores import share_right
 from async_tnt.config import TNTConfig
+from async_tnt.evaluation.scores import share_right
 from async_tnt.files import locked_folder
 from async_tnt.networks.model import Model
 from async_tnt.progress import Bar, no_progress

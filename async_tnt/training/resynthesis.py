@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.archive.executor import run_all
 from async_tnt.config import TNTConfig
+from async_tnt.evaluation.processes import run_all
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.files import write_text
 from async_tnt.progress import Bar, no_progress

@@ -17,7 +17,7 @@ DASHED = (0, (3, 2))
 
 
 def early_panels(report: Mapping[str, Any]) -> Sequence[Panel]:
-    """Panels for `draw_confusion`, from a report of `archive.early.early_report`; none for windows of events."""
+    """Panels for `draw_confusion`, from a report of `evaluation.early.early_report`; none for windows of events."""
     if not report["accuracy_against_time"]:
         return ()
     time = [(row["time_us"] / 1e3, row["accuracy"], row["decided"]) for row in report["accuracy_against_time"]]

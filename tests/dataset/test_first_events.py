@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from made import events_of
 
 from async_tnt import Processor, TNTConfig
-from async_tnt.archive.early import FiringProcessor
+from async_tnt.evaluation.early import FiringProcessor
 
 
 def decide(events, cuts=(), config=CONFIG, **triggers):

@@ -102,3 +102,15 @@ def test_hots_characters(lines_of, tmp_path):
         recording = open_recording(one.path)
         assert recording.sensor == (32, 32)
         np.testing.assert_array_equal(recording.read(), made[int(one.path.stem)])
+
+
+def test_asl_dvs(lines_of, tmp_path):
+    io = pytest.importorskip("scipy.io", reason="MATLAB files need SciPy")
+    made = random_events(50, duration_us=100_000, sensor=(240, 180))
+    columns = {name: made[field].astype(float)[:, None] for name, field in (("ts", "t"), ("x", "x"), ("y", "y"))}
+    (tmp_path / "asl" / "a").mkdir(parents=True)
+    io.savemat(tmp_path / "asl" / "a" / "a_0001.mat", columns | {"pol": made["p"].astype(float)[:, None]})
+    assert lines_of("asl_dvs.py", "asl", "out") == ["1 recordings in out"]
+    recording = open_recording(tmp_path / "out" / "a" / "a_0001.npz")
+    assert recording.sensor == (240, 180)
+    np.testing.assert_array_equal(recording.read(), made)

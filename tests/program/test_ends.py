@@ -66,15 +66,14 @@ def answer_late(library):  # LLVM calls back, and does not expect an exception
     return answer(library)
 JITCodeLibrary._object_getbuffer_hook = answer_late
 """
-WHILE_WORKERS_ARE_SPAWNED = """
-import multiprocessing.util as util
-spawn = util.spawnv_passfds
-def spawned(path, words, handed_over):  # a process waits for its task; if that never came, it would complain
-    made = spawn(path, words, handed_over)
-    if "spawn_main" in str(words):
+WHILE_WORKERS_START = """
+from subprocess import Popen
+start = Popen._execute_child
+def started(process, words, *how):  # a process waits for its calls; if none ever came, it might complain
+    start(process, words, *how)
+    if "async_tnt.worker" in str(words):
         os.kill(os.getpid(), NUMBER)
-    return made
-util.spawnv_passfds = spawned
+Popen._execute_child = started
 """
 WHILE_AN_OBJECT_IS_DELETED = """
 from async_tnt.cli import run
@@ -95,7 +94,7 @@ NONE_DONE = "interrupted: 0 of 2 recordings are done; nothing is kept without --
     [
         (WHILE_KERNELS_COME_FROM_THE_CACHE, signal.SIGINT, ["run", SAMPLE], "interrupted"),
         (WHILE_AN_OBJECT_IS_DELETED, signal.SIGINT, ["run", SAMPLE], "interrupted"),
-        (WHILE_WORKERS_ARE_SPAWNED, signal.SIGTERM, ["evaluate", "digits", "set", "--workers", "2"], NONE_DONE),
+        (WHILE_WORKERS_START, signal.SIGTERM, ["evaluate", "digits", "set", "--workers", "2"], NONE_DONE),
     ],
 )
 def test_a_signal_at_a_delicate_moment(patch, number, words, line, tmp_path):

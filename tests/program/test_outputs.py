@@ -3,6 +3,7 @@
 import errno
 import os
 import stat
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,12 +11,13 @@ from full_disk import TOO_LARGE, full_after
 from made import random_events, random_model
 
 from async_tnt import files
-from async_tnt.archive.collect import Progress, collect_to_file
-from async_tnt.archive.executor import executor_of
-from async_tnt.archive.job import job_of, task_of
-from async_tnt.archive.records import run_recording
 from async_tnt.cli import main
 from async_tnt.engines import choose_engine
+from async_tnt.evaluation.collect import Progress
+from async_tnt.evaluation.collect import collect as collect_results
+from async_tnt.evaluation.job import job_of, task_of
+from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.records import run_recording
 from async_tnt.files import Replacement, locked_folder, write_text
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import sample_recordings
@@ -40,7 +42,7 @@ def view(path):
 def collect(path):
     sample = sample_recordings()[1]
     task = task_of("1.bin", sample, job_of("run", "digits", choose_engine("digits"), None))
-    list(collect_to_file(run_recording, [task], executor_of(), path, Progress()))
+    list(collect_results(run_recording, [task], partial(run_all, workers=1), path, Progress()))
 
 
 WRITERS = {

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from recordings.written import (
     FORMATS,
-    IN_CHILD,
+    IN_WORKER,
     aedat2,
     aedat3,
     dat,
@@ -24,7 +24,7 @@ from recordings.written import (
     written,
 )
 
-from async_tnt.sources.files import child_source
+from async_tnt.sources.files import worker_source
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import DamagedRecording
 
@@ -66,7 +66,7 @@ def read(path, **how):
 def test_a_file_cut_at_any_byte_gives_its_first_events(tmp_path, name):
     path = written(tmp_path / name, EVENTS, SMALL)
     data = path.read_bytes()
-    step = len(data) // 3 if name.endswith(IN_CHILD) else 7 if name.endswith(".npz") else 1
+    step = len(data) // 3 if name.endswith(IN_WORKER) else 7 if name.endswith(".npz") else 1
     sizes = range(0, len(data), step)
     n_silent = 0
     for size in sizes:
@@ -99,12 +99,12 @@ def damaged(data, rng):
 
 @every_format
 def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
-    monkeypatch.setattr(child_source, "SILENCE_S", 5)  # HDF5 reads some damage forever
+    monkeypatch.setattr(worker_source, "SILENCE_S", 5)  # HDF5 reads some damage forever
     events = made_events(60, step_us=3_000, sensor=SMALL)
     path = written(tmp_path / name, events, SMALL)
     data = path.read_bytes()
     rng = np.random.default_rng((SEED, *name.encode()))
-    n_cases = max(3, CASES // 100) if name.endswith(IN_CHILD) else CASES
+    n_cases = max(3, CASES // 100) if name.endswith(IN_WORKER) else CASES
     n_noticed = 0
     for _ in range(n_cases):
         path.write_bytes(damaged(data, rng))
@@ -123,8 +123,12 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
         ("a.raw", b"% format EVT21;endianness=big\n", "`endianness` must be little or legacy, got 'big'"),
         ("a.dat", b"% some table\n1 2 3\n4 5 6\n", "after the header there must be a type of events, 0 or 12"),
         ("a.dat", b"% Version 7\n\x0c\x08", "the header's Version must be 1 or 2, got '7'"),
-        ("a.es", b"Event Stream\x01\x00\x00\x01\x22\x00\x22\x00", "expected Event Stream version 2"),
-        ("a.es", b"Event Stream\x02\x00\x00\x01\x00\x00\x22\x00", r"at least one pixel a side, got \(0, 34\)"),
+        ("a.es", b"Event Stream\x01\x00\x00\x01\x22\x00\x22\x00", "not a readable ES file: .*got 1.0.0"),
+        (
+            "a.es",
+            b"Event Stream\x02\x00\x00\x01\x00\x00\x22\x00",
+            "a sensor must have at least one pixel a side, got 0 x 34",
+        ),
         ("a.txt", b"hello", "expected `t x y p`, t in seconds, or first `width height`, got 'hello'"),
         ("a.txt", b"12 1 2 1\n13 1 2 1\n", r"must be seconds with decimals, got whole numbers \(12, 13, ...\)"),
         ("a.txt", b"240 18", "the file ends in its first line, '240 18'"),
@@ -138,8 +142,6 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
         ("a.aedat", b"#!AER-DAT1.0\r\n", "AEDAT 2.0, 3.1 or 4, ES or HDF5; got b'#!AER-DAT1.0"),
         ("a.aedat", b"#!AER-DAT2.0\r\n# AEChip: ini.Foo7\r\n", "the camera must be one of DVS128, .*, got 'ini.Foo7'"),
         ("a.aedat", b"#!AER-DAT3.1\r\n#Source 1: DVS128\r\n", "the header must end within 4096 lines by #!END-HEADER"),
-        ("a.mat", b"MATLAB 5.0 MAT-file".ljust(128), "not a readable MATLAB file: "),
-        ("a.mat", b"MATLAB 7.3 MAT-file".ljust(600), "not a readable HDF5 file: "),
         ("a.aedat4", b"#!AER-DAT4.0\r\n" + bytes(9), "not a readable AEDAT4 file: "),
     ],
 )
@@ -183,7 +185,6 @@ OFF["x"][9] = 34
         ("a.aedat", aedat3(EVENTS)[:-9], "the file ends 27 bytes into the header of a packet, which has 28", 12),
         ("a.aedat", aedat3(EVENTS) + b"\1\0" * 14, "has no valid header: type 1, 65537 events of 65537 bytes", 12),
         ("a.aedat", aedat3(EVENTS) + NEGATIVE, "in the packet around byte .*: t = -1, x = 0, y = 0, p = 0 is not", 12),
-        ("a.es", es(EVENTS)[:-1], "the file ends 4 bytes into the event at byte", 11),
         ("a.txt", ROWS, "line 150001: .* got 'what'", 150_000),
         ("a.txt", b"0.5 1 2 1\n" + b"7" * 3_000_000, "line 2: expected", 1),
         ("a.txt", b"0.5 1 2 1\n#" + b" " * 3_000_000 + b"\n0.6 1 2 1\n", "line 2: expected .* more than 65,536 b", 1),
@@ -193,7 +194,7 @@ OFF["x"][9] = 34
             (f"a{suffix}", make(OFF, SMALL), "event 9 at x = 34, y = .* is off the 34 x 34 sensor", 9)
             for suffix, make in ((".txt", uzh_text), (".raw", evt3), (".dat", dat))
         ),
-        ("a.es", es(OFF, SMALL), r"the event at byte \d+ is off the 34 x 34 sensor", 9),
+        ("a.es", es(OFF, SMALL), "after event 0: x overflow", 0),
     ],
 )
 def test_a_file_is_read_up_to_the_damage_with_one_warning(tmp_path, name, data, message, n_events):

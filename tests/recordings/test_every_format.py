@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from numba import config
-from recordings.written import FORMATS, IN_CHILD, SENSOR, aedat2, aedat3, dat, evt2, evt3, evt21, made_events, written
+from recordings.written import FORMATS, IN_WORKER, SENSOR, aedat2, aedat3, dat, evt2, evt3, evt21, made_events, written
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.nmnist import write_nmnist
@@ -34,7 +34,7 @@ MORE_CUTS = [(1, 1000), (150, 1), (150, 100), (150, 150)]
 
 @pytest.mark.parametrize(
     ("name", "n", "packet_events"),
-    [(name, *cut) for name in sorted(FORMATS) for cut in (CUTS if name.endswith(IN_CHILD) else CUTS + MORE_CUTS)],
+    [(name, *cut) for name in sorted(FORMATS) for cut in (CUTS if name.endswith(IN_WORKER) else CUTS + MORE_CUTS)],
 )
 def test_events_are_read_back_in_any_packets_which_are_the_callers_own(tmp_path, name, n, packet_events):
     sensor = sensor_for(name)

@@ -16,8 +16,8 @@ EVENTS = made_events(5_000)
 
 
 def read(path):
-    """Columns t, x, y, p: what the reader yields in its child process, here in this one."""
-    _, *blocks = hdf5.read(str(path))
+    """Columns t, x, y, p: what the reader yields in a worker process, here in this one."""
+    _, *blocks = hdf5.read_hdf5(str(path))
     return np.concatenate(blocks, axis=1)
 
 
@@ -43,7 +43,7 @@ def replaced(path, **values):
         ({"t": np.zeros(5)}, "must be whole numbers, got float64"),
         ({"t_offset": np.zeros(2, int)}, r"`t_offset` must be one number, got shape \(2,\)"),
         ({"t_offset": np.int64(-(1 << 62))}, r"`t_offset` must be below 2\*\*62 microseconds, got -46"),
-        (None, r"expected events/t, x, y, p \(DSEC\), CD/events .*, got \['data'\]"),
+        (None, r"expected events/t, x, y, p \(DSEC\) or CD/events .*, got \['data'\]"),
     ],
 )
 def test_another_layout_is_refused(tmp_path, values, message):
@@ -53,7 +53,7 @@ def test_another_layout_is_refused(tmp_path, values, message):
         with h5py.File(tmp_path / "a.h5", "w") as file:
             file["data"] = np.zeros(3)
     with pytest.raises(ValueError, match=message):
-        next(hdf5.read(str(tmp_path / "a.h5")))
+        next(hdf5.read_hdf5(str(tmp_path / "a.h5")))
 
 
 @pytest.mark.parametrize("offset_us", [1_000, -1_000, 1 << 61])
@@ -75,7 +75,7 @@ def test_hdf5plugins_filters_are_read_and_named_where_they_are_missing(tmp_path,
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: code < 256)
     with pytest.raises(ValueError, match=rf"\(filter {code}\), which is missing: pip install hdf5plugin"):
-        next(hdf5.read(str(path)))
+        next(hdf5.read_hdf5(str(path)))
 
 
 def test_prophesees_own_filter_is_named(tmp_path):
@@ -87,7 +87,7 @@ def test_prophesees_own_filter_is_named(tmp_path):
         dtype = h5py.h5t.py_create(np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")]))
         h5py.h5d.create(group.id, b"events", dtype, h5py.h5s.create_simple((10,)), dcpl=plist)
     with pytest.raises(ValueError, match=r"its events are compressed by .*Prophesee's ECF: install its plugin"):
-        next(hdf5.read(str(tmp_path / "a.h5")))
+        next(hdf5.read_hdf5(str(tmp_path / "a.h5")))
 
 
 def test_columns_may_have_chunks_of_other_sizes_than_a_block(tmp_path, monkeypatch):
@@ -106,7 +106,7 @@ def test_a_header_that_claims_events_that_were_never_written_is_refused_at_once(
         for name, dtype in (("t", "u4"), ("x", "u2"), ("y", "u2"), ("p", "u1")):
             file.create_dataset(f"events/{name}", (10**12 if chunks else 10**6,), dtype, chunks=chunks)
     with pytest.raises(ValueError, match=r"/events/t claims 10*0 events, but the file holds 0 of"):
-        next(hdf5.read(str(path)))
+        next(hdf5.read_hdf5(str(path)))
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_values_in_another_file_are_refused(tmp_path, name, how):
             file.create_virtual_dataset(name, layout)
         assert name in file  # HDF5 itself would read it
     with pytest.raises(ValueError, match=r"^\S+ must be stored in the file itself, but "):
-        next(hdf5.read(str(path)))
+        next(hdf5.read_hdf5(str(path)))
 
 
 def test_links_within_the_file_are_followed(tmp_path):

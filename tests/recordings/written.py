@@ -173,30 +173,6 @@ def metavision(path, events, sensor=SENSOR, **how):
         file.create_dataset("CD/events", data=records, **how)
 
 
-def mat5(path, events, sensor=SENSOR):
-    """As ASL-DVS has them: doubles in columns, compressed."""
-    io = pytest.importorskip("scipy.io", reason="MATLAB files need SciPy")
-    columns = {"x": events["x"], "y": events["y"], "ts": events["t"], "pol": events["p"]}
-    io.savemat(path, {name: c.astype(np.float64)[:, None] for name, c in columns.items()}, do_compression=True)
-
-
-def mat5_structure(path, events, sensor=SENSOR):
-    """Fields of one structure, in rows, OFF as -1, beside another variable."""
-    io = pytest.importorskip("scipy.io", reason="MATLAB files need SciPy")
-    fields = {name: events[name].astype(np.int64)[None] for name in "xyt"}
-    io.savemat(path, {"note": "made", "TD": {**fields, "p": (2 * events["p"].astype(np.int8) - 1)[None]}})
-
-
-def mat73(path, events, sensor=SENSOR, **how):
-    """What MATLAB's -v7.3 writes of columns of doubles: rows, behind 512 bytes of its own."""
-    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
-    with h5py.File(path, "w", userblock_size=512) as file:
-        for name, field in (("x", "x"), ("y", "y"), ("ts", "t"), ("pol", "p")):
-            file.create_dataset(f"TD/{name}", data=events[field].astype(np.float64)[None], **how)
-    with path.open("r+b") as file:
-        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
-
-
 def columns_of(events):
     return {name: events[name] for name in "txyp"}
 
@@ -224,6 +200,14 @@ def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True, linear=True):
     return Format(write, largest, states_sensor, make if linear else None)
 
 
+def _read_by_faery(make):
+    def write(path, events, sensor=SENSOR):
+        pytest.importorskip("faery", reason="ES needs faery")
+        path.write_bytes(make(events, sensor))
+
+    return Format(write, (65535, 65535), of_bytes=make)
+
+
 FORMATS = {
     "uzh.txt": _bytes(uzh_text),
     "plain.csv": _bytes(csv, states_sensor=False),
@@ -233,8 +217,8 @@ FORMATS = {
     "evt3.raw": _bytes(evt3, (2048, 2048)),
     "v2.dat": _bytes(dat, (1 << 14, 1 << 14)),
     "v1.dat": _bytes(lambda events, sensor: dat(events, sensor, 1), (512, 256)),
-    "dvs.es": _bytes(es, (65535, 65535)),
-    "atis.es": _bytes(atis, (65535, 65535)),
+    "dvs.es": _read_by_faery(es),
+    "atis.es": _read_by_faery(atis),
     "dvs128.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, ""), (128, 128), states_sensor=False),
     "davis.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, "DAViS240C"), (240, 180)),
     "caer.aedat": _bytes(aedat3, (240, 180)),
@@ -246,12 +230,9 @@ FORMATS = {
     "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed
     "dsec.h5": Format(dsec, states_sensor=False),
     "metavision.hdf5": Format(metavision),
-    "columns.mat": Format(mat5, states_sensor=False),
-    "structure.mat": Format(mat5_structure, states_sensor=False),
-    "matlab73.mat": Format(mat73, states_sensor=False),
 }
 """File name -> `Format`."""
-IN_CHILD = (".aedat4", ".h5", ".hdf5", ".mat")  # suffixes that are read in a child process, which takes a while
+IN_WORKER = (".aedat4", ".es", ".h5", ".hdf5")  # suffixes that are read in a worker process, which takes a while
 
 
 def written(path, events, sensor=SENSOR):

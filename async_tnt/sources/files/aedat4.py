@@ -1,4 +1,4 @@
-"""Reads an AEDAT4 file (`.aedat4`) of DV with faery, in the process of `child_process.py`.
+"""Reads AEDAT4 files (`.aedat4`) of DV with faery, in a worker process (`in_worker.py`).
 
 The first stream of events is read.
 """
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 
-def read(path: str) -> Iterator[Any]:
+def read_aedat4(path: str) -> Iterator[Any]:
     """The sensor, then blocks of events, as columns t, x, y, p."""
     from faery.extension import aedat
 

@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
-from async_tnt.sources.files.child_source import open_aedat4, open_hdf5, open_mat
-from async_tnt.sources.files.es import EsSource
 from async_tnt.sources.files.nmnist import SENSOR, read_nmnist
 from async_tnt.sources.files.numpy_files import open_npy, open_npz
 from async_tnt.sources.files.prophesee import DatSource, EvtSource
 from async_tnt.sources.files.source import Source
 from async_tnt.sources.files.text_files import open_csv, open_txt
+from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
 from async_tnt.sources.sensor import Sensor
 
 Reader = Callable[[Path], Source | tuple[np.ndarray, Sensor | None]]
@@ -41,7 +40,7 @@ def _open_by_content(path: Path) -> Source:
     if start.startswith(b"#!AER-DAT3.1"):
         return Aedat3Source(path)
     if start.startswith(b"Event Stream"):
-        return EsSource(path)
+        return open_es(path)
     if not start:
         raise ValueError(f"{path}: the file is empty")
     header = start.lower()
@@ -67,7 +66,6 @@ READERS: dict[str, Reader] = {
     ".aedat": _open_by_content,
     ".aedat4": _open_by_content,
     ".es": _open_by_content,
-    ".mat": open_mat,
     ".h5": _open_by_content,
     ".hdf5": _open_by_content,
 }

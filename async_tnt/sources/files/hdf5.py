@@ -1,8 +1,7 @@
-"""Reads an HDF5 file of events (`.h5`, `.hdf5`, `.mat`) with h5py, in the process of `child_process.py`.
+"""Reads HDF5 files of events (`.h5`, `.hdf5`) with h5py, in a worker process (`in_worker.py`).
 
 DSEC         events/t, x, y, p: a data set each; t_offset: microseconds to add to t. `ms_to_idx` is not needed here.
 Metavision   CD/events: records of x, y, p, t; the sensor as an attribute, `geometry` = "1280x720".
-MATLAB 7.3   x, y, t or ts, p or pol: vectors, as variables or fields of one structure, see `mat5.py`.
 
 HDF5 does not include the filters that compress two of them: DSEC's by Blosc (`pip install hdf5plugin`), Metavision's by
 ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to name).
@@ -25,21 +24,20 @@ import numpy as np
 
 BLOCK_EVENTS = 1 << 16
 COLUMNS = ("t", "x", "y", "p")
-MATLAB_NAMES = (("t", "ts"), ("x",), ("y",), ("p", "pol"))
 MAX_LINKS = 16  # within the file, one to another
 ECF = 0x8ECF
 ECF_HINT = "Prophesee's ECF: install its plugin, hdf5_ecf, and let HDF5_PLUGIN_PATH name its folder"
 PLUGIN_HINT = "pip install hdf5plugin, or let HDF5_PLUGIN_PATH name the plugin's folder"
 
 
-def read(path: str) -> Iterator[Any]:
+def read_hdf5(path: str) -> Iterator[Any]:
     """The sensor, then blocks of events, as columns t, x, y, p."""
     import h5py
 
     with h5py.File(path, "r") as file:
         sets, offset_us = _layout(h5py, file)
         yield _geometry(file) if len(sets) == 1 else None
-        n_events = _size(sets[0])
+        n_events = sets[0].size
         rows = [_Rows(data) for data in sets]
         for start in range(0, n_events, BLOCK_EVENTS):
             columns = [each.read(start, min(start + BLOCK_EVENTS, n_events)) for each in rows]
@@ -54,14 +52,10 @@ def read(path: str) -> Iterator[Any]:
 
 
 class _Rows:
-    """Rows of a data set, or the numbers of a vector that is stored as a matrix.
-
-    Each chunk is decompressed once: HDF5's own cache does not hold large ones.
-    """
+    """Rows of a data set. Each chunk is decompressed once: HDF5's own cache does not hold large ones."""
 
     def __init__(self, data: Any) -> None:
-        self._axis = int(np.argmax(data.shape))
-        chunk = data.chunks[self._axis] if data.chunks else BLOCK_EVENTS
+        chunk = data.chunks[0] if data.chunks else BLOCK_EVENTS
         self._data = data
         self._span = chunk * max(1, BLOCK_EVENTS // chunk)  # read at once
         self._first = -1
@@ -74,8 +68,7 @@ class _Rows:
             first = start - start % self._span
             if first != self._first:
                 self._held = None  # frees the memory for the next
-                span = slice(first, first + self._span)
-                self._first, self._held = first, self._data[(0,) * self._axis + (span,)].reshape(-1)
+                self._first, self._held = first, self._data[first : first + self._span]
             parts.append(self._held[start - first : stop - first])
             start = min(stop, first + self._span)
         return np.concatenate(parts)
@@ -87,15 +80,10 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
     sets = [_find(h5py, file, f"events/{name}") for name in COLUMNS]
     if None not in sets:
         offset = _find(h5py, file, "t_offset")
-    elif (records := _find(h5py, file, "CD/events")) is not None:
-        what, sets = "CD/events", [records]
     else:
-        what, sets = "x, y, t, p", _matlab(h5py, file)
+        what, sets = "CD/events", [_find(h5py, file, "CD/events")]
     if None in sets:
-        raise ValueError(
-            "expected events/t, x, y, p (DSEC), CD/events (Metavision), or x, y, t or ts, p or pol as variables or "
-            f"fields of one structure (MATLAB), got {sorted(file)[:8]}"
-        )
+        raise ValueError(f"expected events/t, x, y, p (DSEC) or CD/events (Metavision), got {sorted(file)[:8]}")
     for data in [*sets, *([] if offset is None else [offset])]:
         if not isinstance(data, h5py.Dataset):
             raise ValueError(f"{what} and `t_offset` must be data sets, but {data.name} is a {type(data).__name__}")
@@ -106,38 +94,20 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
     offset_us = 0 if offset is None else int(offset[()].item())
     if not abs(offset_us) < 1 << 62:
         raise ValueError(f"`t_offset` must be below 2**62 microseconds, got {offset_us}")
-    is_matlab = what == "x, y, t, p"
     shapes = {data.shape for data in sets}
-    vectors = all(len(shape) == 1 or (is_matlab and len(shape) == 2 and 1 in shape) for shape in shapes)
-    if not vectors or len({_size(data) for data in sets}) != 1:
+    if len(shapes) != 1 or any(len(shape) != 1 for shape in shapes):
         raise ValueError(f"{what} must have one dimension and equal lengths, got {sorted(shapes)}")
     types = [data.dtype for data in sets]
     if len(sets) == 1:
         if not set(COLUMNS) <= set(types[0].names or ()):
             raise ValueError(f"CD/events must be records of t, x, y, p, got {types[0]}")
         types = [types[0][name] for name in COLUMNS]
-    kinds = {name: "iuf" if is_matlab else "iu" for name in "txy"} | {"p": "iubf" if is_matlab else "iub"}
-    if not all(dtype.kind in kinds[name] for name, dtype in zip(COLUMNS, types, strict=True)):
+    if not all(dtype.kind in ("iub" if name == "p" else "iu") for name, dtype in zip(COLUMNS, types, strict=True)):
         raise ValueError(f"{what} must be whole numbers, got {', '.join(map(str, types))}")
     for data in sets:
         _check_filters(h5py, data)
         _check_complete(data)
     return sets, offset_us
-
-
-def _size(data: Any) -> int:
-    """Events in a data set. MATLAB writes an empty array as its dimensions, and says so."""
-    return 0 if data.attrs.get("MATLAB_empty") else data.size
-
-
-def _matlab(h5py: Any, file: Any) -> list[Any]:
-    """The data sets of t, x, y and p; None for one that is missing."""
-    structures = [name for name in file if not name.startswith("#") and isinstance(_find(h5py, file, name), h5py.Group)]
-    for group in ["", *(structures if len(structures) == 1 else [])]:
-        found = [[data for name in names if (data := _find(h5py, file, f"{group}/{name}"))] for names in MATLAB_NAMES]
-        if all(len(columns) == 1 for columns in found):
-            return [column for (column,) in found]
-    return [None]
 
 
 def _find(h5py: Any, group: Any, path: str, n_links: int = 0) -> Any:
@@ -178,8 +148,7 @@ def _check_complete(data: Any) -> None:
     if data.chunks is None:
         needed, have, what = data.size * data.dtype.itemsize, data.id.get_storage_size(), "bytes"
     else:
-        axis = int(np.argmax(data.shape))
-        needed, have, what = -(-data.shape[axis] // data.chunks[axis]), data.id.get_num_chunks(), "chunks"
+        needed, have, what = -(-data.size // data.chunks[0]), data.id.get_num_chunks(), "chunks"
     if have < needed:
         raise ValueError(f"{data.name} claims {data.size} events, but the file holds {have} of their {needed} {what}")
 

@@ -1,20 +1,12 @@
-"""Recordings, executors, and a Dask cluster."""
+"""Recordings, ways to run many tasks, and a Dask cluster."""
+
+from functools import partial
 
 import pytest
 from waiting import until
 
-from async_tnt.archive.executor import executor_of
+from async_tnt.evaluation.processes import run_all
 from async_tnt.sources.files.recording import sample_recordings
-
-
-def pytest_configure(config):
-    config.addinivalue_line("markers", "needs_pyarrow: writes Parquet")
-
-
-@pytest.fixture(autouse=True)
-def _skip_without_pyarrow(request):
-    if request.node.get_closest_marker("needs_pyarrow"):
-        pytest.importorskip("pyarrow", reason="Parquet needs pyarrow (extra `cluster`)")
 
 
 @pytest.fixture(scope="session")
@@ -31,10 +23,7 @@ def samples(tmp_path_factory):
 def dask_cluster(n_workers):
     """Workers of one thread each, which are replaced when they end."""
     distributed = pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
-    import dask
-
-    with dask.config.set({"distributed.scheduler.allowed-failures": 1}):
-        return distributed.LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=":0")
+    return distributed.LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=":0")
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +36,9 @@ def two_workers():
 @pytest.fixture
 def cluster(two_workers, monkeypatch):
     """Address of a scheduler, once both its workers are there: a test before may have ended some."""
-    from async_tnt.archive import dask_executor
+    from async_tnt.evaluation import dask_cluster
 
-    monkeypatch.setattr(dask_executor, "CONNECT_S", 120.0)
+    monkeypatch.setattr(dask_cluster, "CONNECT_S", 120.0)
     until(lambda: len(two_workers.scheduler.workers) == 2)
     return two_workers.scheduler_address
 
@@ -61,12 +50,12 @@ def empty_cluster():
         yield cluster.scheduler_address
 
 
-@pytest.fixture(params=["serial", "processes", "dask"])
-def executor(request):
-    """Every executor."""
+@pytest.fixture(params=["here", "processes", "dask"])
+def run(request):
+    """Every way to run a function over tasks."""
     if request.param == "dask":
         address = request.getfixturevalue("cluster")
-        from async_tnt.archive.dask_executor import DaskExecutor
+        from async_tnt.evaluation.dask_cluster import run_on_dask
 
-        return DaskExecutor(address)
-    return executor_of(1 if request.param == "serial" else 2)
+        return partial(run_on_dask, address=address)
+    return partial(run_all, workers=1 if request.param == "here" else 2)

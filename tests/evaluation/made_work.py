@@ -4,8 +4,8 @@ import os
 import signal
 import time
 
-from async_tnt.archive.job import Job, task_of
-from async_tnt.archive.records import evaluate_recording, failed
+from async_tnt.evaluation.job import Job, task_of
+from async_tnt.evaluation.records import evaluate_recording, failed
 
 JOB = Job("run", "digits", "compiled", {"every_us": 5000}, model_sha256="a" * 64)
 
@@ -47,14 +47,14 @@ def record_of(task):
 
 
 def deadly(task):
-    """`record_of`, but the file `poison` kills its worker every time, and `once` the first time.
+    """`record_of`, but the file `poison` kills its worker.
 
     `begun` in its folder has a line for every recording that was begun.
     """
     begun = task.path.with_name("begun")
     with begun.open("a") as file:
         file.write(f"{task.recording}\n")
-    if task.recording == "poison" or (task.recording == "once" and begun.read_text().split().count("once") == 1):
+    if task.recording == "poison":
         os.kill(os.getpid(), signal.SIGKILL)
     return record_of(task)
 

@@ -1,27 +1,24 @@
 """The result file: one record per recording, and the same file whatever happened on the way to it."""
 
-import json
 import os
 from dataclasses import replace
+from functools import partial
 
-import numpy as np
 import pytest
-from archive.made_work import JOB, make_tasks, record_of
+from evaluation.made_work import JOB, make_tasks, record_of
 from full_disk import TOO_LARGE, full_after
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt import files
-from async_tnt.archive import parquet
-from async_tnt.archive.collect import Progress, collect_to_file
-from async_tnt.archive.executor import executor_of
-from async_tnt.archive.job import Job
-from async_tnt.archive.records import failed
-from async_tnt.archive.results import ResultFile, lines_path, read_results
+from async_tnt.evaluation.collect import Progress, collect
+from async_tnt.evaluation.job import Job
+from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.records import failed
+from async_tnt.evaluation.results import ResultFile, read_results
 
+HERE = partial(run_all, workers=1)
 NAMES = ["b", "a", "ccc", "dd", "a-b"]
-FILES = ["r.jsonl", pytest.param("r.parquet", marks=pytest.mark.needs_pyarrow)]
-of_both_formats = pytest.mark.parametrize("name", FILES)
 
 
 class Stopped(BaseException):
@@ -39,10 +36,10 @@ def stopping_after(n):
     return watch
 
 
-def collected_to(out, tasks, function=record_of, executor=None, **words):
+def collected_to(out, tasks, function=record_of, run=HERE, **words):
     """The records, and what was counted."""
     progress = Progress()
-    return list(collect_to_file(function, tasks, executor or executor_of(), out, progress, **words)), progress
+    return list(collect(function, tasks, run, out, progress, **words)), progress
 
 
 def noting(done):
@@ -51,11 +48,6 @@ def noting(done):
         return record_of(task)
 
     return function
-
-
-def content(out):
-    """Of the file and of the lines beside it."""
-    return {path.name: path.read_bytes() for path in {out, lines_path(out)} if path.exists()}
 
 
 def without_seconds(records):
@@ -67,76 +59,61 @@ def tasks(tmp_path):
     return make_tasks(tmp_path / "set", NAMES)
 
 
-@pytest.fixture(params=FILES)
-def finished(request, tasks, tmp_path):
+@pytest.fixture
+def finished(tasks, tmp_path):
     """A result of all tasks."""
-    collected_to(tmp_path / request.param, tasks)
-    return tmp_path / request.param
+    collected_to(tmp_path / "r.jsonl", tasks)
+    return tmp_path / "r.jsonl"
 
 
-@pytest.fixture(params=FILES)
-def unfinished(request, tmp_path):
+@pytest.fixture
+def unfinished(tmp_path):
     """A result of three recordings that was interrupted; one of them, b, has two lines."""
-    with ResultFile(tmp_path / request.param, JOB) as file:
+    with ResultFile(tmp_path / "r.jsonl", JOB) as file:
         for late, task in enumerate(make_tasks(tmp_path / "set", ["b", "a", "ccc", "b"])):
             record = record_of(task) | {"late": late}
             del record["seconds"]
             file.append(record)
-    return tmp_path / request.param
+    return tmp_path / "r.jsonl"
 
 
 # -- collecting ----------------------------------------------------------------------------------------------------
 
 
-def test_interrupted_on_any_executor_it_resumes_to_the_same_file(executor, tasks, tmp_path):
+def test_interrupted_in_any_way_to_run_it_resumes_to_the_same_file(run, tasks, tmp_path):
     plain, out = tmp_path / "plain.jsonl", tmp_path / "r.jsonl"
     records, _ = collected_to(plain, tasks)
     with pytest.raises(Stopped):
-        collected_to(out, tasks, executor=executor, watch=stopping_after(2))
-    resumed, progress = collected_to(out, tasks[::-1], executor=executor)
+        collected_to(out, tasks, run=run, watch=stopping_after(2))
+    resumed, progress = collected_to(out, tasks[::-1], run=run)
     assert (progress.kept, progress.done) == (2, len(NAMES) - 2)
     assert out.read_bytes() == plain.read_bytes() and sum(path.is_file() for path in tmp_path.iterdir()) == 2
     assert without_seconds(resumed) == without_seconds(records)
     assert sum(record["seconds"] is not None for record in resumed) == progress.done
 
 
-@of_both_formats
 @settings(max_examples=20)
 @given(order=st.permutations(NAMES), stops=st.lists(st.integers(0, 5), max_size=3), torn=st.integers(0, 400))
-def test_orders_stops_and_torn_ends_give_the_same_file(tmp_path_factory, name, order, stops, torn):
+def test_orders_stops_and_torn_ends_give_the_same_file(tmp_path_factory, order, stops, torn):
     folder = tmp_path_factory.mktemp("any")
     tasks = make_tasks(folder / "set", order)
-    collected_to(folder / f"plain_{name}", sorted(tasks, key=lambda task: task.recording))
-    out = folder / name
+    collected_to(folder / "plain.jsonl", sorted(tasks, key=lambda task: task.recording))
+    out = folder / "r.jsonl"
     for n in stops:
         try:
             collected_to(out, tasks, watch=stopping_after(n))
         except Stopped:
-            for path in lines_path(out), out:
-                if path.exists() and path.suffix == ".jsonl":
-                    path.write_bytes(path.read_bytes()[:-torn] if torn else path.read_bytes())
+            if out.exists():
+                out.write_bytes(out.read_bytes()[:-torn] if torn else out.read_bytes())
     collected_to(out, tasks)
-    assert content(out) == {out.name: (folder / f"plain_{name}").read_bytes()}
-
-
-@pytest.mark.needs_pyarrow
-def test_a_kill_between_the_parquet_file_and_the_end_of_its_lines_changes_nothing(tasks, tmp_path):
-    out = tmp_path / "r.parquet"
-    with pytest.raises(Stopped):
-        collected_to(out, tasks, watch=stopping_after(4))
-    lines = lines_path(out).read_bytes()
-    collected_to(out, tasks)
-    whole = content(out)
-    lines_path(out).write_bytes(lines)
-    _, progress = collected_to(out, tasks)
-    assert content(out) == whole and (progress.kept, progress.done) == (len(NAMES), 0)
+    assert out.read_bytes() == (folder / "plain.jsonl").read_bytes()
 
 
 def test_a_finished_result_is_not_done_again(finished, tasks):
-    before = content(finished), finished.stat().st_mtime_ns
+    before = finished.read_bytes(), finished.stat().st_mtime_ns
     records, progress = collected_to(finished, tasks, lambda task: pytest.fail("done twice"))
     assert (progress.kept, progress.done, len(records)) == (len(NAMES), 0, len(NAMES))
-    assert (content(finished), finished.stat().st_mtime_ns) == before
+    assert (finished.read_bytes(), finished.stat().st_mtime_ns) == before
 
 
 def test_new_and_changed_recordings_are_done_and_no_others(finished, tmp_path):
@@ -161,26 +138,24 @@ def test_recordings_with_an_error_are_tried_again(tasks, tmp_path):
 
 
 def test_results_of_recordings_that_are_gone_are_left_out_and_no_others(finished, tasks):
-    before = content(finished)
-    with pytest.raises(ValueError, match=r"holds 2 recordings that this command does not name, such as a"):
+    before = finished.read_bytes()
+    with pytest.raises(ValueError, match=r"holds recordings that this command does not name \(2\), such as a"):
         collected_to(finished, tasks[2:], is_gone=lambda name: False)
-    assert content(finished) == before
+    assert finished.read_bytes() == before
     records, progress = collected_to(finished, tasks[2:], is_gone=lambda name: True)
     assert progress.gone == 2 and [r["recording"] for r in records] == sorted(NAMES[2:])
 
 
 def test_other_settings_are_refused_without_restart(finished, tasks, tmp_path):
     other = make_tasks(tmp_path / "set", NAMES, Job("run", "digits", "compiled", {"every_us": 1}, "b" * 64))
-    before = content(finished)
-    names = r"made with every_us 5000 \(now 1\), model_sha256 a{24} \(now b{24}\)"
-    no_names = r"made with another model, .* or selection of pixels, settings \w{12} \(now \w{12}\)"
-    expected = names if finished.suffix == ".parquet" else no_names
+    before = finished.read_bytes()
+    expected = r"made with another model, .* or selection of pixels, settings \w{12} \(now \w{12}\)"
     with pytest.raises(ValueError, match=f"was {expected}: give the same again"):
         collected_to(finished, other)
-    assert content(finished) == before
+    assert finished.read_bytes() == before
     collected_to(finished, tasks)
     _, progress = collected_to(finished, other, restart=True)
-    assert progress.done == len(NAMES) and content(finished) != before
+    assert progress.done == len(NAMES) and finished.read_bytes() != before
 
 
 def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp_path):
@@ -189,47 +164,18 @@ def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp
         collected_to(unfinished, tasks, watch=stopping_after(3))
     for theirs in make_tasks(tmp_path / "other", ["x", "y"]), [replace(task, modified_ns=1) for task in tasks]:
         for out, n in (finished, 5), (unfinished, 3):
-            before = content(out)
-            with pytest.raises(ValueError, match=f"holds {n} results, none of a recording as it is here: of another"):
+            before = out.read_bytes()
+            with pytest.raises(ValueError, match=rf"holds results \({n}\), but none of a recording as it is"):
                 collected_to(out, theirs)
-            assert content(out) == before
+            assert out.read_bytes() == before
     collected_to(unfinished, theirs, restart=True)
-
-
-@pytest.mark.needs_pyarrow
-def test_parquet_has_row_groups_and_its_settings(tasks, tmp_path, monkeypatch):
-    import pyarrow.parquet
-
-    monkeypatch.setattr(parquet, "GROUP_ITEMS", 3)
-    records, _ = collected_to(tmp_path / "r.parquet", tasks)
-    file = pyarrow.parquet.ParquetFile(tmp_path / "r.parquet")
-    assert file.num_row_groups > 1 and file.read().to_pylist() == without_seconds(records)
-    assert json.loads(file.schema_arrow.metadata[b"async_tnt"])["about"] == JOB.metadata
-
-
-@pytest.mark.needs_pyarrow
-def test_a_flipped_bit_is_noticed(tasks, tmp_path):
-    path = tmp_path / "r.parquet"
-    records, _ = collected_to(path, tasks)
-    whole, expected = path.read_bytes(), without_seconds(records)
-    names = [place for name in (b"late", b"events") for place in (whole.find(name), whole.rfind(name))]
-    for place in (*names, *np.random.default_rng(0).integers(0, len(whole), 60)):
-        damaged = bytearray(whole)
-        damaged[place] ^= 16
-        path.write_bytes(damaged)
-        try:
-            found = list(parquet.read_parquet(path))
-        except ValueError as error:
-            assert str(path) in str(error)
-        else:
-            assert found == expected, place
 
 
 # -- what a kill, damage, an earlier version or another program leaves of a file -------------------------------------
 
 
 def test_cut_anywhere_it_holds_its_whole_lines(unfinished):
-    path, names = lines_path(unfinished), ["b", "a", "ccc", "b"]
+    path, names = unfinished, ["b", "a", "ccc", "b"]
     whole = path.read_bytes()
     ends = [0, *(k + 1 for k, byte in enumerate(whole) if byte == ord("\n"))]
     near = {end + k for end in ends for k in range(-3, 4)}
@@ -243,23 +189,20 @@ def test_cut_anywhere_it_holds_its_whole_lines(unfinished):
 
 def test_the_newest_line_of_a_recording_counts(unfinished):
     with ResultFile(unfinished, JOB) as file:
-        assert not file.is_finished({"a", "b", "ccc"})
         file.finish({"a", "b", "ccc"})
     records = list(read_results(unfinished, JOB))
     assert [(record["recording"], record["late"]) for record in records] == [("a", 1), ("b", 3), ("ccc", 2)]
-    with ResultFile(unfinished, JOB) as file:
-        assert file.is_finished({"a", "b", "ccc"}) and not file.is_finished({"a", "b"})
 
 
 @pytest.mark.parametrize(
     "line", [b"[" * 100_000, b'{"recording": 3}', b"9" * 5000, b'{"recording": "x"}', b"\xff", b""]
 )
 def test_a_damaged_line_is_refused(line, unfinished):
-    path = lines_path(unfinished)
+    path = unfinished
     lines = path.read_bytes().splitlines(keepends=True)
     damaged = b"".join([*lines[:2], line + b"\n", *lines[2:]])
     path.write_bytes(damaged)
-    with pytest.raises(ValueError, match=r"is not a result of async-tnt run, or is damaged: move it away"):
+    with pytest.raises(ValueError, match=r"is not a result of async-tnt.*: move it away"):
         ResultFile(unfinished, JOB)
     assert path.read_bytes() == damaged
     with ResultFile(unfinished, JOB, restart=True) as file:
@@ -267,14 +210,13 @@ def test_a_damaged_line_is_refused(line, unfinished):
 
 
 @pytest.mark.parametrize("restart", [False, True])
-@pytest.mark.parametrize("place", [lines_path, lambda out: out])
 @pytest.mark.parametrize("theirs", [b"my notes", b'{"a": 1}\n', b"\x00\xff\n\n"])
-def test_files_of_others_stay(theirs, place, restart, unfinished):
-    place(unfinished).write_bytes(theirs)
-    before = content(unfinished)
+def test_files_of_others_stay(theirs, restart, unfinished):
+    unfinished.write_bytes(theirs)
+    before = unfinished.read_bytes()
     with pytest.raises(ValueError, match=r"is not a result of async-tnt.*: move it away"):
         ResultFile(unfinished, JOB, restart=restart)
-    assert content(unfinished) == before
+    assert unfinished.read_bytes() == before
 
 
 def test_two_programs_at_once_are_refused(unfinished):
@@ -295,7 +237,7 @@ def test_where_the_disk_is_full_the_error_names_the_file_and_whole_lines_stay(ta
 
 def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeypatch):
     """Opened, then locked: in between the program that had locked it may have finished."""
-    lock, path = files._lock, lines_path(unfinished)
+    lock, path = files._lock, unfinished
     gone = []
 
     def lock_late(file):

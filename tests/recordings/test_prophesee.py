@@ -1,8 +1,8 @@
-"""Prophesee's formats and Event Stream: words by hand, and words of other kinds."""
+"""Prophesee's formats: words by hand, and words of other kinds."""
 
 import numpy as np
 import pytest
-from recordings.written import SENSOR, by_faery, evt2, evt3, evt21, evt_header, made_events
+from recordings.written import by_faery, evt2, evt3, evt21, evt_header, made_events
 
 from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21, unwrap_times
 from async_tnt.sources.files.recording import open_recording
@@ -118,13 +118,6 @@ def test_dat_version_1_by_hand(tmp_path):
     word = np.array([70, 1 << 17 | 200 << 9 | 300], "<u4").tobytes()
     data = b"% Version 1\n% Width 304\n% Height 240\n\x00\x08" + word
     assert read(tmp_path / "a.dat", data).tolist() == [(70, 300, 200, 1)]
-
-
-def test_atis_events_of_changing_light_by_hand(tmp_path):
-    header = b"Event Stream\x02\x00\x00\x02" + np.array(SENSOR, "<u2").tobytes()
-    pixel = np.array([4, 0], "<u2").tobytes()  # y = 0 is the lowest row
-    body = b"\xfd\xfe" + bytes([5 << 2 | 2]) + pixel + bytes([1 << 2 | 1]) + pixel + bytes([1 << 2]) + pixel
-    assert read(tmp_path / "a.es", header + body).tolist() == [(194, 4, 239, 1), (196, 4, 239, 0)]
 
 
 def test_unwrapped_by_hand():

@@ -12,23 +12,15 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Decision
+from async_tnt.evaluation.scores import calibration_of
 from async_tnt.processor import Processor
 
 N_MOMENTS = 10
 PER_MOMENT = 5
 EVENT_COUNTS = tuple(k * 10**power for power in range(1, 6) for k in (1, 2, 5))
 LEVELS = 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99
-BINS = 10
-"""Of probability, for the calibration."""
-COLUMNS: Mapping[str, Any] = {
-    "decided_at": [["int64"]],
-    "probability_at": [["double"]],
-    "decided_by": [["int64"]],
-    "window_events": ["int64"],
-    "confident": [["int64"]],
-    "confident_us": [["int64"]],
-}
-"""Field of `early_fields` -> the type of a record's list of them, see `records.COLUMNS`."""
+FIELDS = ("decided_at", "probability_at", "decided_by", "window_events", "confident", "confident_us")
+"""Of `early_fields`; a record has a list of each."""
 
 
 def every_us(config: TNTConfig) -> int | None:
@@ -161,7 +153,7 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
     calibration_error : the mean difference of the last two, weighted by how many: 0 where .9 means .9.
     """
     truth = np.repeat(labels, [len(record["decided_at"]) for record in records])
-    columns = {name: np.concatenate([np.array(record[name]) for record in records]) for name in COLUMNS}
+    columns = {name: np.concatenate([np.array(record[name]) for record in records]) for name in FIELDS}
 
     def accuracy(decided: np.ndarray) -> float:
         return float((decided == truth).mean())
@@ -211,31 +203,3 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
         "calibration": bins,
         "calibration_error": error,
     }
-
-
-def calibration_of(probability: np.ndarray, right: np.ndarray) -> tuple[list[dict[str, Any]], float]:
-    """Decisions in `BINS` of probability, without empty ones, and the expected calibration error.
-
-    Parameters
-    ----------
-    probability : float64, shape (N,), of the decided class. right : bool, shape (N,).
-
-    References
-    ----------
-    Guo, Pleiss, Sun, Weinberger 2017, arXiv:1706.04599, equation 3.
-
-    Examples
-    --------
-    >>> bins, error = calibration_of(np.array([0.95, 0.95, 0.75, 0.75]), np.array([True, True, True, False]))
-    >>> [(row["decisions"], row["accuracy"]) for row in bins], round(error, 3)
-    ([(2, 0.5), (2, 1.0)], 0.15)
-    """
-    place = np.minimum((probability * BINS).astype(np.int64), BINS - 1)
-    rows = []
-    error = 0.0
-    for k in np.unique(place):
-        some = place == k
-        mean, accuracy = float(probability[some].mean()), float(right[some].mean())
-        rows.append({"decisions": int(some.sum()), "probability": mean, "accuracy": accuracy})
-        error += float(some.mean()) * abs(mean - accuracy)
-    return rows, error

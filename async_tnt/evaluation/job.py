@@ -1,4 +1,4 @@
-"""What is done with every recording of an archive (Job), one recording of it (Task), and how recordings are found.
+"""What is done with every recording (Job), and one recording (Task).
 
 Jobs and tasks are plain data and picklable, for processes of other machines.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,6 @@ from typing import Any
 from async_tnt.engines import Engine, is_onnx, regressor_path
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
-from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.labelled_recordings import is_recording
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.version import __version__
 
@@ -126,45 +123,3 @@ def sha256_of(engine: Engine, path: str) -> str:
     if is_onnx(path) and engine.config.needs_regressor:
         sha256.update(regressor_path(Path(path)).read_bytes())
     return sha256.hexdigest()
-
-
-def recordings_under(paths: Iterable[Path]) -> list[Path]:
-    """The files, and all recordings below the folders, by suffix (`READERS`); each once.
-
-    Hidden files and folders are left out, and links to folders are not followed.
-
-    Raises
-    ------
-    FileNotFoundError : no such file or folder. ValueError : a folder without recordings.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     for name in ("b.npz", "a/c.npy", "a/notes.md", ".cache/d.npy"):
-    ...         Path(folder, name).parent.mkdir(exist_ok=True)
-    ...         Path(folder, name).touch()
-    ...     found = recordings_under([Path(folder), Path(folder, "a/c.npy")])
-    >>> [path.name for path in found]
-    ['c.npy', 'b.npz']
-    """
-    found: dict[str, Path] = {}  # by absolute path
-    for path in paths:
-        if not path.is_dir():
-            if not path.exists():
-                raise FileNotFoundError(f"no file or folder {path}")
-            found.setdefault(os.path.abspath(path), path)
-            continue
-        inside = []
-        for folder, names, files in os.walk(path, onerror=_raise):
-            names[:] = sorted(name for name in names if not name.startswith("."))
-            inside += [Path(folder, name) for name in files if is_recording(Path(name))]
-        if not inside:
-            raise ValueError(f"{path}: no recordings in this folder; expected files in {', '.join(sorted(READERS))}")
-        for file in sorted(inside):
-            found.setdefault(os.path.abspath(file), file)
-    return list(found.values())
-
-
-def _raise(error: OSError) -> None:
-    raise error  # os.walk alone would silently skip what it may not read

@@ -1,17 +1,25 @@
-"""Collect the records of an archive's recordings, in memory or in a result file, where a later run resumes."""
+"""Collect the records of many recordings in a result file, where a later run resumes."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
-from async_tnt.archive.executor import Executor
-from async_tnt.archive.job import Task
-from async_tnt.archive.records import TIMED, Record, lost
-from async_tnt.archive.results import ResultFile, read_results
+from async_tnt.evaluation.job import Task
+from async_tnt.evaluation.records import TIMED, Record, lost
+from async_tnt.evaluation.results import ResultFile, read_results
 from async_tnt.files import check_writable
+
+
+class Run(Protocol):
+    """`run_all` or `run_on_dask`, with all but these arguments given."""
+
+    def __call__(
+        self, function: Callable[[Task], Record], tasks: Sequence[Task], *, lost: Callable[[Task], Record]
+    ) -> Generator[Record]: ...
 
 
 @dataclass
@@ -32,41 +40,10 @@ class Progress:
     gone: int = 0
 
 
-def counted(n: int, noun: str) -> str:
-    """For messages.
-
-    Examples
-    --------
-    >>> counted(1, "recording"), counted(1000, "recording")
-    ('1 recording', '1,000 recordings')
-    """
-    return f"{n:,} {noun}{'' if n == 1 else 's'}"
-
-
 def collect(
     function: Callable[[Task], Record],
     tasks: Sequence[Task],
-    executor: Executor,
-    progress: Progress,
-    *,
-    watch: Callable[[], object] = lambda: None,
-) -> list[Record]:
-    """Records of all tasks, in order of the recordings' names. `watch` is called at the start and after each one."""
-    progress.total = len(tasks)
-    watch()
-    records = []
-    with contextlib.closing(executor.run(function, tasks, lost)) as results:
-        for record in results:
-            records.append(record)
-            progress.done += 1
-            watch()
-    return sorted(records, key=lambda record: record["recording"])
-
-
-def collect_to_file(
-    function: Callable[[Task], Record],
-    tasks: Sequence[Task],
-    executor: Executor,
+    run: Run,
     out: Path,
     progress: Progress,
     *,
@@ -94,36 +71,31 @@ def collect_to_file(
     out = check_writable(out)
     job = tasks[0].job
     wanted = {task.recording: task for task in tasks}
-    progress.total = len(wanted)
     seconds: dict[str, float] = {}
     with ResultFile(out, job, restart=restart) as file:
         to_do = [
-            task
-            for task in wanted.values()
-            if file.versions.get(task.recording) != (task.bytes, task.modified_ns, task.label)
+            task for task in tasks if file.versions.get(task.recording) != (task.bytes, task.modified_ns, task.label)
         ]
         others = [name for name in file.versions if name not in wanted]
         existing = [name for name in others if not is_gone(name)]
         if existing:
             raise ValueError(
-                f"{out} holds {counted(len(existing), 'recording')} that this command does not name, such as "
-                f"{existing[0]}: name all, give another --out, or --restart to discard it"
+                f"{out} holds recordings that this command does not name ({len(existing):,}), such as {existing[0]}: "
+                "name them too, or another file, or discard it by a restart"
             )
         n_good = sum(version is not None for version in file.versions.values())
         if n_good and len(to_do) == len(wanted):
             raise ValueError(
-                f"{out} holds {counted(n_good, 'result')}, none of a recording as it is here: "
-                "of another folder? Give another --out, or --restart to discard it"
+                f"{out} holds results ({n_good:,}), but none of a recording as it is here: of another folder? "
+                "Name another file, or discard it by a restart"
             )
-        progress.gone = len(others)
-        progress.kept = len(wanted) - len(to_do)
+        progress.total, progress.kept, progress.gone = len(wanted), len(wanted) - len(to_do), len(others)
         watch()
-        with contextlib.closing(executor.run(function, to_do, lost)) as records:
+        with contextlib.closing(run(function, to_do, lost=lost)) as records:
             for record in records:
                 seconds[record["recording"]] = record.pop(TIMED)
                 file.append(record)
                 progress.done += 1
                 watch()
-        if not file.is_finished(wanted):
-            file.finish(wanted)
+        file.finish(wanted)
     return ({**record, TIMED: seconds.get(record["recording"])} for record in read_results(out, job))

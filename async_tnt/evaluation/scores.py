@@ -1,4 +1,4 @@
-"""How many windows and recordings are classified right, as numbers that JSON takes."""
+"""How many windows and recordings are classified right, and how far probabilities can be believed."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+N_BINS = 10
+"""Of probability, for the calibration."""
 
 
 @dataclass(frozen=True)
@@ -100,3 +103,31 @@ def score_recordings(
 def share_right(confusion: np.ndarray) -> float:
     """The diagonal's share of a confusion matrix."""
     return float(np.trace(confusion) / confusion.sum())
+
+
+def calibration_of(probability: np.ndarray, right: np.ndarray) -> tuple[list[dict[str, Any]], float]:
+    """Decisions in `N_BINS` of probability, without empty ones, and the expected calibration error.
+
+    Parameters
+    ----------
+    probability : float64, shape (N,), of the decided class. right : bool, shape (N,).
+
+    References
+    ----------
+    Guo, Pleiss, Sun, Weinberger 2017, arXiv:1706.04599, equation 3.
+
+    Examples
+    --------
+    >>> bins, error = calibration_of(np.array([0.95, 0.95, 0.75, 0.75]), np.array([True, True, True, False]))
+    >>> [(row["decisions"], row["accuracy"]) for row in bins], round(error, 3)
+    ([(2, 0.5), (2, 1.0)], 0.15)
+    """
+    place = np.minimum((probability * N_BINS).astype(np.int64), N_BINS - 1)
+    rows = []
+    error = 0.0
+    for k in np.unique(place):
+        some = place == k
+        mean, accuracy = float(probability[some].mean()), float(right[some].mean())
+        rows.append({"decisions": int(some.sum()), "probability": mean, "accuracy": accuracy})
+        error += float(some.mean()) * abs(mean - accuracy)
+    return rows, error

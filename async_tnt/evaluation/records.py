@@ -1,4 +1,4 @@
-"""Stream a recording of an archive through a Processor, and make a record of it for the result file.
+"""Stream a recording through a Processor, and make a record of it for the result file.
 
 `seconds`, which no two runs share, is in the record but not in the file.
 """
@@ -13,55 +13,29 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.archive.early import COLUMNS as EARLY
-from async_tnt.archive.early import FiringProcessor, early_fields
-from async_tnt.archive.job import Job, Task, sha256_of
 from async_tnt.decision import Decision
 from async_tnt.engines import Engine, choose_engine
+from async_tnt.evaluation.early import FIELDS as EARLY
+from async_tnt.evaluation.early import FiringProcessor, early_fields
+from async_tnt.evaluation.job import Job, Task, sha256_of
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
 from async_tnt.version import __version__
 
 Record = dict[str, Any]
 
-_DECISION = {
-    "time_us": "int64",
-    "window_start_us": "int64",
-    "label": "string",
-    "probability": "double",
-    "probabilities": ["double"],
-    "events": "int64",
-    "complete": "bool",
-    "trigger": "string",
+_OF_FILE = ("error", "bytes", "modified_ns", "settings")
+FIELDS = {
+    "evaluate": (
+        *("recording", "class", "label", "probabilities", "window_start_us", "window_probabilities", *EARLY),
+        *("decisions", "events", "late", *_OF_FILE),
+    ),
+    "run": (
+        *("recording", "label", "probability", "probabilities", "windows", "events", "late", "decisions"),
+        *_OF_FILE,
+    ),
 }
-_COLUMNS: dict[str, dict[str, Any]] = {
-    "evaluate": {
-        "class": "string",
-        "label": "string",
-        "probabilities": ["double"],
-        "window_start_us": ["int64"],
-        "window_probabilities": [["double"]],
-        **EARLY,
-        "decisions": "int64",
-        "events": "int64",
-        "late": "int64",
-    },
-    "run": {
-        "label": "string",
-        "probability": "double",
-        "probabilities": ["double"],
-        "windows": "int64",
-        "events": "int64",
-        "late": "int64",
-        "decisions": [_DECISION],
-    },
-}
-_OF_FILE = {"error": "string", "bytes": "int64", "modified_ns": "int64", "settings": "string"}
-COLUMNS = {kind: {"recording": "string", **columns, **_OF_FILE} for kind, columns in _COLUMNS.items()}
-"""Field -> type, for each kind of job: Arrow's name of it, [the type of a list's items], or {the fields of a struct}.
-
-With an `error`, only `recording`, `class` and the last four have values.
-"""
+"""Of a record, by the kind of its job. With an `error`, only `recording`, `class` and the last four have values."""
 TIMED = "seconds"
 
 
@@ -128,10 +102,8 @@ def failed(task: Task, error: str) -> Record:
 
 
 def lost(task: Task) -> Record:
-    """The record of a recording that ended two workers."""
-    return failed(
-        task, f"{task.recording}: its worker ended, twice: killed, out of memory, or crashed by the recording"
-    )
+    """The record of a recording that ended its worker."""
+    return failed(task, f"{task.recording}: its worker ended: killed, out of memory, or crashed by the recording")
 
 
 def _stream(task: Task, fields_of: Callable[[Iterator[Decision], Engine], Record]) -> Record:
@@ -147,7 +119,7 @@ def _stream(task: Task, fields_of: Callable[[Iterator[Decision], Engine], Record
 
 
 def _record(task: Task, fields: Record, error: str | None, seconds: float | None) -> Record:
-    record = dict.fromkeys(COLUMNS[task.job.kind]) | {"recording": task.recording, **fields, "error": error}
+    record = dict.fromkeys(FIELDS[task.job.kind]) | {"recording": task.recording, **fields, "error": error}
     if task.job.kind == "evaluate":
         record["class"] = task.label
     about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.settings}
@@ -235,5 +207,5 @@ def _error_line(error: Exception, task: Task) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         return f"{task.recording}: {error.strerror}"
     text = " ".join(str(error).split()) or type(error).__name__
-    text = text.replace(str(task.path), task.recording)  # the same text wherever the archive lies
+    text = text.replace(str(task.path), task.recording)  # the same text wherever the recordings lie
     return text if task.recording in text else f"{task.recording}: {text}"

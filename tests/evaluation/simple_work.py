@@ -4,11 +4,22 @@ import os
 import time
 from pathlib import Path
 
-from async_tnt.archive.executor import run_all
+from async_tnt.evaluation.processes import run_all
 
 
 def twice(number):
     return 2 * number
+
+
+def note_doubles(path):
+    """For a program that can print nothing."""
+    Path(path).write_text(str(sorted(run_all(twice, [1, 2, 3], 2))))
+
+
+def n_events_of(path):
+    from async_tnt import open_recording
+
+    return open_recording(path).n_events
 
 
 def unpicklable(number):

@@ -13,7 +13,7 @@ import pytest
 from processes import started
 from waiting import until
 
-from async_tnt.archive.early import decision_at
+from async_tnt.evaluation.early import decision_at
 from async_tnt.sources.files.recording import open_recording
 
 TIMES = {"seconds", "decisions_per_second", "events_per_second"}
@@ -29,7 +29,7 @@ def test_ended_in_the_middle_the_same_command_resumes(workers, number, samples, 
     folder, out = shutil.copytree(samples, tmp_path / "set", copy_function=shutil.copy2), tmp_path / "r.jsonl"
     shutil.copy2(samples / "4" / "00.bin", folder / "9" / "zz.bin")  # evaluating it takes until the signal
     code = (
-        "import sys; from archive.made_work import evaluate_or_sleep; from async_tnt.cli import evaluate, main\n"
+        "import sys; from evaluation.made_work import evaluate_or_sleep; from async_tnt.cli import evaluate, main\n"
         "evaluate.evaluate_recording = evaluate_or_sleep; sys.exit(main())"
     )
     words = "evaluate", "digits", folder, "--json", "--out"
@@ -49,10 +49,9 @@ def test_ended_in_the_middle_the_same_command_resumes(workers, number, samples, 
     assert out.read_bytes() == (tmp_path / "plain.jsonl").read_bytes()
 
 
-@pytest.mark.needs_pyarrow
 def test_evaluate_reports_the_same_with_a_file_and_without(samples, tmp_path, program):
-    lines, parquet = tmp_path / "r.jsonl", tmp_path / "r.parquet"
-    places = ("--workers", 2), ("--out", lines), ("--out", parquet), ("--out", parquet)
+    lines = tmp_path / "r.jsonl"
+    places = ("--workers", 2), ("--out", lines), ("--out", lines)
     words = "evaluate", "digits", samples
     expected, *others = (report_of(program(*words, "--json", *place)[1]) for place in ((), *places))
     assert others == [expected] * len(places) and expected["recordings"] == 20
@@ -145,20 +144,18 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
     [
         ("run SET --workers 2", "--workers requires --out"),
         ("run SET --out r.jsonl --workers 2 --dask tcp://a:1", "give one of them"),
-        ("run SET --out r.csv", "r.csv: its name must end in .jsonl, .parquet"),
+        ("run SET --out r.csv", "--out must end in .jsonl, got r.csv"),
         ("run SET --out nowhere/r.jsonl", "no folder nowhere to write r.jsonl to"),
         ("run SET --out r.jsonl --json", "--json does not go with --out"),
         ("run udp://127.0.0.1:1 --out r.jsonl", "--out takes recordings and folders of them, got udp"),
         ("run none --out r.jsonl", "no file or folder none"),
         ("run EMPTY --out r.jsonl", "no recordings in this folder"),
         ("evaluate digits SET --restart", "--restart requires --out"),
-        ("run SET --out r.parquet", "pip install 'async_tnt[cluster]'"),  # without pyarrow
         ("run SET --out r.jsonl --dask tcp://127.0.0.1:9", "pip install 'async_tnt[cluster]'"),  # without Dask
     ],
 )
 def test_what_cannot_be_done_is_one_line_and_exit_code_2(words, text, samples, tmp_path, program, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setitem(sys.modules, "distributed", None)
     (tmp_path / "empty").mkdir()
     places = {"SET": samples, "EMPTY": tmp_path / "empty"}

@@ -1,0 +1,145 @@
+"""The result file: a line of JSON per recording, in order of the recordings' names.
+
+Until it is complete, it is its own journal: records are appended in the order they are done, by one process, which
+holds a lock on the file. A killed process leaves at most half a line, which the next one cuts off. When all recordings
+are done, their sorted lines replace the file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Collection, Iterator
+from pathlib import Path
+
+from async_tnt.evaluation.job import Job
+from async_tnt.evaluation.records import FIELDS, Record
+from async_tnt.files import naming, open_locked, replacing
+
+SUFFIXES = (".jsonl",)
+START = b'{"recording": '
+
+
+def read_results(out: Path, job: Job) -> Iterator[Record]:
+    """The records of a result file, one by one.
+
+    Raises
+    ------
+    ValueError : this program has not written the file, or with other settings; or it is damaged.
+    """
+    with out.open("rb") as file:
+        for line in file:
+            yield _record_of(line, job, out)
+
+
+class ResultFile:
+    """A result file that is being written; locked until it is closed.
+
+    Parameters
+    ----------
+    out : the file, no link.
+    job : of its records.
+    restart : True discards the results that are there, whatever their settings.
+
+    Attributes
+    ----------
+    versions : recording -> (bytes, modified_ns) of the file that its record is of, and the class that it was compared
+        with; None where the record has an error.
+
+    Raises
+    ------
+    ValueError : the file there was not written by this program, or with other settings; or it is damaged.
+    OSError : another program is writing it, or it cannot be written.
+    """
+
+    def __init__(self, out: Path, job: Job, *, restart: bool = False) -> None:
+        self.versions: dict[str, tuple[int, int, str | None] | None] = {}
+        self._out, self._job, self._is_new = out, job, not out.exists()
+        self._where: dict[str, tuple[int, int]] = {}  # recording -> (offset, length) of its newest line
+        self._names: list[str] = []  # of all lines
+        self._file = open_locked(out, f"{out}: another program is writing it; wait for that one, or name another file")
+        try:
+            self._load(restart)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> ResultFile:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def append(self, record: Record) -> None:
+        """Write a record; it replaces an earlier one of its recording, and outlives `kill -9`."""
+        line = json.dumps(record).encode() + b"\n"
+        with naming(self._out):
+            offset = self._file.seek(0, os.SEEK_END)
+            self._file.write(line)
+            self._file.flush()
+        self._add(record, offset, len(line))
+
+    def finish(self, names: Collection[str]) -> None:
+        """Let it hold the records of these recordings and no others, in order; it is not written if it does."""
+        if self._names == sorted(names):
+            return
+        with replacing(self._out) as part:
+            with part.open("wb") as file:
+                for name in sorted(names):
+                    offset, length = self._where[name]
+                    self._file.seek(offset)
+                    file.write(self._file.read(length))
+            if os.name == "nt":  # where an open file cannot be replaced
+                self._file.close()
+
+    def close(self) -> None:
+        """Unlock it; a file that was made here and has no record is removed."""
+        if self._file.closed:
+            return
+        with naming(self._out), contextlib.closing(self._file):
+            is_empty = not self._file.seek(0, os.SEEK_END)
+            if os.name == "nt":  # where an open file cannot be deleted
+                self._file.close()
+            if is_empty and self._is_new:
+                self._out.unlink(missing_ok=True)
+
+    def _load(self, restart: bool) -> None:
+        start = self._file.read(len(START))
+        if not START.startswith(start):
+            raise ValueError(_not_ours(self._out))
+        if restart:
+            self._file.truncate(0)
+        self._file.seek(0)
+        while line := self._file.readline():
+            offset = self._file.tell() - len(line)
+            if not line.endswith(b"\n"):
+                self._file.truncate(offset)  # half a line, which a killed process has left
+                return
+            self._add(_record_of(line, self._job, self._out), offset, len(line))
+
+    def _add(self, record: Record, offset: int, length: int) -> None:
+        name = record["recording"]
+        self._names.append(name)
+        self._where[name] = offset, length
+        about = record["bytes"], record["modified_ns"], record.get("class")
+        self.versions[name] = about if record["error"] is None else None
+
+
+def _record_of(line: bytes, job: Job, out: Path) -> Record:
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        record = None
+    if not isinstance(record, dict) or record.keys() != set(FIELDS[job.kind]):
+        raise ValueError(f"{_not_ours(out)}, or of another command, or damaged")
+    if record["settings"] != job.id:
+        raise ValueError(
+            f"{out} was made with another model, window, trigger, engine, version or selection of pixels, settings "
+            f"{record['settings']} (now {job.id}): give the same again, name another file, or discard it by a restart"
+        )
+    return record
+
+
+def _not_ours(out: Path) -> str:
+    return f"{out} is not a result of async-tnt: move it away, or name another file"

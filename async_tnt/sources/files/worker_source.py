@@ -1,0 +1,129 @@
+"""AEDAT4, ES and HDF5 files, read in a worker process, because a damaged file can crash or hang their libraries.
+
+faery panics on a damaged file or asks for so much memory that its process is aborted; Blosc's decoder can crash, and
+HDF5 itself can read a damaged file forever. After damage, a minute of silence, or a file that was not read to its end,
+the worker is ended; otherwise it reads the next file, as starting one takes longer than reading a short file.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from async_tnt.event_forms import Four
+from async_tnt.sources.files import in_worker
+from async_tnt.sources.files.aedat4 import read_aedat4
+from async_tnt.sources.files.es import read_es
+from async_tnt.sources.files.hdf5 import read_hdf5
+from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
+from async_tnt.worker import Worker, WorkerEnded
+
+SILENCE_S = 60.0  # a block takes milliseconds, but a disk may sleep, and a machine be busy
+READ_S = 120.0  # after which a worker ends itself, if its parent has not
+STOPPED = "the process that reads it crashed or hung"
+
+
+class WorkerSource(Source):
+    """The events of one file, read in a worker process.
+
+    Parameters
+    ----------
+    read : how, see `in_worker.py`.
+    format : its name, for messages.
+    """
+
+    def __init__(self, path: Path, read: in_worker.Reader, format: str) -> None:
+        self.path = path
+        self._read = read
+        path.open("rb").close()  # raises the OSError of a missing file
+        with _worker() as worker:
+            worker.submit(in_worker.sensor_of, read, self._absolute, limit_s=READ_S)
+            try:
+                sensor, problem = worker.result(SILENCE_S)
+            except WorkerEnded:
+                problem = STOPPED
+            if problem:
+                raise ValueError(f"{path}: not a readable {format} file: {problem}")
+        self.sensor = None if sensor is None else (sensor[0], sensor[1])
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        with _worker() as worker:
+            worker.submit(in_worker.start, self._read, self._absolute, limit_s=READ_S)
+            worker.submit(in_worker.next_block, limit_s=READ_S)
+            yield from valid_blocks(_columns(worker))
+
+    @property
+    def _absolute(self) -> str:
+        return str(self.path.absolute())  # the worker's own folder may be another
+
+
+def _columns(worker: Worker) -> Iterator[Four]:
+    """The columns of a file that the worker has started to read; it reads on while a block is used."""
+    n_read = 0
+    try:
+        _, problem = worker.result(SILENCE_S)  # the sensor
+        while not problem:
+            columns, problem = worker.result(SILENCE_S)
+            if columns is not None:
+                worker.submit(in_worker.next_block, limit_s=READ_S)
+                t, x, y, p = columns
+                yield t, x, y, p
+                n_read += len(t)
+            elif not problem:
+                return
+        raise CorruptData(f"after event {n_read}: {problem}")
+    except WorkerEnded:
+        raise CorruptData(f"after event {n_read}: {STOPPED}") from None
+
+
+_idle: dict[int, Worker] = {}  # one at most, by process: a forked one must not use that of its parent
+
+
+@contextmanager
+def _worker() -> Iterator[Worker]:
+    """A worker; kept for the next file, but ended after an error, or if the file was not read to its end."""
+    worker = _idle.pop(os.getpid(), None)
+    if worker is not None and not worker.is_running:
+        worker.end()
+        worker = None
+    worker = worker or Worker()
+    try:
+        yield worker
+    except BaseException:
+        worker.end()
+        raise
+    if _idle.setdefault(os.getpid(), worker) is not worker:  # another thread's was kept
+        worker.end()
+
+
+@atexit.register
+def _end_idle() -> None:
+    if worker := _idle.pop(os.getpid(), None):
+        worker.end()
+
+
+def open_aedat4(path: Path) -> Source:
+    """Open an AEDAT4 file."""
+    return _open(path, read_aedat4, "AEDAT4", "faery", "files")
+
+
+def open_es(path: Path) -> Source:
+    """Open an Event Stream file."""
+    return _open(path, read_es, "ES", "faery", "files")
+
+
+def open_hdf5(path: Path) -> Source:
+    """Open an HDF5 file of events."""
+    return _open(path, read_hdf5, "HDF5", "h5py", "hdf5")
+
+
+def _open(path: Path, read: in_worker.Reader, format: str, library: str, extra: str) -> Source:
+    if find_spec(library) is None:
+        raise ImportError(f"{path}: {format} is read by {library}, which is missing: pip install 'async_tnt[{extra}]'")
+    return WorkerSource(path, read, format)

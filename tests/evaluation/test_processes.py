@@ -1,0 +1,143 @@
+"""Every way to run many tasks: each task is done once, lost workers are replaced, and workers end with the program."""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from evaluation.made_work import broken, deadly, make_tasks, record_of
+from evaluation.simple_work import n_events_of, raise_odd, sleep_or_end, twice, unpicklable
+from processes import PATHS, started
+from recordings.written import made_events, written
+from waiting import PATIENCE_S, until
+
+from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.records import lost
+from async_tnt.worker import Worker, WorkerEnded
+
+posix = pytest.mark.skipif(os.name != "posix", reason="kill -9 of POSIX")
+replacing_workers = pytest.mark.parametrize("run", ["processes", "dask"], indirect=True)
+NAMES = [f"{k:02d}" for k in range(40)]
+
+
+def test_every_task_is_done_once(run, tmp_path):
+    records = list(run(record_of, make_tasks(tmp_path / "set", NAMES), lost=lost))
+    assert sorted(record["label"] for record in records) == NAMES
+
+
+def test_an_error_of_a_task_is_raised(run, tmp_path):
+    with pytest.raises(ImportError, match="no reader of that"):
+        list(run(broken, make_tasks(tmp_path / "set", NAMES), lost=lost))
+
+
+@posix
+@replacing_workers
+def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, tmp_path, request):
+    names = [*NAMES[:10], "poison", *NAMES[10:20]]
+    records = list(run(deadly, make_tasks(tmp_path / "set", names), lost=lost))
+    assert sorted(record["recording"] for record in records) == sorted(names)
+    errors = {record["recording"]: record["error"] for record in records if record["error"] is not None}
+    assert errors.keys() == {"poison"} and "its worker ended: killed, out of memory" in errors["poison"]
+    if "processes" in request.node.name:  # Dask repeats tasks of a worker that has ended
+        assert sorted((tmp_path / "set" / "begun").read_text().split()) == sorted(names)
+
+
+def test_more_workers_than_tasks_and_large_results():
+    assert sorted(run_all(twice, [4, 5], 4)) == [8, 10] and list(run_all(twice, [], 2)) == []
+    assert sum(len(result) for result in run_all(twice, [b"x" * (1 << 20)] * 40, 2)) == 80 << 20
+
+
+def test_what_cannot_be_pickled_is_an_error():
+    with pytest.raises(Exception, match="pickle"):
+        list(run_all(unpicklable, [1, 2], 2))
+    with pytest.raises(RuntimeError, match="OddError: 7, not 0") as raised:
+        list(run_all(raise_odd, [7, 7], 2))
+    assert "in raise_odd" in raised.value.__notes__[0]  # the worker's traceback
+
+
+def test_a_script_needs_no_main_guard(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from async_tnt.evaluation.processes import run_all\nprint(sorted(run_all(abs, [1, -2, 3], 2)))\n"
+    )
+    with started(script) as process:
+        assert process.communicate() == ("[1, 2, 3]\n", "")
+
+
+def test_a_daemonic_process_has_workers(tmp_path):
+    """As those of torch's DataLoader are."""
+    path = written(tmp_path / "dsec.h5", made_events(50))
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(n_events_of, [path]) == 50
+
+
+@posix
+def test_workers_without_standard_streams_of_their_parent(tmp_path):
+    code = f"from evaluation.simple_work import note_doubles; note_doubles({str(tmp_path / 'sum')!r})"
+    closed = 'exec "$0" -c "$1" <&- >&- 2>&-'
+    with subprocess.Popen(["sh", "-c", closed, sys.executable, code], env={**os.environ, "PYTHONPATH": PATHS}) as shell:
+        assert shell.wait(PATIENCE_S) == 0
+    assert (tmp_path / "sum").read_text() == "[2, 4, 6]"
+
+
+def is_running(pid):
+    try:
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except ProcessLookupError:
+        return False
+    except OSError:  # no /proc
+        return not Path("/proc").is_dir()
+
+
+@posix
+@pytest.mark.parametrize("end", ["return", "raise"])
+def test_closing_or_an_error_ends_workers_in_the_middle_of_their_tasks(end, tmp_path):
+    results = run_all(sleep_or_end, [(tmp_path, "sleep"), (tmp_path, "sleep"), (tmp_path, end)], 3)
+    with contextlib.closing(results), contextlib.suppress(ZeroDivisionError):
+        next(results)
+    pids = [int(path.stem) for path in tmp_path.glob("*.pid")]
+    assert len(pids) == 2 and not any(is_running(pid) for pid in pids)
+
+
+@posix
+def test_killing_the_program_ends_its_workers_in_the_middle_of_their_tasks(tmp_path):
+    with started("-c", f"from evaluation.simple_work import run_sleepers; run_sleepers({str(tmp_path)!r})") as process:
+        until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+        pids = [int(path.stem) for path in tmp_path.glob("*.pid")]
+        assert all(is_running(pid) for pid in pids)
+        process.kill()
+        until(lambda: not any(is_running(pid) for pid in pids))
+
+
+@posix
+def test_ctrl_c_in_the_terminal_reaches_the_program_alone(tmp_path):
+    """It would otherwise print a traceback for each worker."""
+    code = f"from evaluation.simple_work import run_sleepers; run_sleepers({str(tmp_path)!r})"
+    with started("-c", code, process_group=0) as process:
+        until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
+        pids = [int(path.stem) for path in tmp_path.glob("*.pid")]
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.communicate()[1].count("Traceback") == 1 and process.returncode == -signal.SIGINT
+        assert not any(is_running(pid) for pid in pids)
+
+
+def test_a_call_over_its_limit_ends_the_worker():
+    worker = Worker()
+    worker.submit(twice, 2)
+    assert worker.result() == 4
+    worker.submit(time.sleep, 3600, limit_s=0.1)  # by itself, if its parent is gone
+    with pytest.raises(WorkerEnded, match="a worker process crashed, hung, was killed, or ran out of memory"):
+        worker.result()
+    worker.end()
+    worker = Worker()
+    worker.submit(time.sleep, 3600)
+    with pytest.raises(WorkerEnded):
+        worker.result(0.1)
+    worker.end()
+    assert not worker.is_running
