@@ -31,6 +31,7 @@ class Engine:
 
     @property
     def config(self) -> TNTConfig:
+        """How events become the volumes that the networks read."""
         return self.model.config if isinstance(self.model, Model) else self.model
 
     def processor(self, **settings: Any) -> Processor:
@@ -71,6 +72,7 @@ def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine
 
 
 def is_onnx(name_or_path: str | Path) -> bool:
+    """Whether the suffix is .onnx, in upper or lower case."""
     return Path(name_or_path).suffix.lower() == ".onnx"
 
 

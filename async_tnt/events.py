@@ -35,9 +35,9 @@ LATE_POLICIES = get_args(Late)
 
 
 class Columns(NamedTuple):
-    """Checked events in contiguous columns, of which the first `n` places count.
+    """Checked events in contiguous columns. Only the first `n` entries of each are valid.
 
-    They may be scratch memory of the decoder: valid until its next call.
+    The columns may be memory of the decoder, which its next call overwrites.
     """
 
     t: np.ndarray  # int64, microseconds, in [0, 2**62)

@@ -121,7 +121,12 @@ class Processor:
 
     @property
     def classifier(self) -> Classifier:
-        """From a volume to logits. A new one is used from the next decision on."""
+        """The callable from a volume to logits. A new one is used from the next decision on.
+
+        Raises
+        ------
+        TypeError : not callable. ValueError : a `CompiledClassifier` for volumes of another shape.
+        """
         return self._classifier.classifier
 
     @classifier.setter

@@ -39,11 +39,17 @@ class RawVolume(Protocol):
     """What a regressor sees: a `TNTVolume` without the transform."""
 
     @property
-    def array(self) -> np.ndarray: ...
+    def array(self) -> np.ndarray:
+        """The open window's volume: float32, shape (C, H, W)."""
+        ...
 
-    def open(self, start_us: int) -> None: ...
+    def open(self, start_us: int) -> None:
+        """Open an empty window that starts at `start_us`."""
+        ...
 
-    def absorb(self, columns: Columns, first: int, last: int) -> int: ...
+    def absorb(self, columns: Columns, first: int, last: int) -> int:
+        """Add checked events `first <= i < last`; returns the first one not added."""
+        ...
 
 
 class ReplayBuffer:

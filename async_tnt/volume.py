@@ -34,8 +34,8 @@ class TNTVolume:
     late : `accept`, `drop` or `raise`: what to do with an event older than the newest one seen. Events before the
         open window are always dropped and counted.
     replay_events : for landmarks `window` and `regressor`: how many events of a window are stored for the replay
-        (one of `window_events` is always stored whole).
-        The rest are counted as `dropped_unstored`, with one warning; a regressor does not see them either.
+        (a window of `window_events` is always stored whole). The rest are counted as `dropped_unstored`, with one
+        warning; a regressor does not see them either.
     regressor : for landmark `regressor` only: any callable from the window's raw volume (without the transform:
         float32, shape (C, H, W), read-only, valid during the call) to a finite landmark (x, y) in grid pixels. A
         model's own is `CompiledRegressor(model)`. It is called when `array`, `landmark` or `counts` is read after
@@ -43,8 +43,8 @@ class TNTVolume:
 
     Raises
     ------
-    ValueError, TypeError : an invalid setting, or regressor and landmark do not go together. When read: the
-        regressor's answer is not a finite (x, y).
+    ValueError, TypeError : an invalid setting; a regressor for another landmark than `regressor`, or none for it. When
+        the volume is read: the regressor's answer is not a finite (x, y).
 
     Examples
     --------
@@ -231,7 +231,7 @@ class TNTVolume:
 
     @property
     def buffer(self) -> np.ndarray:
-        """The same, but not replayed: for compiled code that adds events to it."""
+        """The array of `state()`, without a replay of stored events: for compiled code that adds events to it."""
         return self._buffer
 
     @property

@@ -69,6 +69,7 @@ class WindowClassifier:
 
     @property
     def classifier(self) -> Classifier:
+        """The callable from a volume to logits; a new one must take volumes of the configuration's shape."""
         return self._classifier
 
     @classifier.setter

@@ -106,6 +106,7 @@ class WindowScheduler:
 
     @property
     def overlap(self) -> bool:
+        """Whether several windows can be open at once."""
         return len(self.volumes) > 1
 
     @property
@@ -115,6 +116,7 @@ class WindowScheduler:
 
     @property
     def oldest_end_us(self) -> int:
+        """End of the oldest open window."""
         return self.oldest.start_us + self._window_us
 
     @property

@@ -126,7 +126,7 @@ def combine_time(buffer, corner, row, y_frac, x_frac, f, combine):
     depends on nothing but the time; so no cell changes but where events come. Lagorce, Orchard, Galluppi, Shi, Benosman
     2017, doi:10.1109/TPAMI.2016.2574707, equation 3.
 
-    A weight below WEIGHT_TOLERANCE is the rounding of a place on the next cell, and is none.
+    A weight below WEIGHT_TOLERANCE is skipped: it is the rounding error of a place that lies on the next cell.
     """
     w11 = y_frac * x_frac
     w10 = y_frac - w11

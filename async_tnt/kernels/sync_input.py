@@ -48,7 +48,7 @@ def sync_input(buffer, program, maps, places):
 
 @compiled
 def set_input(volume, program, maps):
-    """Copy an array (C, H, W) to the input; everything is to be computed. The planes stay as they were."""
+    """Copy an array (C, H, W) to the input and mark all of it as changed. The planes stay as they were."""
     n_channels, height, width = volume.shape
     step = np.uint64(n_channels)
     for y in range(height):

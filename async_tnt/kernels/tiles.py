@@ -31,7 +31,7 @@ def mix_tile_plain(program, at, places, listed, n_places, maps, inputs, output, 
     listed, n_places : where in `places` they are listed, and how many, of SIZES. One may be listed twice.
     inputs, output : where in `maps` place (0, 0) reads and writes, for this group and block.
     block : where in `weights` the block begins.
-    n_filters : that are written, 1 to `size`, of which there are weights.
+    n_filters : how many of the block's `size` filters exist and are written, at least 1.
 
     Returns
     -------

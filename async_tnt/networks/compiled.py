@@ -72,7 +72,17 @@ class CompiledClassifier:
     def refresh(self, volume: Volume) -> np.ndarray:
         """Logits of a volume's open window, a new array; quick where little has changed since the last call.
 
-        Any volume of the model's shape will do, also another one than in the last call.
+        Parameters
+        ----------
+        volume : a TNTVolume of the model's shape; it may be another one than in the last call.
+
+        Returns
+        -------
+        float32, shape (n_classes,).
+
+        Raises
+        ------
+        ValueError : a volume of another shape.
         """
         if volume.config.shape != self.shape:
             raise ValueError(f"`volume` must have shape {self.shape}, got {volume.config.shape}")

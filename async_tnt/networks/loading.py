@@ -41,12 +41,17 @@ def load_model(
 
     Parameters
     ----------
-    config : how events become the volumes of an .onnx network, which does not say; those of `async-tnt export` do.
-    classes : names of its outputs, likewise; "0", "1", ... by default.
+    name_or_path : one of `bundled_models()`, or the path of a .safetensors or .onnx file.
+    config : how events become volumes, for an .onnx network of another program. Other files contain it.
+    classes : class names in the order of the outputs, for the same networks; by default "0", "1", ...
+
+    Returns
+    -------
+    Model.
 
     Raises
     ------
-    FileNotFoundError : neither; the message lists the bundled names.
+    FileNotFoundError : no such file and no such bundled model; the message lists the bundled names.
     ImportError : an .onnx network, and onnx is not installed.
     TypeError : `config` or `classes` for a model that has its own, or no `config` for a network that has none.
     NotImplementedError : names the first node of an .onnx network that has no compiled form; or its layers compute

@@ -45,9 +45,9 @@ class Model:
 
     Raises
     ------
-    ValueError, TypeError : weights are missing or not finite numbers, or do not fit the network, or that does not fit
-        the configuration or `classes`, or is larger than `networks.graph.MAX_NUMBERS` or `MAX_PRODUCTS` allow; the
-        layer is named.
+    ValueError, TypeError : weights are missing, are not finite, or do not fit the network; or the network does not fit
+        the configuration or `classes`, or is larger than `networks.graph.MAX_NUMBERS` or `MAX_PRODUCTS`. The message
+        names the layer.
     NotImplementedError : names a layer that this release cannot run.
     """
 

@@ -26,6 +26,7 @@ class Node:
         self._attributes = {attribute.name: helper.get_attribute_value(attribute) for attribute in node.attribute}
 
     def get(self, name: str, default: Any = None) -> Any:
+        """An attribute of the node, text decoded; `default` if the node does not have it."""
         value = self._attributes.get(name, default)
         return value.decode() if isinstance(value, bytes) else value
 
@@ -61,6 +62,7 @@ class OnnxLayers:
         self.names[node.outputs[0]] = name
 
     def layer(self, value: str) -> str:
+        """The name of the layer that computes a value; a NotImplementedError if it does not depend on the volume."""
         if value not in self.names:
             raise NotImplementedError(f"its input {value!r} is not computed from the volume")
         return self.names[value]
@@ -71,6 +73,7 @@ class OnnxLayers:
         return layer_shapes(self.layers, self._shape, tensors, partial=True)[self.layer(value)]
 
     def alias(self, node: Node, value: str) -> None:
+        """A node that passes a value on: its output has the name of the same layer."""
         self.names[node.outputs[0]] = self.layer(value)
 
     def constant(self, node: Node, place: int) -> np.ndarray | None:

@@ -21,6 +21,7 @@ DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # by onnxr
 
 
 def source_of(path_or_bytes: Any) -> str | bytes:
+    """A network as onnxruntime opens it: the path of its file, or its bytes; a TypeError for anything else."""
     if hasattr(path_or_bytes, "SerializeToString"):  # onnx.ModelProto, without importing onnx
         return bytes(path_or_bytes.SerializeToString())
     if isinstance(path_or_bytes, (bytes, bytearray, memoryview)):
@@ -111,6 +112,7 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
 
 
 def check_output(outputs: list[Any], types: tuple[str, ...], answer: str) -> None:
+    """Refuse a network that does not have one output of one of these types; `answer` says what it should hold."""
     if len(outputs) != 1:
         raise ValueError(f"the network must have one output, {answer}, got {len(outputs)}{_listed(outputs)}")
     if outputs[0].type not in types:

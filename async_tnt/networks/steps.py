@@ -70,10 +70,12 @@ class Step:
 
     @property
     def is_linear(self) -> bool:
+        """Whether the step is a sum and has no activation."""
         return self.kind != MAXIMUM and not self.is_activated
 
     @property
     def is_activated(self) -> bool:
+        """Whether the result is scaled where it is negative, or limited."""
         return bool((self.slopes != 1).any()) or self.low != -np.inf or self.high != np.inf
 
     @property

@@ -109,6 +109,7 @@ class LayerList:
 
 
 def float_array(tensor: torch.Tensor) -> np.ndarray:
+    """The values as float32; a NotImplementedError for a tensor that is not of floating point."""
     if not tensor.is_floating_point():
         raise NotImplementedError(f"weights of type {tensor.dtype}, not floating point, have no compiled form")
     array: np.ndarray = tensor.detach().cpu().float().numpy()
