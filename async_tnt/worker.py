@@ -119,7 +119,7 @@ def _answer(call: bytes) -> bytes:
         function, args, limit_s = pickle.loads(call)
         if limit_s:  # a library that hangs may never let a thread of Python run
             faulthandler.dump_traceback_later(limit_s, exit=True)
-        return pickle.dumps((False, function(*args)))
+        return pickle.dumps((False, function(*args)), pickle.HIGHEST_PROTOCOL)
     except BaseException as error:  # a panic in Rust derives from BaseException alone
         note = traceback.format_exc()
         try:

@@ -1,7 +1,7 @@
 """What a worker process does for a `WorkerSource`: it reads one file after another. Imports nothing that takes time.
 
-A reader is a function of a path. It yields the sensor, (width, height) or None, then blocks of events, each as four
-columns of whole numbers: t, x, y, p. It raises an exception where the file cannot be read on.
+A reader is a function of a path. It yields the sensor, (width, height) or None, then blocks of events, each as a list
+of four columns of integers: t, x, y, p. It raises an exception where the file cannot be read on.
 """
 
 from __future__ import annotations
@@ -38,14 +38,10 @@ def start(read: Reader, path: str) -> tuple[Any, str]:
         return None, _line(error)
 
 
-def next_block() -> tuple[np.ndarray | None, str]:
-    """The next events as int64, shape (4, n), None at the end; and why the file cannot be read on, or ""."""
+def next_block() -> tuple[list[np.ndarray] | None, str]:
+    """The columns of the next events, None at the end; and why the file cannot be read on, or ""."""
     try:
-        columns = next(_blocks, None)
-        if columns is None:
-            return None, ""
-        # unsigned values beyond int64 become negative, and so invalid events
-        return np.stack([column.astype(np.int64) for column in columns]), ""
+        return next(_blocks, None), ""
     except BaseException as error:
         return None, _line(error)
 

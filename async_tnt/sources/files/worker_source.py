@@ -25,6 +25,7 @@ from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
 from async_tnt.worker import Worker, WorkerEnded
 
 SILENCE_S = 60.0  # a block takes milliseconds, but a disk may sleep, and a machine be busy
+AHEAD = 8  # calls that the worker has; blocks may be small
 READ_S = 120.0  # after which a worker ends itself, if its parent has not
 STOPPED = "the process that reads it crashed or hung"
 
@@ -55,7 +56,8 @@ class WorkerSource(Source):
     def blocks(self) -> Iterator[np.ndarray]:
         with _worker() as worker:
             worker.submit(in_worker.start, self._read, self._absolute, limit_s=READ_S)
-            worker.submit(in_worker.next_block, limit_s=READ_S)
+            for _ in range(AHEAD):
+                worker.submit(in_worker.next_block, limit_s=READ_S)
             yield from valid_blocks(_columns(worker))
 
     @property
@@ -76,6 +78,8 @@ def _columns(worker: Worker) -> Iterator[Four]:
                 yield t, x, y, p
                 n_read += len(t)
             elif not problem:
+                for _ in range(AHEAD - 1):  # the answers behind the end
+                    worker.result(SILENCE_S)
                 return
         raise CorruptData(f"after event {n_read}: {problem}")
     except WorkerEnded:
