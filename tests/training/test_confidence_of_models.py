@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from bench.scripts import load_benchmark
 from made import events_of, random_model
 
 torch = pytest.importorskip("torch")
@@ -18,8 +17,8 @@ from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
 from async_tnt.training.temperature import calibrated, fit_temperature, softened  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
+from experiments.measure_early import NOISE, made_noise  # noqa: E402
 
-made_noise = load_benchmark("made_noise")
 CONFIG = TNTConfig(transform="none", landmark="center", bins=3, window_us=100_000)
 
 
@@ -54,12 +53,12 @@ def test_no_class_is_decided_with_confidence_where_nothing_is_there(models):
     for nothing, model in models.items():
         assert evaluate(pipeline_of(model), shapes(60, 2)).per_window >= 0.95
         model, _ = calibrated(model, evaluate(pipeline_of(model), shapes(60, 1)).temperature)
-        for kind in made_noise.KINDS:  # training scatters events; the other kinds are new
+        for kind in NOISE:  # training scatters events; the other kinds are new
             decisions = []
             for _ in range(40):
                 processor = Processor(model, start_us=0)
                 n_events = int(rng.integers(150, 450))
-                processor.push(made_noise.made_noise(kind, rng, CONFIG.sensor, n_events, CONFIG.window_us - 1))
+                processor.push(made_noise(kind, rng, CONFIG.sensor, n_events, CONFIG.window_us - 1))
                 decisions.append(processor.fire().probability >= 0.9)
             sure[kind, nothing] = np.mean(decisions)
     assert all(share <= 0.05 for (_, nothing), share in sure.items() if nothing), sure
