@@ -144,7 +144,7 @@ def test_another_model_of_the_same_name_is_refused(samples, tmp_path, program):
     [
         ("run SET --workers 2", "--workers requires --out"),
         ("run SET --out r.jsonl --workers 2 --dask tcp://a:1", "give one of them"),
-        ("run SET --out r.csv", "--out must end in .jsonl, got r.csv"),
+        ("run SET --out r.csv", "r.csv: its name must end in .jsonl"),
         ("run SET --out nowhere/r.jsonl", "no folder nowhere to write r.jsonl to"),
         ("run SET --out r.jsonl --json", "--json does not go with --out"),
         ("run udp://127.0.0.1:1 --out r.jsonl", "--out takes recordings and folders of them, got udp"),
