@@ -1,4 +1,4 @@
-"""Which engine runs a model's networks: what `async-tnt run --engine` chooses."""
+"""Which engine runs a model's networks: what `engine` of `async-tnt run` chooses."""
 
 from __future__ import annotations
 

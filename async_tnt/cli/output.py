@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,11 +20,26 @@ Line = Callable[..., str]  # `text_line` or `json_line`
 HEADER = f"{'recording':<16} {'time ms':>9} {'window ms':>19}  {'label':<8} {'prob':>5} {'events':>7} {'us':>7}  why"
 
 
+OPTIONS: set[str] = set()
+"""Names of the options of the command that runs."""
+
+
 def complain(error: BaseException | str) -> None:
-    """One line on stderr."""
+    """One line on stderr. The package's errors name `parameters`; where these are options, they are printed as such."""
     if isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOSPC):
         error = f"{error.filename or 'stdout'}: {error.strerror}"  # what we write to files has their name
-    note(f"async-tnt: {error}")
+    note(f"async-tnt: {with_options(str(error), OPTIONS)}")
+
+
+def with_options(text: str, names: Collection[str]) -> str:
+    """An error of the package, in the words of the program.
+
+    Examples
+    --------
+    >>> with_options("`every_us` must be at least 1, `t` too", {"every_us"})
+    '--every-us must be at least 1, `t` too'
+    """
+    return re.sub(r"`(\w+)`", lambda name: f"--{name[1].replace('_', '-')}" if name[1] in names else name[0], text)
 
 
 def complain_late(name: str, n_late: int, n_events: int, see: str) -> None:

@@ -13,7 +13,7 @@ from types import FrameType
 from typing import NoReturn
 
 from async_tnt.checks import printable
-from async_tnt.cli.output import complain
+from async_tnt.cli.output import OPTIONS, complain
 from async_tnt.process import handled_by
 from async_tnt.version import __version__
 
@@ -89,6 +89,7 @@ def _run(argv: Sequence[str]) -> int:
         args, unknown = build_parser(argv).parse_known_args(argv)
         if unknown:
             _Parser(prog=f"async-tnt {args.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
+        OPTIONS.update(vars(args))
         with warnings.catch_warnings(), handled_by(interrupt) as before:
             warnings.showwarning = _show_warning  # type: ignore[assignment]
             code = args.main(args)

@@ -42,7 +42,7 @@ def main(args: argparse.Namespace) -> int:
         import torch
         from tnt_reference import Classifier  # noqa: F401
     args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
-    run_folder = args.run_folder or Path("runs") / args.out.stem
+    run_folder = args.run or Path("runs") / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
     if args.dataset is not None:
         beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, *PICTURES)]

@@ -93,7 +93,7 @@ def of_dataset(
         args.dataset,
         config,
         pixels=pixels,
-        sensor_source="--sensor" if args.sensor else "--mask" if args.mask else "--start-from",
+        sensor_source="`sensor`" if args.sensor else "--mask" if args.mask else "--start-from",
         classes=None if start is None else start.classes,
         validation=validation,
         groups=args.groups,

@@ -313,7 +313,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--run",
         type=Path,
         metavar="FOLDER",
-        dest="run_folder",
         help="checkpoints and learning curves of one run, which resumes from there (default: runs/<name of --out>)",
     )
     files.add_argument("--json", action="store_true", help="print the results as JSON on stdout")

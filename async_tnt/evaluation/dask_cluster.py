@@ -95,7 +95,7 @@ def _check_workers(client: Any, address: str, tasks: Sequence[Task]) -> None:
         client.wait_for_workers(1, timeout=WORKERS_S)
     except TimeoutError:
         raise ConnectionError(
-            f"the Dask cluster at {address} has no workers: start some, `dask worker {address} --nthreads 1`"
+            f"the Dask cluster at {address} has no workers: start some, with one thread each: dask worker {address}"
         ) from None
     files = [str(next((task for task in tasks if task.bytes is not None), tasks[0]).path)]
     if Path(tasks[0].job.model).is_absolute():

@@ -40,7 +40,7 @@ TIMED = "seconds"
 
 
 def run_recording(task: Task) -> Record:
-    """All decisions of one recording, as `async-tnt run --json` prints them, and the class of the mean probability.
+    """All decisions of one recording, as `async-tnt run` prints them as JSON, and the class of the mean probability.
 
     Whatever is wrong with the file becomes the record's `error`.
 

@@ -130,7 +130,7 @@ class PixelFilter:
 def check_crop(crop: bool, roi: Any) -> None:
     """Refuse `crop` without a region."""
     if crop and roi is None:
-        raise ValueError("--crop belongs to --roi (in Python, `crop` to `roi`): the region that becomes the sensor")
+        raise ValueError("`crop` belongs to `roi`: the region that becomes the sensor")
 
 
 def checked_region(roi: Any, sensor: tuple[int, int] | None = None) -> tuple[int, int, int, int]:

@@ -65,7 +65,7 @@ class PixelSelection:
         if self.mask is not None and self.sensor is not None and self.sensor != self.mask.size:
             raise ValueError(
                 f"{self.mask.name}: a mask of {format_size(self.mask.size)} pixels, but the camera's are given as "
-                f"{format_size(self.sensor)} (--sensor)"
+                f"{format_size(self.sensor)} (`sensor`)"
             )
 
     @property

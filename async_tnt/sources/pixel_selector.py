@@ -52,7 +52,7 @@ class PixelSelector:
             check_sensor(name, found, self.expected, self._origin, self._advice(found))
             return self.expected
         if found is None:
-            raise ValueError(f"{name}: does not say the camera's pixels, which --crop needs: give --sensor WxH")
+            raise ValueError(f"{name}: does not say the camera's pixels, which `crop` needs: give `sensor`")
         return found[0], found[1]
 
     def open(
@@ -122,14 +122,14 @@ class PixelSelector:
         selection = self.selection
         if not selection.crop:
             return "the model is for"
-        return "--sensor says" if selection.mask is None or selection.sensor else f"{selection.mask.name} is a mask of"
+        return "`sensor` says" if selection.mask is None or selection.sensor else f"{selection.mask.name} is a mask of"
 
     def _advice(self, found: Sensor | None) -> str:
         """What to do about a camera of another size than the model is for; None: of an unknown one."""
         if self.selection.crop:
             return ""
         if found is None:
-            return f"; {TRAIN_ONE}, or cut out a part: {_cut_out(self._model)} --sensor WxH"
+            return f"; {TRAIN_ONE}, or cut out a part: {_cut_out(self._model)} `sensor`"
         part = f", or cut out a part: {_cut_out(self._model)}" if _is_part(self._model, found) else ""
         return f"; {TRAIN_ONE}{part}"
 
@@ -139,15 +139,15 @@ def _check_fit(selection: PixelSelection, model: Sensor) -> None:
     region, camera, mask = selection.region, selection.camera, selection.mask
     if region not in (None, model):
         raise ValueError(
-            f"--crop: the model is for {format_size(model)} pixels, got a region of {format_size(region)}; "
-            f"give --roi X,Y,{model[0]},{model[1]}"
+            f"`crop`: the model is for {format_size(model)} pixels, got a region of {format_size(region)}; "
+            f"give `roi` X,Y,{model[0]},{model[1]}"
         )
     if selection.crop or camera is None or camera == model:
         return
     part = f"give {_cut_out(model)} too, or " if _is_part(model, camera) else ""
     if mask is None:
         raise ValueError(
-            f"--sensor says {format_size(camera)} pixels, but the model is for {format_size(model)}: {part}{TRAIN_ONE}"
+            f"`sensor` says {format_size(camera)} pixels, but the model is for {format_size(model)}: {part}{TRAIN_ONE}"
         )
     transposed = "; or transpose it with .T" if camera == model[::-1] else ""
     raise ValueError(
@@ -161,7 +161,7 @@ def _is_part(model: Sensor, camera: Sensor) -> bool:
 
 
 def _cut_out(model: Sensor) -> str:
-    return f"--roi X,Y,{model[0]},{model[1]} --crop"
+    return f"`roi` X,Y,{model[0]},{model[1]} `crop`"
 
 
 def _unchanged(packet: Any) -> Any:

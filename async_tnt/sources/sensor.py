@@ -11,7 +11,7 @@ from async_tnt.events import as_events
 
 Sensor = tuple[int, int]
 
-TRAIN_ONE = "train one for this camera (async-tnt train --help)"
+TRAIN_ONE = "train one for this camera (async-tnt train)"
 
 
 def format_size(size: Sensor) -> str:

@@ -112,7 +112,7 @@ def choose(start: Candidate, questions: Questions, try_out: Callable[[Candidate,
         if trials:
             break
     else:
-        raise ValueError("none of the volumes and networks can be trained on these windows; see --quick")
+        raise ValueError("none of the volumes and networks can be trained on these windows; see `quick`")
     for question in (_grids, _networks, _mirrors):
         trials = ask(question(trials[-1].candidate, questions))
     if len(trials) > 1:

@@ -62,7 +62,7 @@ def dataset_data(
     config: TNTConfig,
     *,
     pixels: PixelSelection,
-    sensor_source: str = "--sensor",
+    sensor_source: str = "`sensor`",
     classes: tuple[str, ...] | None = None,
     validation: float = 0.2,
     groups: str | None = None,

@@ -70,7 +70,7 @@ def read_dataset(
     *,
     part: str = "Train",
     pixels: PixelSelection | None = None,
-    sensor_source: str = "--sensor",
+    sensor_source: str = "`sensor`",
     classes: tuple[str, ...] | None = None,
     known: Known | None = None,
     store: Path | None = None,
@@ -136,7 +136,7 @@ def read_dataset(
         if camera is None and any(one.events is not None for one in waiting):
             x, y = (max(int(one.events[axis].max()) for one in waiting if one.events is not None) for axis in "xy")
             raise ValueError(
-                f"{folder}: none of {len(waiting)} recordings states its sensor; give --sensor WxH (their events need "
+                f"{folder}: none of {len(waiting)} recordings states its sensor; give `sensor` (their events need "
                 f"at least {x + 1}x{y + 1})"
             )
         for one in waiting:

@@ -59,7 +59,7 @@ def read_nmnist_folder(
                 events.append(read_nmnist(path))
             except ValueError as error:
                 if not skip_damaged:
-                    raise ValueError(f"{error} Or leave damaged files out with --skip-damaged.") from None
+                    raise ValueError(f"{error} Or leave damaged files out (`skip_damaged`).") from None
                 bar.clear()
                 warnings.warn(f"left out: {error}", stacklevel=2)
                 continue

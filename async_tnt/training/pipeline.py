@@ -142,7 +142,7 @@ def check_network(name: str, config: TNTConfig) -> None:
             "ab",
         )
     except NotImplementedError as error:
-        raise ValueError(f"--network {name}: {error}") from None
+        raise ValueError(f"`network` {name}: {error}") from None
 
 
 def input_scales(config: TNTConfig, windows: Windows) -> dict[str, float]:

@@ -160,7 +160,7 @@ def _check_recordings(run_folder: Path, then: Mapping[str, Any], now: Mapping[st
 def other_run(run_folder: Path, what: str) -> ValueError:
     """The error about a run folder whose run differs in `what`."""
     return ValueError(
-        f"{run_folder} holds a run with other {what}; give another run folder (train --run OTHER), or delete the "
+        f"{run_folder} holds a run with other {what}; give another run folder (`run`), or delete the "
         f"folder {run_folder} to start again"
     )
 

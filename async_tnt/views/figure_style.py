@@ -80,13 +80,13 @@ def note(axes: Any, words: str, at: tuple[float, float], offset: tuple[float, fl
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a --picture file that `save` could not write, before any work is done.
+    """Refuse a picture file that `save` could not write, before any work is done.
 
     Raises
     ------
     ImportError : matplotlib is missing. ValueError, OSError : see `check_writable`.
     """
-    with needs_extra("plot", "--picture draws with matplotlib"):
+    with needs_extra("plot", "`picture` is drawn by matplotlib"):
         import matplotlib  # noqa: F401
     check_writable(path, FORMATS)
 

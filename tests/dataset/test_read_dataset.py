@@ -24,7 +24,7 @@ def write_64(folder, counts, **settings):
     return write_set(folder, counts, side=64, **settings)
 
 
-@pytest.mark.parametrize(("sensor", "source"), [(None, "flat/00.npz"), (SIZE, "--sensor")])
+@pytest.mark.parametrize(("sensor", "source"), [(None, "flat/00.npz"), (SIZE, "`sensor`")])
 def test_recordings_of_two_sensors_are_an_error_that_names_both(sensor, source, tmp_path):
     write_64(tmp_path, {"upright": 3, "flat": 3}, suffixes=(".npz",))
     write(tmp_path / "flat" / "99.npz", bar("flat", 77, side=30), sensor=(80, 60))
@@ -48,7 +48,7 @@ def test_recordings_that_do_not_state_a_sensor_have_that_of_the_others(tmp_path)
 
 def test_a_sensor_that_nothing_states_is_asked_for(tmp_path):
     write_64(tmp_path, {"upright": 2, "flat": 2}, suffixes=(".csv",))
-    asked = r"none of 4 recordings states its sensor; give --sensor WxH \(their events need at"
+    asked = r"none of 4 recordings states its sensor; give `sensor` \(their events need at"
     with pytest.raises(ValueError, match=asked):
         read_dataset(tmp_path, pixels=PixelSelection(roi=(0, 0, 9, 9)))
     mask = np.zeros(SIZE[::-1], bool)

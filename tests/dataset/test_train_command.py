@@ -62,7 +62,7 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
 
     def refused(*words):
         code, err, _ = train(folder, *words)
-        end = f"; give another run folder (train --run OTHER), or delete the folder {run} to start again\n"
+        end = f"; give another run folder (--run), or delete the folder {run} to start again\n"
         assert code == 2 and err.startswith(f"async-tnt: {run} holds a run with other ") and err.endswith(end)
         return err.removeprefix(f"async-tnt: {run} holds a run with other ").removesuffix(end)
 
@@ -99,7 +99,7 @@ def test_errors_are_one_line(words, message, gestures, trained, program, tmp_pat
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--partial", "2"), "`partial` must be in [0, 1.0], got 2.0"),
+        (("--partial", "2"), "--partial must be in [0, 1.0], got 2.0"),
         (("--translate", "-1"), "`translate_px` must be "),
         (("--validation", "1"), "must be in [0, 1), got 1.0"),
         (("--groups", "("), "--groups must be a regular expression, got '('"),

@@ -108,7 +108,7 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
         ("--start-us 1000000000", "3.bin: no event at or after the first window's start, 1000000000 us"),
         ("h.npz --model digits", "h.npz: a sensor of 40x40 pixels, but the model is for 34x34"),
         ("h.npz --sensor 50x50", "h.npz: a sensor of 40x40 pixels, got --sensor 50x50"),
-        ("--t-max nan", "`t_max` must be in [1e-6, 1e6], got nan"),
+        ("--t-max nan", "--t-max must be in [1e-6, 1e6], got nan"),
         ("--slices 9", "no bin 9; the volume has bins 0 to 8"),
         ("--landmark regressor", "needs a model with a landmark network, but model digits has none"),
         ("3 --model times.safetensors", "event volumes and counts can be drawn, but not mean_time"),

@@ -85,7 +85,7 @@ def test_an_invalid_packet_counts_nothing():
         ({"roi": (5, 19, 3, 2)}, r"`roi` .* must lie on the sensor of 30x20 pixels, got \(5, 19, 3, 2\)"),
         ({"roi": (-1, 0, 3, 2)}, r"`roi` .* must lie on the sensor, x and y at least 0, .*, got \(-1, 0, 3, 2\)"),
         ({"roi": (5, 5, 3.0, 1)}, r"`roi` must be \(x, y, width, height\) in whole pixels, got \(5, 5, 3.0, 1\)"),
-        ({"crop": True}, r"--crop belongs to --roi \(in Python, `crop` to `roi`\): the region that .* the sensor"),
+        ({"crop": True}, r"`crop` belongs to `roi`: the region that .* the sensor"),
         ({"mask": np.zeros((30, 20), bool)}, r"a mask of a 30x20 sensor must be .* \(30, 20\); transpose it with .T"),
         ({"mask": np.zeros((20, 30), np.uint8)}, r"a mask of a 30x20 .* got uint8 of shape \(20, 30\)"),
     ],

@@ -82,10 +82,10 @@ def test_about_tells_selections_apart():
 @pytest.mark.parametrize(
     ("settings", "model", "message"),
     [
-        ({"crop": True}, (34, 34), "--crop belongs to --roi"),
-        ({"roi": (0, 0, 20, 20), "crop": True}, (34, 34), "got a region of 20x20; give --roi X,Y,34,34"),
-        ({"sensor": (60, 48)}, (40, 40), "--sensor says 60x48 .* for 40x40: give --roi X,Y,40,40 --crop too, or train"),
-        ({"sensor": (30, 48)}, (40, 40), "--sensor says 30x48 pixels, but the model is for 40x40: train one for this"),
+        ({"crop": True}, (34, 34), "`crop` belongs to `roi`"),
+        ({"roi": (0, 0, 20, 20), "crop": True}, (34, 34), "got a region of 20x20; give `roi` X,Y,34,34"),
+        ({"sensor": (60, 48)}, (40, 40), "`sensor` says 60x48 .* for 40x40: give `roi` X,Y,40,40 `crop` too, or train"),
+        ({"sensor": (30, 48)}, (40, 40), "`sensor` says 30x48 pixels, but the model is for 40x40: train one for this"),
         ({"mask": MASK}, (61, 40), "^hot.npy: a mask of a 60x48 .* 61x40 pixels: give the mask of a 61x40 camera$"),
         ({"mask": MASK}, (48, 60), "the mask of a 48x60 camera; or transpose it with .T$"),
         ({"roi": (60, 8, 40, 40), "crop": True, "mask": MASK}, (40, 40), "must lie on the sensor of 60x48 pixels"),
@@ -124,10 +124,10 @@ def test_a_recording_that_states_no_sensor_is_of_the_given_camera_or_else_of_the
 @pytest.mark.parametrize(
     ("selection", "model", "found", "message"),
     [
-        (PixelSelection(), (40, 40), (60, 48), "the model is for 40x40; train .*, or cut out a part: --roi X,Y,40,40"),
-        (PixelSelection(), (40, 40), (40, 39), r"a: a .* 40x39 .*, but the model is for 40x40; train one .* --help\)$"),
+        (PixelSelection(), (40, 40), (60, 48), "the model is for 40x40; train .*, or cut out a part: `roi` X,Y,40,40"),
+        (PixelSelection(), (40, 40), (40, 39), r"a: a .* 40x39 .*, but the model is for 40x40; train one .* train\)$"),
         (PixelSelection((3, 4, 34, 34), True, MASK), (34, 34), (50, 50), "but hot.npy is a mask of 60x48$"),
-        (PixelSelection(ROI, True), (40, 40), None, "the camera's pixels, which --crop needs: give --sensor WxH$"),
+        (PixelSelection(ROI, True), (40, 40), None, "the camera's pixels, which `crop` needs: give `sensor`$"),
     ],
 )
 def test_a_camera_that_is_not_the_expected_one_is_refused_with_its_origin(selection, model, found, message):

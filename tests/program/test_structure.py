@@ -65,6 +65,19 @@ def test_what_is_installed_does_not_know_the_laboratory():
     assert not any("experiments" in package for package in built["packages"])
 
 
+def test_the_command_line_alone_names_options():
+    """Elsewhere an error names a `parameter`, which the program prints as its option."""
+    option = re.compile(r"(?<![\w-])--[a-z]")
+    strings = {
+        module: [node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
+        for module, path in SOURCES.items()
+        if layer_of(module) != "cli"
+    }
+    assert {
+        m: text for m, texts in strings.items() for text in texts if isinstance(text, str) and option.search(text)
+    } == {}
+
+
 def test_the_command_line_alone_uses_argparse():
     assert {layer_of(module) for module in SOURCES if "argparse" in IMPORTS[module]} == {"cli"}
 

@@ -19,7 +19,7 @@ def test_a_pattern_groups_by_its_parentheses_or_by_all_it_finds():
     assert groups_by_pattern(names, r"user(\d+)_(led)?") == ["01/", "01/led", "22/"]
     with pytest.raises(ValueError, match=r"but 'led' is not in wave/user01_lab_3.npz"):
         groups_by_pattern(names, "led")
-    with pytest.raises(ValueError, match=r"--groups must be a regular expression, got '\(': "):
+    with pytest.raises(ValueError, match=r"`groups` must be a regular expression, got '\(': "):
         groups_by_pattern(names, "(")
 
 

@@ -273,7 +273,7 @@ def test_the_command(classes, tmp_path, program):
         (["--shared-path"], "--shared-path must come with --motions resynthesized"),
         (["--workers", "2", "--recorded", "0"], "--recorded, --workers must come with --motions resynthesized"),
         (["--motions", "resynthesized", "--roi", "0,0,9,9"], "--roi must come with --crop"),
-        (["--motions", "resynthesized", "--recorded", "2"], "`recorded` must be in [0, 1], got 2.0"),
+        (["--motions", "resynthesized", "--recorded", "2"], "--recorded must be in [0, 1], got 2.0"),
     ],
 )
 def test_wrong_options(words, message, tmp_path, monkeypatch, program):

@@ -230,7 +230,7 @@ def open_recording(
     if path.is_dir():
         raise IsADirectoryError(
             f"{path} is a folder, expected a recording; "
-            f"async-tnt run {path} --out results.jsonl streams all recordings in it"
+            f"`async-tnt run` streams all recordings in it to a file of results"
         )
     if suffix not in READERS:
         hint = "; decompress it first" if suffix in COMPRESSED else ""
