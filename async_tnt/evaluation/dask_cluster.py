@@ -30,7 +30,8 @@ def run_on_dask(
     """As `processes.run_all`, on the workers of the cluster whose scheduler has this address.
 
     Dask replaces a worker that ends, and repeats its tasks. It gives up a task that has ended
-    `distributed.scheduler.allowed-failures` + 1 workers (4 by default): `lost` makes its result.
+    `distributed.scheduler.allowed-failures` + 1 workers (4 by default), or was waiting on them. Such tasks are repeated
+    at the end, one at a time: `lost` makes the result of one that is given up alone.
 
     Raises
     ------
@@ -54,19 +55,29 @@ def run_on_dask(
                 task_of[futures[-1].key] = task
             return futures
 
+        given_up = []
         done = as_completed(submit(IN_FLIGHT), loop=client.loop)
         for future in done:
             task = task_of.pop(future.key)
             try:
-                result = future.result()
+                yield _result(future, address)
+            except KilledWorker:
+                given_up.append(task)
+            done.update(submit(1))
+        for task in given_up:
+            try:
+                yield _result(client.submit(function, task, pure=False), address)
             except KilledWorker:
                 if lost is None:
                     raise
-                result = lost(task)
-            except CancelledError:
-                raise ConnectionError(f"the Dask scheduler at {address} is gone, or has cancelled the work") from None
-            done.update(submit(1))
-            yield result
+                yield lost(task)
+
+
+def _result(future: Any, address: str) -> Any:
+    try:
+        return future.result()
+    except CancelledError:
+        raise ConnectionError(f"the Dask scheduler at {address} is gone, or has cancelled the work") from None
 
 
 @contextlib.contextmanager

@@ -36,7 +36,7 @@ def test_workers_of_another_version_are_named(cluster, tasks, monkeypatch):
 def test_a_cluster_without_workers(empty_cluster, tasks, monkeypatch):
     monkeypatch.setattr(dask_cluster, "CONNECT_S", 120.0)
     monkeypatch.setattr(dask_cluster, "WORKERS_S", 0.5)
-    with pytest.raises(ConnectionError, match=r"has no workers: start some, `dask worker tcp://"):
+    with pytest.raises(ConnectionError, match=r"has no workers: start some, with one thread each: dask worker tcp://"):
         list(run_on_dask(record_of, tasks, empty_cluster, lost))
 
 
