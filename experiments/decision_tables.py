@@ -142,6 +142,10 @@ def singles() -> str:
     return table([first, "median", "p99", "p99.9", "max", "p99 / median"], body)
 
 
+def starts_machine() -> str:
+    return about_machine(results("starts"))
+
+
 def starts() -> str:
     """Seconds to a first decision."""
     names = {
@@ -159,7 +163,7 @@ def starts() -> str:
     }
     body = [
         [names[name], *(f"{row[step]['median']:.3f}" if step in row else "" for step in steps)]
-        for name, row in results("decisions")["starts"].items()
+        for name, row in results("starts")["starts"].items()
     ]
     return table(["seconds", *steps.values()], body)
 

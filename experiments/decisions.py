@@ -22,7 +22,6 @@ from async_tnt import load_model, warmup
 from async_tnt.progress import Bar, progress
 from experiments import bench_backends as backends
 from experiments import measure_end_to_end as end_to_end
-from experiments import measure_starts as starts
 from experiments.bench_every_event import bench_every_event
 from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
 from experiments.bench_network import bench_network
@@ -35,8 +34,8 @@ from experiments.script_options import exit_with, run_script, script_parser
 
 MODEL = "digits"
 PACKAGES = ("torch", "onnx", "onnxruntime", "openvino", "eventcv")
-FULL = {"blocks": 40, "decisions_a_block": 50, "rounds": 10, "single_decisions": 100_000, "starts": 5}
-QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "single_decisions": 2_000, "starts": 1}
+FULL = {"blocks": 40, "decisions_a_block": 50, "rounds": 10, "single_decisions": 100_000}
+QUICK = {"blocks": 2, "decisions_a_block": 10, "rounds": 1, "single_decisions": 2_000}
 MODES = {"call_by_call": "backends alternate from call to call", "in_blocks": "each decides in blocks of {} calls"}
 
 
@@ -47,7 +46,7 @@ def measure(settings: dict[str, int], quick: bool) -> dict[str, Any]:
     ------
     WorkDiffers : backends do not agree. Then nothing is reported.
     """
-    with progress(6 + 2 * len(NEW_EVENTS) + settings["starts"], "compiling") as bar:
+    with progress(5 + 2 * len(NEW_EVENTS), "compiling") as bar:
         return _measure(settings, quick, bar)
 
 
@@ -78,9 +77,6 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
         singles = bench_singles(model, recordings, n_decisions=settings["single_decisions"])
     bar.update(title="what new events touch")
     touched = bench_touched(model, windows, moments=40 if quick else 1000)
-    started = starts.bench_starts(
-        model, rounds=settings["starts"], cold=not quick, each=lambda: bar.update(title="fresh processes")
-    )
     return {
         "machine": machine(*PACKAGES),
         "settings": {"quick": quick, "threads": 1, **settings, "onnxruntime_way": way},
@@ -93,17 +89,14 @@ def _measure(settings: dict[str, int], quick: bool, bar: Bar) -> dict[str, Any]:
         "work": {
             "network": {name: engine.work for name, engine in backends.ENGINES.items()},
             "end_to_end": end_to_end.WORK,
-            "starts": starts.WORK,
         },
         "network": network,
         "end_to_end": whole,
         "every_event": {"packets": rates, "singles": singles},
         "touched": touched,
-        "starts": started,
         "left_out": {
             "network": backends.left_out(),
             "end_to_end": end_to_end.left_out(),
-            "starts": starts.left_out(cold=not quick),
         },
     }
 
@@ -136,10 +129,6 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
     for name, row in report["touched"].items():
         places = ", ".join(f"{layer} {n:.1f}" for layer, n in row.items() if layer != "multiplications")
         yield f"  {name:6}{row['multiplications']:>12,.0f}   {places}"
-    yield ""
-    yield f"Fresh processes, medians of {settings['starts']}: seconds"
-    for name, row in report["starts"].items():
-        yield f"  {name:22}" + ", ".join(f"{step} {taken['median']:.3f}" for step, taken in row.items())
     yield ""
     yield "What each row does:"
     for part, rows in report["work"].items():

@@ -142,8 +142,13 @@ SECTIONS = (
             decisions.every_event: "A decision after every event, recordings in packets of 1,000 events",
             decisions.singles: "One event at a time with `push_one`; the last row's tail is the machine's",
             decisions.touched: "What new events change, means over a thousand moments",
-            decisions.starts: "Start of a fresh process",
         },
+    ),
+    Section(
+        "Starts",
+        "A fresh process, to its first decision. A `Processor` compiles in its own process, commands compile in two.",
+        "experiments.starts --json experiments/results/starts.json",
+        {decisions.starts_machine: "Machine", decisions.starts: "Seconds, medians of five"},
     ),
     Section(
         "Four networks",

@@ -14,6 +14,12 @@ Function = Callable[[np.ndarray], np.ndarray]
 """Volume (C, H, W) -> numbers."""
 
 
+def expect_form(condition: bool, what: str) -> None:
+    """Refuse what a network of another program does, and this package cannot, by its name."""
+    if not condition:
+        raise NotImplementedError(f"{what} has no compiled form")
+
+
 def compare(original: Function, layers: Function, shape: tuple[int, ...], tolerance: float = TOLERANCE) -> None:
     """Compare a network with the layers that were read from it, on all of `volumes_to_compare`.
 

@@ -53,12 +53,6 @@ Shape = tuple[int, ...]
 """(C, H, W), or (N,)."""
 
 
-def expect_form(condition: bool, what: str) -> None:
-    """Refuse what a network of another program does, and this package cannot, by its name."""
-    if not condition:
-        raise NotImplementedError(f"{what} has no compiled form")
-
-
 class UnknownOperation(NotImplementedError):
     """A layer that this release cannot run."""
 
@@ -98,9 +92,11 @@ def layer_shapes(
             numbers, products = _cost(layer, shapes, tensors)
             n_numbers, n_products = n_numbers + numbers, n_products + products
             if n_numbers > MAX_NUMBERS:
-                raise ValueError(f"up to here maps and weights are {n_numbers:_} numbers, {_more_than('MAX_NUMBERS')}")
+                more = f"more than {MAX_NUMBERS:_} (a program may raise async_tnt.networks.graph.MAX_NUMBERS)"
+                raise ValueError(f"up to here maps and weights are {n_numbers:_} numbers, {more}")
             if n_products > MAX_PRODUCTS:
-                raise ValueError(f"up to here a pass has {n_products:_} multiplications, {_more_than('MAX_PRODUCTS')}")
+                more = f"more than {MAX_PRODUCTS:_} (a program may raise async_tnt.networks.graph.MAX_PRODUCTS)"
+                raise ValueError(f"up to here a pass has {n_products:_} multiplications, {more}")
             if _is_flat_map(layer, shapes, flat_maps):
                 flat_maps.add(name)
         except ValueError as error:
@@ -108,10 +104,6 @@ def layer_shapes(
     if not partial and name in flat_maps:
         raise ValueError(f"layer {name!r} is the output, and a flattened map: a dense layer belongs behind it")
     return shapes
-
-
-def _more_than(limit: str) -> str:
-    return f"more than {globals()[limit]:_} (a program may raise async_tnt.networks.graph.{limit})"
 
 
 def _cost(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape]) -> tuple[int, int]:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.networks.graph import VOLUME, expect_form, layer_shapes
+from async_tnt.networks.conversion_check import expect_form
+from async_tnt.networks.graph import VOLUME, layer_shapes
 
 if TYPE_CHECKING:
     import onnx

@@ -13,7 +13,8 @@ from tnt_reference import heatmap_centroid
 from torch import fx, nn
 from torch.nn import functional as F
 
-from async_tnt.networks.graph import VOLUME, expect_form
+from async_tnt.networks.conversion_check import expect_form
+from async_tnt.networks.graph import VOLUME
 
 IN_PLACE = (
     {operator.setitem, operator.delitem}
@@ -110,10 +111,8 @@ class LayerList:
 
 def float_array(tensor: torch.Tensor) -> np.ndarray:
     """The values as float32; a NotImplementedError for a tensor that is not of floating point."""
-    if not tensor.is_floating_point():
-        raise NotImplementedError(f"weights of type {tensor.dtype}, not floating point, have no compiled form")
-    array: np.ndarray = tensor.detach().cpu().float().numpy()
-    return array
+    expect_form(tensor.is_floating_point(), f"a weight of type {tensor.dtype}, not floating point,")
+    return np.asarray(tensor.detach().cpu().float())
 
 
 def _pair(value: Any) -> list[int]:
@@ -287,12 +286,12 @@ class Operation:
         return {**{name: getattr(module, name, default) for name, default in self.parameters.items()}, **given}
 
 
-_IN_PLACE = {"inplace": False}
+_FLAG = {"inplace": False}
 _POOL = {"kernel_size": None, "stride": None, "padding": 0}
-RELU = Operation(_relu, _IN_PLACE)
-HARDTANH = Operation(_hardtanh, {"min_val": -1.0, "max_val": 1.0, **_IN_PLACE})
+RELU = Operation(_relu, _FLAG)
+HARDTANH = Operation(_hardtanh, {"min_val": -1.0, "max_val": 1.0, **_FLAG})
 CLAMP = Operation(_clamp, {"min": None, "max": None})
-LEAKY_RELU = Operation(_leaky_relu, {"negative_slope": 0.01, **_IN_PLACE})
+LEAKY_RELU = Operation(_leaky_relu, {"negative_slope": 0.01, **_FLAG})
 MAX_POOL = Operation(_max_pool, {**_POOL, "dilation": 1, "ceil_mode": False, "return_indices": False})
 AVERAGE_POOL = Operation(
     _average_pool, {**_POOL, "ceil_mode": False, "count_include_pad": True, "divisor_override": None}
@@ -303,7 +302,7 @@ ADD = Operation(_add, {"alpha": 1}, inputs=("input", "other"))
 CAT = Operation(_cat, {"dim": 0}, inputs=("tensors",))
 FLATTEN = Operation(_flatten, {"start_dim": 0, "end_dim": -1}, is_view=True)
 VIEW = Operation(_view, is_view=True)
-DROPOUT = Operation(_dropout, {"p": 0.5, "training": True, **_IN_PLACE}, is_view=True)
+DROPOUT = Operation(_dropout, {"p": 0.5, "training": True, **_FLAG}, is_view=True)
 
 ELEMENTWISE = (_relu, _relu6, _hardtanh, _clamp, _leaky_relu)
 """Rules that are the same for a value in any shape."""
@@ -326,7 +325,7 @@ MODULES: dict[type, Operation] = {
 """By the very type: a subclass may compute anything."""
 FUNCTIONS: dict[Any, Operation] = {
     **dict.fromkeys((torch.relu, torch.relu_, F.relu), RELU),
-    F.relu6: Operation(_relu6, _IN_PLACE),
+    F.relu6: Operation(_relu6, _FLAG),
     **dict.fromkeys((F.hardtanh, F.hardtanh_), HARDTANH),
     **dict.fromkeys((torch.clamp, torch.clamp_, torch.clip, torch.clip_), CLAMP),
     **dict.fromkeys((F.leaky_relu, F.leaky_relu_), LEAKY_RELU),

@@ -1,4 +1,4 @@
-"""Known pictures that move on known paths are found again, and what is no moving picture is not."""
+"""Path and image of pictures that moved on known paths are recovered; noise gives no path."""
 
 import numpy as np
 import pytest

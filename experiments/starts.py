@@ -1,4 +1,9 @@
-"""Cold and warm starts in new processes: the time from `import` to the first decision."""
+"""Cold and warm starts in new processes: the time from `import` to the first decision.
+
+    python -m experiments.starts [--quick] [--json FILE]
+
+Ours, with an empty and with a full cache of compiled code, beside onnxruntime and torch, where they are installed.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +13,20 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from async_tnt import Model
+from async_tnt import Model, load_model, warmup
+from async_tnt.progress import progress
 from experiments.bench_backends import missing
-from experiments.bench_timing import spread
+from experiments.bench_timing import machine, machine_text, spread
+from experiments.script_options import exit_with, script_parser, write_outputs
+
+MODEL, ROUNDS = "digits", 5
+PACKAGES = ("torch", "onnx", "onnxruntime")
 
 WORK = {
     "ours_cold": "ours, with an empty NUMBA_CACHE_DIR: everything is compiled",
@@ -140,3 +150,37 @@ def _start(name: str, arguments: dict[str, Any], cache: Path | None) -> dict[str
         raise RuntimeError(f"the start of {name} failed:\n{done.stderr}")
     steps: dict[str, float] = json.loads(done.stdout)
     return {**steps, "first_decision": sum(steps.values()), "process": taken}
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """All starts, as one JSON object."""
+    model, rounds = load_model(MODEL), 1 if quick else ROUNDS
+    warmup(model)
+    with progress(rounds + 1, "fresh processes") as bar:
+        found = bench_starts(model, rounds=rounds, cold=not quick, each=bar.update)
+    about: dict[str, Any] = {"machine": machine(*PACKAGES), "quick": quick, "rounds": rounds, "work": WORK}
+    return about | {"starts": found, "left_out": left_out(cold=not quick)}
+
+
+def lines(report: dict[str, Any]) -> Iterator[str]:
+    """The report as text."""
+    yield machine_text(report["machine"], *PACKAGES)
+    yield f"Fresh processes, medians of {report['rounds']}: seconds"
+    for name, row in report["starts"].items():
+        yield f"  {name:22}" + ", ".join(f"{step} {taken['median']:.3f}" for step, taken in row.items())
+    for name, words in report["work"].items():
+        why = report["left_out"].get(name)
+        yield f"  {name:22}" + (f"left out: {why}" if why else words)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure, print and write."""
+    args = script_parser("starts", __doc__, "one round, nothing compiled").parse_args(argv)
+    report = measure(args.quick)
+    print("\n".join(lines(report)))
+    write_outputs(args, report)
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)
