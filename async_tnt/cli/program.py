@@ -89,6 +89,7 @@ def _run(argv: Sequence[str]) -> int:
         args, unknown = build_parser(argv).parse_known_args(argv)
         if unknown:
             _Parser(prog=f"async-tnt {args.command}").error(f"unrecognized arguments: {' '.join(unknown)}")
+        OPTIONS.clear()
         OPTIONS.update(vars(args))
         with warnings.catch_warnings(), handled_by(interrupt) as before:
             warnings.showwarning = _show_warning  # type: ignore[assignment]

@@ -107,6 +107,8 @@ def test_late_events_are_counted_and_reported(samples, tmp_path, program):
     code, printed, message = program("evaluate", "digits", tmp_path / "set", "--json", "--out", tmp_path / "r.jsonl")
     assert code == 0 and f": 3 of {len(events) + 3} events were too late and dropped (see " in message
     assert json.loads((tmp_path / "r.jsonl").read_text())["late"] == json.loads(printed)["late"] == 3
+    _, _, message = program("run", tmp_path / "set", "--out", tmp_path / "run.jsonl")
+    assert message.endswith(" dropped (see --late, --start-us, and `late` in that file)\n")
 
 
 def test_a_moment_knows_the_events_before_it_and_no_others():
