@@ -109,7 +109,7 @@ def without_options() -> str:
         report = results(name)
         bare = report["recipes"]["bare"]
         parts = [summary([test[share] for test in bare["tests"]]) for share in ("window_accuracy", "accuracy")]
-        chosen = Counter(network["chosen"] for network in bare["networks"])
+        chosen = Counter(network.get("chosen") for network in bare["networks"])
         words = "; ".join(f"{volume} ({n})" for volume, n in chosen.most_common())
         tests = bare["tests"][0]
         counts = f"{tests['windows']:,} / {tests['recordings']:,}"

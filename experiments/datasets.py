@@ -37,9 +37,9 @@ from experiments.script_options import exit_with, run_script, script_parser, wri
 from experiments.table_numbers import cell, summary
 from experiments.unseen_motions import command
 
-TUNED = "--grid 60x50 --network residual --mirror --epochs 30 --patience 0 --validation 0.05"
-EQUAL = "--network residual --mirror --epochs 6 --patience 0 --validation 0.05 --polarity split"
-VOLUMES = {"volume": "--transform none", **{landmark: f"--landmark {landmark}" for landmark in LANDMARKS}}
+TUNED = "--volume representation=count --mirror --epochs 30 --validation 0.05"
+EQUAL = "--mirror --epochs 6 --validation 0.05"
+VOLUMES = {"volume": "transform=none"} | {name: f"transform=tnt,landmark={name},t_max=3" for name in LANDMARKS}
 HEIGHT, TOP, SIDE, LEFT, STEP = 3.4, 0.6, 2.2, 0.75, 3.35  # of the picture
 IMAGES = "count", "count_time", "mean_time", "time_surface"
 
@@ -73,10 +73,10 @@ DATA_SETS = {
         "n-cars_test",
         "--sensor 120x100",
         recipes={
-            "tuned": f"--representation count --polarity split {TUNED}",
+            "tuned": TUNED,
             "bare": "",
-            **{f"equal_{name}": f"{options} --grid 60x50 {EQUAL}" for name, options in VOLUMES.items()},
-            **{f"equal_{name}": f"--representation {name} --grid 60x50 {EQUAL}" for name in IMAGES},
+            **{f"equal_{name}": f"--volume {volume} {EQUAL}" for name, volume in VOLUMES.items()},
+            **{f"equal_{name}": f"--volume representation={name} {EQUAL}" for name in IMAGES},
         },
         others={"HOTS": 0.624, "HATS": 0.902, "AEGNN": 0.945},  # see docs/results.md
     ),
@@ -85,7 +85,7 @@ DATA_SETS = {
 }
 TIMED = 12  # recordings of the test part
 COMPARED = 1000  # events of each of these, at most
-QUICK = DataSet("made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1 --quick", ("5", "50"))
+QUICK = DataSet("made objects", "train", "test", f"--sensor {format_size(SENSOR)} --epochs 1", ("5", "50"))
 """A made set and one epoch."""
 
 
@@ -97,7 +97,7 @@ def measure(data: DataSet, folder: Path, out: Path, recipe: str, seeds: int) -> 
     with progress(seeds, f"training {recipe}") as bar:
         for seed in range(seeds):
             models.append(out / f"{recipe}{seed}.safetensors")
-            words = [*options.split(), "--seed", seed, "--out", models[-1], "--run", out / "runs" / f"{recipe}{seed}"]
+            words = [*options.split(), "--seed", seed, "--out", models[-1]]
             command("train", folder / data.train, *words, "--json")
             bar.update()
     found = {
@@ -118,12 +118,10 @@ def with_earlier(report: dict[str, Any], before: Mapping[str, Any], order: Seque
 
 def _about(path: Path) -> dict[str, Any]:
     model = load_model(str(path))
-    trials = model.record["data"].get("choice", [])
     return {
         "network": model.record["network"],
         "weights": sum(w.size for w in model.weights.values()),
         "trained_on": model.record["data"]["real_recordings"],
-        "chosen": trials[-1]["tried"] if trials else None,
         "temperature": model.record.get("temperature"),
         "sure_of_nothing": model.record["validation"]["sure_of_nothing"],
     }

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.progress import progress
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.simulation.saccades import segment
@@ -27,7 +26,7 @@ from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.bench_timing import machine
 from experiments.comparison import recordings_by_image
-from experiments.script_options import exit_with, script_parser, write_outputs
+from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
 
 N_RECORDINGS = 1_000
 ANGLES_DEG = (0, 15, 30, 45, 60, 75, 90)

@@ -2,7 +2,7 @@
 
     python -m experiments.figure_heatmap 3 --model MODEL --picture docs/images/heatmap.png --dpi 110
 
-MODEL has a landmark network: async-tnt train --landmark regressor makes one.
+MODEL has a landmark network: async-tnt train DATASET --volume transform=tnt,landmark=regressor makes one.
 """
 
 from __future__ import annotations

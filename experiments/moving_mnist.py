@@ -9,7 +9,6 @@ import os
 import time
 from pathlib import Path
 
-from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder
@@ -21,7 +20,7 @@ from async_tnt.sources.files.nmnist import write_nmnist
 from experiments.comparison import compare, recordings_by_image
 from experiments.motions import KINDS
 from experiments.moving_mnist_set import build
-from experiments.script_options import exit_with, plain_parser
+from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
 from experiments.set_manifest import MANIFEST, MovingMnist
 
 DESCRIPTION = """\

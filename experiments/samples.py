@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from async_tnt.cli.data_options import add_folder, data_folder
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.sources.files.nmnist import write_nmnist
-from experiments.script_options import exit_with, plain_parser
+from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
 
 FIRST_SAMPLE = 2_000
 """Index of the first MNIST training image for samples: beyond those that N-MNIST's first recordings show."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterable
@@ -12,6 +13,7 @@ from typing import Any, NoReturn
 
 from async_tnt.checks import printable
 from async_tnt.files import check_writable, write_text
+from async_tnt.training.settings import PRECISIONS
 from async_tnt.views.figure_style import check_picture, save, styled
 from experiments.bench_interleaved import WorkDiffers
 
@@ -114,3 +116,31 @@ def complain(message: str) -> int:
 
 def _print_line(message: str) -> None:
     print(f"{Path(sys.argv[0]).stem}: {printable(message)}", file=sys.stderr, flush=True)
+
+
+def add_folder(parser: argparse._ActionsContainer, option: str, text: str) -> None:
+    parser.add_argument(option, type=Path, metavar="FOLDER", help=text)
+
+
+def add_precision(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--precision",
+        choices=PRECISIONS,
+        default="float32",
+        help="of the networks' products (default: float32); bfloat16 is faster on hardware that supports it",
+    )
+
+
+def data_folder(given: Path | None, name: str, option: str, *, alternative: str = "") -> Path:
+    """A data folder: as given, or `name` in $TNT_DATA. An error names `option`, after an `alternative` to it."""
+    folder = given
+    if folder is None:
+        root = os.environ.get("TNT_DATA")
+        if not root:
+            raise FileNotFoundError(
+                f"no data: give {alternative}{option} FOLDER, or set TNT_DATA to the folder with {name}/"
+            )
+        folder = Path(root) / name
+    if not folder.is_dir():
+        raise FileNotFoundError(f"no folder {folder}; give {option} FOLDER, or set TNT_DATA")
+    return folder

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.training.digits import read_nmnist_folder, recording_numbers
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import SACCADE_US, Windows, make_windows, saccade, split_recordings
+from experiments.digits_data import read_nmnist_folder, recording_numbers
 from experiments.moving_mnist_set import open_set
 
 OFFICIAL = 60_000, 10_000

@@ -21,7 +21,7 @@ from async_tnt.training.loop import train
 from async_tnt.training.moved_windows import Motions
 from async_tnt.training.pipeline import Pipeline, pipeline_of
 from async_tnt.training.resynthesis import resynthesize
-from async_tnt.training.run_folder import CURVES, plot_curves
+from async_tnt.training.run_folder import plot_curves
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows, saccade
 from experiments.moving_mnist_set import open_set
@@ -115,7 +115,7 @@ def run_network(
     before = json.loads(finished.read_text(encoding="utf-8")) if finished.exists() else {"tested_on": {}}
     if before["tested_on"] == tested_on:
         return dict(before)
-    pipeline = pipeline_of(trained.last)
+    pipeline = pipeline_of(trained.model)
     last_epoch = trained.history[-1]
     columns: dict[str, Any] = {}
     for column, what in tested_on.items():
@@ -140,8 +140,8 @@ def run_network(
         "validation": {name: last_epoch[name] for name in VALIDATION if name in last_epoch},
         "motions": None if motions is None else motions.record,
     }
-    plot_curves(trained.history, folder / CURVES)
-    replace(trained.last, record=result).save(folder / "model.safetensors")
+    plot_curves(trained.history, folder / "curves.png")
+    replace(trained.model, record=result).save(folder / "model.safetensors")
     write_text(finished, json.dumps(result, indent=1))
     return result
 

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from async_tnt.checks import needs_extra
 from async_tnt.cli.bench import machine
-from async_tnt.cli.data_options import add_folder, add_precision, command_words, data_folder
-from async_tnt.cli.options import positive_int, whole_number
+from async_tnt.cli.options import command_words, positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder, write_text
 from async_tnt.process import available_cores
 from async_tnt.training.settings import TrainSettings
-from experiments.script_options import exit_with, plain_parser
+from experiments.script_options import add_folder, add_precision, data_folder, exit_with, plain_parser
 from experiments.table_rows import GROUPS, INPUTS, ROWS, TRAINED_ON, Run, runs_of
 
 if TYPE_CHECKING:

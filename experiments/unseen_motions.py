@@ -6,9 +6,8 @@ Six classes, each a pair of dark shapes in two greys on a sensor of 64x48 pixels
 (`made_objects.py`). All training recordings move to the right; they are tested moving to the right, and in seven other
 directions. The two commands differ by one option:
 
-    async-tnt train OBJECTS --sensor 64x48 --window-us 50000 --quick --iterations 6000 --patience 0
-    async-tnt train OBJECTS --sensor 64x48 --window-us 50000 --quick --iterations 6000 --patience 0 \\
-        --motions resynthesized
+    async-tnt train OBJECTS --sensor 64x48 --window-us 50000
+    async-tnt train OBJECTS --sensor 64x48 --window-us 50000 --motions resynthesized
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ from experiments.script_options import exit_with, script_parser, write_outputs
 
 N_TRAIN, N_TEST = 200, 56
 RIGHT, OTHERS = (0.0,), tuple(np.pi / 4 * np.arange(1, 8))
-COMMON = "--quick --iterations 6000 --patience 0"
 MODES = ("recorded", "resynthesized")
 
 
@@ -48,18 +46,8 @@ def measure(seeds: int, n_train: int, n_test: int, extra: tuple[str, ...] = ()) 
             for mode in MODES:
                 model = folder / f"{mode}{seed}.safetensors"
                 size = f"{SENSOR[0]}x{SENSOR[1]}"
-                words = [
-                    "train",
-                    objects,
-                    *COMMON.split(),
-                    "--sensor",
-                    size,
-                    "--window-us",
-                    WINDOW_US,
-                    "--motions",
-                    mode,
-                ]
-                words += ["--seed", seed, "--out", model, "--run", folder / f"{mode}{seed}", "--json", *extra]
+                words = ["train", objects, "--sensor", size, "--window-us", WINDOW_US, "--motions", mode]
+                words += ["--seed", seed, "--out", model, "--json", *extra]
                 summary = command(*words)
                 records.append(summary.get("motions"))
                 results[mode].append(
@@ -101,7 +89,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = script_parser("unseen_motions", __doc__, "one seed, few recordings and epochs")
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="data and networks (default: 3)")
     args = parser.parse_args(argv)
-    report = measure(1, 10, 7, ("--iterations", "30")) if args.quick else measure(args.seeds, N_TRAIN, N_TEST)
+    report = measure(1, 10, 7, ("--epochs", "3")) if args.quick else measure(args.seeds, N_TRAIN, N_TEST)
     for mode, tests in report["accuracy"].items():
         print(f"{mode:16}" + "".join(f"{test}: {found['mean']:.3f}   " for test, found in tests.items()))
     print(f"gap {report['gap']:.3f}, gained {report['gained']:.3f}")

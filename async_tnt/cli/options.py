@@ -1,10 +1,11 @@
-"""Options that several commands share: FILE, --model, --start-us, triggers, pixels; and argparse types."""
+"""Options that several commands share: FILE, --model, --start-us, triggers; argparse types; the command as words."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -153,3 +154,33 @@ def _integrator(text: str) -> LeakyIntegrator:
         raise argparse.ArgumentTypeError(
             f"must be two positive numbers, events:microseconds, such as 60:4000, got {short(text)}"
         ) from None
+
+
+def command_words(
+    program: str,
+    args: argparse.Namespace,
+    add_arguments: Callable[[argparse.ArgumentParser], None],
+    *,
+    leave_out: Collection[str] = (),
+) -> str:
+    """The command that repeats this, without paths, which differ from machine to machine.
+
+    Parameters
+    ----------
+    program : such as "async-tnt train".
+    args, add_arguments : the parsed options, and the function that adds them to a parser.
+    leave_out : options that do not change the result, by their name in `args`.
+    """
+    parser = argparse.ArgumentParser(add_help=False)
+    add_arguments(parser)
+    words = [program]
+    for action in parser._actions:
+        value = getattr(args, action.dest)
+        if action.type is Path or value == action.default or action.dest in leave_out:
+            continue
+        if action.dest in ("start_from", "network"):
+            value = Path(value).name
+        text = shlex.join(map(str, value if isinstance(value, (list, tuple)) else [value]))
+        name = action.option_strings[0]
+        words.append(name if isinstance(value, bool) else f"{name} {text}")
+    return " ".join(words)

@@ -1,58 +1,58 @@
-"""`async-tnt train`: train a classifier on class folders, or on N-MNIST, simulated recordings, or both."""
+"""`async-tnt train`: train a classifier on folders of recordings, one folder for each class."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from async_tnt.checks import needs_extra
-from async_tnt.cli.data_options import command_words
+from async_tnt.cli.options import command_words, size_of
 from async_tnt.cli.output import note, say
-from async_tnt.cli.train_data import config_of, of_dataset, of_digits
-from async_tnt.cli.train_motions import other_motions
-from async_tnt.cli.train_option_checks import check_options
-from async_tnt.cli.train_options import NETWORK, add_arguments
-from async_tnt.evaluation.scores import Scores
+from async_tnt.cli.pixel_options import selection_of
+from async_tnt.cli.train_options import add_arguments, volume_of
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
+from async_tnt.networks.model import Model
+from async_tnt.process import available_cores
 from async_tnt.progress import progress
-from async_tnt.training.run_folder import BEST, CURVES, LAST, RUN_FILES, has_checkpoint, plot_curves
+from async_tnt.sources.labelled_recordings import has_part
+from async_tnt.sources.pixel_selection import PixelSelection
+from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.sensor import format_size
+
+if TYPE_CHECKING:
+    from async_tnt.evaluation.scores import Scores
+    from async_tnt.training.data import TrainingData
+    from async_tnt.training.moved_windows import Motions
+    from async_tnt.training.settings import TrainSettings
 
 __all__ = ["add_arguments", "main"]
 
-NUMBERS, PICTURES = ".json", (".curves.png", ".confusion.png")
-TITLES = {
-    "validation": "held out",
-    "validation_motions": "held out, in other motions",
-    "test": "Test",
-    "test_windows_from_first_event": "Test, windows from the first event",
-}
+NUMBERS, CURVES, CONFUSION = ".json", ".curves.png", ".confusion.png"
+"""What is written beside the model."""
+TITLES = {"validation": "held out", "validation_motions": "held out, in other motions", "test": "Test"}
 
 
 def main(args: argparse.Namespace) -> int:
     """Run `async-tnt train`. Returns the exit code 0."""
     with needs_extra("train", "training needs torch"):
-        import torch
+        import torch  # noqa: F401
         from tnt_reference import Classifier  # noqa: F401
-    args.out = args.out or Path("smoke.safetensors" if args.smoke else "model.safetensors")
-    run_folder = args.run or Path("runs") / args.out.stem
+    from async_tnt.training.run_folder import RUN_FILES, has_checkpoint
+
+    run_folder = args.out.parent / "runs" / args.out.stem
     check_writable(args.out, (".safetensors",))  # q.pt and q.safetensors would share a run folder and q.json
-    if args.dataset is not None:
-        beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, *PICTURES)]
-        check_ours(beside, ('"held_out"', '"summary"', '"history"'))
+    beside = [args.out.with_suffix(suffix) for suffix in (NUMBERS, CURVES, CONFUSION)]
+    check_ours(beside, ('"held_out"', '"summary"', '"history"'))
     check_folder(run_folder, RUN_FILES)
     if run_folder.is_dir() and not has_checkpoint(run_folder):
         check_ours([run_folder / name for name in RUN_FILES[1:]], ('"settings"', '"history"'))
-    check_options(args)
-    if args.threads is not None:
-        torch.set_num_threads(args.threads)
+    _check_options(args, run_folder)
     try:
         with locked_folder(run_folder, "command.lock"):
             return _train(args, run_folder)
@@ -61,101 +61,204 @@ def main(args: argparse.Namespace) -> int:
         raise KeyboardInterrupt(f"interrupted; {kept}") from None
 
 
+def _check_options(args: argparse.Namespace, run_folder: Path) -> None:
+    """Refuse options that do not go together, before anything is read."""
+    if args.motions == "resynthesized" and args.roi and not args.crop:
+        raise ValueError("--roi must come with --crop where motions are re-synthesized: objects leave the region")
+    if args.start_from:
+        given = [
+            f"--{name.replace('_', '-')}" for name in ("network", "grid", "window_us", "volume") if getattr(args, name)
+        ]
+        if given:
+            raise ValueError(f"{', '.join(given)} must come without --start-from: volume and network are that model's")
+        if Path(args.start_from).resolve() == args.out.resolve():
+            raise ValueError("--out must be another file than --start-from, which an interrupted training needs again")
+    if args.test and not has_part(args.dataset, "Test"):
+        raise FileNotFoundError(f"--test needs {args.dataset}/Test, or a list trials_to_test.txt; found neither")
+    parts = [args.dataset / part for part in ("Train", "Test") if (args.dataset / part).is_dir()] or [args.dataset]
+    if any(run_folder.resolve().is_relative_to(part.resolve()) for part in parts):
+        raise ValueError(f"--out must lie outside of {parts[0]}, in which a folder is a class; got {args.out}")
+
+
 def _train(args: argparse.Namespace, run_folder: Path) -> int:
-    from async_tnt.training.batches import BatchVolumes
-    from async_tnt.training.evaluation import evaluate
-    from async_tnt.training.loop import train
-    from async_tnt.training.pipeline import check_network, pipeline_of
-    from async_tnt.training.temperature import calibrated
+    from async_tnt.training.fitting import fit
+    from async_tnt.training.run_folder import plot_curves
 
     start = load_model(args.start_from) if args.start_from else None
-    config = config_of(args) if start is None else start.config
-    BatchVolumes(config)  # refuses windows that cannot be trained on, before any data is read
-    if start is None:
-        check_network(args.network or NETWORK, config)
-    read = of_dataset if args.dataset is not None else of_digits
-    data, settings, sources = read(args, config, start, run_folder)
-    config = data.config
+    data, settings, sources = _read(args, start, run_folder)
+    for line in (*(f"left out: {line}" for line in data.left_out), *data.notes):
+        note(line)
     note(f"{len(data.training)} windows to train on, {len(data.validation)} held out")
-    n_epochs = settings.n_epochs(len(data.training))
-    motions = other_motions(args, data, settings, start, run_folder)
-    result = train(
-        config,
-        data.training,
-        data.validation,
+    fitted = fit(
+        data,
         settings,
         run_folder,
-        classes=data.classes,
         start=start,
-        motions=motions,
+        motions=_other_motions(args, data, settings, start, run_folder),
+        record={"command": _command(args)},
         sources=sources,
         progress=progress,
-        report=_reporter(n_epochs),
+        report=_reporter(settings.n_epochs(len(data.training))),
     )
-    keep = args.keep or ("last" if settings.patience is None else "best")
-    model = result.best if keep == "best" else result.last
-    n_trained = len(result.history)
-    if n_trained < n_epochs:
-        note(
-            f"stopped: no lower validation loss for {settings.patience} epochs; the best was epoch {result.best_epoch}"
-        )
-    summary: dict[str, Any] = {
-        "data": data.record,
-        "command": _command(args),
-        "network": Path(settings.network).name if start is None else "that of the model it started from",
-        "seed": args.seed,
-        "epochs": n_trained,
-        "iterations": int(result.history[-1]["iterations"]),
-        "kept": f"epoch {result.best_epoch if keep == 'best' else n_trained}",
-        "versions": {"python": platform.python_version()}
-        | {name: version(name) for name in ("numpy", "numba", "torch")},
-    }
-    if motions is not None:
-        summary["motions"] = motions.record
-    if start is not None:
-        names = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
-        summary["started_from"] = {name: start.record[name] for name in names if name in start.record}
-    times_ms = tuple(config.window_us * k / 1e4 for k in range(1, 10))
-    if args.dataset is None:
-        times_ms = tuple(float(ms) for ms in range(10, 101, 10))
-    scores = None
-    if len(data.validation):
-        note("evaluating on the held-out recordings")
-        found = evaluate(pipeline_of(model), data.validation, times_ms=times_ms)
-        model, temperature = calibrated(model, found.temperature)
-        found = found.at_temperature(temperature)
-        summary |= {"validation": found.to_dict(), "temperature": round(temperature, 5)}
-        scores = Scores(data.classes, found.recording_confusion, found.confusion)
-    pipeline = pipeline_of(model)
-    if motions is not None and len(motions.validation):
-        moved = evaluate(pipeline, motions.validation, times_ms=times_ms).to_dict()
-        summary["validation_motions"] = {name: moved[name] for name in moved if "recording" not in name}
-    result.last.save(run_folder / LAST)
-    result.best.save(run_folder / BEST)
-    plot_curves(result.history, run_folder / CURVES)
 
     def save() -> list[Path]:
-        """The model with the summary so far and, for a dataset, its numbers beside it."""
-        written = [replace(model, record=summary).save(args.out)]
-        if args.dataset is not None:
-            numbers = {} if scores is None else scores.to_dict()
-            numbers |= {"held_out": list(data.held_out), "summary": summary, "history": result.history}
-            written.append(args.out.with_suffix(NUMBERS))
-            write_text(written[-1], json.dumps(numbers, indent=1))
-        return written
+        """The model with its record so far, and the numbers beside it."""
+        numbers = {} if fitted.scores is None else fitted.scores.to_dict()
+        numbers |= {"held_out": list(data.held_out), "summary": fitted.model.record, "history": fitted.history}
+        path = fitted.model.save(args.out)
+        write_text(args.out.with_suffix(NUMBERS), json.dumps(numbers, indent=1))
+        return [path, args.out.with_suffix(NUMBERS)]
 
     written = save()  # before Test, which may take long; once more with its accuracy
-    if args.dataset is not None:
-        written += _draw(args.out, scores, result.history)
+    if plot_curves(fitted.history, args.out.with_suffix(CURVES)):
+        written.append(args.out.with_suffix(CURVES))
+        if fitted.scores is not None:
+            written.append(_draw_confusion(args.out, fitted.scores))
+    else:
+        note("no pictures: matplotlib is not installed (pip install 'async_tnt[plot]')")
     if data.tests:
         note("evaluating on Test")
-        for name, (windows, record) in data.tests.items():
-            summary[name] = {**evaluate(pipeline, windows, times_ms=times_ms).to_dict(), **record}
+        fitted = fitted.tested(data)
         save()
     for line in data.left_out:  # once more: the first time may be hours ago
         note(f"left out: {line}")
-    _print_summary(summary, args, written)
+    _print_summary(fitted.model.record, args, written)
     return 0
+
+
+def _read(
+    args: argparse.Namespace, start: Model | None, run_folder: Path
+) -> tuple[TrainingData, TrainSettings, dict[str, Any]]:
+    """The windows of DATASET, how to train on them, and what a resumed run is compared by.
+
+    What the options and the run folder rule out is refused before any recording is read.
+    """
+    from async_tnt.training.batches import BatchVolumes
+    from async_tnt.training.data import dataset_data
+    from async_tnt.training.dataset import file_sizes
+    from async_tnt.training.groups import check_share, groups_by_pattern, groups_checksum
+    from async_tnt.training.pipeline import check_network
+    from async_tnt.training.run_folder import check_run
+    from async_tnt.training.settings import default_config, settings_for
+
+    pixels = _pixels_of(args, start)
+    given: dict[str, Any] = {"grid": size_of(args.grid)} if args.grid else {}
+    given |= {"window_us": args.window_us} if args.window_us else {}
+    config = start.config if start is not None else default_config(**given, **volume_of(args.volume))
+    BatchVolumes(config)
+    wanted = {"seed": args.seed, "augmentation": {"mirror": args.mirror}}
+    wanted |= {name: getattr(args, name) for name in ("epochs", "network") if getattr(args, name) is not None}
+    settings = settings_for(config, 1, **wanted)
+    if start is None:
+        check_network(settings.network, config)
+    check_share(args.validation)
+    groups_by_pattern((), args.groups or "")
+    sources: dict[str, Any] = {
+        "recordings": file_sizes(args.dataset, "Train"),
+        "validation": args.validation,
+        "groups": args.groups or groups_checksum(args.dataset),
+        "pixels": pixels.about,
+    }
+    fitted_to_data = () if start is not None else {"grid", "window_us"} - given.keys()
+    volume = {name: value for name, value in config.to_dict().items() if name not in ("sensor", *fitted_to_data)}
+    if pixels.sensor is not None and not pixels.crop:
+        volume["sensor"] = pixels.sensor
+    check_run(run_folder, volume, {"seed": settings.seed, "network": settings.network}, sources)
+    data = dataset_data(
+        args.dataset,
+        config,
+        pixels=pixels,
+        sensor_source="`sensor`" if args.sensor else "--mask" if args.mask else "--start-from",
+        classes=None if start is None else start.classes,
+        validation=args.validation,
+        groups=args.groups,
+        fit_grid="grid" in fitted_to_data,
+        fit_window="window_us" in fitted_to_data,
+        test=args.test,
+        seed=args.seed,
+        store=run_folder,
+        progress=progress,
+    )
+    if start is None:
+        check_network(settings.network, data.config)
+    sources["used"] = list(data.training.recordings.names)
+    return data, settings_for(data.config, len(data.training), **wanted), sources
+
+
+def _pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
+    """Which pixels of DATASET to train on; refuses others than those of `start`, a model to continue from."""
+    pixels = selection_of(args)
+    if pixels.region is not None and min(pixels.region) < 2:
+        raise ValueError(
+            "--roi with --crop: the region is the model's sensor and must have sides of at least 2 pixels, "
+            f"got {format_size(pixels.region)}"
+        )
+    if start is None:
+        return pixels
+    sensor = start.config.sensor
+    if not pixels.crop and pixels.sensor not in (None, sensor):
+        raise ValueError(
+            f"--sensor must be that of --start-from, {format_size(sensor)}, got {format_size(pixels.sensor)}"
+        )
+    PixelSelector(pixels, sensor)  # refuses a region or a mask that does not fit the model
+    return pixels if pixels.crop else replace(pixels, sensor=sensor)
+
+
+def _other_motions(
+    args: argparse.Namespace, data: TrainingData, settings: TrainSettings, start: Model | None, run_folder: Path
+) -> Motions | None:
+    """The windows under other motions, made in the run folder or found there; None with --motions recorded."""
+    from async_tnt.simulation.statistics import side_by_side
+    from async_tnt.training.moved_windows import MotionSettings
+    from async_tnt.training.resynthesis import resynthesize
+    from async_tnt.training.run_folder import identity_of, load_checkpoint
+
+    if args.motions == "recorded":
+        return None
+    motion_settings = MotionSettings(seed=args.seed).for_epochs(settings.n_epochs(len(data.training)))
+    # refuses another run before the work
+    load_checkpoint(
+        run_folder,
+        identity_of(data.config, settings, data.training, data.validation, start, data.classes, motion_settings),
+    )
+    motions = resynthesize(
+        data.training,
+        data.validation,
+        data.config,
+        motion_settings,
+        run_folder / "motions",
+        masked=data.masked,
+        workers=available_cores(),
+        progress=progress,
+    )
+    record = motions.record
+    note(
+        f"motion found in {record['with_path']} of {record['windows']} windows; the others are used as recorded only",
+        "recorded windows, and the same motion simulated again:",
+        *side_by_side(record["match"]).splitlines(),
+    )
+    _draw_motions(motions, data, run_folder / "motions" / "motions.png")
+    return motions
+
+
+def _draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
+    """Draw some windows, where there are any and matplotlib is installed."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return
+    from async_tnt.training.motion_examples import motion_examples
+    from async_tnt.views.figure_resynthesis import write_resynthesis
+
+    if motions.found.any():
+        write_resynthesis(motion_examples(motions, data.config, data.classes), path)
+
+
+def _draw_confusion(out: Path, scores: Scores) -> Path:
+    from async_tnt.views.figure_confusion import write_confusion
+
+    title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
+    return write_confusion(scores.confusion, scores.classes, out.with_suffix(CONFUSION), title)
 
 
 def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
@@ -177,27 +280,13 @@ def _reporter(n_epochs: int) -> Callable[[dict[str, float]], None]:
     return report
 
 
-def _draw(out: Path, scores: Scores | None, history: list[dict[str, float]]) -> list[Path]:
-    """Draw <out>.curves.png and <out>.confusion.png where matplotlib is installed; returns the files."""
-    curves, confusion = (out.with_suffix(suffix) for suffix in PICTURES)
-    if not plot_curves(history, curves):
-        note("no pictures: matplotlib is not installed (pip install 'async_tnt[plot]')")
-        return []
-    if scores is None:
-        return [curves]
-    from async_tnt.views.figure_confusion import write_confusion
-
-    title = f"{out.stem}: {scores.accuracy:.1%} of {scores.confusion.sum()} held-out recordings right"
-    return [curves, write_confusion(scores.confusion, scores.classes, confusion, title)]
-
-
 def _command(args: argparse.Namespace) -> str:
     """The command as given, without paths; but --mask is kept, as it decides what is learned."""
-    words = command_words("async-tnt train", args, add_arguments, leave_out=("json", "skip_damaged", "workers"))
+    words = command_words("async-tnt train", args, add_arguments, leave_out=("json",))
     return words if args.mask is None else f"{words} --mask MASK"
 
 
-def _print_summary(summary: dict[str, Any], args: argparse.Namespace, written: list[Path]) -> None:
+def _print_summary(summary: Mapping[str, Any], args: argparse.Namespace, written: list[Path]) -> None:
     if args.json:
         say(json.dumps({"out": str(args.out), **summary}))
         return

@@ -1,8 +1,8 @@
-"""What a model is trained, validated and tested on: windows of class folders or of N-MNIST, and their record."""
+"""What a model is trained, validated and tested on: windows of class folders, and their record."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from async_tnt.progress import Bar, no_progress
 from async_tnt.sources.labelled_recordings import file_of
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.dataset import Dataset, read_dataset
-from async_tnt.training.digits import read_nmnist_folder, read_samples, recording_numbers, simulate_recordings
 from async_tnt.training.groups import (
     GROUPS_FILE,
     groups_by_pattern,
@@ -24,10 +23,9 @@ from async_tnt.training.groups import (
     hold_out_last,
 )
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.windows import CLASSES, Windows, make_windows, saccade, split_recordings
+from async_tnt.training.settings import default_grid
+from async_tnt.training.windows import Windows, make_windows
 from async_tnt.windows import FIRST, FirstWindows
-
-SACCADES = (1, 2, 3)
 
 
 @dataclass(frozen=True)
@@ -66,6 +64,7 @@ def dataset_data(
     classes: tuple[str, ...] | None = None,
     validation: float = 0.2,
     groups: str | None = None,
+    fit_grid: bool = False,
     fit_window: bool = False,
     test: bool = False,
     seed: int = 0,
@@ -81,6 +80,7 @@ def dataset_data(
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
     groups : a regular expression, see `groups_by_pattern`; by default the file `groups.csv` in the folder or in its
         `Train`, or else by number: the last recordings of each class.
+    fit_grid : the grid becomes the default one of the sensor, see `default_grid`.
     fit_window : where no recording is as long as a window, windows become as long as the longest one.
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
@@ -89,7 +89,7 @@ def dataset_data(
     dataset = read_dataset(
         folder, pixels=pixels, sensor_source=sensor_source, classes=classes, store=store, progress=progress
     )
-    config = config.replace(sensor=dataset.sensor)
+    config = config.replace(sensor=dataset.sensor, grid=default_grid(dataset.sensor) if fit_grid else config.grid)
     recordings, labels = dataset.recordings, dataset.recordings.labels
     notes = _notes(dataset, "the recordings")
     longest_us = int(recordings.t[recordings.offsets[1:] - 1].max()) + 1
@@ -168,70 +168,6 @@ def _split(
         together, how = files, "recording" if files == list(names) else "session"
     learned, held_out = hold_out_groups(labels, together, share, np.random.default_rng(seed))
     return learned, held_out, how, f"{len({together[r] for r in held_out})} of {len(set(together))}"
-
-
-def nmnist_data(
-    folder: Path,
-    config: TNTConfig,
-    *,
-    mnist: Path | None = None,
-    simulated: int = 0,
-    saccades: Collection[int] = SACCADES,
-    validation: float = 0.1,
-    test: bool = False,
-    seed: int = 0,
-    skip_damaged: bool = False,
-    progress: Callable[..., Bar] = no_progress,
-) -> TrainingData:
-    """N-MNIST's Train, split by recording, and simulated recordings of MNIST to train on as well.
-
-    Parameters
-    ----------
-    mnist, simulated : MNIST's folder, and how many of its images to simulate.
-    saccades : which of the three to train and validate on.
-    validation : share of N-MNIST's recordings to hold out.
-    test : also read Test, with windows from 0 and from each recording's first event.
-    seed : of the split and of the simulation.
-    skip_damaged : leave damaged recordings out, with a warning each.
-    """
-
-    def read(part: str) -> Recordings:
-        return read_nmnist_folder(folder / part, skip_damaged=skip_damaged, progress=progress)
-
-    recordings = read("Train")
-    n_real = len(recordings)
-    learned, held_out = split_recordings(recordings, validation, np.random.default_rng(seed))
-    if mnist is not None and simulated:
-        unseen = [n - 1 for n in recording_numbers(recordings.names[i] for i in held_out)]
-        recordings += simulate_recordings(mnist, simulated, seed, leave_out=unseen, progress=progress)
-        learned = np.concatenate([learned, np.arange(n_real, len(recordings))])
-    record = {
-        "source": "N-MNIST recordings (Train), held out by recording"
-        + (" and simulated recordings of MNIST training images" if simulated else ""),
-        "real_recordings": n_real - len(held_out),
-        "simulated_recordings": len(recordings) - n_real,
-        "held_out_recordings": len(held_out),
-    }
-    if set(saccades) != set(SACCADES):
-        record["saccades"] = list(saccades)
-
-    def windows_of(which: np.ndarray) -> Windows:
-        windows = make_windows(recordings, config.window_us, which=which)
-        return windows[np.isin(saccade(windows) + 1, list(saccades))]
-
-    tests: dict[str, tuple[Windows, dict[str, Any]]] = {}
-    if test:
-        testing = read("Test")
-        for name, first_event in (("test", False), ("test_windows_from_first_event", True)):
-            tests[name] = (make_windows(testing, config.window_us, first_event=first_event), {})
-    return TrainingData(config, CLASSES, windows_of(learned), windows_of(held_out), record, tests)
-
-
-def sample_data(config: TNTConfig) -> TrainingData:
-    """The ten bundled samples, to train and to validate on: to try whether everything works."""
-    windows = make_windows(read_samples(), config.window_us)
-    record = {"source": "the ten bundled samples, for training and validation (smoke)"}
-    return TrainingData(config, CLASSES, windows, windows, record)
 
 
 def _masked(pixels: PixelSelection, dataset: Dataset) -> np.ndarray | None:

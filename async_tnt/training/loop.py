@@ -29,11 +29,9 @@ from async_tnt.training.windows import CLASSES, Windows
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The models after the last and after the best epoch, and one dict per epoch (loss, accuracies)."""
+    """The model after the last epoch, and one dict per epoch (loss, accuracies)."""
 
-    last: Model
-    best: Model
-    best_epoch: int
+    model: Model
     history: list[dict[str, float]]
 
 
@@ -61,13 +59,11 @@ def train(
     ----------
     config : how events become volumes.
     training : windows to learn from.
-    validation : windows that choose the best epoch (the later of equals). May be empty: then the last epoch is the
-        best, and patience has no effect.
+    validation : windows whose accuracy each epoch tells; they choose nothing. May be empty.
     run_folder : for checkpoint and history; made if missing.
     classes : names, one for each label from 0 on.
     start : a model to continue from; None starts with random weights.
-    motions : other motions of the training windows, shown among these; then held-out windows under other motions
-        choose the best epoch.
+    motions : other motions of the training windows, shown among these.
     sources : kept in the checkpoint, so that `check_run` can compare it before any data is read.
     progress : makes the progress bar, which counts optimizer steps.
     report : called with the history's new row after each epoch, when its checkpoint is written.
@@ -101,13 +97,13 @@ def train(
     identity = identity_of(config, settings, training, validation, start, classes, motions and motions.settings)
     state = load_checkpoint(run_folder, identity)
     history: list[dict[str, float]] = []
-    best: dict[str, torch.Tensor] = {}
-    best_epoch = 0
     if state is not None:
         pipeline.load_state_dict(state["pipeline"])
         optimizer.load_state_dict(state["optimizer"])
-        history, best, best_epoch = state["history"], state["best"], state["best_epoch"]
+        history = state["history"]
 
+    fast = settings.precision == "auto" and _is_fast_at_bfloat16(device)
+    in_16_bits = fast or settings.precision == "bfloat16"
     steps = settings.n_steps(len(training))
     n_iterations = settings.n_iterations(len(training))
     n_epochs = settings.n_epochs(len(training))
@@ -117,8 +113,6 @@ def train(
         progress(n_iterations, "training", done=len(history) * steps) as bar,
     ):
         for epoch in range(len(history), n_epochs):
-            if settings.patience is not None and epochs_since_best(history) >= settings.patience:
-                break
             pipeline.train()
             torch.manual_seed(np.random.SeedSequence((settings.seed, epoch)).generate_state(1)[0])  # of dropout
             total_loss, n_right, n_of_a_class, n_seen = 0.0, 0, 0, 0
@@ -127,7 +121,7 @@ def train(
             for step, (windows, draws) in enumerate(islice(batches, n_steps)):
                 _set_rate(optimizer, settings, epoch * steps + step, n_iterations)
                 target = _targets(windows.labels, draws, len(classes)).to(device)
-                with torch.autocast(device, torch.bfloat16, enabled=settings.precision == "bfloat16"):
+                with torch.autocast(device, torch.bfloat16, enabled=in_16_bits):
                     logits = pipeline(windows, draws)
                 loss = F.cross_entropy(logits, target, label_smoothing=settings.label_smoothing)
                 optimizer.zero_grad(set_to_none=True)
@@ -152,25 +146,18 @@ def train(
             if motions is not None:
                 moved = _validate(pipeline, motions.validation, settings)
                 history[-1] |= {f"motions_{name}": moved[name] for name in moved if name != "per_recording"}
-            if _is_best(history, by_loss=settings.patience is not None):
-                best_epoch = epoch + 1
-                best = {name: w.detach().clone() for name, w in pipeline.state_dict().items()}
             checkpoint = {
                 "identity": identity,
                 "sources": dict(sources or {}),
                 "pipeline": pipeline.state_dict(),
                 "optimizer": optimizer.state_dict(),
                 "history": history,
-                "best": best,
-                "best_epoch": best_epoch,
             }
             save_checkpoint(run_folder, checkpoint)
             bar.clear()
             report(history[-1])
 
-    last = export(pipeline, classes, {})
-    pipeline.load_state_dict(best)
-    return TrainResult(last, export(pipeline, classes, {}), best_epoch, history)
+    return TrainResult(export(pipeline, classes, {}), history)
 
 
 def batches_of(
@@ -209,19 +196,15 @@ def balanced_order(labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return rng.permutation(np.concatenate(chosen))
 
 
-def epochs_since_best(history: list[dict[str, float]]) -> int:
-    """Epochs since the validation loss, under other motions if there are any, was lowest (the later of equals); 0
-    without validation."""
-    losses = [row.get("motions_validation_loss", row["validation_loss"]) for row in history if "validation_loss" in row]
-    return losses[::-1].index(min(losses)) if losses else 0
-
-
-def _is_best(history: list[dict[str, float]], *, by_loss: bool) -> bool:
-    """Whether the newest epoch is the best."""
-    if by_loss:
-        return epochs_since_best(history) == 0
-    right = [row.get("motions_per_window", row.get("per_window", 0.0)) for row in history]
-    return right[-1] >= max(right)
+def _is_fast_at_bfloat16(device: str) -> bool:
+    """Whether the hardware multiplies in 16 bits: on a processor, by what Linux says of it."""
+    if device.startswith("cuda"):
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    try:
+        words = Path("/proc/cpuinfo").read_text(encoding="utf-8").split()
+    except OSError:  # not Linux
+        return False
+    return not {"amx_bf16", "avx512_bf16", "bf16"}.isdisjoint(words)
 
 
 def _targets(labels: np.ndarray, draws: Draws | None, n_classes: int) -> torch.Tensor:
@@ -234,37 +217,18 @@ def _targets(labels: np.ndarray, draws: Draws | None, n_classes: int) -> torch.T
 
 
 def _validate(pipeline: Pipeline, windows: Windows, settings: TrainSettings) -> dict[str, float]:
-    """Accuracy at the windows' ends. The loss, and the share that is right at any moment, are those at the ends and,
-    for as many windows as in training, at a tenth of each; with `balance`, means over classes."""
+    """Accuracy and loss at the windows' ends; with `balance`, the loss is the mean over classes."""
     if len(windows) == 0:
         return {}
     probabilities = class_probabilities(pipeline, windows)
-    loss = _loss(probabilities, windows.labels, balance=settings.balance)
-    right = probabilities.argmax(1) == windows.labels
-    per_moment = _mean(right, windows.labels, balance=settings.balance)
-    partial = 0.0 if settings.augmentation is None else settings.augmentation.partial
-    if partial:
-        until_us = (1 + np.arange(len(windows)) % 10) * pipeline.config.window_us // 10
-        early = class_probabilities(pipeline, windows, until_us=until_us)
-        loss += partial * (_loss(early, windows.labels, balance=settings.balance) - loss)
-        right_early = _mean(early.argmax(1) == windows.labels, windows.labels, balance=settings.balance)
-        per_moment += partial * (right_early - per_moment)
+    labels = windows.labels
+    losses = -np.log(probabilities[np.arange(len(labels)), labels] + 1e-12)
+    parts = [losses[labels == label] for label in np.unique(labels)] if settings.balance else [losses]
     return {
-        "per_window": float(right.mean()),
+        "per_window": float((probabilities.argmax(1) == labels).mean()),
         "per_recording": share_right(confusion_by_recording(probabilities, windows)),
-        "per_moment": per_moment,
-        "validation_loss": loss,
+        "validation_loss": float(np.mean([part.mean() for part in parts])),
     }
-
-
-def _loss(probabilities: np.ndarray, labels: np.ndarray, *, balance: bool) -> float:
-    return -_mean(np.log(probabilities[np.arange(len(labels)), labels] + 1e-12), labels, balance=balance)
-
-
-def _mean(values: np.ndarray, labels: np.ndarray, *, balance: bool) -> float:
-    if balance:  # with 95 windows of one class and 5 of another, the 5 would hardly count
-        return float(np.mean([values[labels == label].mean() for label in np.unique(labels)]))
-    return float(values.mean())
 
 
 def _optimizer(pipeline: Pipeline, settings: TrainSettings) -> torch.optim.Optimizer:

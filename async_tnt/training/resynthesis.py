@@ -4,7 +4,7 @@
     <folder>/training_000000_0.safetensors   windows from 0 on under one random motion each, a shard
     <folder>/training_000000.json            their own paths; written last: these windows are done
 
-Held-out windows are moved once, for validation: the best epoch is chosen on them.
+Held-out windows are moved once, for validation.
 A window whose path was not found is used as it was recorded.
 """
 

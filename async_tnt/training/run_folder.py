@@ -20,10 +20,9 @@ from async_tnt.training.recordings import COLUMNS
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
 
-CHECKPOINT, HISTORY, CURVES = "checkpoint.pt", "history.json", "curves.png"
-LAST, BEST = "last.safetensors", "best.safetensors"
-RUN_FILES = (CHECKPOINT, HISTORY, CURVES, LAST, BEST)
-FORMAT = 4  # of the checkpoint
+CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
+RUN_FILES = (CHECKPOINT, HISTORY)
+FORMAT = 5  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 SHOWN = 3  # recordings that a refusal names
 
@@ -160,8 +159,8 @@ def _check_recordings(run_folder: Path, then: Mapping[str, Any], now: Mapping[st
 def other_run(run_folder: Path, what: str) -> ValueError:
     """The error about a run folder whose run differs in `what`."""
     return ValueError(
-        f"{run_folder} holds a run with other {what}; give another run folder (`run`), or delete the "
-        f"folder {run_folder} to start again"
+        f"{run_folder}: the folder holds a run with other {what}; delete it to start again, or train into another "
+        "file (`out`)"
     )
 
 

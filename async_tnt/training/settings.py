@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
 from async_tnt.config import TNTConfig
+from async_tnt.sources.sensor import Sensor
 from async_tnt.training.augment import Augmentation
 
-PRECISIONS = ("float32", "bfloat16")
+PRECISIONS = ("float32", "bfloat16", "auto")
 STREAMED = MappingProxyType({"partial": 0.9, "nothing": 0.1})
 """Of `Augmentation` for a data set by default: most windows end early, and some show only noise."""
 EARLIEST = 0.05
 """The earliest end of such a window, as a share of the complete one."""
-MIN_STEPS, MIN_STEPS_MOVED = 1_500, 6_000
-"""Optimizer steps on a small data set by default, unless patience ends the training earlier; more with other motions,
-which take longer to learn."""
+LONGER_SIDE = 60
+"""Of a default grid."""
+MIN_EPOCHS, MIN_STEPS = 30, 6_000
+"""Of a data set by default: passes over its windows, and steps of the optimizer, which decide where windows are few."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,9 @@ class TrainSettings:
     seed : of weights, order and augmentation.
     augmentation : None trains on the windows as they are.
     precision : "float32", or "bfloat16": the networks' products in 16 bits, the weights in 32. Half the time or
-        less where the hardware supports it (AMX, AVX512-BF16, GPUs), no gain elsewhere.
+        less where the hardware is fast at it (AMX, AVX512-BF16, GPUs), slower elsewhere; "auto" finds out.
     balance : each epoch shows every class equally often, and the validation loss weights classes equally; else
         windows count equally.
-    patience : stop when the validation loss has not fallen for this many epochs; the best epoch is then the one with
-        the lowest validation loss. None trains to the end; the best epoch then has the most windows right.
     network : the classifier, see `training.networks.build_network`. Not used where a model is trained further.
     """
 
@@ -55,11 +55,10 @@ class TrainSettings:
     augmentation: Augmentation | None = field(default_factory=Augmentation)
     precision: str = "float32"
     balance: bool = False
-    patience: int | None = None
     network: str = "thesis"
 
     def __post_init__(self) -> None:
-        for name, low in (("epochs", 1), ("iterations", 1), ("batch", 1), ("seed", 0), ("patience", 1)):
+        for name, low in (("epochs", 1), ("iterations", 1), ("batch", 1), ("seed", 0)):
             value = getattr(self, name)
             if value is not None and value < low:
                 raise ValueError(f"`{name}` must be at least {low}, got {value}")
@@ -86,46 +85,43 @@ class TrainSettings:
         return self.iterations or self.epochs * self.n_steps(n_windows)
 
 
-def settings_for(
-    config: TNTConfig,
-    n_windows: int,
-    n_held_out: int,
-    *,
-    epochs: int | None = None,
-    batch: int | None = None,
-    patience: int | None = None,
-    augmentation: Mapping[str, Any] | None = MappingProxyType({}),
-    resynthesized: bool = False,
-    **settings: Any,
-) -> TrainSettings:
-    """Settings for a data set of any size: where nothing is given, enough small steps even for few windows.
+def default_config(**changes: Any) -> TNTConfig:
+    """The volume that a data set is trained on by default: the plain event volume, ON and OFF apart.
+
+    changes : values of other fields. For the grid see `default_grid`.
+    """
+    return TNTConfig(**{"transform": "none", "landmark": "center", "polarity": "split", **changes})
+
+
+def default_grid(sensor: Sensor) -> Sensor:
+    """In the shape of the sensor: its own pixels, or `LONGER_SIDE` of them along the longer side. At least 8x8, which
+    the networks need.
+
+    Examples
+    --------
+    >>> default_grid((34, 34)), default_grid((346, 260)), default_grid((1280, 720))
+    ((34, 34), (60, 45), (60, 34))
+    """
+    shrink = min(1.0, LONGER_SIDE / max(sensor))
+    return max(8, round(shrink * sensor[0])), max(8, round(shrink * sensor[1]))
+
+
+def settings_for(config: TNTConfig, n_windows: int, *, epochs: int | None = None, **settings: Any) -> TrainSettings:
+    """Settings for a data set of any size: enough small steps even for few windows.
 
     Parameters
     ----------
-    n_windows, n_held_out : windows to train on, and held out.
-    patience : 0 trains to the end, where the learning rate is 0. The default, but for other motions: a fifth of all
-        epochs.
-    augmentation : fields of `Augmentation` whose values differ from `Augmentation.for_sensor` and `STREAMED`; None: as
-        recorded.
-    resynthesized : whether the windows are also shown in other motions.
-    settings : others of `TrainSettings`.
+    n_windows : windows to train on.
+    epochs : None: at least `MIN_EPOCHS`, and `MIN_STEPS` steps.
+    settings : others of `TrainSettings`, instead of ours; `augmentation` may be a mapping, of the fields of
+        `Augmentation` that differ from ours.
     """
-    batch = min(64, max(8, n_windows // 32)) if batch is None else batch
+    batch = settings.setdefault("batch", min(64, max(8, n_windows // 32)))
     if epochs is None:
-        steps = MIN_STEPS_MOVED if resynthesized else MIN_STEPS
-        epochs = max(30, math.ceil(steps / TrainSettings(batch=batch).n_steps(n_windows)))
-    found = TrainSettings(
-        epochs=epochs,
-        batch=batch,
-        augmentation=None if augmentation is None else _augmentation(config, augmentation),
-        balance=True,
-        **settings,
-    )
-    if patience is None:
-        patience = max(5, found.n_epochs(n_windows) // 5) if n_held_out and resynthesized else 0
-    return replace(found, patience=patience or None)
-
-
-def _augmentation(config: TNTConfig, changes: Mapping[str, Any]) -> Augmentation:
-    earliest_ms = EARLIEST * config.window_us / 1e3
-    return Augmentation.for_sensor(config, **{"partial_from_ms": earliest_ms, **STREAMED, **changes})
+        epochs = max(MIN_EPOCHS, math.ceil(MIN_STEPS / TrainSettings(batch=batch).n_steps(n_windows)))
+    augmentation = settings.pop("augmentation", {})
+    if isinstance(augmentation, Mapping):
+        earliest_ms = EARLIEST * config.window_us / 1e3
+        augmentation = Augmentation.for_sensor(config, **{"partial_from_ms": earliest_ms, **STREAMED, **augmentation})
+    ours = {"balance": True, "precision": "auto", "network": "residual"}
+    return TrainSettings(epochs=epochs, augmentation=augmentation, **{**ours, **settings})

@@ -215,13 +215,13 @@ def test_recipes_are_trained_and_tested_and_others_keep_their_entry(tmp_path, ca
     merged = datasets.with_earlier(report, recorded, list(datasets.DATA_SETS["cars"].recipes))["recipes"]
     assert list(merged)[:2] == ["tuned", "bare"]
     assert (merged["tuned"], merged["bare"]) == (recorded["recipes"]["tuned"], found["bare"])
-    assert found["bare"]["command"].endswith("--epochs 1 --quick")
+    assert found["bare"]["command"].endswith("--epochs 1")
     (test,) = found["bare"]["tests"]
     assert test["recordings"] == 18 and list(test["against_time_ms"])[::3] == ["5", "20", "35", "50"]
     assert (
         found["bare"]["equal_to_dense"] > 100
         and found["bare"]["every_event"]["a_second"] > 0
-        and found["bare"]["networks"][0]["network"] == "thesis"
+        and found["bare"]["networks"][0]["network"] == "residual"
     )
     printed = capsys.readouterr().out
     assert (

@@ -12,9 +12,9 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from dataset.gestures import bar, write
 from pages.snippets import ROOT, blocks
 from small_sets import write_small_mnist
+from training.gestures import bar, write
 
 from async_tnt import Counts, TNTConfig, networks
 from async_tnt.cli import main
@@ -158,8 +158,7 @@ def test_commands_about_your_own_classes_run_and_the_program_decides(tmp_path, m
     shown = commands(text)
     assert {words[0] for words in shown} == {"train", "mask", "evaluate", "run"}
     for words in shown:
-        quick = ["--quick", "--epochs", "8", "--batch", "2"] if words[0] == "train" else []
-        quick += ["--variations", "2", "--workers", "1"] if "--motions" in words else []
+        quick = ["--epochs", "2" if "--motions" in words else "40"] if words[0] == "train" else []
         capsys.readouterr()
         assert main([*words, *quick]) == 0, capsys.readouterr().err
         if "--json" in words:  # the reference names every number of an evaluation

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from dataset.gestures import bar, write
 from made import random_model
+from training.gestures import bar, write
 
 from async_tnt import TNTConfig
 from async_tnt import cli as package
@@ -41,7 +41,7 @@ COMMANDS = {
     "mask": "mask RECORDING --out NAME.npy",
     "plot": "plot RECORDING --model MODEL --out NAME.png --dpi 50",
     "view": "view RECORDING --model MODEL --out NAME.rrd",
-    "train": "train set --out NAME.m.safetensors --quick --epochs 1 --patience 0 --validation .3",
+    "train": "train set --out NAME.m.safetensors --epochs 1 --validation .3",
 }
 
 

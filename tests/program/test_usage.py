@@ -1,12 +1,13 @@
 """Every command: help, wrong options, and errors of one line."""
 
+import argparse
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from async_tnt.cli import main, run
+from async_tnt.cli import main, run, train_options
 from async_tnt.cli.program import COMMANDS
 from async_tnt.sources.files.recording import sample_recordings
 
@@ -41,6 +42,15 @@ def test_help_has_a_description_and_options(command, capsys):
     assert stopped.value.code == 0 and len(capsys.readouterr().out.splitlines()) > 12
 
 
+def test_train_has_few_options_and_a_help_of_two_screens(monkeypatch):
+    """None of their defaults depends on another option."""
+    monkeypatch.setenv("COLUMNS", "80")
+    parser = argparse.ArgumentParser(prog="async-tnt train")
+    train_options.add_arguments(parser)
+    options = [action for action in parser._actions if action.option_strings and action.dest != "help"]
+    assert len(options) <= 18 and len(parser.format_help().splitlines()) <= 70
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -53,13 +63,13 @@ def test_help_has_a_description_and_options(command, capsys):
         ("run --confidence nan", "argument --confidence: must be a probability in (0, 1], got 'nan'"),
         ("run --activity 60:0", "must be two positive numbers, events:microseconds, such as 60:4000, got '60:0'"),
         ("run --activity nan:5", "must be two positive numbers, events:microseconds, such as 60:4000, got 'nan:5'"),
-        ("train --patience -1", "argument --patience: must be a whole number of at least 0, got '-1'"),
-        ("train --epochs 0", "argument --epochs: must be at least 1, got 0"),
+        ("train x --seed -1", "argument --seed: must be a whole number of at least 0, got '-1'"),
+        ("train x --epochs 0", "argument --epochs: must be at least 1, got 0"),
         ("run --landmark line", "async-tnt run: unrecognized arguments: --landmark (async-tnt run --help)"),
         ("run --roi 1,2,3", "must be four whole numbers X,Y,WIDTH,HEIGHT"),
         ("run --every-us " + "9" * 5000, "argument --every-us: must be a whole number, got '999"),
         ("run --every-us -" + "9" * 4000, "argument --every-us: must be at least 1, got -999"),
-        ("train --patience " + "9" * 5000, "argument --patience: must be a whole number of at least 0, got '999"),
+        ("train x --seed " + "9" * 5000, "argument --seed: must be a whole number of at least 0, got '999"),
         ("plot events --grid " + "9" * 5000 + "x2", "must be WIDTHxHEIGHT in pixels, such as 346x260, got '999"),
     ],
     ids=lambda text: text[:40],

@@ -1,16 +1,38 @@
-"""Small data sets in the layouts of N-MNIST and MNIST, and what is trained on them once for all tests."""
+"""A set and a model that several tests share."""
 
 import pytest
-from small_sets import write_small_mnist, write_small_nmnist
+from training.gestures import write_set
+
+from async_tnt.cli import main
 
 
 @pytest.fixture(scope="session")
-def nmnist(tmp_path_factory):
-    """4 recordings of each digit in Train (by their names, of MNIST's test images 5 to 44), 1 in Test."""
-    return write_small_nmnist(tmp_path_factory.mktemp("N-MNIST"), n_train=4, first_number=60_006)
+def gestures(tmp_path_factory):
+    """Two classes at 128x128, 24 recordings to train on, and 16 in `Test`."""
+    folder = tmp_path_factory.mktemp("gestures")
+    write_set(folder / "Train", {"upright": 12, "flat": 12})
+    write_set(folder / "Test", {"upright": 8, "flat": 8}, seed=1)
+    return folder
 
 
 @pytest.fixture(scope="session")
-def mnist(tmp_path_factory):
-    """45 images."""
-    return write_small_mnist(tmp_path_factory.mktemp("MNIST"), 45)
+def trained(gestures, tmp_path_factory):
+    """A model trained on `gestures`."""
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+    folder = tmp_path_factory.mktemp("trained")
+    out = folder / "gestures.safetensors"
+    assert main(["train", str(gestures), "--out", str(out), "--grid", "34x34", "--epochs", "8", "--test"]) == 0
+    return out
+
+
+@pytest.fixture
+def train(program, tmp_path):
+    """Train on a set for one epoch, by the program; returns exit code, stderr and the model's file."""
+    pytest.importorskip("torch", reason="training needs torch (extra `train`)")
+
+    def run(dataset, *words):
+        out = tmp_path / "m.safetensors"
+        code, _, err = program("train", dataset, "--out", out, "--grid", "34x34", "--epochs", 1, *words)
+        return code, err, out
+
+    return run

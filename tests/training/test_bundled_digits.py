@@ -5,10 +5,12 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from async_tnt.networks.loading import load_model  # noqa: E402
-from async_tnt.training.digits import read_nmnist_folder, read_samples  # noqa: E402
+from async_tnt.sources import open_recording, sample_recordings  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
+from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
+from experiments.digits_data import read_nmnist_folder  # noqa: E402
 
 from_either = pytest.mark.parametrize("first_event", [False, True], ids=["from 0", "from the first event"])
 
@@ -31,7 +33,9 @@ def test_its_record_has_its_data_accuracy_and_command(model):
 
 @from_either
 def test_every_window_of_every_sample_is_classified_right(model, first_event):
-    windows = make_windows(read_samples(), model.config.window_us, first_event=first_event)
+    samples = [(label, open_recording(path).read()) for label, path in sample_recordings().items()]
+    recordings = Recordings.from_events([events for _, events in samples], [label for label, _ in samples])
+    windows = make_windows(recordings, model.config.window_us, first_event=first_event)
     assert len(windows) == 30 and evaluate(pipeline_of(model), windows).per_window == 1.0
 
 

@@ -1,27 +1,15 @@
-"""Recordings on disk or simulated -> recordings in memory -> windows, split by recording."""
-
-import gzip
+"""Recordings in memory -> windows, split by recording."""
 
 import numpy as np
 import pytest
 from made import events_of
-from small_sets import idx_bytes
 
-from async_tnt.training.digits import FIRST_INDEX, read_nmnist_folder, recording_numbers, simulate_recordings
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import make_windows, split_recordings
 
 
 def recording(times_us):
     return events_of(times_us, *(np.full(len(times_us), value) for value in (5, 7, 1)))
-
-
-def test_a_folder_is_read_in_order_with_its_labels(nmnist):
-    recordings = read_nmnist_folder(nmnist / "Train")
-    assert recordings.names[:5] == ("0/60006.bin", "0/60016.bin", "0/60026.bin", "0/60036.bin", "1/60007.bin")
-    np.testing.assert_array_equal(recordings.labels, np.repeat(np.arange(10), 4))
-    assert len(recordings.offsets) == 41 and recordings.offsets[-1] == len(recordings.t)
-    assert read_nmnist_folder(nmnist / "Train", per_digit=1).names == recordings.names[::4]
 
 
 def test_windows_from_zero_and_from_the_first_event():
@@ -52,27 +40,3 @@ def test_a_split_is_by_recording_and_even_over_the_classes():
     np.testing.assert_array_equal(held_out, split_recordings(recordings, 0.25, np.random.default_rng(0))[1])
     with pytest.raises(ValueError, match=r"`fraction` must be in \[0, 1\), got 1"):
         split_recordings(recordings, 1, np.random.default_rng(0))
-
-
-def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_path):
-    """Images with one bar each, only beyond FIRST_INDEX; the label is the bar's place."""
-    images = np.zeros((FIRST_INDEX + 4, 28, 28), np.uint8)
-    labels = np.zeros(len(images), np.uint8)
-    for k in range(4):
-        images[FIRST_INDEX + k, 6:22, 5 + 5 * k : 8 + 5 * k] = 255
-        labels[FIRST_INDEX + k] = k + 1
-    for name, array in (("images-idx3", images), ("labels-idx1", labels)):
-        (tmp_path / f"train-{name}-ubyte.gz").write_bytes(gzip.compress(idx_bytes(array), 1))
-    recordings, fewer, other = (simulate_recordings(tmp_path, *words) for words in ((4, 0), (2, 0), (2, 1)))
-    np.testing.assert_array_equal(np.sort(recordings.labels), [1, 2, 3, 4])  # none of the empty ones
-    assert len(make_windows(recordings, 105_000)) == 12 and recordings.names[0].startswith("simulated 500")
-    for r, label in enumerate(recordings.labels):
-        events = slice(recordings.offsets[r], recordings.offsets[r + 1])
-        bar = 3 + 5 * label - 2.5 + 3.5  # its centre in the image, and the image's place on the sensor
-        assert np.median(recordings.x[events]) == pytest.approx(bar, abs=4)
-    np.testing.assert_array_equal(recordings.t[: len(fewer.t)], fewer.t)  # the first of more
-    assert recordings.names[:2] == fewer.names and not np.array_equal(fewer.t, other.t)
-    with pytest.raises(ValueError, match=r"must be in \[0, 4\], got 5"):
-        simulate_recordings(tmp_path, 5, 0)
-    held_out = [n - 1 for n in recording_numbers([f"1/{FIRST_INDEX + 2:05d}.bin", "1/other.bin"])]
-    np.testing.assert_array_equal(simulate_recordings(tmp_path, 3, 0, leave_out=held_out).labels.sum(), 1 + 3 + 4)

@@ -6,7 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from dataset.gestures import bar, write
+from training.gestures import bar, write
 
 from async_tnt.config import TNTConfig
 from async_tnt.networks.loading import load_model
@@ -20,7 +20,7 @@ from async_tnt.cli import main
 
 SIZE, CAMERA, CORNER = (64, 64), (120, 90), (30, 10)
 HOT = np.array([(5, 60), (60, 3)])
-QUICK = ("--quick", "--epochs", "1", "--batch", "8", "--patience", "0")
+QUICK = ("--grid", "34x34", "--epochs", "1")
 LARGE = ("--roi", "30,10,64,64", "--crop", "--mask", "large.npy")
 
 
@@ -94,10 +94,10 @@ def test_the_network_sees_recordings_without_these_events(name, region, sensor, 
 
 @pytest.fixture(scope="module")
 def models(sets, tmp_path_factory):
-    """A model of the clean set and of the large one, each with its run folder beside it."""
+    """A model of the clean set and of the large one."""
     folder = tmp_path_factory.mktemp("models")
     for name, words in (("clean", ()), ("large", at(sets, *LARGE))):
-        words = ("--out", folder / f"{name}.safetensors", "--run", folder / name, *QUICK, *words)
+        words = ("--out", folder / f"{name}.safetensors", *QUICK, *words)
         assert main(["train", str(sets / name), *map(str, words)]) == 0
     return folder
 
@@ -135,10 +135,12 @@ def test_such_a_model_is_evaluated_and_run_with_the_same_options(models, sets, p
 
 
 def test_another_selection_is_another_run_and_the_same_mask_by_another_name_is_not(sets, models, tmp_path, program):
-    words = ("--out", models / "large.safetensors", "--run", models / "large", *QUICK)
+    words = ("--out", models / "large.safetensors", *QUICK)
     for change, what in ((LARGE[:-2], "mask"), (("--mask", "hot.npy", "--seed", "3"), "crop, mask, roi, seed")):
         code, _, err = program("train", sets / "large", *words, *at(sets, *change))
-        assert code == 2 and f"{models / 'large'} holds a run with other {what}; give another" in err, err
+        assert (
+            code == 2 and f"{models / 'runs' / 'large'}: the folder holds a run with other {what}; delete it" in err
+        ), err
     mask = shutil.copy(sets / "large.npy", tmp_path / "m.npy")
     assert program("train", sets / "large", *words, *LARGE[:-1], mask)[0] == 0
 

@@ -3,12 +3,11 @@
 import json
 import re
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset.gestures import bar, write, write_set
 from processes import started
+from training.gestures import bar, write, write_set
 from waiting import until
 
 from async_tnt.networks.loading import load_model
@@ -16,10 +15,10 @@ from async_tnt.networks.loading import load_model
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.cli import train as command
-from async_tnt.cli import train_data
 from async_tnt.files import locked_folder
 from async_tnt.progress import Bar
-from async_tnt.training import evaluation
+from async_tnt.training import data as data_module
+from async_tnt.training import fitting
 
 
 def test_the_model_knows_the_classes_and_its_numbers_and_pictures_are_beside_it(trained):
@@ -29,7 +28,7 @@ def test_the_model_knows_the_classes_and_its_numbers_and_pictures_are_beside_it(
     assert model.record["data"]["classes"] == {"flat": 12, "upright": 12}
     assert model.record["validation"]["recordings"] == 4  # a fifth, rounded, of each class
     report = json.loads(trained.with_suffix(".json").read_text())
-    assert report["classes"] == ["flat", "upright"] and len(report["history"]) == 6
+    assert report["classes"] == ["flat", "upright"] and len(report["history"]) == 8
     confusion = np.array(report["confusion"])
     assert confusion.sum() == len(report["held_out"]) == 4 and report["accuracy"] == np.trace(confusion) / 4
     test = model.record["test"]
@@ -40,13 +39,12 @@ def test_the_model_knows_the_classes_and_its_numbers_and_pictures_are_beside_it(
         assert trained.with_suffix(suffix).read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_options_give_the_sensor_the_grid_and_the_window(tmp_path, train):
+def test_the_options_give_the_sensor_and_the_window(tmp_path, train):
     write_set(tmp_path / "set", {"upright": 4, "flat": 4}, suffixes=(".npy",))
-    words = ("--sensor", "240x180", "--grid", "20x16", "--window-us", "50000")
-    code, _, out = train(tmp_path / "set", *words)
+    code, _, out = train(tmp_path / "set", "--sensor", "240x180", "--window-us", "50000")
     config = load_model(out).config
-    assert code == 0 and (config.sensor, config.grid, config.window_us) == ((240, 180), (20, 16), 50_000)
-    assert " ".join(words) in load_model(out).record["command"]
+    assert code == 0 and (config.sensor, config.grid, config.window_us) == ((240, 180), (34, 34), 50_000)
+    assert "--sensor 240x180" in load_model(out).record["command"]
 
 
 def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, train, monkeypatch):
@@ -57,16 +55,16 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
     assert code == 0 and err.count(line) == 2 and err.splitlines()[-1].startswith(line)  # when read, and at the end
     (folder / "flat" / "silent.npz").unlink()  # the run is the same
     assert train(folder)[0] == 0
-    monkeypatch.setattr(train_data, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
-    run = tmp_path / "run m"
+    monkeypatch.setattr(data_module, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
+    begin = f"async-tnt: {tmp_path / 'runs' / 'm'}: the folder holds a run with other "
+    end = "; delete it to start again, or train into another file (--out)\n"
 
     def refused(*words):
         code, err, _ = train(folder, *words)
-        end = f"; give another run folder (--run), or delete the folder {run} to start again\n"
-        assert code == 2 and err.startswith(f"async-tnt: {run} holds a run with other ") and err.endswith(end)
-        return err.removeprefix(f"async-tnt: {run} holds a run with other ").removesuffix(end)
+        assert code == 2 and err.startswith(begin) and err.endswith(end), err
+        return err.removeprefix(begin).removesuffix(end)
 
-    assert refused("--seed", "1", "--window-us", "5000", "--rate", "0.01") == "learning_rate, seed, window_us"
+    assert refused("--seed", "1", "--window-us", "5000", "--network", "conv4") == "network, seed, window_us"
     assert refused("--validation", "0.5") == "validation (0.2, now 0.5)"
     assert refused("--groups", "0") == "groups (None, now 0)"
     write(folder / "upright" / "new.npy", bar("upright", 77))
@@ -79,9 +77,8 @@ def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, t
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("DATASET", "--nmnist", "x"), "--nmnist must come without DATASET"),
         (("DATASET", "--sensor", "640x480"), "of one sensor, got 640x480 (--sensor) and 128x128 (flat/01.npz)"),
-        (("DATASET", "--start-from", "MODEL", "--grid", "8x8"), "must come without --start-from: the volume is that"),
+        (("DATASET", "--start-from", "MODEL", "--grid", "8x8"), "must come without --start-from: volume and network"),
         (("OTHER", "--start-from", "MODEL"), "unknown class slanted; known are flat, upright"),
         (("nowhere",), "no folder nowhere"),
         (("DATASET", "--start-from", "MODEL", "--out", "MODEL"), "--out must be another file than --start-from"),
@@ -99,45 +96,43 @@ def test_errors_are_one_line(words, message, gestures, trained, program, tmp_pat
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--partial", "2"), "--partial must be in [0, 1.0], got 2.0"),
-        (("--translate", "-1"), "`translate_px` must be "),
-        (("--validation", "1"), "must be in [0, 1), got 1.0"),
+        (("--volume", "remove_flow=yes"), "remove_flow"),
+        (("--network", "conv5"), "must be one of thesis, conv4, residual, separable, or FILE.py:FUNCTION; got 'conv5'"),
+        (("--network", "no.py:build"), "no.py:build: no file no.py"),
+        (("--motions", "resynthesized", "--roi", "0,0,9,9"), "--roi must come with --crop"),
         (("--groups", "("), "--groups must be a regular expression, got '('"),
         (("--test",), "trials_to_test.txt; found neither"),
-        (("--run", "DATASET/runs"), "--run must lie outside of "),
-        (("--run", "DATASET/flat/run"), "set, in which a folder is a class; got "),
+        (("--out", "DATASET/m.safetensors"), "--out must lie outside of "),
     ],
 )
 def test_options_are_refused_before_the_recordings_are_read(words, message, train, tmp_path, monkeypatch):
-    monkeypatch.setattr(train_data, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
+    monkeypatch.setattr(data_module, "dataset_data", lambda *given, **more: pytest.fail("the recordings were read"))
     folder = write_set(tmp_path / "set", {"upright": 1, "flat": 1})
     code, err, _ = train(folder, *(word.replace("DATASET", str(folder)) for word in words))
     assert code == 2 and message in err and err.count("\n") == 1, err
 
 
 @pytest.mark.parametrize(
-    ("there", "words", "lacking"),
+    ("there", "lacking"),
     [
-        ({"m.json": '{"history": [], "summary": {}}'}, (), 'm.json with "held_out", "summary", "history"'),
-        ({"m.curves.png": "a picture"}, (), "m.json with "),
-        ({"m.confusion.png": "a picture"}, (), "m.json with "),
-        ({"own/history.json": "[]"}, ("--run", "own"), 'history.json with "settings", "history"'),
-        ({"own/best.safetensors": "weights"}, ("--run", "own"), "history.json with "),
+        ({"m.json": '{"history": [], "summary": {}}'}, 'm.json with "held_out", "summary", "history"'),
+        ({"m.curves.png": "a picture"}, "m.json with "),
+        ({"m.confusion.png": "a picture"}, "m.json with "),
+        ({"runs/m/history.json": "[]"}, 'history.json with "settings", "history"'),
     ],
 )
-def test_files_of_others_beside_the_model_stay(there, words, lacking, tmp_path, train, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("own").mkdir()
+def test_files_of_others_beside_the_model_stay(there, lacking, tmp_path, train):
     for name, content in there.items():
-        Path(name).write_text(content)
-    code, err, out = train("nowhere", *words)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(content)
+    code, err, out = train("nowhere")
     message = rf"{name} is of another program \(expected {lacking}.*\): move it away, or give another name$"
     assert code == 2 and re.search(message, err) and err.count("\n") == 1 and not out.exists()
-    assert {name: Path(name).read_text() for name in there} == there
+    assert {name: (tmp_path / name).read_text() for name in there} == there
 
 
 def test_a_second_command_in_a_run_folder_is_refused_before_the_recordings_are_read(gestures, train, tmp_path):
-    run = tmp_path / "run m"
+    run = tmp_path / "runs" / "m"
     with locked_folder(run, "command.lock"):
         code, err, _ = train(gestures)
     line = f"{run}: another program is at work there; wait for that one, or give another folder"
@@ -151,10 +146,9 @@ def test_events_are_stored_in_the_run_folder(gestures, train, tmp_path, monkeypa
         stores.append(store)
         raise ValueError("read enough")
 
-    monkeypatch.setattr(train_data, "dataset_data", read)
-    assert train(gestures)[0] == 2 and stores.pop() == tmp_path / "run m"
-    assert train(gestures, "--run", gestures / "runs")[0] == 2 and stores.pop() == gestures / "runs"  # beside Train
-    assert not (tmp_path / "run m").exists() and not (gestures / "runs").exists()  # nothing was kept
+    monkeypatch.setattr(data_module, "dataset_data", read)
+    assert train(gestures)[0] == 2 and stores.pop() == tmp_path / "runs" / "m"
+    assert not (tmp_path / "runs").exists()  # nothing was kept
 
 
 def test_ctrl_c_keeps_the_finished_epochs(gestures, train, monkeypatch):
@@ -175,7 +169,7 @@ def test_ctrl_c_keeps_the_finished_epochs(gestures, train, monkeypatch):
 def test_a_killed_training_resumes_to_the_same_model(tmp_path, monkeypatch, program):
     """Killed as soon as there is a checkpoint on the disk."""
     write_set(tmp_path / "set", {"upright": 4, "flat": 4})
-    words = ["train", str(tmp_path / "set"), "--quick", "--out", "m.safetensors", "--epochs", "20", "--patience", "0"]
+    words = ["train", str(tmp_path / "set"), "--grid", "34x34", "--epochs", "20"]
     for name in ("whole", "cut"):
         (tmp_path / name).mkdir()
     with started("-m", "async_tnt", *words, cwd=tmp_path / "cut"):
@@ -183,7 +177,7 @@ def test_a_killed_training_resumes_to_the_same_model(tmp_path, monkeypatch, prog
     for name in ("whole", "cut"):
         monkeypatch.chdir(tmp_path / name)
         assert program(*words)[0] == 0
-    for name in ("m.safetensors", "m.json"):
+    for name in ("model.safetensors", "model.json"):
         assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "cut" / name).read_bytes(), name
 
 
@@ -194,8 +188,8 @@ def test_without_matplotlib_one_line_says_so(gestures, train, monkeypatch):
     assert out.with_suffix(".json").exists() and not out.with_suffix(".curves.png").exists()
 
 
-def test_the_model_is_written_before_it_is_tested(gestures, tmp_path, train, monkeypatch):
-    evaluate, n_calls = evaluation.evaluate, []
+def test_the_model_is_written_before_it_is_tested(gestures, train, monkeypatch):
+    evaluate, n_calls = fitting.evaluate, []
 
     def fail_on_test(*given, **more):
         n_calls.append(1)
@@ -203,11 +197,57 @@ def test_the_model_is_written_before_it_is_tested(gestures, tmp_path, train, mon
             raise ValueError("no such thing")
         return evaluate(*given, **more)
 
-    monkeypatch.setattr(evaluation, "evaluate", fail_on_test)
+    monkeypatch.setattr(fitting, "evaluate", fail_on_test)
     code, err, out = train(gestures, "--test")
     assert code == 2 and len(n_calls) == 2, err
     record = load_model(out).record
     assert record["validation"]["recordings"] == 4 and "test" not in record
     assert json.loads(out.with_suffix(".json").read_text())["accuracy"] >= 0
-    for name in ("best", "last"):
-        assert load_model(tmp_path / "run m" / f"{name}.safetensors").classes == ("flat", "upright")
+
+
+def test_given_again_it_prints_the_same_result_and_other_models_continue_from_it(gestures, trained, tmp_path, program):
+    before = trained.read_bytes()
+    words = ("train", gestures, "--grid", "34x34", "--test", "--json")
+    code, printed, err = program(*words, "--out", trained, "--epochs", 8)
+    summary = json.loads(printed)
+    assert code == 0 and trained.read_bytes() == before and "epoch" not in err
+    assert summary["command"] == "async-tnt train --test --grid 34x34 --epochs 8"
+    assert summary["validation"]["recordings"] == 4 and summary["test"]["recordings"] == 16
+    assert str(trained.parent) not in json.dumps(summary["data"])
+    out = tmp_path / "on.safetensors"
+    assert program("train", gestures, "--epochs", 1, "--start-from", trained, "--out", out)[0] == 0
+    model, first = load_model(out), load_model(trained)
+    assert model.config == first.config
+    assert model.record["started_from"]["command"] == first.record["command"]
+    assert "--start-from gestures.safetensors" in model.record["command"]
+    assert str(tmp_path) not in json.dumps(dict(model.record))
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), ("volume", 9, "none", "split", (60, 45))),
+        (("--grid", "20x16"), ("volume", 9, "none", "split", (20, 16))),
+        (("--volume", "representation=count"), ("count", 1, "none", "split", (60, 45))),
+        (
+            ("--volume", "transform=tnt,landmark=line,remove_flow=yes,polarity=signed,bins=5,t_max=2"),
+            ("volume", 5, "tnt", "signed", (60, 45)),
+        ),
+    ],
+)
+def test_the_volume_is_the_plain_one_unless_asked_otherwise(words, expected, tmp_path, program):
+    for kind in ("upright", "flat"):
+        for k in range(2):
+            write(tmp_path / "set" / kind / f"{k}.npz", bar(kind, k), sensor=(200, 150))
+    out = tmp_path / "m.safetensors"
+    assert program("train", tmp_path / "set", "--out", out, "--epochs", 1, *words)[0] == 0
+    model = load_model(out)
+    found = model.config
+    assert (found.representation, found.bins, found.transform, found.polarity, found.grid) == expected
+    assert (model.record["network"], found.window_us) == ("residual", 100_000)  # of the longest recording
+
+
+def test_without_torch_the_message_says_what_to_install(monkeypatch, program):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    code, _, err = program("train", "nowhere")
+    assert code == 2 and "pip install 'async_tnt[train]'" in err

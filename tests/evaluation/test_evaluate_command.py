@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from dataset.gestures import bar, write, write_set
 from made import random_model
+from training.gestures import bar, write, write_set
 
 from async_tnt import Model, Processor, TNTConfig
 from async_tnt.sources.files.recording import open_recording

@@ -1,4 +1,4 @@
-"""Recordings of digits to train on: N-MNIST's, simulated ones, and the bundled samples."""
+"""Recordings of digits to train on, N-MNIST's and simulated ones, and the windows that `digits` learned from."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from async_tnt.config import TNTConfig
 from async_tnt.progress import Bar, no_progress
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.sources.files.nmnist import read_nmnist
-from async_tnt.sources.files.recording import sample_recordings
+from async_tnt.training.data import TrainingData
 from async_tnt.training.recordings import Recordings
+from async_tnt.training.windows import CLASSES, Windows, make_windows, split_recordings
 
 FIRST_INDEX = 5_000
 """Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000, some of which are
@@ -108,9 +111,33 @@ def recording_numbers(names: Iterable[str]) -> list[int]:
     return [int(stem) for stem in (Path(name).stem for name in names) if stem.isdigit()]
 
 
-def read_samples() -> Recordings:
-    """The ten bundled sample recordings."""
-    paths = sample_recordings()
-    return Recordings.from_events(
-        (read_nmnist(path) for path in paths.values()), list(paths), [path.name for path in paths.values()]
-    )
+def digits_data(
+    folder: Path, mnist: Path, config: TNTConfig, *, simulated: int, seed: int = 0, progress: Callable[..., Bar]
+) -> TrainingData:
+    """N-MNIST's Train, a tenth of its recordings held out, with simulated recordings of MNIST; and its Test.
+
+    Parameters
+    ----------
+    folder, mnist : of N-MNIST and of MNIST.
+    simulated : how many of MNIST's images to simulate.
+    seed : of the split and of the simulation.
+    """
+    recordings = read_nmnist_folder(folder / "Train", progress=progress)
+    n_real = len(recordings)
+    learned, held_out = split_recordings(recordings, 0.1, np.random.default_rng(seed))
+    unseen = [n - 1 for n in recording_numbers(recordings.names[i] for i in held_out)]
+    recordings += simulate_recordings(mnist, simulated, seed, leave_out=unseen, progress=progress)
+    learned = np.concatenate([learned, np.arange(n_real, len(recordings))])
+    record = {
+        "source": "N-MNIST recordings (Train), held out by recording, and simulated ones of MNIST training images",
+        "real_recordings": n_real - len(held_out),
+        "simulated_recordings": simulated,
+        "held_out_recordings": len(held_out),
+    }
+    testing = read_nmnist_folder(folder / "Test", progress=progress)
+    tests: dict[str, tuple[Windows, dict[str, Any]]] = {
+        name: (make_windows(testing, config.window_us, first_event=first_event), {})
+        for name, first_event in (("test", False), ("test_windows_from_first_event", True))
+    }
+    training, validation = (make_windows(recordings, config.window_us, which=which) for which in (learned, held_out))
+    return TrainingData(config, CLASSES, training, validation, record, tests)

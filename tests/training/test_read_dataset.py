@@ -6,8 +6,8 @@ import shutil
 
 import numpy as np
 import pytest
-from dataset.gestures import bar, write, write_set
 from made import events_of, random_events
+from training.gestures import bar, write, write_set
 
 from async_tnt.config import TNTConfig
 from async_tnt.sources.pixel_selection import PixelSelection

@@ -1,0 +1,113 @@
+"""From windows to a finished model: trained, calibrated on what was held out, with a record of how it was made."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from async_tnt.evaluation.scores import Scores
+from async_tnt.networks.model import Model
+from async_tnt.progress import Bar, no_progress
+from async_tnt.training.data import TrainingData
+from async_tnt.training.evaluation import evaluate
+from async_tnt.training.loop import train
+from async_tnt.training.moved_windows import Motions
+from async_tnt.training.pipeline import pipeline_of
+from async_tnt.training.settings import TrainSettings
+from async_tnt.training.temperature import calibrated
+
+STARTED_FROM = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
+"""Of the record of the model that a training continues, what goes into the new one's."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A trained model.
+
+    Parameters
+    ----------
+    model : calibrated; its record tells what it was trained on, how, and how well it does on what was held out.
+    scores : of the held-out recordings; None where nothing is held out.
+    history : one dict per epoch, see `train`.
+    """
+
+    model: Model
+    scores: Scores | None
+    history: list[dict[str, float]]
+
+    def tested(self, data: TrainingData) -> Fitted:
+        """The same with the accuracy on `data.tests` in the record. This may take long."""
+        pipeline, record = pipeline_of(self.model), dict(self.model.record)
+        for name, (windows, more) in data.tests.items():
+            record[name] = {**evaluate(pipeline, windows, times_ms=moments_ms(self.model)).to_dict(), **more}
+        return replace(self, model=replace(self.model, record=record))
+
+
+def fit(
+    data: TrainingData,
+    settings: TrainSettings,
+    run_folder: Path,
+    *,
+    start: Model | None = None,
+    motions: Motions | None = None,
+    record: dict[str, Any] | None = None,
+    sources: dict[str, Any] | None = None,
+    progress: Callable[..., Bar] = no_progress,
+    report: Callable[[dict[str, float]], None] = lambda row: None,
+) -> Fitted:
+    """Train on `data.training`; choose the temperature, and tell the accuracy, by `data.validation`.
+
+    Parameters
+    ----------
+    record : more for the model's record.
+    data, settings, run_folder, start, motions, sources, progress, report : see `train`, which also tells what is
+        raised.
+    """
+    result = train(
+        data.config,
+        data.training,
+        data.validation,
+        settings,
+        run_folder,
+        classes=data.classes,
+        start=start,
+        motions=motions,
+        sources=sources,
+        progress=progress,
+        report=report,
+    )
+    model, history = result.model, result.history
+    summary: dict[str, Any] = {
+        "data": data.record,
+        **(record or {}),
+        "network": Path(settings.network).name if start is None else "that of the model it started from",
+        "seed": settings.seed,
+        "epochs": len(history),
+        "iterations": int(history[-1]["iterations"]),
+        "versions": {"python": platform.python_version()}
+        | {name: version(name) for name in ("numpy", "numba", "torch")},
+    }
+    if motions is not None:
+        summary["motions"] = motions.record
+    if start is not None:
+        summary["started_from"] = {name: start.record[name] for name in STARTED_FROM if name in start.record}
+    scores = None
+    if len(data.validation):
+        found = evaluate(pipeline_of(model), data.validation, times_ms=moments_ms(model))
+        model, temperature = calibrated(model, found.temperature)
+        found = found.at_temperature(temperature)
+        summary |= {"validation": found.to_dict(), "temperature": round(temperature, 5)}
+        scores = Scores(data.classes, found.recording_confusion, found.confusion)
+    if motions is not None and len(motions.validation):
+        moved = evaluate(pipeline_of(model), motions.validation, times_ms=moments_ms(model)).to_dict()
+        summary["validation_motions"] = {name: moved[name] for name in moved if "recording" not in name}
+    return Fitted(replace(model, record=summary), scores, history)
+
+
+def moments_ms(model: Model) -> tuple[float, ...]:
+    """Each tenth of a window but its end, in milliseconds: when accuracy is told against time."""
+    return tuple(model.config.window_us * k / 1e4 for k in range(1, 10))

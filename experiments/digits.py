@@ -1,0 +1,100 @@
+"""How the bundled model `digits` was trained, step by step.
+
+    python -m experiments.digits [--nmnist FOLDER] [--mnist FOLDER] [--out FOLDER]
+
+Four trainings, each continuing the one before, on N-MNIST's recordings, simulated ones, and both under other motions;
+the last one also shows noise. Finished steps in --out are kept, interrupted ones resume. It takes an hour for the
+motions and half an hour for the trainings, and writes OUT/digits.safetensors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from async_tnt.config import TNTConfig
+from async_tnt.networks.model import Model
+from async_tnt.process import available_cores
+from async_tnt.progress import progress
+from async_tnt.training.augment import Augmentation
+from async_tnt.training.data import TrainingData
+from async_tnt.training.fitting import fit
+from async_tnt.training.moved_windows import MotionSettings
+from async_tnt.training.resynthesis import resynthesize
+from async_tnt.training.settings import TrainSettings
+from experiments.digits_data import digits_data
+from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
+
+CONFIG = TNTConfig(t_max=4.0)
+SIMULATED = 20_000
+
+
+@dataclass(frozen=True)
+class Step:
+    """One training.
+
+    Parameters
+    ----------
+    epochs, rate : passes over the windows, and the highest learning rate.
+    recorded : share of the windows that an epoch shows as they were recorded.
+    variations : other motions of each window.
+    augmentation : of all windows.
+    """
+
+    epochs: int
+    rate: float
+    recorded: float
+    variations: int = 8
+    augmentation: Augmentation = Augmentation()  # noqa: RUF009  (frozen)
+
+
+STEPS = {
+    "first": Step(20, 0.002, 0.5),
+    "second": Step(8, 0.001, 0.5),
+    "third": Step(12, 0.001, 0.6),
+    "digits": Step(8, 0.0005, 0.6, 2, Augmentation(partial=0.5, nothing=0.2)),
+}
+
+
+def train_digits(data: TrainingData, steps: dict[str, Step], out: Path) -> Model:
+    """Train step by step; the last model has been tested, and is written to `out`."""
+    model = None
+    for name, step in steps.items():
+        settings = TrainSettings(epochs=step.epochs, learning_rate=step.rate, augmentation=step.augmentation)
+        motions = resynthesize(
+            data.training,
+            data.validation,
+            data.config,
+            MotionSettings(variations=step.variations, recorded=step.recorded).for_epochs(step.epochs),
+            out / f"motions-{step.variations}",
+            workers=available_cores(),
+            progress=progress,
+        )
+        fitted = fit(data, settings, out / name, start=model, motions=motions, progress=progress)
+        if step is list(steps.values())[-1]:
+            fitted = fitted.tested(data)
+        model = fitted.model
+        model.save(out / f"{name}.safetensors")
+    assert model is not None
+    return model
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Train `digits`."""
+    parser = plain_parser("digits", __doc__)
+    add_folder(parser, "--nmnist", "with Train/<digit>/*.bin and Test/<digit>/*.bin (default: $TNT_DATA/nmnist)")
+    add_folder(parser, "--mnist", "MNIST's IDX files, gzipped or not (default: $TNT_DATA/mnist)")
+    parser.add_argument("--out", type=Path, default=Path("digits"), metavar="FOLDER", help="models (default: digits)")
+    args = parser.parse_args(argv)
+    folders = data_folder(args.nmnist, "nmnist", "--nmnist"), data_folder(args.mnist, "mnist", "--mnist")
+    args.out.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)  # another number gives slightly different weights
+    model = train_digits(digits_data(*folders, CONFIG, simulated=SIMULATED, progress=progress), STEPS, args.out)
+    print(f"wrote {args.out / 'digits.safetensors'}: {model.record['test']['per_window']:.4f} of Test's windows right")
+    return 0
+
+
+if __name__ == "__main__":
+    exit_with(main)
