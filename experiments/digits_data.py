@@ -18,8 +18,12 @@ from async_tnt.simulation.mnist import load_mnist
 from async_tnt.sources.files.nmnist import read_nmnist
 from async_tnt.training.data import TrainingData
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.windows import CLASSES, Windows, make_windows, split_recordings
+from async_tnt.training.windows import Windows, make_windows
 
+CLASSES = tuple("0123456789")
+SACCADE_US = 105_000
+DURATION_US = 3 * SACCADE_US
+"""Of an N-MNIST recording; its few later events are left out."""
 FIRST_INDEX = 5_000
 """Index of the first MNIST image to simulate. N-MNIST's recordings 1-1,000 show the first 1,000, some of which are
 held out for validation; the bundled samples show images 2,000 to 2,100."""
@@ -111,6 +115,35 @@ def recording_numbers(names: Iterable[str]) -> list[int]:
     return [int(stem) for stem in (Path(name).stem for name in names) if stem.isdigit()]
 
 
+def saccade(windows: Windows) -> np.ndarray:
+    """In which saccade of its N-MNIST recording each window starts: 0, 1 or 2."""
+    return windows.start_us // SACCADE_US
+
+
+def split_recordings(
+    recordings: Recordings, fraction: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Hold out a share of each class's recordings, drawn at random.
+
+    Whole recordings: the three saccades of one digit are never on both sides.
+
+    Parameters
+    ----------
+    fraction : the share, rounded to whole recordings of each class.
+
+    Returns
+    -------
+    train, held_out : int64 indices, increasing. With a fraction of 0, `held_out` is empty.
+    """
+    if not 0 <= fraction < 1:
+        raise ValueError(f"`fraction` must be in [0, 1), got {fraction}")
+    held_out = np.zeros(len(recordings), bool)
+    for label in np.unique(recordings.labels):
+        members = rng.permutation(np.flatnonzero(recordings.labels == label))
+        held_out[members[: round(fraction * len(members))]] = True
+    return np.flatnonzero(~held_out), np.flatnonzero(held_out)
+
+
 def digits_data(
     folder: Path, mnist: Path, config: TNTConfig, *, simulated: int, seed: int = 0, progress: Callable[..., Bar]
 ) -> TrainingData:
@@ -136,8 +169,11 @@ def digits_data(
     }
     testing = read_nmnist_folder(folder / "Test", progress=progress)
     tests: dict[str, tuple[Windows, dict[str, Any]]] = {
-        name: (make_windows(testing, config.window_us, first_event=first_event), {})
+        name: (make_windows(testing, config.window_us, first_event=first_event, duration_us=DURATION_US), {})
         for name, first_event in (("test", False), ("test_windows_from_first_event", True))
     }
-    training, validation = (make_windows(recordings, config.window_us, which=which) for which in (learned, held_out))
+    training, validation = (
+        make_windows(recordings, config.window_us, which=which, duration_us=DURATION_US)
+        for which in (learned, held_out)
+    )
     return TrainingData(config, CLASSES, training, validation, record, tests)

@@ -11,8 +11,15 @@ from typing import Any
 import numpy as np
 
 from async_tnt.training.recordings import COLUMNS, Recordings
-from async_tnt.training.windows import SACCADE_US, Windows, make_windows, saccade, split_recordings
-from experiments.digits_data import read_nmnist_folder, recording_numbers
+from async_tnt.training.windows import Windows, make_windows
+from experiments.digits_data import (
+    DURATION_US,
+    SACCADE_US,
+    read_nmnist_folder,
+    recording_numbers,
+    saccade,
+    split_recordings,
+)
 from experiments.moving_mnist_set import open_set
 
 OFFICIAL = 60_000, 10_000
@@ -75,9 +82,9 @@ class RealFolder:
         learned, held_out = split_recordings(train, self.validation, np.random.default_rng(VALIDATION_SEED))
         official = (len(train), len(test)) == OFFICIAL
         return RealData(
-            make_windows(train, SACCADE_US, which=learned),
-            make_windows(train, SACCADE_US, which=held_out),
-            make_windows(test, SACCADE_US),
+            make_windows(train, SACCADE_US, which=learned, duration_us=DURATION_US),
+            make_windows(train, SACCADE_US, which=held_out, duration_us=DURATION_US),
+            make_windows(test, SACCADE_US, duration_us=DURATION_US),
             shown_test_images(train.names),
             {
                 "training_recordings": len(learned),

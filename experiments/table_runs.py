@@ -23,7 +23,8 @@ from async_tnt.training.pipeline import Pipeline, pipeline_of
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.run_folder import plot_curves
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.windows import Windows, saccade
+from async_tnt.training.windows import Windows
+from experiments.digits_data import CLASSES, saccade
 from experiments.moving_mnist_set import open_set
 from experiments.table_data import (
     RealData,
@@ -102,7 +103,7 @@ def run_network(
     motions = motions_of(run.row, run.trained_on, data, settings, folder)
     folder = folder / run.name
     # quick for a finished run: its checkpoint, if it has these settings, is at the end
-    trained = train(row.config, training, held_out, settings, folder, motions=motions)
+    trained = train(row.config, training, held_out, settings, folder, classes=CLASSES, motions=motions)
     tests = {name: data.description for name in ("all", "others", "train")}
     tests |= {name: open_set(path).parameters for name, path in simulated.items()}
     tested_on = {

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from async_tnt.training.pipeline import pipeline_of
     from async_tnt.training.recordings import Recordings
     from async_tnt.training.settings import TrainSettings, default_config, settings_for
-    from async_tnt.training.windows import Windows, make_windows, split_recordings
+    from async_tnt.training.windows import Windows, make_windows
 else:
     from async_tnt.lazy_names import lazy_names
 
@@ -34,12 +34,12 @@ else:
             "pipeline": "pipeline_of",
             "settings": "TrainSettings default_config settings_for",
             "recordings": "Recordings",
-            "windows": "Windows make_windows split_recordings",
+            "windows": "Windows make_windows",
         },
     )
 
 __all__ = [
     "Augmentation", "Dataset", "Evaluation", "Fitted", "Recordings", "TrainResult", "TrainSettings", "TrainingData",
     "Windows", "dataset_data", "default_config", "evaluate", "fit", "make_windows", "pipeline_of", "read_dataset",
-    "settings_for", "split_recordings", "train",
+    "settings_for", "train",
 ]  # fmt: skip

@@ -24,7 +24,7 @@ from async_tnt.training.moved_windows import Motions
 from async_tnt.training.pipeline import Pipeline, export, new_pipeline, pipeline_before_export
 from async_tnt.training.run_folder import identity_of, load_checkpoint, save_checkpoint
 from async_tnt.training.settings import TrainSettings
-from async_tnt.training.windows import CLASSES, Windows
+from async_tnt.training.windows import Windows
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def train(
     settings: TrainSettings,
     run_folder: Path,
     *,
-    classes: tuple[str, ...] = CLASSES,
+    classes: tuple[str, ...],
     start: Model | None = None,
     motions: Motions | None = None,
     sources: Mapping[str, Any] | None = None,

@@ -12,11 +12,6 @@ import numpy as np
 
 from async_tnt.training.recordings import COLUMNS, Recordings
 
-CLASSES = tuple("0123456789")
-SACCADE_US = 105_000
-DURATION_US = 3 * SACCADE_US
-"""Of an N-MNIST recording; its few later events are left out."""
-
 
 @dataclass(frozen=True)
 class Windows:
@@ -67,52 +62,24 @@ class Windows:
         return slice(int(start), int(stop))
 
 
-def saccade(windows: Windows) -> np.ndarray:
-    """In which saccade of its N-MNIST recording each window starts: 0, 1 or 2."""
-    return windows.start_us // SACCADE_US
-
-
-def split_recordings(
-    recordings: Recordings, fraction: float, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Hold out a share of each class's recordings, drawn at random.
-
-    Whole recordings: the three saccades of one digit are never on both sides.
-
-    Parameters
-    ----------
-    fraction : the share, rounded to whole recordings of each class.
-
-    Returns
-    -------
-    train, held_out : int64 indices, increasing. With a fraction of 0, `held_out` is empty.
-    """
-    if not 0 <= fraction < 1:
-        raise ValueError(f"`fraction` must be in [0, 1), got {fraction}")
-    held_out = np.zeros(len(recordings), bool)
-    for label in np.unique(recordings.labels):
-        members = rng.permutation(np.flatnonzero(recordings.labels == label))
-        held_out[members[: round(fraction * len(members))]] = True
-    return np.flatnonzero(~held_out), np.flatnonzero(held_out)
-
-
 def make_windows(
     recordings: Recordings,
     window_us: int,
     *,
     which: np.ndarray | None = None,
     first_event: bool = False,
-    duration_us: int | None = DURATION_US,
+    duration_us: int | None = None,
 ) -> Windows:
     """Windows end to end on each recording, as `Processor` opens them, without the empty ones.
 
     Parameters
     ----------
-    window_us : their length; `duration_us // window_us` of them on each recording, at least one.
+    window_us : their length.
     which : indices of recordings; all by default.
-    first_event : False starts at 0 (N-MNIST's saccades at 105 ms), True at each recording's first event, as
-        where a stream is classified without an explicit start.
-    duration_us : see `window_us`; None: up to the recording's last event, so the last window may be partial.
+    first_event : False starts at 0, True at each recording's first event, as where a stream is classified without an
+        explicit start.
+    duration_us : of a recording, at most: `duration_us // window_us` windows, at least one. None: up to its last
+        event, so the last window may be partial.
     """
     which = np.arange(len(recordings)) if which is None else np.asarray(which)
     windows = []

@@ -10,7 +10,7 @@ from async_tnt.training.evaluation import evaluate  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
-from experiments.digits_data import read_nmnist_folder  # noqa: E402
+from experiments.digits_data import DURATION_US, read_nmnist_folder  # noqa: E402
 
 from_either = pytest.mark.parametrize("first_event", [False, True], ids=["from 0", "from the first event"])
 
@@ -35,7 +35,7 @@ def test_its_record_has_its_data_accuracy_and_command(model):
 def test_every_window_of_every_sample_is_classified_right(model, first_event):
     samples = [(label, open_recording(path).read()) for label, path in sample_recordings().items()]
     recordings = Recordings.from_events([events for _, events in samples], [label for label, _ in samples])
-    windows = make_windows(recordings, model.config.window_us, first_event=first_event)
+    windows = make_windows(recordings, model.config.window_us, first_event=first_event, duration_us=DURATION_US)
     assert len(windows) == 30 and evaluate(pipeline_of(model), windows).per_window == 1.0
 
 
@@ -43,7 +43,7 @@ def test_every_window_of_every_sample_is_classified_right(model, first_event):
 def test_accuracy_on_real_recordings(model, first_event, data):
     """On 400 of the 1,000 test recordings: 1,200 windows, standard error 0.4 %."""
     recordings = read_nmnist_folder(data / "nmnist" / "Test", per_digit=40)
-    windows = make_windows(recordings, model.config.window_us, first_event=first_event)
+    windows = make_windows(recordings, model.config.window_us, first_event=first_event, duration_us=DURATION_US)
     found = evaluate(pipeline_of(model), windows)
     assert (found.to_dict()["recordings"], len(windows) >= 1_195) == (400, True)
     assert found.per_window >= 0.98 and found.per_recording >= 0.985

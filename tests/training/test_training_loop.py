@@ -20,14 +20,15 @@ from async_tnt.training import loop  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
 from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
-from async_tnt.training.loop import balanced_order, batches_of, train  # noqa: E402
+from async_tnt.training.loop import balanced_order, batches_of  # noqa: E402
 from async_tnt.training.pipeline import Pipeline, export, input_scale, new_pipeline  # noqa: E402
 from async_tnt.training.recordings import Recordings, RecordingsWriter  # noqa: E402
 from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
 from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
-from async_tnt.training.windows import CLASSES, Windows, make_windows  # noqa: E402
+from async_tnt.training.windows import Windows, make_windows  # noqa: E402
 
 CONFIG = TNTConfig(landmark="running", t_max=2.0)
+CLASSES = ("across", "down")
 ONE_EPOCH = TrainSettings(epochs=1, batch=16)
 
 
@@ -39,6 +40,10 @@ def bars(n=24, seed=0):
         t, along, across = np.sort(rng.integers(0, 315_000, 600)), rng.integers(8, 26, 600), rng.integers(15, 19, 600)
         recordings.append(events_of(t, *((along, across) if k % 2 else (across, along)), rng.integers(0, 2, 600)))
     return make_windows(Recordings.from_events(recordings, np.arange(n) % 2), CONFIG.window_us)
+
+
+def train(*given, classes=CLASSES, **more):
+    return loop.train(*given, classes=classes, **more)
 
 
 def relabelled(windows, labels):

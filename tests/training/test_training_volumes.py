@@ -19,7 +19,7 @@ RNG = np.random.default_rng
 
 def random_windows(config, n=3, n_events=700, **settings):
     events = [random_events(n_events, seed=k, duration_us=330_000, sensor=config.sensor) for k in range(n)]
-    return make_windows(Recordings.from_events(events, range(n)), config.window_us, **settings)
+    return make_windows(Recordings.from_events(events, range(n)), config.window_us, duration_us=315_000, **settings)
 
 
 def streamed(config, windows, k, until_us):

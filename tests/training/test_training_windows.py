@@ -1,11 +1,10 @@
 """Recordings in memory -> windows, split by recording."""
 
 import numpy as np
-import pytest
 from made import events_of
 
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.windows import make_windows, split_recordings
+from async_tnt.training.windows import make_windows
 
 
 def recording(times_us):
@@ -15,28 +14,18 @@ def recording(times_us):
 def test_windows_from_zero_and_from_the_first_event():
     times = [[2_000, 104_999, 105_000, 316_000], [], [212_000]]
     recordings = Recordings.from_events(map(recording, times), [1, 2, 3])
-    from_zero = make_windows(recordings, 105_000)
+    from_zero = make_windows(recordings, 105_000, duration_us=315_000)
     np.testing.assert_array_equal(from_zero.recording, [0, 0, 2])  # none of 0's between 210 and 315 ms
     np.testing.assert_array_equal(from_zero.start_us, [0, 105_000, 210_000])
     np.testing.assert_array_equal(from_zero.labels, [1, 1, 3])
-    from_first = make_windows(recordings, 105_000, first_event=True)
+    from_first = make_windows(recordings, 105_000, first_event=True, duration_us=315_000)
     np.testing.assert_array_equal(from_first.recording, [0, 0, 2])
     np.testing.assert_array_equal(from_first.start_us, [2_000, 212_000, 212_000])
-    assert len(make_windows(recordings, 400_000, which=[0])) == 1
+    assert len(make_windows(recordings, 400_000, which=[0], duration_us=315_000)) == 1
 
 
 def test_windows_without_a_duration_reach_to_the_last_event():
     events = [recording([3, 102, 103, 2_000_000_003]), recording([50]), recording([])]
-    windows = make_windows(Recordings.from_events(events, [0, 1, 1]), 100, first_event=True, duration_us=None)
+    windows = make_windows(Recordings.from_events(events, [0, 1, 1]), 100, first_event=True)
     np.testing.assert_array_equal(windows.recording, [0, 0, 0, 1])
     np.testing.assert_array_equal(windows.start_us, [3, 103, 2_000_000_003, 50])
-
-
-def test_a_split_is_by_recording_and_even_over_the_classes():
-    recordings = Recordings.from_events([recording([1])] * 60, [0] * 40 + [1] * 20)
-    train, held_out = split_recordings(recordings, 0.25, np.random.default_rng(0))
-    np.testing.assert_array_equal(np.sort(np.concatenate([train, held_out])), np.arange(60))
-    np.testing.assert_array_equal(np.bincount(recordings.labels[held_out]), [10, 5])
-    np.testing.assert_array_equal(held_out, split_recordings(recordings, 0.25, np.random.default_rng(0))[1])
-    with pytest.raises(ValueError, match=r"`fraction` must be in \[0, 1\), got 1"):
-        split_recordings(recordings, 1, np.random.default_rng(0))
