@@ -25,31 +25,18 @@ async_tnt.Processor(model, late="dorp")
 """
 
 
-@pytest.fixture(params=OPTIONS)
-def lines_at_fault(request, tmp_path):
-    """A function: the lines of a program in which the checker finds errors."""
-    pytest.importorskip(request.param, reason=f"{request.param} is not installed (extra `dev`)")
-    (tmp_path / "pyrightconfig.json").write_text(json.dumps({"typeCheckingMode": "standard"}))
-
-    def check(text):
-        (tmp_path / "program.py").write_text(text, encoding="utf-8")
-        command = [sys.executable, "-m", request.param, *OPTIONS[request.param], "program.py"]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-        found = {int(line) for line in re.findall(r"program\.py:(\d+).* error: ", done.stdout)}
-        assert done.returncode == bool(found), done.stdout + done.stderr
-        return [text.splitlines()[line - 1] for line in sorted(found)]
-
-    return check
-
-
-def test_snippets_and_public_names_are_typed(lines_at_fault):
+@pytest.mark.parametrize("checker", OPTIONS)
+def test_snippets_and_public_names_are_typed_and_a_mistyped_setting_is_found(checker, tmp_path):
+    pytest.importorskip(checker, reason=f"{checker} is not installed (extra `dev`)")
     snippets = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")
     assert len(snippets) > 2
     programs = [doctest.script_from_examples(part) if ">>>" in part else part for part in snippets]
-    assert lines_at_fault("\n".join(programs + ALL_NAMES)) == []
-
-
-def test_a_mistyped_setting_is_found(lines_at_fault):
-    found = lines_at_fault(TYPOS)
+    text = "\n".join([*programs, *ALL_NAMES, TYPOS])
+    (tmp_path / "program.py").write_text(text, encoding="utf-8")
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps({"typeCheckingMode": "standard"}))
+    command = [sys.executable, "-m", checker, *OPTIONS[checker], "program.py"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    lines = sorted({int(line) for line in re.findall(r"program\.py:(\d+).* error: ", done.stdout)})
+    found = [text.splitlines()[line - 1] for line in lines]
     assert re.findall("runing|sined|every_ms|dorp", "".join(found)) == ["runing", "sined", "every_ms", "dorp"]
-    assert len(found) == 4
+    assert len(found) == 4, done.stdout + done.stderr

@@ -7,13 +7,10 @@ import pytest
 from made import random_model
 
 from async_tnt import Model, Processor, TNTConfig, load_model
-from async_tnt.engines import choose_engine
-from async_tnt.evaluation.job import Job, job_of
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_masks import PackedMask, save_mask
-from async_tnt.sources.pixel_selection import PixelSelection
 
 HOT = [(3, 4), (30, 29), (4, 30)]
 SIZE, CAMERA, CORNER = (34, 34), (100, 80), (40, 20)
@@ -136,15 +133,6 @@ def test_another_selection_is_another_job(sets, tmp_path, program):
         code, _, message = program(*given, *others)
         assert code == 2 and f"{out} was made with another model" in message and message.count("\n") == 1
     assert out.read_bytes() == before
-
-
-def test_without_a_selection_the_job_is_the_one_of_older_results():
-    """A change would invalidate all results."""
-    of_old = {"command": "run", "version": "0.1.0", "engine": "compiled", "every_us": 5000, "model_sha256": "a" * 64}
-    job = Job("run", "digits", "compiled", {"every_us": 5000}, model_sha256="a" * 64, version="0.1.0")
-    assert job.metadata == of_old and job.id == "083e09a68da2"
-    engine = choose_engine("digits")
-    assert job_of("run", "digits", engine).id == job_of("run", "digits", engine, PixelSelection()).id
 
 
 # -- whose camera it is ----------------------------------------------------------------------------------------------
