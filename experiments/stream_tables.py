@@ -59,7 +59,7 @@ _HEAD = [
 def _row(run: dict[str, Any]) -> list[str]:
     late = run["delay_us"]
     events, received = run["sent"]["events"], run["received"]["events"]
-    lost = run["datagrams_lost_by_the_system"] * run["datagram_events"]
+    lost = run["datagrams_missing"] * run["datagram_events"]
     skipped = run["events_skipped"] / received
     share = f"{100 * skipped:.3f} %" if 0 < skipped < 1e-3 else percent(skipped)
     return [

@@ -3,7 +3,7 @@
 open_source         any of the next three by name, or events in memory
 open_recording      a file of any format that `sources.files` reads; `sample_recordings` are bundled
 open_camera         a camera of Prophesee or iniVation (extra `cameras`)
-open_udp            datagrams from the network; `UdpSender` sends them
+open_udp            datagrams from the network; `encode` makes them
 replay              a recording at its own pace
 BackgroundReader    reads a source in a background thread; `PacketQueue` is the queue alone, for drivers with callbacks
 PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in recordings
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from async_tnt.sources.playback import replay
     from async_tnt.sources.queue import PacketQueue, QueueCounters
     from async_tnt.sources.udp import NetworkCounts, UdpSource, open_udp
-    from async_tnt.sources.udp_sender import UdpSender
-    from async_tnt.sources.udp_socket import UdpUrl, parse_udp_url
 else:
     from async_tnt.lazy_names import lazy_names
 
@@ -55,16 +53,14 @@ else:
             "playback": "replay",
             "queue": "PacketQueue QueueCounters",
             "udp": "NetworkCounts UdpSource open_udp",
-            "udp_sender": "UdpSender",
-            "udp_socket": "UdpUrl parse_udp_url",
         },
     )
 
 __all__ = [
     "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock", "CorruptData",
     "DamagedRecording", "Decoded", "Decoder", "LiveSource", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
-    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSender", "UdpSource",
-    "UdpUrl", "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
-    "open_source", "open_udp", "parse_udp_url", "read_nmnist", "replay", "sample_recordings", "save_mask",
+    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSource",
+    "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
+    "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",
     "write_nmnist",
 ]  # fmt: skip

@@ -27,8 +27,6 @@ from async_tnt.sources.clock import Clock
 
 EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32": 8}
 """Format -> bytes of one event."""
-MAX_DATAGRAM_BYTES = 65_507
-"""What one UDP datagram over IPv4 can hold."""
 
 _MAX_SIDE = 1 << 15  # of the formats that pack x and y
 _ABSENT = 1 << 31  # SPIF: no time follows

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dataset.gestures import bar, write
 from made import random_model
-from recordings.written import aedat3
+from sources.files.written import aedat3
 
 from async_tnt import Model, TNTConfig
 from async_tnt.sources.files.recording import open_recording

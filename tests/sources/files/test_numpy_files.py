@@ -6,7 +6,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from recordings.written import columns_of, made_events, table_of
+from sources.files.written import columns_of, made_events, table_of
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files import numpy_files

@@ -9,7 +9,7 @@ import warnings
 
 import numpy as np
 import pytest
-from recordings.written import (
+from sources.files.written import (
     FORMATS,
     IN_WORKER,
     aedat2,

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from cameras.made_devices import PlayedDevice, drivers, found
+from sources.made_devices import PlayedDevice, drivers, found
 
 from async_tnt.sources import DRIVERS, open_recording, sample_recordings
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from recordings.written import by_faery, evt2, evt3, evt21, evt_header, made_events
+from sources.files.written import by_faery, evt2, evt3, evt21, evt_header, made_events
 
 from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21, unwrap_times
 from async_tnt.sources.files.recording import open_recording

@@ -6,7 +6,7 @@ from io import FileIO
 
 import numpy as np
 import pytest
-from recordings.written import dsec, made_events, metavision
+from sources.files.written import dsec, made_events, metavision
 
 from async_tnt.sources.files import hdf5
 

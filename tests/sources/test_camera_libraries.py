@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from cameras.libraries import Dv, Neuromorphic
 from hypothesis import given
 from hypothesis import strategies as st
 from made import events_of, random_events
+from sources.camera_libraries import Dv, Neuromorphic
 
 import async_tnt
 from async_tnt.events import as_events
@@ -61,7 +61,7 @@ def test_every_event_comes_through_once_and_in_order(library, lengths, seed):
 
 
 def test_a_clock_that_restarts_twice_continues(library):
-    """`Clock` states the rule; its tests are in tests/network/test_clock.py."""
+    """`Clock` states the rule; its tests are in test_clock.py."""
     times = [HOUR_US, *[0] * N, 900_000, 1_800_000, 2_700_000, *[0] * N]
     camera = library.opened(*(library.packet_of(events_of([t], [1], [2], [1])) for t in times))
     came = np.concatenate(read_until_unplugged(camera))

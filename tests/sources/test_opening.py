@@ -4,7 +4,7 @@ import importlib.util
 import sys
 
 import pytest
-from cameras.made_devices import PanicException, PlayedDevice, driver, drivers, found
+from sources.made_devices import PanicException, PlayedDevice, driver, drivers, found
 
 from async_tnt.sources import DRIVERS, UdpSource, open_camera, open_recording, open_source, sample_recordings
 

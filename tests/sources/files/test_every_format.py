@@ -7,7 +7,19 @@ import tracemalloc
 import numpy as np
 import pytest
 from numba import config
-from recordings.written import FORMATS, IN_WORKER, SENSOR, aedat2, aedat3, dat, evt2, evt3, evt21, made_events, written
+from sources.files.written import (
+    FORMATS,
+    IN_WORKER,
+    SENSOR,
+    aedat2,
+    aedat3,
+    dat,
+    evt2,
+    evt3,
+    evt21,
+    made_events,
+    written,
+)
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.sources.files.nmnist import write_nmnist

@@ -4,7 +4,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from cameras.made_devices import PanicException, made_events, opened
+from sources.made_devices import PanicException, made_events, opened
 from waiting import meanwhile, until
 
 from async_tnt.sources import BackgroundReader

@@ -4,8 +4,8 @@ import os
 
 import numpy as np
 import pytest
-from recordings.odd_readers import invalid, misbehaving
-from recordings.written import made_events, written
+from sources.files.odd_readers import invalid, misbehaving
+from sources.files.written import made_events, written
 
 from async_tnt.sources.files import worker_source
 from async_tnt.sources.files.recording import open_recording
