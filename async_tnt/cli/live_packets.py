@@ -15,7 +15,7 @@ from async_tnt.cli.output import complain
 from async_tnt.decision import Decision
 from async_tnt.processor import Processor
 from async_tnt.sources.opening import LiveSource, open_source
-from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.windows import FirstWindows
 
 if TYPE_CHECKING:

@@ -13,10 +13,8 @@ import numpy as np
 from async_tnt.cli.options import number, size_of
 from async_tnt.cli.output import say
 from async_tnt.progress import progress
-from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.mask_learning import FACTOR, count_pixels, hot_pixels
-from async_tnt.sources.pixel_masks import check_mask_path, save_mask
+from async_tnt.sources.files.recording import READERS, open_recording
+from async_tnt.sources.pixel_masks import FACTOR, check_mask_path, count_pixels, hot_pixels, save_mask
 from async_tnt.sources.sensor import format_size
 from async_tnt.views.figure_style import check_picture
 

@@ -16,16 +16,13 @@ if TYPE_CHECKING:
     from async_tnt.sources.cameras import Camera, CameraCounts, open_camera
     from async_tnt.sources.clock import Clock
     from async_tnt.sources.datagrams import EVENT_BYTES, Decoded, Decoder, encode
-    from async_tnt.sources.files.formats import READERS
     from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
-    from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
+    from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
     from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
-    from async_tnt.sources.mask_learning import count_pixels, hot_pixels, learn_mask
     from async_tnt.sources.opening import LiveSource, open_source
     from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
-    from async_tnt.sources.pixel_masks import PackedMask, load_mask, save_mask
-    from async_tnt.sources.pixel_selection import PixelSelection
-    from async_tnt.sources.pixel_selector import PixelSelector
+    from async_tnt.sources.pixel_masks import PackedMask, count_pixels, hot_pixels, learn_mask, load_mask, save_mask
+    from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
     from async_tnt.sources.playback import replay
     from async_tnt.sources.queue import PacketQueue, QueueCounters
     from async_tnt.sources.udp import NetworkCounts, UdpSource, open_udp
@@ -40,16 +37,13 @@ else:
             "cameras": "Camera CameraCounts open_camera",
             "clock": "Clock",
             "datagrams": "EVENT_BYTES Decoded Decoder encode",
-            "files.formats": "READERS",
             "files.nmnist": "read_nmnist write_nmnist",
-            "files.recording": "Recording open_recording sample_recordings",
+            "files.recording": "READERS Recording open_recording sample_recordings",
             "files.source": "CorruptData DamagedRecording Source",
-            "mask_learning": "count_pixels hot_pixels learn_mask",
             "opening": "LiveSource open_source",
             "pixel_filter": "PixelCounts PixelFilter",
-            "pixel_masks": "PackedMask load_mask save_mask",
-            "pixel_selection": "PixelSelection",
-            "pixel_selector": "PixelSelector",
+            "pixel_masks": "PackedMask count_pixels hot_pixels learn_mask load_mask save_mask",
+            "pixel_selection": "PixelSelection PixelSelector",
             "playback": "replay",
             "queue": "PacketQueue QueueCounters",
             "udp": "NetworkCounts UdpSource open_udp",

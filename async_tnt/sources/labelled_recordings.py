@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.files.recording import READERS
 
 TABLE = "_labels.csv"
 COLUMNS = {

@@ -5,7 +5,7 @@ import pytest
 from made import events_of, random_events
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.mask_learning import count_pixels, hot_pixels, learn_mask
+from async_tnt.sources.pixel_masks import count_pixels, hot_pixels, learn_mask
 
 SENSOR = (34, 34)
 RECORDINGS = {digit: open_recording(sample_recordings()[digit]).read() for digit in (0, 1, 8)}

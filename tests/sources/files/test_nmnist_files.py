@@ -30,7 +30,7 @@ def test_a_camera_may_be_as_large_as_a_byte_addresses_and_larger(tmp_path):
     with pytest.raises(ValueError, match=r"34 x 34 sensor, got x = 255, y = 239 at event 0 .*another camera") as raised:
         read_nmnist(tmp_path / "a.bin")
     (note,) = raised.value.__notes__  # what to pass is for Python, and not for the program, which shows no notes
-    assert note.startswith("Pass strict=False for the 0 events before. Pass sensor=(width, height), or None")
+    assert note.startswith("Pass sensor=(width, height), or None")
 
 
 def test_overflow_rows_add_8192_us_to_all_that_follows_and_vanish(tmp_path):
@@ -44,25 +44,18 @@ def test_overflow_rows_add_8192_us_to_all_that_follows_and_vanish(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("data", "message", "n_kept"),
+    ("data", "message"),
     [
-        (
-            EVENT * 3 + EVENT[:2],
-            r"the size must be a multiple of 5 bytes .* got 17: .* 2 bytes into row 3",
-            3,
-        ),
-        (EVENT * 2 + bytes([1, 1, 0, 0, 99]) + EVENT, r"`t` must .*, got 99 us after 100 us at event 2 \(byte 10\)", 2),
-        (EVENT + OVERFLOW * 2 + bytes([34, 1, 0, 0, 9]), r"got x = 34, y = 1 at event 1 \(byte 15\)", 1),
+        (EVENT * 3 + EVENT[:2], r"the size must be a multiple of 5 bytes .* got 17: .* 2 bytes into row 3"),
+        (EVENT * 2 + bytes([1, 1, 0, 0, 99]) + EVENT, r"`t` must .*, got 99 us after 100 us at event 2 \(byte 10\)"),
+        (EVENT + OVERFLOW * 2 + bytes([34, 1, 0, 0, 9]), r"got x = 34, y = 1 at event 1 \(byte 15\)"),
     ],
 )
-def test_damage_names_its_place_and_keeps_the_events_before_it_if_not_strict(tmp_path, data, message, n_kept):
+def test_damage_names_its_place(tmp_path, data, message):
     (tmp_path / "a.bin").write_bytes(data)
-    with pytest.raises(
-        ValueError, match=rf"a\.bin: damaged N-MNIST recording of {len(data)} bytes: .*{message}\. Fetch the file"
-    ):
+    line = rf"a\.bin: damaged N-MNIST recording of {len(data)} bytes: .*{message}\. Fetch the file"
+    with pytest.raises(ValueError, match=line):
         read_nmnist(tmp_path / "a.bin")
-    with pytest.warns(UserWarning, match=rf"{message}. Keeping the {n_kept} events before\.$"):
-        assert len(read_nmnist(tmp_path / "a.bin", strict=False)) == n_kept
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def test_a_reader_that_hangs_dies_or_panics_is_damage_after_the_events_before(tm
     source = WorkerSource(path, misbehaving, "odd")
     assert [len(block) for block in source.blocks()] == [2] and source.sensor == (34, 34)
     if how == "hang":
-        monkeypatch.setattr(worker_source, "SILENCE_S", 2.0)
+        monkeypatch.setattr(worker_source, "SILENCE_S", 0.5)
     path.write_text(f"read {how}")
     with pytest.raises(CorruptData, match=f"after event 2: {message}"):
         list(source.blocks())

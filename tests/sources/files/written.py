@@ -130,12 +130,12 @@ def aedat2(events, sensor, chip):
 
 
 def aedat3(events, sensor=(240, 180)):
-    """Packets of five polarity events and one that is not valid, and packets of special events between."""
+    """Packets of five polarity events (or a tenth of all) and one that is not valid; between them, special events."""
     out = [b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"]
-    for (_, overflows), rows in groupby(enumerate(events.tolist()), key=lambda row: (row[0] // 5, row[1][0] >> 31)):
+    n = max(5, len(events) // 10)
+    for (_, overflows), rows in groupby(enumerate(events.tolist()), key=lambda row: (row[0] // n, row[1][0] >> 31)):
         packet = [row for _, row in rows]
-        n = len(packet) + 1
-        out.append(struct.pack("<hhiiiiii", 1, 1, 8, 4, overflows, n, n, n - 1))
+        out.append(struct.pack("<hhiiiiii", 1, 1, 8, 4, overflows, len(packet) + 1, len(packet) + 1, len(packet)))
         out += [struct.pack("<II", x << 17 | y << 2 | p << 1 | 1, t & 0x7FFFFFFF) for t, x, y, p in packet]
         out += [struct.pack("<II", 5 << 17, 3), struct.pack("<hhiiiiiiII", 0, 1, 8, 4, overflows, 1, 1, 1, 3, 7)]
     return b"".join(out)
