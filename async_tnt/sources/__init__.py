@@ -12,10 +12,10 @@ PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` find
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
-    from async_tnt.sources.camera_drivers import DRIVERS
-    from async_tnt.sources.cameras import Camera, CameraCounts, open_camera
+    from async_tnt.sources.camera_drivers import DRIVERS, CameraCounts
+    from async_tnt.sources.cameras import Camera, open_camera
     from async_tnt.sources.clock import Clock
-    from async_tnt.sources.datagrams import EVENT_BYTES, Decoded, Decoder, encode
+    from async_tnt.sources.datagrams import EVENT_BYTES, Decoder, encode
     from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
     from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
     from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
@@ -33,10 +33,10 @@ else:
         globals(),
         {
             "background_reader": "BackgroundReader",
-            "camera_drivers": "DRIVERS",
-            "cameras": "Camera CameraCounts open_camera",
+            "camera_drivers": "DRIVERS CameraCounts",
+            "cameras": "Camera open_camera",
             "clock": "Clock",
-            "datagrams": "EVENT_BYTES Decoded Decoder encode",
+            "datagrams": "EVENT_BYTES Decoder encode",
             "files.nmnist": "read_nmnist write_nmnist",
             "files.recording": "READERS Recording open_recording sample_recordings",
             "files.source": "CorruptData DamagedRecording Source",
@@ -52,7 +52,7 @@ else:
 
 __all__ = [
     "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock", "CorruptData",
-    "DamagedRecording", "Decoded", "Decoder", "LiveSource", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
+    "DamagedRecording", "Decoder", "LiveSource", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
     "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSource",
     "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
     "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",

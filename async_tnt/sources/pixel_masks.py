@@ -102,18 +102,10 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
     ValueError : not a bool array of two dimensions, or another suffix.
     OSError : not writable.
     """
-    check_mask_path(path)
+    check_writable(Path(path), (".npy",))
     mask = checked_mask(plain_array("mask", mask))
     with replacing(Path(path)) as part, part.open("wb") as file:
         np.save(file, mask, allow_pickle=False)
-
-
-def check_mask_path(path: str | os.PathLike[str]) -> None:
-    """Check that `save_mask` can write there, before the work of learning a mask; raises the same errors."""
-    path = Path(path)
-    if path.suffix.lower() != ".npy":
-        raise ValueError(f"{path}: a mask is written as .npy, got the suffix {path.suffix!r}")
-    check_writable(path)
 
 
 @dataclass(frozen=True)

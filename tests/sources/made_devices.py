@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from async_tnt.sources.camera_drivers import FoundCamera, Losses
+from async_tnt.sources.camera_drivers import CameraCounts, FoundCamera
 from async_tnt.sources.cameras import open_camera
 
 RECORD = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])  # as neuromorphic-drivers has it
@@ -33,7 +33,7 @@ class PlayedDevice:
     def __init__(self, *packets, sensor=(3400, 34), pause_s=0.0, read_s=0.0):
         self.packets = list(packets)
         self.sensor, self.pause_s, self.read_s = sensor, pause_s, read_s
-        self.losses = Losses()
+        self.counts = CameraCounts()
         self.handle = object()
         self.n_reads = self.n_closed = 0
         self._lock = threading.Lock()

@@ -98,7 +98,6 @@ def test_latest_discards_the_oldest(limits):
         assert [packet.tobytes() for packet in reader] == [packet.tobytes() for packet in packets[17:]]
         counters = reader.counters
     assert (counters.received, counters.handed_out, counters.skipped, counters.backlog) == (5000, 1000, 4000, 0)
-    assert (counters.packets_received, counters.packets_handed_out, counters.packets_skipped) == (20, 4, 16)
 
 
 @pytest.mark.parametrize("max_packets", [1, 7])
@@ -106,14 +105,12 @@ def test_received_is_handed_out_and_skipped_and_waiting_at_any_moment(max_packet
     """And the newest packet always arrives."""
     source, handed_out = Source(PACKETS * 20), 0
     with BackgroundReader(source, latest=True, max_packets=max_packets) as reader:
-        for number, packet in enumerate(reader, 1):
+        for packet in reader:
             handed_out += len(packet)
             now = reader.counters
-            assert now.received == now.handed_out + now.skipped + now.backlog
-            assert now.packets_received == now.packets_handed_out + now.packets_skipped + now.packets_waiting
-            assert (now.handed_out, now.packets_handed_out) == (handed_out, number)
+            assert now.received == now.handed_out + now.skipped + now.backlog and now.handed_out == handed_out
     now = reader.counters
-    assert now.received == source.n_events == handed_out + now.skipped and now.backlog == now.packets_waiting == 0
+    assert now.received == source.n_events == handed_out + now.skipped and now.backlog == 0
     assert packet.tobytes() == PACKETS[-1].tobytes()
 
 
@@ -124,7 +121,7 @@ def test_an_error_of_the_source_comes_after_the_packets_before_it(read, latest, 
     reader = BackgroundReader(Source(PACKETS[:7], error=error), latest=latest)
     with pytest.raises(type(error)) as raised:
         read(reader)
-    assert raised.value is error and reader.counters.packets_handed_out == 7
+    assert raised.value is error and reader.counters.handed_out == sum(map(len, PACKETS[:7]))
     assert list(reader) == []  # once; then it has ended
 
 
@@ -132,7 +129,7 @@ def test_an_error_of_the_source_comes_after_the_packets_before_it(read, latest, 
 
 
 def test_closing_at_any_moment_accounts_for_every_event():
-    for k in range(200):
+    for k in range(100):
         source = Source()
         reader = BackgroundReader(source, max_packets=3, latest=bool(k % 2))
         handed_out = sum(len(next(reader, ())) for _ in range(k % 45))

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from made import events_of, random_events
 from sources.camera_libraries import Dv, Neuromorphic
 
-import async_tnt
 from async_tnt.events import as_events
 from async_tnt.kernels.clock import AGREEING_PACKETS as N
 from async_tnt.sources import open_recording, sample_recordings
@@ -92,14 +91,6 @@ def test_every_model_opens_by_each_of_its_kinds(library):
             assert camera.name.startswith(f"{model} 00050423 by ") and camera.sensor == (width, height)
             (came,) = read_until_unplugged(camera)
             assert came.tolist() == corners.tolist() and camera.device is None
-
-
-def test_a_recording_played_as_a_camera_gives_its_decisions(library):
-    recording = [as_events(packet, (34, 34)) for packet in open_recording(sample_recordings()[3], packet_events=250)]
-    camera = library.opened(*map(library.packet_of, recording))
-    processor = async_tnt.Processor(async_tnt.load_model("digits"))
-    decisions = [d for packet in read_until_unplugged(camera) for d in processor.push(packet)] + processor.finish()
-    assert [decision.label for decision in decisions] == ["3", "3", "3"]
 
 
 # -- neuromorphic-drivers alone --------------------------------------------------------------------------

@@ -91,7 +91,7 @@ def folder(tmp_path, monkeypatch):
         ("34.npz 50.npz", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
         ("a.bin", "on the 34 x 34 sensor, got x = 200, y = 2 at event 0 (byte 0). Fetch the file again, or say"),
         ("e.npz", "e.npz: no events, no hot pixels can be found"),
-        ("34.npz --out m.png", "m.png: a mask is written as .npy, got the suffix '.png'"),
+        ("34.npz --out m.png", "m.png: its name must end in .npy"),
     ],
 )
 def test_an_error_is_one_line(words, message, folder, program):

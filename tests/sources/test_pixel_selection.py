@@ -1,15 +1,12 @@
 """Which pixels a model sees: as values that can be compared and sent, and applied to recordings."""
 
 import dataclasses
-import hashlib
 import pickle
 
 import numpy as np
 import pytest
 
-from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_masks import PackedMask, save_mask
 from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
 
@@ -28,14 +25,6 @@ def random_mask(size, share):
     return np.random.default_rng(0).random(size[::-1]) < share
 
 
-@pytest.mark.parametrize(("size", "share"), [((1, 1), 1.0), ((7, 13), 0.5), ((346, 260), 0.01), ((34, 34), 0.0)])
-def test_a_packed_mask_is_the_mask(size, share):
-    mask = random_mask(size, share)
-    packed = PackedMask.of(np.asfortranarray(mask))
-    np.testing.assert_array_equal(packed.pixels(size), mask)
-    assert packed.size == size and packed.sha256 == hashlib.sha256(mask.tobytes()).hexdigest()
-
-
 def test_a_selection_goes_to_another_process_with_its_mask_which_may_be_an_array_or_a_file(tmp_path):
     mask = random_mask((1280, 720), 1e-4)
     save_mask(tmp_path / "m.npy", mask)
@@ -50,6 +39,8 @@ def test_a_selection_goes_to_another_process_with_its_mask_which_may_be_an_array
     received = pickle.loads(sent)
     assert received == selection and hash(received) == hash(selection) and received.about == selection.about
     np.testing.assert_array_equal(received.mask.pixels((1280, 720)), mask)
+    small = random_mask((5, 7), 0.5)
+    np.testing.assert_array_equal(PackedMask.of(np.asfortranarray(small)).pixels((5, 7)), small)
     assert dataclasses.replace(selection, sensor=[1280, 720]).sensor == (1280, 720)
     with pytest.raises(TypeError, match=r"`mask` must be a bool array, a .* or a PackedMask, got "):
         PixelSelection(mask=b"m.npy")
@@ -105,30 +96,6 @@ def test_about_tells_selections_apart():
 def test_a_wrong_selection_is_refused_before_the_first_event(settings, model, message):
     with pytest.raises(ValueError, match=message):
         PixelSelector(PixelSelection(**settings), model)
-
-
-@pytest.mark.parametrize(
-    ("selection", "model", "size"),
-    [
-        (PixelSelection((2, 1, 20, 20), True, sensor=(60, 48)), (20, 20), (60, 48)),
-        (PixelSelection((2, 1, 20, 20), True, MASK), (20, 20), (60, 48)),
-        (PixelSelection((2, 1, 20, 20), True), (20, 20), (34, 34)),  # N-MNIST's
-        (PixelSelection(sensor=(60, 48)), (60, 48), (60, 48)),
-        (PixelSelection(), (60, 48), (60, 48)),
-    ],
-)
-def test_a_recording_that_states_no_sensor_is_of_the_given_camera_or_else_of_the_models(
-    selection, model, size, tmp_path
-):
-    write_nmnist(tmp_path / "a.bin", EVENTS)
-    np.save(tmp_path / "a.npy", EVENTS)
-    for name in ("a.bin", "a.npy") if size != (34, 34) else ("a.bin",):
-        selector = PixelSelector(selection, model)
-        recording, sensor = selector.open(tmp_path / name, strict=True)
-        assert sensor == recording.sensor == size
-        kept = np.concatenate(list(map(selector.filter_of("a", sensor), recording)))
-        mask = None if selection.mask is None else selection.mask.pixels(size)
-        np.testing.assert_array_equal(kept, PixelFilter(size, selection.roi, mask, crop=selection.crop)(EVENTS))
 
 
 @pytest.mark.parametrize(

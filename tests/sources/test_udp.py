@@ -69,7 +69,7 @@ def test_what_comes_is_what_a_decoder_makes_of_the_datagrams(format):
                 got.append(source.receive(0))
         counts = source.counts
     got = np.concatenate([packet for packet in got if packet is not None])
-    expected = np.concatenate([decoder.decode(datagram).events for datagram in datagrams])
+    expected = np.concatenate([decoder.decode(datagram) for datagram in datagrams])
     fields = ["x", "y", "p"] if format == "spif" else ["t", "x", "y", "p"]  # `spif` has the time of arrival
     assert got[fields].tolist() == expected[fields].tolist() and len(got) > 100
     assert (counts.datagrams, counts.bytes, counts.events) == (201, sum(map(len, datagrams)), len(got))
@@ -255,8 +255,8 @@ def invalid(n):
 
 BOTH = [invalid(WARN_AFTER // 2), at_pixel(0, 20, WARN_AFTER // 2)]
 LINE = (
-    "none of the first 1,000 events can be used; 500 lie off 34x20 pixels: is the camera larger? 500 are not valid "
-    "t64_x16_y16_on8: does the sender use another (?format=...)?"
+    "none of the first 1000 events can be used, 500 of them lie off the sensor; does the sender use another format "
+    "than t64_x16_y16_on8 (?format=...), or a larger camera?"
 )
 
 

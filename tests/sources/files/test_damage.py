@@ -124,6 +124,7 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
         ("a.dat", b"% some table\n1 2 3\n4 5 6\n", "after the header there must be a type of events, 0 or 12"),
         ("a.dat", b"% Version 7\n\x0c\x08", "the header's Version must be 1 or 2, got '7'"),
         ("a.es", b"Event Stream\x01\x00\x00\x01\x22\x00\x22\x00", "not a readable ES file: .*got 1.0.0"),
+        ("a.es", b"Event Stream\x02\x00\x00\x00", "not a readable ES file: expected DVS or ATIS events, got generic"),
         (
             "a.es",
             b"Event Stream\x02\x00\x00\x01\x00\x00\x22\x00",

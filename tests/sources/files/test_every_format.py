@@ -100,6 +100,17 @@ def test_a_davis_address_by_hand(tmp_path):
     assert open_recording(tmp_path / "a.aedat").read().tolist() == [(7, 189, 159, 1)]
 
 
+def test_atis_events_of_changing_light_by_hand(tmp_path):
+    """Rows count from the bottom; events may be exposures."""
+    pytest.importorskip("faery", reason="ES needs faery")
+    header = b"Event Stream\x02\x00\x00\x02" + np.array([320, 240], "<u2").tobytes()
+    pixel = np.array([4, 0], "<u2").tobytes()  # y = 0 is the lowest row
+    body = b"\xfd\xfe" + bytes([5 << 2 | 2]) + pixel + bytes([1 << 2 | 1]) + pixel + bytes([1 << 2]) + pixel
+    (tmp_path / "a.es").write_bytes(header + body)
+    recording = open_recording(tmp_path / "a.es")
+    assert recording.read().tolist() == [(194, 4, 239, 1), (196, 4, 239, 0)] and recording.sensor == (320, 240)
+
+
 @pytest.mark.parametrize("name", ["evt3.raw", "dvs.es", "v2.dat"])
 def test_the_content_tells_the_format_where_suffixes_are_shared(tmp_path, name):
     events = made_events(50)
