@@ -2,9 +2,9 @@
 
     python -m experiments.network [--seconds 60] [--rate 1000000] [--overload 10] [--pings 2000] [--json]
 
-Latency. Datagrams of 100 events, one per millisecond, in turn to a plain blocking socket, a `UdpSource`, one that
-spins before it sleeps, and one whose `Processor` decides on each: from just before `send` to the bytes, the packet, or
-the decision in hand. The plain socket shows how long the system takes to wake a process; the rest is ours.
+Latency. Datagrams of 100 events, one per millisecond, in turn to a plain blocking socket, a `UdpSource`, and one whose
+`Processor` decides on each: from just before `send` to the bytes, the packet, or the decision in hand. The plain socket
+shows how long the system takes to wake a process; the rest is ours.
 
 Load. Events at an even rate for `--seconds`, in datagrams that fit Ethernet, to a `UdpSource` and a `Processor`
 that decides every 5 ms. Each event carries the time at which it was due on the clock that both processes share, so that
@@ -14,7 +14,7 @@ Overload. The same at `--overload` times the rate, for a tenth of the seconds, t
 in datagrams that fit Ethernet, in the largest possible, and in small ones to a consumer that sleeps 20 ms after each
 packet and therefore must skip. The counters must add up to what was sent.
 
-Exit code 1 if under load a datagram is missing or counted as lost, or if the sender fell short of the rate by more than
+Exit code 1 if under load a datagram is missing, or if the sender fell short of the rate by more than
 1 %; or if under overload the counters do not add up, or a decision was later than a second.
 """
 
@@ -43,7 +43,7 @@ EVERY_US = 5_000
 SILENCE_S = 2.0
 SMALL, LARGE = 100, 5_000  # events of a datagram: 1300 bytes fit Ethernet, 65,000 are nearly the most
 QUEUED_EVENTS = 50_000  # that may wait in the reader: 5 ms of the overload
-WAYS = ("plain_socket", "packet", "packet_spinning", "decision")
+WAYS = ("plain_socket", "packet", "decision")
 LATEST_S = 1.0
 SHARE_S = 1e-4
 SLOW_S = 0.02
@@ -120,19 +120,18 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plain,
         UdpSource(port=0, sensor=sensor) as packets,
-        UdpSource(port=0, sensor=sensor, spin_us=3000) as spinning,
         UdpSource(port=0, sensor=sensor) as deciding,
     ):
         plain.bind(("127.0.0.1", 0))
         plain.settimeout(30)  # the sender may have died
-        ports = [plain.getsockname()[1], packets.port, spinning.port, deciding.port]
+        ports = [plain.getsockname()[1], packets.port, deciding.port]
         sending = other_process("pings", ports, n)
         try:
             n_events = dict.fromkeys(WAYS, 0)
             for k in range(n):
                 sent_us = int.from_bytes(plain.recv(1 << 16)[:8], "little")
                 late_us["plain_socket"].append(time.monotonic_ns() / 1e3 - sent_us)
-                for way, source in (("packet", packets), ("packet_spinning", spinning), ("decision", deciding)):
+                for way, source in (("packet", packets), ("decision", deciding)):
                     if n_events[way] > k * SMALL:  # it came with the one before: we were a round late
                         continue
                     packet = source.receive(30)
@@ -147,8 +146,7 @@ def measure_latency(model: Any, n: int) -> dict[str, Any]:
             sending.kill()
             sending.wait()
     result: dict[str, Any] = {way: latency(np.array(values)) for way, values in late_us.items()}
-    for way in WAYS[1:3]:
-        result[f"{way}_adds"] = {key: result[way][key] - result["plain_socket"][key] for key in ("median", "p99")}
+    result["packet_adds"] = {key: result["packet"][key] - result["plain_socket"][key] for key in ("median", "p99")}
     return result
 
 

@@ -9,7 +9,6 @@ from experiments.page_parts import about_machine, percent, results, short, table
 WAYS = {
     "plain_socket": "plain blocking socket, `recv`",
     "packet": "`UdpSource`, a packet",
-    "packet_spinning": "... with `spin_us=3000`",
     "decision": "`UdpSource`, `Processor`, a decision of `digits`",
 }
 

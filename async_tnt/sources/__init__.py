@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
     from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
     from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
-    from async_tnt.sources.opening import LiveSource, open_source
+    from async_tnt.sources.opening import open_source
     from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
     from async_tnt.sources.pixel_masks import PackedMask, count_pixels, hot_pixels, learn_mask, load_mask, save_mask
     from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
@@ -40,7 +40,7 @@ else:
             "files.nmnist": "read_nmnist write_nmnist",
             "files.recording": "READERS Recording open_recording sample_recordings",
             "files.source": "CorruptData DamagedRecording Source",
-            "opening": "LiveSource open_source",
+            "opening": "open_source",
             "pixel_filter": "PixelCounts PixelFilter",
             "pixel_masks": "PackedMask count_pixels hot_pixels learn_mask load_mask save_mask",
             "pixel_selection": "PixelSelection PixelSelector",
@@ -52,7 +52,7 @@ else:
 
 __all__ = [
     "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock", "CorruptData",
-    "DamagedRecording", "Decoder", "LiveSource", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
+    "DamagedRecording", "Decoder", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
     "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSource",
     "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
     "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",

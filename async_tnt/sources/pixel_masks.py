@@ -188,7 +188,6 @@ def learn_mask(
     >>> np.argwhere(learn_mask([*recording, stuck], (34, 34))).tolist()  # (y, x)
     [[5, 30]]
     """
-    _check(factor, false_alarms)
     return hot_pixels(count_pixels(source, sensor), factor=factor, false_alarms=false_alarms)
 
 

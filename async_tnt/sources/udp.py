@@ -86,8 +86,6 @@ class UdpSource:
     max_datagrams : in one packet, at most.
     max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the times of a sender that
         starts again. None: every time is trusted.
-    spin_us : how long to poll before sleeping, in microseconds. Waking up a thread is most of the latency; polling
-        avoids it and keeps a core busy.
 
     Raises
     ------
@@ -115,17 +113,13 @@ class UdpSource:
         timeout_s: float | None = None,
         max_datagrams: int = 64,
         max_jump_s: float | None = 10.0,
-        spin_us: float = 0.0,
     ) -> None:
         port = whole_number("port", port, 0, 1 << 16)
         buffer_bytes = whole_number("buffer_bytes", buffer_bytes, 1, 1 << 30, "in [1, 2**30)")
-        if not 0 <= spin_us <= 1e6:
-            raise ValueError(f"`spin_us` must be in [0, 1,000,000] microseconds, got {spin_us}")
         if timeout_s is not None and not (math.isfinite(timeout_s) and timeout_s > 0):
             raise ValueError(f"`timeout_s` must be a positive number of seconds, got {timeout_s}")
         self.timeout_s = timeout_s
         self.max_datagrams = positive_int("max_datagrams", max_datagrams)
-        self.spin_us = spin_us
         self._decoder = Decoder(format, sensor, max_jump_s)
         self._memory = memoryview(bytearray(BATCH_BYTES))
         self._raw = np.frombuffer(self._memory, np.uint8)  # the decoder's view of it
@@ -187,8 +181,6 @@ class UdpSource:
         with self._reading:
             while not self._closed:
                 events = self._drain(most)
-                if events is None and self.spin_us:
-                    events = self._spin()
                 if events is not None:
                     return events
                 left = None if deadline is None else deadline - time.monotonic()
@@ -199,13 +191,6 @@ class UdpSource:
                 # The datagram that ended the sleep is handed over alone: asking for more takes as long as a plain
                 # `recv`, once its data have left the processor's caches. The next call reads all the others.
                 most = 1
-        return None
-
-    def _spin(self) -> np.ndarray | None:
-        until_ns = time.monotonic_ns() + round(self.spin_us * 1000)
-        while time.monotonic_ns() < until_ns and not self._closed:
-            if (events := self._drain(1)) is not None:
-                return events
         return None
 
     def __iter__(self) -> Iterator[np.ndarray]:

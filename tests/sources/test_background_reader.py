@@ -86,20 +86,6 @@ def test_without_latest_the_source_is_held_back(limits, n):
             assert next(reader).tobytes() == packets[k].tobytes()
 
 
-@pytest.mark.parametrize("limits", [{"max_packets": 4}, {"max_packets": 64, "max_events": 1000}])
-def test_latest_discards_the_oldest(limits):
-    packets = [EVENTS[k : k + 250] for k in range(0, 5000, 250)]
-    source = Source(packets, gate_at=20)
-    with BackgroundReader(source, latest=True, **limits) as reader:
-        until(lambda: source.n_asked == 21)
-        assert (reader.backlog, reader.n_skipped) == (1000, 4000)
-        assert next(reader).tobytes() == packets[16].tobytes()
-        source.gate.set()
-        assert [packet.tobytes() for packet in reader] == [packet.tobytes() for packet in packets[17:]]
-        counters = reader.counters
-    assert (counters.received, counters.handed_out, counters.skipped, counters.backlog) == (5000, 1000, 4000, 0)
-
-
 @pytest.mark.parametrize("max_packets", [1, 7])
 def test_received_is_handed_out_and_skipped_and_waiting_at_any_moment(max_packets):
     """And the newest packet always arrives."""
@@ -190,13 +176,6 @@ async def asynchronous():
 def test_wrong_arguments(settings, error, message):
     with pytest.raises(error, match=f"^{message}"):
         BackgroundReader(**({"source": PACKETS} | settings))
-
-
-@pytest.mark.parametrize("copy", [True, False])
-def test_packets_are_copied_unless_they_are_the_readers_own(copy):
-    packets = PACKETS[5:8]
-    got = list(BackgroundReader(packets, copy=copy))
-    assert [np.shares_memory(one, other) for one, other in zip(got, packets, strict=True)] == [not copy] * 3
 
 
 def test_a_failing_on_close_still_stops_the_thread():

@@ -39,10 +39,10 @@ def test_all_planted_pixels_are_found_and_no_others(digit):
     events = RECORDINGS[digit]
     assert found([events]) == found([events], factor=2) == set()  # far from the bound
     busiest = count_pixels([events], SENSOR).max()
-    for seed in range(3):
-        rng = np.random.default_rng([digit, seed])
-        pixels = random_pixels(rng, int(rng.integers(1, 12)))
-        assert found([events, *planted(pixels, 10 * busiest, seed=seed)]) == set(pixels)
+    rng = np.random.default_rng(digit)
+    for n in (1, 5, 11):
+        pixels = random_pixels(rng, n)
+        assert found([events, *planted(pixels, 10 * busiest, seed=n)]) == set(pixels)
 
 
 FOUR = [(10, 10), (11, 10), (10, 11), (11, 11)]
@@ -77,10 +77,10 @@ def test_a_line_that_moves_along_itself_is_not_hot():
 
 
 def test_chance_alone_is_not_hot_by_the_second_bound():
-    """Uniform noise of every strength: none of 100 sensors has a hot pixel; by the factor alone, many have."""
+    """Uniform noise of every strength: none of 50 sensors has a hot pixel; by the factor alone, many have."""
     rng = np.random.default_rng(0)
-    for rate in (0.001, 0.01, 0.1, 0.5, 1, 2, 5, 20, 1000):
-        for _ in range(100):
+    for rate in (0.001, 0.1, 1, 5, 1000):
+        for _ in range(50):
             assert not hot_pixels(rng.poisson(rate, (34, 34)).astype(np.int64)).any()
     assert hot_pixels(rng.poisson(1, (260, 346)).astype(np.int64), false_alarms=1e9).any()
 
@@ -108,13 +108,6 @@ def test_four_equal_neighbours_explain_a_pixel_and_three_do_not(corner):
     assert hot_pixels(counts).sum() == 4
     counts[top, left - 1 if left > 1 else left + 2] = 1000
     assert not hot_pixels(counts).any()
-
-
-def test_counts_equal_numpy():
-    events = random_events(10_000, sensor=(50, 20), seed=3)
-    expected = np.zeros((20, 50), int)
-    np.add.at(expected, (events["y"], events["x"]), 1)
-    assert (count_pixels(np.array_split(events, 7), (50, 20)) == expected).all()
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,13 @@ from async_tnt.sources.files.text_files import open_csv, open_txt
 from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
 from async_tnt.sources.sensor import Sensor, checked_sensor
 
+BY_FIRST_BYTES: dict[bytes, Callable[[Path], Source]] = {
+    b"\x89HDF\r\n\x1a\n": open_hdf5,
+    b"#!AER-DAT4": open_aedat4,
+    b"#!AER-DAT2.": Aedat2Source,
+    b"#!AER-DAT3.1": Aedat3Source,
+    b"Event Stream": open_es,
+}
 COMPRESSED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
 
 
@@ -38,16 +45,9 @@ def _open_by_content(path: Path) -> Source:
     """Many programs write `.raw`, `.dat`, `.h5` and `.aedat`: the first bytes tell which format it is."""
     with path.open("rb") as file:
         start = file.read(4096)
-    if start.startswith(b"\x89HDF\r\n\x1a\n"):
-        return open_hdf5(path)
-    if start.startswith(b"#!AER-DAT4"):
-        return open_aedat4(path)
-    if start.startswith(b"#!AER-DAT2."):
-        return Aedat2Source(path)
-    if start.startswith(b"#!AER-DAT3.1"):
-        return Aedat3Source(path)
-    if start.startswith(b"Event Stream"):
-        return open_es(path)
+    for magic, open_it in BY_FIRST_BYTES.items():
+        if start.startswith(magic):
+            return open_it(path)
     if not start:
         raise ValueError(f"{path}: the file is empty")
     header = start.lower()
@@ -68,13 +68,7 @@ READERS: dict[str, Callable[[Path], Source]] = {
     ".txt": open_txt,
     ".csv": open_csv,
     ".tsv": open_csv,
-    ".raw": _open_by_content,
-    ".dat": _open_by_content,
-    ".aedat": _open_by_content,
-    ".aedat4": _open_by_content,
-    ".es": _open_by_content,
-    ".h5": _open_by_content,
-    ".hdf5": _open_by_content,
+    **dict.fromkeys((".raw", ".dat", ".aedat", ".aedat4", ".es", ".h5", ".hdf5"), _open_by_content),
 }
 """Suffix, in lower case -> function that opens such a file."""
 
