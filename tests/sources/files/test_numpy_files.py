@@ -29,10 +29,7 @@ SENSOR = np.array([320, 240])
 
 def saved(path, arrays):
     """`arrays` : one, or a dict for a `.npz`."""
-    if path.suffix == ".npy":
-        np.save(path, arrays)
-    else:
-        np.savez(path, **arrays)
+    np.savez(path, **arrays) if path.suffix == ".npz" else np.save(path, arrays)
     return path
 
 
