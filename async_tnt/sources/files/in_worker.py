@@ -20,8 +20,16 @@ Reader = Callable[[str], Iterator[Any]]
 _blocks: Iterator[Any] = iter(())  # of the file that this process reads
 
 
+def sensor_of(read: Reader, path: str) -> tuple[Any, str]:
+    """A file's sensor; and why it cannot be read, or ""."""
+    global _blocks
+    answer = start(read, path)
+    _blocks = iter(())  # closes the file: HDF5 lets nobody write one that is open
+    return answer
+
+
 def start(read: Reader, path: str) -> tuple[Any, str]:
-    """A file's sensor; and why it cannot be read, or "". `next_block` then reads it from its beginning."""
+    """`sensor_of`, and `next_block` then reads this file from its beginning."""
     global _blocks
     _limit_memory()
     try:

@@ -42,7 +42,7 @@ class WorkerSource(Source):
         self._read = read
         path.open("rb").close()  # raises the OSError of a missing file
         with _worker() as worker:
-            worker.submit(in_worker.start, read, self._absolute, limit_s=READ_S)
+            worker.submit(in_worker.sensor_of, read, self._absolute, limit_s=READ_S)
             try:
                 sensor, problem = worker.result(SILENCE_S)
             except WorkerEnded:

@@ -192,6 +192,14 @@ def test_events_older_than_one_before_them_are_counted(tmp_path):
     assert (recording.n_unsorted, recording.n_events, recording.duration_us) == (6, len(t_us), 60)
 
 
+def test_a_part_between_two_times_is_half_open(tmp_path):
+    events = made_events(140_000, step_us=1)
+    events["t"] = np.arange(140_000)
+    path = written(tmp_path / "records.npy", events)
+    for start, end, times in ((3, 5, [3, 4]), (65_535, 65_537, [65_535, 65_536]), (200_000, 200_001, [])):
+        assert open_recording(path, between_us=(start, end)).read()["t"].tolist() == times
+
+
 @pytest.mark.parametrize("suffix", [".bin", ".npz", ".h5"])
 def test_what_is_not_a_file_is_refused_at_opening(tmp_path, suffix):
     (tmp_path / f"gone{suffix}").symlink_to(tmp_path / "nowhere")
