@@ -6,13 +6,17 @@
 `async-tnt run udp://127.0.0.1:3333` receives them. Each recording starts with a new window of the receiver.
 """
 
+import socket
 import sys
+from urllib.parse import parse_qs, urlsplit
 
-from async_tnt.sources import UdpSender, open_recording, parse_udp_url, replay, sample_recordings
+from async_tnt.sources import encode, open_recording, replay, sample_recordings
 
 WINDOW_US = 105_000
+DATAGRAM_EVENTS = 100  # 1300 bytes of the longest format: fits Ethernet's 1500 with all headers
 
-url = parse_udp_url(sys.argv[1] if len(sys.argv) > 1 else "udp://127.0.0.1:3333")
+url = urlsplit(sys.argv[1] if len(sys.argv) > 1 else "udp://127.0.0.1:3333")
+format = parse_qs(url.query).get("format", ["t64_x16_y16_on8"])[0]
 paths = sys.argv[2:] or sample_recordings().values()
 
 
@@ -25,8 +29,10 @@ def one_after_the_other():
         start_us = -(-(int(events["t"].max()) + 1) // WINDOW_US) * WINDOW_US
 
 
-with UdpSender(url.host, url.port, url.format) as sender:
+n_events = 0
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
     for packet in replay(one_after_the_other()):
-        sender.send(packet)
-sent = f"{sender.events:,} events in {sender.datagrams:,} datagrams"
-print(f"sent {sent} to {url.host}:{url.port}, {sender.refused} refused")
+        for first in range(0, len(packet), DATAGRAM_EVENTS):
+            sender.sendto(encode(packet[first : first + DATAGRAM_EVENTS], format), (url.hostname, url.port))
+        n_events += len(packet)
+print(f"sent {n_events:,} events to {url.hostname}:{url.port}")

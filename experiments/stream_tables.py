@@ -9,7 +9,6 @@ from experiments.page_parts import about_machine, percent, results, short, table
 WAYS = {
     "plain_socket": "plain blocking socket, `recv`",
     "packet": "`UdpSource`, a packet",
-    "packet_spinning": "... with `spin_us=3000`",
     "decision": "`UdpSource`, `Processor`, a decision of `digits`",
 }
 
@@ -59,7 +58,7 @@ _HEAD = [
 def _row(run: dict[str, Any]) -> list[str]:
     late = run["delay_us"]
     events, received = run["sent"]["events"], run["received"]["events"]
-    lost = run["datagrams_lost_by_the_system"] * run["datagram_events"]
+    lost = run["datagrams_missing"] * run["datagram_events"]
     skipped = run["events_skipped"] / received
     share = f"{100 * skipped:.3f} %" if 0 < skipped < 1e-3 else percent(skipped)
     return [

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from async_tnt.sources.udp_sender import UdpSender
+from async_tnt.sources import encode
 
 
 def free_port(kind=socket.SOCK_DGRAM) -> int:
@@ -40,7 +40,15 @@ def wait_for_listener(port: int, patience_s: float = 60.0) -> None:
 def send_in_parts(port: int, events: np.ndarray, n_parts: int = 40, pause_s: float = 0.002) -> None:
     """Send once there is a listener: what is sent before is lost."""
     wait_for_listener(port)
-    with UdpSender(port=port) as sender:
-        for part in np.array_split(events, n_parts):
-            sender.send(part)
-            time.sleep(pause_s)
+    for part in np.array_split(events, n_parts):
+        send(port, part)
+        time.sleep(pause_s)
+
+
+def send(port: int, events: np.ndarray, format: str = "t64_x16_y16_on8", datagram_events: int = 100) -> int:
+    """Send events, in as many datagrams as they need; returns how many."""
+    firsts = range(0, len(events), datagram_events)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for first in firsts:
+            sender.sendto(encode(events[first : first + datagram_events], format), ("127.0.0.1", port))
+    return len(firsts)

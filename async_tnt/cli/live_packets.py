@@ -14,12 +14,14 @@ from async_tnt.cli.options import paths_of, positive_int
 from async_tnt.cli.output import complain
 from async_tnt.decision import Decision
 from async_tnt.processor import Processor
-from async_tnt.sources.opening import LiveSource, open_source
-from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.opening import open_source
+from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.windows import FirstWindows
 
 if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
+    from async_tnt.sources.cameras import Camera
+    from async_tnt.sources.udp import UdpSource
 
 
 def add_latest(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +48,7 @@ class LivePackets:
     """An open source, and its packets without the pixels to leave out."""
 
     name: str
-    source: LiveSource
+    source: Camera | UdpSource
     packets: Iterable[Any]
     reader: BackgroundReader | None
     """The queue in which they wait; None: nothing is skipped here, but the source's own buffer may overflow."""
@@ -73,7 +75,7 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
     latest : largest number of waiting packets; None for no queue.
     """
     with contextlib.ExitStack() as stack:
-        source: LiveSource = open_source(name, pixels.expected)
+        source = open_source(name, pixels.expected)
         stack.callback(source.close)
         select = pixels.filter_of(name, pixels.sensor_of(name, source.sensor))
         packets: Iterable[Any] = map(select, source)

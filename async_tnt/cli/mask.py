@@ -12,11 +12,10 @@ import numpy as np
 
 from async_tnt.cli.options import number, size_of
 from async_tnt.cli.output import say
+from async_tnt.files import check_writable
 from async_tnt.progress import progress
-from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.mask_learning import FACTOR, count_pixels, hot_pixels
-from async_tnt.sources.pixel_masks import check_mask_path, save_mask
+from async_tnt.sources.files.recording import READERS, open_recording
+from async_tnt.sources.pixel_masks import FACTOR, count_pixels, hot_pixels, save_mask
 from async_tnt.sources.sensor import format_size
 from async_tnt.views.figure_style import check_picture
 
@@ -73,7 +72,7 @@ def main(args: argparse.Namespace) -> int:
             raise FileExistsError(
                 f"{args.out} exists already: --out {args.out} overwrites it, --out FILE writes another file"
             )
-    check_mask_path(args.out)
+    check_writable(args.out, (".npy",))
     if args.picture is not None:
         check_picture(args.picture)
     counts = _count(args.files, args.sensor)

@@ -13,8 +13,7 @@ from async_tnt.checks import short
 from async_tnt.config import MAX_SIDE
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
-from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.files.recording import sample_recordings
+from async_tnt.sources.files.recording import READERS, sample_recordings
 from async_tnt.sources.opening import is_live
 from async_tnt.sources.sensor import format_size
 from async_tnt.triggers import LeakyIntegrator

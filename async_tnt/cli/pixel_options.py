@@ -8,8 +8,7 @@ from pathlib import Path
 from async_tnt.cli.options import size_of, size_text
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
-from async_tnt.sources.pixel_selection import PixelSelection, Region
-from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector, Region
 
 
 def add_pixels(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,7 @@ from async_tnt.events import as_events
 from async_tnt.files import check_writable
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
-from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
+from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_style import FORMATS, save, styled

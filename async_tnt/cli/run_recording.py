@@ -13,7 +13,7 @@ from async_tnt.decision import Decision
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
-from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.windows import FirstWindows
 
 

@@ -7,7 +7,7 @@ from async_tnt.cli.live_view import draw_stream
 from async_tnt.cli.output import Line, complain, say
 from async_tnt.engines import Engine
 from async_tnt.processor import Processor
-from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.pixel_selection import PixelSelector
 
 
 def run_source(

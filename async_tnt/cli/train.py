@@ -21,8 +21,7 @@ from async_tnt.networks.model import Model
 from async_tnt.process import available_cores
 from async_tnt.progress import progress
 from async_tnt.sources.labelled_recordings import has_part
-from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
 from async_tnt.sources.sensor import format_size
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from async_tnt.engines import choose_engine
 from async_tnt.files import check_writable
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import Recording
-from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.sources.playback import replay
 from async_tnt.views.rerun_view import SUFFIXES, RerunView, import_rerun
 

@@ -19,7 +19,7 @@ from async_tnt.evaluation.early import FIELDS as EARLY
 from async_tnt.evaluation.early import FiringProcessor, early_fields
 from async_tnt.evaluation.job import Job, Task, sha256_of
 from async_tnt.processor import Processor
-from async_tnt.sources.pixel_selector import PixelSelector
+from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.version import __version__
 
 Record = dict[str, Any]

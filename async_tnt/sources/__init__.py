@@ -3,7 +3,7 @@
 open_source         any of the next three by name, or events in memory
 open_recording      a file of any format that `sources.files` reads; `sample_recordings` are bundled
 open_camera         a camera of Prophesee or iniVation (extra `cameras`)
-open_udp            datagrams from the network; `UdpSender` sends them
+open_udp            datagrams from the network; `encode` makes them
 replay              a recording at its own pace
 BackgroundReader    reads a source in a background thread; `PacketQueue` is the queue alone, for drivers with callbacks
 PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` finds hot pixels in recordings
@@ -12,25 +12,20 @@ PixelFilter         a region, a cropped sensor, masked pixels; `learn_mask` find
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
-    from async_tnt.sources.camera_drivers import DRIVERS
-    from async_tnt.sources.cameras import Camera, CameraCounts, open_camera
+    from async_tnt.sources.camera_drivers import DRIVERS, CameraCounts
+    from async_tnt.sources.cameras import Camera, open_camera
     from async_tnt.sources.clock import Clock
-    from async_tnt.sources.datagrams import EVENT_BYTES, Decoded, Decoder, encode
-    from async_tnt.sources.files.formats import READERS
+    from async_tnt.sources.datagrams import EVENT_BYTES, Decoder, encode
     from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
-    from async_tnt.sources.files.recording import Recording, open_recording, sample_recordings
+    from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
     from async_tnt.sources.files.source import CorruptData, DamagedRecording, Source
-    from async_tnt.sources.mask_learning import count_pixels, hot_pixels, learn_mask
-    from async_tnt.sources.opening import LiveSource, open_source
+    from async_tnt.sources.opening import open_source
     from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
-    from async_tnt.sources.pixel_masks import PackedMask, load_mask, save_mask
-    from async_tnt.sources.pixel_selection import PixelSelection
-    from async_tnt.sources.pixel_selector import PixelSelector
+    from async_tnt.sources.pixel_masks import PackedMask, count_pixels, hot_pixels, learn_mask, load_mask, save_mask
+    from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
     from async_tnt.sources.playback import replay
     from async_tnt.sources.queue import PacketQueue, QueueCounters
     from async_tnt.sources.udp import NetworkCounts, UdpSource, open_udp
-    from async_tnt.sources.udp_sender import UdpSender
-    from async_tnt.sources.udp_socket import UdpUrl, parse_udp_url
 else:
     from async_tnt.lazy_names import lazy_names
 
@@ -38,33 +33,28 @@ else:
         globals(),
         {
             "background_reader": "BackgroundReader",
-            "camera_drivers": "DRIVERS",
-            "cameras": "Camera CameraCounts open_camera",
+            "camera_drivers": "DRIVERS CameraCounts",
+            "cameras": "Camera open_camera",
             "clock": "Clock",
-            "datagrams": "EVENT_BYTES Decoded Decoder encode",
-            "files.formats": "READERS",
+            "datagrams": "EVENT_BYTES Decoder encode",
             "files.nmnist": "read_nmnist write_nmnist",
-            "files.recording": "Recording open_recording sample_recordings",
+            "files.recording": "READERS Recording open_recording sample_recordings",
             "files.source": "CorruptData DamagedRecording Source",
-            "mask_learning": "count_pixels hot_pixels learn_mask",
-            "opening": "LiveSource open_source",
+            "opening": "open_source",
             "pixel_filter": "PixelCounts PixelFilter",
-            "pixel_masks": "PackedMask load_mask save_mask",
-            "pixel_selection": "PixelSelection",
-            "pixel_selector": "PixelSelector",
+            "pixel_masks": "PackedMask count_pixels hot_pixels learn_mask load_mask save_mask",
+            "pixel_selection": "PixelSelection PixelSelector",
             "playback": "replay",
             "queue": "PacketQueue QueueCounters",
             "udp": "NetworkCounts UdpSource open_udp",
-            "udp_sender": "UdpSender",
-            "udp_socket": "UdpUrl parse_udp_url",
         },
     )
 
 __all__ = [
     "DRIVERS", "EVENT_BYTES", "READERS", "BackgroundReader", "Camera", "CameraCounts", "Clock", "CorruptData",
-    "DamagedRecording", "Decoded", "Decoder", "LiveSource", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
-    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSender", "UdpSource",
-    "UdpUrl", "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
-    "open_source", "open_udp", "parse_udp_url", "read_nmnist", "replay", "sample_recordings", "save_mask",
+    "DamagedRecording", "Decoder", "NetworkCounts", "PackedMask", "PacketQueue", "PixelCounts",
+    "PixelFilter", "PixelSelection", "PixelSelector", "QueueCounters", "Recording", "Source", "UdpSource",
+    "count_pixels", "encode", "hot_pixels", "learn_mask", "load_mask", "open_camera", "open_recording",
+    "open_source", "open_udp", "read_nmnist", "replay", "sample_recordings", "save_mask",
     "write_nmnist",
 ]  # fmt: skip

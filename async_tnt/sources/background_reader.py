@@ -117,18 +117,15 @@ class BackgroundReader:
         -------
         True if the thread has stopped.
         """
+        self._queue.close()
+        on_close, self._on_close = self._on_close, None
         try:
-            self._stop()
+            if on_close is not None:
+                on_close()
         finally:
             if self._thread is not threading.current_thread():
                 self._thread.join(timeout_s)
         return not self._thread.is_alive()
-
-    def _stop(self) -> None:
-        self._queue.close()
-        on_close, self._on_close = self._on_close, None
-        if on_close is not None:
-            on_close()
 
     def __enter__(self) -> BackgroundReader:
         return self
@@ -138,9 +135,7 @@ class BackgroundReader:
 
     async def aclose(self, timeout_s: float = 1.0) -> bool:
         """`close`, while asyncio's other tasks run."""
-        self._stop()
-        await asyncio.to_thread(self._thread.join, timeout_s)
-        return not self._thread.is_alive()
+        return await asyncio.to_thread(self.close, timeout_s)
 
     async def __aenter__(self) -> BackgroundReader:
         return self

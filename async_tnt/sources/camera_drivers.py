@@ -34,12 +34,24 @@ ALL_KINDS = sorted({kind for kinds in (*NEUROMORPHIC_KINDS.values(), *DV_KINDS.v
 
 
 @dataclass
-class Losses:
-    """What a library reports as lost, see `CameraCounts`. A device updates its own while it is read."""
+class CameraCounts:
+    """What a camera has sent so far. None: the library does not report it."""
 
+    packets: int = 0
+    """Those that hold events."""
+    events: int = 0
     overflows: int | None = None
+    """Gaps in the stream of events, which were not read in time."""
     dropped: int | None = None
+    """Raw USB packets that the library dropped."""
     most_waiting: int | None = None
+    """The largest number of raw USB packets that waited in the library."""
+    clock_restarts: int = 0
+    """How often the camera's clock moved back; times continue, see `Clock`."""
+    off_sensor: int = 0
+    """Events left out because they lie off the sensor: the cable or the driver garbled them."""
+    jumped: int = 0
+    """Events left out because their time jumps, see `Clock`."""
 
 
 class Device(Protocol):
@@ -50,7 +62,8 @@ class Device(Protocol):
     """How long to sleep after `read` returned None; 0 where `read` itself waits."""
     time_field: str
     """Of its packets."""
-    losses: Losses
+    counts: CameraCounts
+    """It updates what the library reports as lost while it is read; `Camera` does the rest."""
     handle: Any
     """The library's own object."""
 
@@ -153,21 +166,21 @@ class NeuromorphicDevice:
 
     def __init__(self, open: Callable[..., Any], which: dict[str, str]) -> None:
         self.handle = open(iterator_timeout=WAIT_S, **which)
-        self.losses = Losses(overflows=0)
+        self.counts = CameraCounts(overflows=0)
         properties = self.handle.properties()
         self.sensor = int(properties.width), int(properties.height)
 
     def read(self) -> np.ndarray | None:
         status, packet = next(self.handle)
         if (ring := status.ring) is not None:  # None: nothing came within WAIT_S
-            self.losses.dropped = ring.dropped_packets
-            self.losses.most_waiting = max(ring.backlog, self.losses.most_waiting or 0)
+            self.counts.dropped = ring.dropped_packets
+            self.counts.most_waiting = max(ring.backlog, self.counts.most_waiting or 0)
         events: np.ndarray | None = None if packet is None else packet.polarity_events
         if events is None:
             return None
         gaps = packet.polarity_events_overflow_indices
         if gaps is not None:
-            self.losses.overflows = (self.losses.overflows or 0) + len(gaps)
+            self.counts.overflows = (self.counts.overflows or 0) + len(gaps)
         return events
 
     def close(self) -> None:
@@ -207,7 +220,7 @@ class DvDevice:
 
     def __init__(self, open: Callable[[Any], Any], descriptor: Any) -> None:
         self.handle = open(descriptor)
-        self.losses = Losses()  # the library reports none
+        self.counts = CameraCounts()  # the library reports no losses
         resolution = self.handle.getEventResolution()
         if resolution is None:
             raise RuntimeError("it has no stream of events")

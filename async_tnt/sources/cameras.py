@@ -7,12 +7,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, Device, Driver, failure
+from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, CameraCounts, Device, Driver, failure
 from async_tnt.sources.clock import Clock
 from async_tnt.sources.sensor import format_size
 
@@ -20,27 +20,6 @@ MAX_JUMP_S = 1.0  # a camera's events arrive in order and soon
 DAVIS346 = (346, 260)  # dv-processing distinguishes DAVIS models only when they are open
 
 log = logging.getLogger("async_tnt.sources")
-
-
-@dataclass(frozen=True)
-class CameraCounts:
-    """What a camera has sent so far. None: the library does not report it."""
-
-    packets: int
-    """Those that hold events."""
-    events: int
-    overflows: int | None
-    """Gaps in the stream of events, which were not read in time."""
-    dropped: int | None
-    """Raw USB packets that the library dropped."""
-    most_waiting: int | None
-    """The largest number of raw USB packets that waited in the library."""
-    clock_restarts: int
-    """How often the camera's clock moved back; times continue, see `Clock`."""
-    off_sensor: int
-    """Events left out because they lie off the sensor: the cable or the driver garbled them."""
-    jumped: int
-    """Events left out because their time jumps, see `Clock`."""
 
 
 class Camera:
@@ -62,9 +41,8 @@ class Camera:
         self.name = name
         self._device = device
         self._sensor = device.sensor
-        self._losses = device.losses
+        self._counts = device.counts
         self._clock = Clock(MAX_JUMP_S)
-        self._packets = self._events = self._off_sensor = self._jumped = 0
         self._closing = threading.Event()
         # Held while the device is used. Re-entrant: a signal handler may close, on the thread that reads.
         self._using = threading.RLock()
@@ -85,17 +63,8 @@ class Camera:
 
     @property
     def counts(self) -> CameraCounts:
-        losses = self._losses
-        return CameraCounts(
-            self._packets,
-            self._events,
-            losses.overflows,
-            losses.dropped,
-            losses.most_waiting,
-            self._clock.restarts,
-            self._off_sensor,
-            self._jumped,
-        )
+        """What it has sent so far."""
+        return replace(self._counts, clock_restarts=self._clock.restarts)
 
     def __repr__(self) -> str:
         return f"Camera({self.name}, {'closed' if self.closed else 'open'}, {self.counts})"
@@ -137,13 +106,13 @@ class Camera:
                 reason = failure(error)
                 self.close()
                 raise OSError(
-                    f"{self.name}: the camera is gone after {self._events:,} events ({reason}); "
+                    f"{self.name}: the camera is gone after {self._counts.events:,} events ({reason}); "
                     "check its cable and power, and open it again"
                 ) from error
             if events is None or not len(events) or not len(events := self._valid(events)):
                 return None
-            self._packets += 1
-            self._events += len(events)
+            self._counts.packets += 1
+            self._counts.events += len(events)
             return events
 
     def _valid(self, events: np.ndarray) -> np.ndarray:
@@ -153,10 +122,10 @@ class Camera:
         n = len(events)
         if x.max() >= width or y.max() >= height:
             events = events[(x < width) & (y < height)]
-            self._off_sensor += n - len(events)
+            self._counts.off_sensor += n - len(events)
             n = len(events)
         events = self._clock(events, self._device.time_field, time.monotonic_ns() // 1000)
-        self._jumped += n - len(events)  # also times that no clock shows, which `Clock.jumped` leaves out
+        self._counts.jumped += n - len(events)  # also times that no clock shows, which `Clock.jumped` leaves out
         return events
 
     # -- the end -----------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ faery, https://github.com/aestream/faery (udp_encoder.py); spif, https://github.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,21 +27,10 @@ from async_tnt.sources.clock import Clock
 
 EVENT_BYTES = {"t64_x16_y16_on8": 13, "t32_x16_y15_on1": 8, "spif": 4, "spif_t32": 8}
 """Format -> bytes of one event."""
-MAX_DATAGRAM_BYTES = 65_507
-"""What one UDP datagram over IPv4 can hold."""
 
 _MAX_SIDE = 1 << 15  # of the formats that pack x and y
 _ABSENT = 1 << 31  # SPIF: no time follows
 _KIND = {"t64_x16_y16_on8": T64, "t32_x16_y15_on1": T32, "spif": SPIF, "spif_t32": SPIF_T32}
-
-
-class Decoded(NamedTuple):
-    """The events of a datagram."""
-
-    events: np.ndarray
-    """Structured array of `EVENT_DTYPE`, new memory."""
-    malformed: int
-    """Events left out: cut off, off the sensor, a polarity beyond 1, a time outside [0, 2**62) us, or that jumps."""
 
 
 def checked_format(format: str) -> str:
@@ -106,7 +95,8 @@ class Decoder:
 
     Attributes
     ----------
-    malformed : events left out so far, including the next two.
+    malformed : events left out so far: cut off, off the sensor, a polarity beyond 1, a time outside [0, 2**62) us, or
+        one that jumps.
     off_sensor : events left out because they lie off the sensor.
     clock : the `Clock`; `clock.jumped` counts the events that it drops.
     """
@@ -127,8 +117,8 @@ class Decoder:
         self._width, self._height = sensor or (1 << 16, 1 << 16)
         self._max_jump_us = NO_LIMIT if format == "spif" else self.clock.max_jump_us
 
-    def decode(self, data: bytes | bytearray | memoryview, arrival_us: int = 0) -> Decoded:
-        """The events of a datagram.
+    def decode(self, data: bytes | bytearray | memoryview, arrival_us: int = 0) -> np.ndarray:
+        """The events of a datagram, as `EVENT_DTYPE` in new memory.
 
         Parameters
         ----------
@@ -136,28 +126,26 @@ class Decoder:
         arrival_us : microseconds on the receiver's clock: for `spif` the time of its events.
         """
         n, rest = divmod(len(data), self.event_bytes)
-        before = self.malformed
         self.malformed += rest > 0
-        events = self.decode_datagrams(np.frombuffer(data, np.uint8), np.array([n]), np.array([arrival_us]), 1)
-        return Decoded(events, self.malformed - before)
+        return self.decode_datagrams(np.frombuffer(data, np.uint8), [n], [arrival_us])
 
-    def decode_datagrams(self, raw: np.ndarray, ends: np.ndarray, arrivals: np.ndarray, n_datagrams: int) -> np.ndarray:
+    def decode_datagrams(self, raw: np.ndarray, ends: Sequence[int], arrivals: Sequence[int]) -> np.ndarray:
         """The events of several datagrams of whole events, end to end in `raw`, as `EVENT_DTYPE` in new memory.
 
         Parameters
         ----------
         raw : uint8, the bytes.
-        ends : int64, shape (at least n_datagrams,). Where each ends, in events.
-        arrivals : int64, as `ends`. When each came, in microseconds.
+        ends : where each ends, in events.
+        arrivals : when each came, in microseconds.
         """
-        n = int(ends[n_datagrams - 1]) if n_datagrams else 0
+        n = ends[-1] if ends else 0
         events = np.empty(n, EVENT_DTYPE)
         n_good, n_off_sensor = decode_events(
             raw,
             self._kind,
-            ends,
-            arrivals,
-            n_datagrams,
+            np.array(ends, np.int64),
+            np.array(arrivals, np.int64),
+            len(ends),
             self._width,
             self._height,
             self._max_jump_us,

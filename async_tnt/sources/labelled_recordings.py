@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from async_tnt.sources.files.formats import READERS
+from async_tnt.sources.files.recording import READERS
 
 TABLE = "_labels.csv"
 COLUMNS = {
@@ -138,17 +138,6 @@ def recordings_under(paths: Iterable[Path]) -> list[Path]:
     Raises
     ------
     FileNotFoundError : no such file or folder. ValueError : a folder without recordings.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     for name in ("b.npz", "a/c.npy", "a/notes.md", ".cache/d.npy"):
-    ...         Path(folder, name).parent.mkdir(exist_ok=True)
-    ...         Path(folder, name).touch()
-    ...     found = recordings_under([Path(folder), Path(folder, "a/c.npy")])
-    >>> [path.name for path in found]
-    ['c.npy', 'b.npz']
     """
     found: dict[str, Path] = {}  # by absolute path
     for path in paths:

@@ -3,27 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-
-
-class LiveSource(Protocol):
-    """A camera or a network stream: packets until it is closed, and counts."""
-
-    @property
-    def sensor(self) -> tuple[int, int] | None:
-        """(width, height) in pixels, where it is known."""
-
-    def __iter__(self) -> Iterator[Any]:
-        """Packets of events, in any form that `as_events` accepts; ends after `close`."""
-
-    def close(self) -> None:
-        """Stop, from any thread; counts stay. May be called again."""
-
-    def summary(self) -> str:
-        """The counts so far, in one line for people."""
 
 
 def is_live(name: str) -> bool:

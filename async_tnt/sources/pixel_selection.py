@@ -1,18 +1,22 @@
-"""Which pixels a model sees, as plain values that can be compared, sent and stored."""
+"""Which pixels a model sees: as plain values that can be compared, sent and stored, and applied to sources."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from async_tnt.sources.pixel_filter import check_crop, checked_region
+from async_tnt.sources.files.recording import Recording, open_recording
+from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter, check_crop, checked_region
 from async_tnt.sources.pixel_masks import PackedMask
-from async_tnt.sources.sensor import Sensor, checked_sensor, format_size
+from async_tnt.sources.sensor import TRAIN_ONE, Sensor, check_events, check_sensor, checked_sensor, format_size
 
 Region = tuple[int, int, int, int]
+NONE_YET = PixelCounts()
 
 
 @dataclass(frozen=True, init=False)
@@ -79,6 +83,11 @@ class PixelSelection:
         return (self.roi[2], self.roi[3]) if self.crop and self.roi is not None else None
 
     @property
+    def origin(self) -> str:
+        """Where `camera` comes from, for messages: "... 346x260 pixels"."""
+        return "`sensor` says" if self.mask is None or self.sensor else f"{self.mask.name} is a mask of"
+
+    @property
     def leaves_out(self) -> bool:
         """Whether any event could be dropped."""
         return self.roi is not None or self.mask is not None
@@ -102,3 +111,140 @@ class PixelSelection:
         elif self.sensor is not None:
             options["sensor"] = format_size(self.sensor)
         return options
+
+
+class PixelSelector:
+    """Drops the events of sources that a model is not meant to see, and counts them.
+
+    Parameters
+    ----------
+    selection : what the model sees.
+    model : (width, height) in pixels that the model is for.
+
+    Attributes
+    ----------
+    expected : (width, height) of the cameras, before any event is dropped; None: the source must state it.
+
+    Raises
+    ------
+    ValueError : a region of another size than the model's sensor; without `crop`, a camera of another size, if the
+        selection names one; a region off the camera, if that is known.
+    """
+
+    def __init__(self, selection: PixelSelection, model: Sensor) -> None:
+        self.selection = selection
+        self.expected = selection.camera if selection.crop else model
+        self._model = model
+        self._filters: dict[Sensor, PixelFilter] = {}
+        _check_fit(selection, model)
+        if self.expected is not None:
+            self.filter_of("", self.expected)  # now, so that mistakes show before the first event
+
+    def sensor_of(self, name: Any, found: Sensor | None) -> Sensor:
+        """The sensor of a source's camera, before any event is dropped; `found` as the source states it, if it does.
+
+        Raises
+        ------
+        ValueError : not the expected one, or unknown.
+        """
+        if self.expected is not None:
+            check_sensor(name, found, self.expected, self._origin, self._advice(found))
+            return self.expected
+        if found is None:
+            raise ValueError(f"{name}: does not say the camera's pixels, which `crop` needs: give `sensor`")
+        return found[0], found[1]
+
+    def open(
+        self,
+        path: Path,
+        *,
+        name: str | None = None,
+        strict: bool = False,
+        between_us: tuple[int, int] | None = None,
+    ) -> tuple[Recording, Sensor]:
+        """A recording, or its part between two times, and the sensor of its events, for `filter_of`.
+
+        `name` is for messages; by default its path.
+
+        Raises
+        ------
+        ValueError, OSError : unreadable, or of another sensor than expected.
+        """
+        recording = open_recording(path, strict=strict, sensor=self.expected, between_us=between_us)
+        return recording, self.sensor_of(path if name is None else name, recording.sensor)
+
+    def check_events(self, packets: Iterable[Any], name: Any, sensor: Sensor) -> None:
+        """Refuse packets of a source that does not state its sensor, if an event is off this one."""
+        check_events(packets, sensor, name, self._origin, self._advice(None))
+
+    def filter_of(self, name: Any, sensor: Sensor) -> Callable[[Any], Any]:
+        """The filter for packets of a source with this sensor. `name` is for messages; "" for none.
+
+        Raises
+        ------
+        ValueError : the region or the mask does not fit that sensor.
+        """
+        chosen = self.selection
+        if not chosen.leaves_out:
+            return _unchanged
+        if sensor not in self._filters:
+            try:
+                mask = None if chosen.mask is None else chosen.mask.pixels(sensor)
+                self._filters[sensor] = PixelFilter(sensor, chosen.roi, mask, crop=chosen.crop)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}" if name else str(error)) from None
+        return self._filters[sensor]
+
+    @property
+    def counts(self) -> PixelCounts:
+        """Events so far, of all sources; all zero if nothing can be dropped."""
+        return sum((pixel_filter.counts for pixel_filter in self._filters.values()), NONE_YET)
+
+    def summary(self, since: PixelCounts = NONE_YET) -> str:
+        """What was dropped since these earlier `counts`, for people; "" if nothing came, or nothing can be dropped."""
+        counts = self.counts - since
+        parts = []
+        if counts.received and self.selection.roi is not None:
+            parts.append(f"{counts.dropped_outside:,} outside of the region")
+        if counts.received and self.selection.mask is not None:
+            parts.append(f"{counts.dropped_masked:,} of masked pixels")
+        return ", ".join(parts)
+
+    def nothing_left(self, since: PixelCounts = NONE_YET) -> str:
+        """Why a model has seen no event since these earlier `counts`; "" if it has seen one, or nothing came."""
+        dropped = self.summary(since)
+        return f"no events are left: {dropped}" if dropped and self.counts.kept == since.kept else ""
+
+    @property
+    def _origin(self) -> str:
+        """Where `expected` comes from, for messages."""
+        return self.selection.origin if self.selection.crop else "the model is for"
+
+    def _advice(self, found: Sensor | None) -> str:
+        """What to do about a camera of another size than the model is for; None: of a larger one."""
+        return "" if self.selection.crop else _advice(self._model, found)
+
+
+def _check_fit(selection: PixelSelection, model: Sensor) -> None:
+    """Refuse a cropped region, or without one a camera, of another size than the model is for."""
+    region, camera = selection.region, selection.camera
+    if region not in (None, model):
+        raise ValueError(
+            f"`crop`: the model is for {format_size(model)} pixels, got a region of {format_size(region)}; "
+            f"give `roi` X,Y,{model[0]},{model[1]}"
+        )
+    if not selection.crop and camera is not None and camera != model:
+        raise ValueError(
+            f"{selection.origin} {format_size(camera)} pixels, but the model is for {format_size(model)}"
+            f"{_advice(model, camera)}"
+        )
+
+
+def _advice(model: Sensor, camera: Sensor | None) -> str:
+    holds_model = camera is None or (model[0] <= camera[0] and model[1] <= camera[1])
+    part = f", or cut out a part: `roi` X,Y,{model[0]},{model[1]} `crop`" if holds_model else ""
+    return f"; {TRAIN_ONE}{part}"
+
+
+def _unchanged(packet: Any) -> Any:
+    return packet

@@ -1,35 +1,32 @@
-"""Events from the network: `open_udp` and `UdpSource` listen, `UdpSender` in `udp_sender` sends."""
+"""Events from the network: `open_udp` and `UdpSource` listen for datagrams."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import logging
+import math
+import selectors
 import socket
+import sys
 import threading
 import time
-from array import array
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from typing import Any
+from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 
 from async_tnt.checks import positive_int, whole_number
 from async_tnt.sources.datagrams import Decoder
-from async_tnt.sources.udp_socket import (
-    Waiter,
-    ask_for_buffer,
-    checked_timeout,
-    lost_datagrams,
-    parse_udp_url,
-    resolve,
-)
 
 ROOM = 1 << 16  # more than any datagram: none is ever cut off
 BATCH_BYTES = 1 << 18
 WARN_AFTER = 1000  # malformed events without a single good one, after which a warning names possible reasons
 MOST_DATAGRAMS = 1 << 14  # of one packet, as these may be empty
+LONGEST_S = 86_400.0  # of one sleep: the system takes no more than some days
 
 log = logging.getLogger("async_tnt.sources")
 
@@ -46,8 +43,6 @@ class NetworkCounts:
     """Left out: cut off, off the sensor, an impossible polarity or time, a time that jumps."""
     late: int
     """Handed on, but older than one before: the network or the sender reordered them."""
-    lost: int | None
-    """Datagrams that the system dropped, mostly because its buffer was full; None where it does not report it."""
     jumped: int = 0
     """How many of `malformed` have a time that jumps, see `Clock`."""
     off_sensor: int = 0
@@ -60,16 +55,15 @@ class NetworkCounts:
 
         Examples
         --------
-        >>> NetworkCounts(12, 15_600, 1_199, malformed=1, late=0, lost=None, jumped=1).summary()
-        '12 datagrams, 1,199 events (1 malformed, 1 of them time jumps, 0 out of order, datagrams lost: unknown)'
+        >>> NetworkCounts(12, 15_600, 1_199, malformed=1, late=0, jumped=1).summary()
+        '12 datagrams, 1,199 events (1 malformed, 1 of them time jumps, 0 out of order)'
         """
-        lost = "unknown" if self.lost is None else f"{self.lost:,}"
         of_them = f"{self.jumped:,} of them time jumps, " if self.jumped else ""
         of_them += f"{self.off_sensor:,} of them off the sensor, " if self.off_sensor else ""
         restarts = f", clock restarts: {self.clock_restarts:,}" if self.clock_restarts else ""
         return (
             f"{self.datagrams:,} datagrams, {self.events:,} events ({self.malformed:,} malformed, {of_them}"
-            f"{self.late:,} out of order, datagrams lost: {lost}{restarts})"
+            f"{self.late:,} out of order{restarts})"
         )
 
 
@@ -86,13 +80,12 @@ class UdpSource:
     address, port : where to listen; by default only this machine can send. Port 0 picks a free one: read `port`.
     format : one of `async_tnt.sources.EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
-    buffer_bytes : receive buffer to ask the system for; `advice` and the log `async_tnt.sources` warn if it is smaller.
+    buffer_bytes : receive buffer to ask the system for; the log `async_tnt.sources` warns if it gives less. The
+        attribute has what it gives.
     timeout_s : silence, in seconds, after which iterating ends; None waits forever.
     max_datagrams : in one packet, at most.
     max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the times of a sender that
         starts again. None: every time is trusted.
-    spin_us : how long to poll before sleeping, in microseconds. Waking up a thread is most of the latency; polling
-        avoids it and keeps a core busy.
 
     Raises
     ------
@@ -102,9 +95,9 @@ class UdpSource:
     Examples
     --------
     >>> from async_tnt import EVENT_DTYPE
-    >>> from async_tnt.sources import UdpSender
-    >>> with UdpSource(port=0, timeout_s=1) as source, UdpSender(port=source.port) as sender:
-    ...     sender.send(np.array([(258, 3, 4, 1)], EVENT_DTYPE))
+    >>> from async_tnt.sources import encode
+    >>> with UdpSource(port=0, timeout_s=1) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
+    ...     _ = sender.sendto(encode(np.array([(258, 3, 4, 1)], EVENT_DTYPE)), (source.address, source.port))
     ...     next(iter(source)).tolist(), source.counts.events
     ([(258, 3, 4, 1)], 1)
     """
@@ -120,43 +113,29 @@ class UdpSource:
         timeout_s: float | None = None,
         max_datagrams: int = 64,
         max_jump_s: float | None = 10.0,
-        spin_us: float = 0.0,
     ) -> None:
         port = whole_number("port", port, 0, 1 << 16)
         buffer_bytes = whole_number("buffer_bytes", buffer_bytes, 1, 1 << 30, "in [1, 2**30)")
-        if not 0 <= spin_us <= 1e6:
-            raise ValueError(f"`spin_us` must be in [0, 1,000,000] microseconds, got {spin_us}")
-        self.timeout_s = None if timeout_s is None else checked_timeout(timeout_s)
+        if timeout_s is not None and not (math.isfinite(timeout_s) and timeout_s > 0):
+            raise ValueError(f"`timeout_s` must be a positive number of seconds, got {timeout_s}")
+        self.timeout_s = timeout_s
         self.max_datagrams = positive_int("max_datagrams", max_datagrams)
-        self.spin_us = spin_us
         self._decoder = Decoder(format, sensor, max_jump_s)
         self._memory = memoryview(bytearray(BATCH_BYTES))
-        room = bytes(8 * min(max_datagrams, MOST_DATAGRAMS))
-        self._ends, self._arrivals = array("q", room), array("q", room)
-        # the decoder's views of the three; writing a number through NumPy takes four times as long
-        self._raw = np.frombuffer(self._memory, np.uint8)
-        self._ends_seen = np.frombuffer(self._ends, np.int64)
-        self._arrivals_seen = np.frombuffer(self._arrivals, np.int64)
+        self._raw = np.frombuffer(self._memory, np.uint8)  # the decoder's view of it
         self._datagrams = self._bytes = self._events = self._cut = 0
         self._started_ns = time.monotonic_ns()
         self._closed = self._has_warned = False
         # Held while a thread reads or waits, so that `close` does not free the socket's number meanwhile: the system
         # may give it to another socket. Re-entrant: a signal handler may close, too.
         self._reading = threading.RLock()
-        family, where = resolve(address, port)
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        try:
-            self._socket.setblocking(False)
-            self._socket.bind(where)
-            self.buffer_bytes, self.advice = ask_for_buffer(self._socket, buffer_bytes)
-            self._waiter = Waiter(self._socket)
-        except OSError as error:
-            self._socket.close()
-            raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
-        self._lost: int | None = None
+        self._socket = _bound_socket(address, port)
         self.address, self.port = self._socket.getsockname()[:2]
-        if self.advice:
-            log.warning("%s", self.advice)
+        self.buffer_bytes = _ask_for_buffer(self._socket, buffer_bytes)
+        self._wake_out, self._wake_in = socket.socketpair()  # one end becomes readable when the other is closed
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._selector.register(self._wake_out, selectors.EVENT_READ)
 
     @property
     def format(self) -> str:
@@ -180,17 +159,10 @@ class UdpSource:
             self._events,
             self._cut + decoder.malformed,
             clock.late,
-            self._read_lost(),
             clock.jumped,
             decoder.off_sensor,
             clock.restarts,
         )
-
-    def _read_lost(self) -> int | None:
-        """The system's count; once the socket is closed, the last one."""
-        lost = lost_datagrams(self._socket)
-        self._lost = self._lost if lost is None else lost
-        return self._lost
 
     def summary(self) -> str:
         """The counts so far, in one line for people."""
@@ -205,22 +177,17 @@ class UdpSource:
     def receive(self, timeout_s: float | None = None) -> np.ndarray | None:
         """The next packet; None if none came within `timeout_s` (None: wait forever) or the source was closed."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        spin_ns = round(self.spin_us * 1000)
         most = MOST_DATAGRAMS
         with self._reading:
             while not self._closed:
                 events = self._drain(most)
                 if events is not None:
                     return events
-                if spin_ns:
-                    spin_until = time.monotonic_ns() + spin_ns
-                    while time.monotonic_ns() < spin_until and not self._closed:
-                        if (events := self._drain(1)) is not None:
-                            return events
                 left = None if deadline is None else deadline - time.monotonic()
                 if left is not None and left <= 0:
                     return None
-                self._waiter.wait(left)
+                with contextlib.suppress(OSError, ValueError):  # a signal handler closed the source
+                    self._selector.select(None if left is None else min(left, LONGEST_S))
                 # The datagram that ended the sleep is handed over alone: asking for more takes as long as a plain
                 # `recv`, once its data have left the processor's caches. The next call reads all the others.
                 most = 1
@@ -231,89 +198,64 @@ class UdpSource:
             yield events
 
     async def __aiter__(self) -> AsyncIterator[np.ndarray]:
-        """Cancelling the task that waits here closes the source."""
+        """Packets, waited for in a thread. Cancelling the task that waits here closes the source."""
         try:
-            while not self._closed:
-                with self._reading:
-                    events = self._drain(MOST_DATAGRAMS)
-                if events is None:
-                    if self._closed or not await self._waiter.wait_in_task(self.timeout_s, self._wait):
-                        return
-                    continue
+            while (events := await asyncio.to_thread(self.receive, self.timeout_s)) is not None:
                 yield events
-                await asyncio.sleep(0)  # a sender that never pauses must not keep other tasks from running
         except asyncio.CancelledError:
             self.close()
             raise
-        finally:
-            if self._closed:
-                self._release()
-
-    def _wait(self, timeout_s: float | None) -> None:
-        with self._reading:
-            if not self._closed:
-                self._waiter.wait(timeout_s)
 
     def _drain(self, most: int) -> np.ndarray | None:
         """All waiting datagrams, up to the limits, as one packet; None if there is no event in it."""
         size = self._decoder.event_bytes
-        memory, filled, n_datagrams, started_ns = self._memory, 0, 0, self._started_ns
-        ends, arrivals, most = self._ends, self._arrivals, min(most, self.max_datagrams, len(self._ends))
+        memory, filled, most = self._memory, 0, min(most, self.max_datagrams)
+        ends: list[int] = []
+        arrivals: list[int] = []
         receive_into, clock = self._socket.recv_into, time.monotonic_ns
         try:
-            while n_datagrams < most and filled + ROOM <= BATCH_BYTES:
+            while len(ends) < most and filled + ROOM <= BATCH_BYTES:
                 n = receive_into(memory[filled:])
                 self._bytes += n
                 n_whole = n // size  # the next one goes where whole events end
                 self._cut += n_whole * size != n
                 filled += n_whole * size
-                ends[n_datagrams] = filled // size
-                arrivals[n_datagrams] = (clock() - started_ns) // 1000
-                n_datagrams += 1
+                ends.append(filled // size)
+                arrivals.append((clock() - self._started_ns) // 1000)
         except BlockingIOError:
             pass
         except OSError as error:
             if self._socket.fileno() == -1 or error.errno == errno.EBADF:
                 return None
             # Windows also reports a datagram that was too long, and an answer that was refused
-        if not n_datagrams:
+        if not ends:
             return None
-        events = self._decoder.decode_datagrams(self._raw, self._ends_seen, self._arrivals_seen, n_datagrams)
-        self._datagrams += n_datagrams
+        events = self._decoder.decode_datagrams(self._raw, ends, arrivals)
+        self._datagrams += len(ends)
         self._events += len(events)
         if not self._events and not self._has_warned and self._decoder.malformed >= WARN_AFTER:
             self._has_warned = True
-            log.warning("udp://%s:%s: %s", self.address, self.port, self._why_no_events())
+            log.warning(
+                "udp://%s:%s: none of the first %s events can be used, %s of them lie off the sensor; does the sender "
+                "use another format than %s (?format=...), or a larger camera?",
+                self.address,
+                self.port,
+                self._decoder.malformed,
+                self._decoder.off_sensor,
+                self.format,
+            )
         return events if len(events) else None
-
-    def _why_no_events(self) -> str:
-        """Possible reasons why all events so far are malformed."""
-        decoder = self._decoder
-        others = decoder.malformed - decoder.off_sensor
-        reasons = []
-        if decoder.off_sensor and decoder.sensor is not None:
-            width, height = decoder.sensor
-            reasons.append(f"{decoder.off_sensor:,} lie off {width}x{height} pixels: is the camera larger?")
-        if others:
-            reasons.append(f"{others:,} are not valid {decoder.format}: does the sender use another (?format=...)?")
-        return f"none of the first {decoder.malformed:,} events can be used; {' '.join(reasons)}"
 
     # -- the end -----------------------------------------------------------------------------------------
 
     def close(self) -> None:
         """Stop listening and end every iteration, from any thread; counts stay. May be called again."""
-        if self._closed:
-            return
-        self._read_lost()
         self._closed = True
-        self._waiter.wake()
-        if not self._waiter.in_task:  # otherwise the task does it, once its event loop has let go of the socket
-            self._release()
-
-    def _release(self) -> None:
+        self._wake_in.close()
         with self._reading:  # a thread that waited has been woken
+            self._selector.close()
             self._socket.close()
-            self._waiter.close()
+            self._wake_out.close()
 
     def __enter__(self) -> UdpSource:
         return self
@@ -327,11 +269,6 @@ class UdpSource:
     async def __aexit__(self, *error: Any) -> None:
         self.close()
 
-    def __del__(self) -> None:
-        if hasattr(self, "_waiter"):
-            self.close()
-            self._release()
-
 
 def open_udp(url: str, sensor: tuple[int, int] | None = None, **settings: Any) -> UdpSource:
     """A `UdpSource` of `udp://HOST:PORT[?format=...&timeout_s=...]`; `settings` are its keyword arguments.
@@ -341,5 +278,55 @@ def open_udp(url: str, sensor: tuple[int, int] | None = None, **settings: Any) -
     ValueError : not such a URL; the message says what is wrong.
     OSError : the address is not this machine's, or taken.
     """
-    host, port, format, timeout_s = parse_udp_url(url)
-    return UdpSource(host, port, format, sensor, **{"timeout_s": timeout_s, **settings})
+    try:
+        host, port, options = _parse_url(url)
+        return UdpSource(host, port, sensor=sensor, **{**options, **settings})
+    except ValueError as error:
+        raise ValueError(f"{url}: {error}") from None
+
+
+def _parse_url(url: str) -> tuple[str, int, dict[str, Any]]:
+    """Host, port, and the keyword arguments of `UdpSource` that the URL states."""
+    parts = urlsplit(url)
+    host, port = parts.hostname, parts.port
+    if parts.scheme != "udp" or not host or port is None or parts.path not in ("", "/") or "@" in parts.netloc:
+        raise ValueError("expected udp://HOST:PORT, such as udp://127.0.0.1:3333")
+    options: dict[str, Any] = dict(parse_qsl(parts.query, keep_blank_values=True))
+    if unknown := options.keys() - {"format", "timeout_s"}:
+        raise ValueError(f"unknown option {min(unknown)!r}, expected format or timeout_s")
+    if "timeout_s" in options:
+        options["timeout_s"] = float(options["timeout_s"])
+    return host, port, options
+
+
+def _bound_socket(address: str, port: int) -> socket.socket:
+    """A socket that does not block; an OSError if there is no such host, or its address cannot be used."""
+    try:
+        family, _, _, _, where = socket.getaddrinfo(address, port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, UnicodeError, OverflowError) as error:
+        raise OSError(f"{address}:{port}: no such host or port ({error})") from None
+    bound = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        bound.setblocking(False)
+        bound.bind(where)
+    except OSError as error:
+        bound.close()
+        raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
+    return bound
+
+
+def _ask_for_buffer(sock: socket.socket, n_bytes: int) -> int:
+    """Ask the system for room for waiting datagrams; returns how many bytes there are, and warns if that is less."""
+    with_overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles the size asked for, and reports that
+    with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, n_bytes)
+    available = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // with_overhead
+    if available < n_bytes:
+        log.warning(
+            "the system gives %s bytes for waiting datagrams of the %s asked for; bursts may be lost "
+            "(Linux: sudo sysctl net.core.rmem_max=%s)",
+            f"{available:,}",
+            f"{n_bytes:,}",
+            n_bytes,
+        )
+    return available

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.progress import Bar, no_progress
-from async_tnt.sources.files.formats import READERS
-from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.recording import READERS, open_recording
 from async_tnt.sources.labelled_recordings import LabelledRecording, find_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_selection import PixelSelection

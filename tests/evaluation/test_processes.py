@@ -13,7 +13,7 @@ import pytest
 from evaluation.made_work import broken, deadly, make_tasks, record_of
 from evaluation.simple_work import n_events_of, raise_odd, sleep_or_end, twice, unpicklable
 from processes import PATHS, started
-from recordings.written import made_events, written
+from sources.files.written import made_events, written
 from waiting import PATIENCE_S, until
 
 from async_tnt.evaluation.processes import run_all

@@ -81,7 +81,7 @@ def test_send_recordings(lines_of, tmp_path):
     with UdpSource(port=0, timeout_s=0.15) as source:
         (line,) = lines_of("send_recordings.py", f"udp://127.0.0.1:{source.port}", "a.npy", "b.npy")
         received = np.concatenate(list(source))
-    assert line.startswith("sent 700 events in ") and line.endswith(f" to 127.0.0.1:{source.port}, 0 refused")
+    assert line == f"sent 700 events to 127.0.0.1:{source.port}"
     first["t"] -= first["t"].min()
     second["t"] += 105_000 - second["t"].min()
     np.testing.assert_array_equal(received, np.concatenate([first, second]))

@@ -194,11 +194,11 @@ def test_notes_on_order_are_of_what_the_model_sees(program, tmp_path):
     ("options", "text"),
     [
         ("--crop", "--crop belongs to --roi"),
-        ("--sensor 36x34", "--sensor says 36x34 pixels, but the model is for 34x34: give --roi X,Y,34,34 --crop too"),
+        ("--sensor 36x34", "--sensor says 36x34 pixels, but the model is for 34x34; train one for this camera"),
         ("--roi 0,0,20,20 --crop", "is for 34x34 pixels, got a region of 20x20; give --roi X,Y,34,34"),
         ("--roi 0,0,34,34 --crop --sensor 40x30", "must lie on the sensor of 40x30 pixels"),
         ("--mask torn.npy", "torn.npy: not a mask, a .npy file as `async-tnt mask` writes: not a readable NumPy file"),
-        ("--mask LARGE", "large.npy: a mask of a 100x80 camera, but the model is for 34x34 pixels: give --roi X,Y"),
+        ("--mask LARGE", "large.npy is a mask of 100x80 pixels, but the model is for 34x34; train one"),
         ("--roi 0,0,34,34 --crop --mask LARGE --sensor 90x80", "given as 90x80 (--sensor)"),
     ],
 )

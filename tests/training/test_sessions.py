@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from made import random_model
-from recordings.written import aedat3
+from sources.files.written import aedat3
 from training.gestures import bar, write
 
 from async_tnt import Model, TNTConfig

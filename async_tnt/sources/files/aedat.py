@@ -28,7 +28,7 @@ import struct
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 
@@ -52,26 +52,14 @@ MAX_LINE, MAX_LINES = 1 << 16, 4096
 PERIOD_US = 1 << 32
 
 
-class Header(NamedTuple):
-    camera: str | None
-    """One of `SENSORS`; None where the file names none."""
-    length: int
-    """Bytes."""
-
-    @property
-    def sensor(self) -> Sensor | None:
-        return None if self.camera is None else SENSORS[self.camera]
-
-
 class Aedat2Source(Source):
     """The pixels' events of an AEDAT 2.0 file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        header = _read_header(path, rb"#\s*AEChip:\s*(\S+)", None)
-        self.sensor = header.sensor
-        self._start = header.length
-        self._camera = header.camera or "DVS128, as the header names no other camera"
+        camera, self._start = _read_header(path, rb"#\s*AEChip:\s*(\S+)", None)
+        self.sensor = SENSORS.get(camera)
+        self._camera = camera or "DVS128, as the header names no other camera"
 
     def blocks(self) -> Iterator[np.ndarray]:
         newest_us = np.int64(-1)
@@ -108,9 +96,8 @@ class Aedat3Source(Source):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        header = _read_header(path, rb"#\s*Source\s+\d+:\s*(\S+)", b"#!END-HEADER")
-        self.sensor = header.sensor
-        self._start = header.length
+        camera, self._start = _read_header(path, rb"#\s*Source\s+\d+:\s*(\S+)", b"#!END-HEADER")
+        self.sensor = SENSORS.get(camera)
 
     def blocks(self) -> Iterator[np.ndarray]:
         with self.path.open("rb") as file:
@@ -161,19 +148,19 @@ def _skip(file: BinaryIO, n_bytes: int) -> None:
     file.seek(start + n_bytes)
 
 
-def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> Header:
-    """The camera that the header names, and its length: up to the line `end`, or as far as lines begin with #."""
+def _read_header(path: Path, camera_line: bytes, end: bytes | None) -> tuple[str, int]:
+    """The camera that the header names ("": none) and its length: up to the line `end`, or while lines begin with #."""
     names: list[str] = []
     with path.open("rb") as file:
         for _ in range(MAX_LINES):
             place = file.tell()
             line = file.readline(MAX_LINE)
             if end is None and not _is_comment(line):
-                return Header(_camera(path, names), place)
+                return _camera(path, names), place
             if found := re.match(camera_line, line):
                 names.append(found[1].decode("ascii", "replace"))
             if end is not None and line.startswith(end):
-                return Header(_camera(path, names), file.tell())
+                return _camera(path, names), file.tell()
             if end is not None and not line.endswith(b"\n"):
                 break
     raise ValueError(f"{path}: the header must end within {MAX_LINES} lines{f' by {end.decode()}' if end else ''}")
@@ -188,9 +175,9 @@ def _is_comment(line: bytes) -> bool:
     return end and line.startswith(b"#") and (is_text(line) or (is_mostly_ascii and is_text(ascii_line)))
 
 
-def _camera(path: Path, names: list[str]) -> str | None:
+def _camera(path: Path, names: list[str]) -> str:
     """The first of the named cameras that is known; such a name is `eu.seebetter.ini.chips.davis.DAVIS240C`, too."""
     known = [camera for name in names for camera in SENSORS if camera in name.rpartition(".")[2].upper()]
     if names and not known:
         raise ValueError(f"{path}: the camera must be one of {', '.join(SENSORS)}, got {', '.join(names)[:80]!r}")
-    return known[0] if known else None
+    return known[0] if known else ""

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 BLOCK_EVENTS = 1 << 16
+CACHE_BYTES = 1 << 26  # of each data set: a chunk that does not fit is decompressed again for every block
 COLUMNS = ("t", "x", "y", "p")
-MAX_LINKS = 16  # within the file, one to another
 ECF = 0x8ECF
 ECF_HINT = "Prophesee's ECF: install its plugin, hdf5_ecf, and let HDF5_PLUGIN_PATH name its folder"
 PLUGIN_HINT = "pip install hdf5plugin, or let HDF5_PLUGIN_PATH name the plugin's folder"
@@ -34,13 +34,12 @@ def read_hdf5(path: str) -> Iterator[Any]:
     """The sensor, then blocks of events, as columns t, x, y, p."""
     import h5py
 
-    with h5py.File(path, "r") as file:
+    with h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES) as file:
         sets, offset_us = _layout(h5py, file)
         yield _geometry(file) if len(sets) == 1 else None
         n_events = sets[0].size
-        rows = [_Rows(data) for data in sets]
         for start in range(0, n_events, BLOCK_EVENTS):
-            columns = [each.read(start, min(start + BLOCK_EVENTS, n_events)) for each in rows]
+            columns = [data[start : start + BLOCK_EVENTS] for data in sets]
             if len(columns) == 1:
                 columns = [columns[0][name] for name in COLUMNS]
             if offset_us:
@@ -49,29 +48,6 @@ def read_hdf5(path: str) -> Iterator[Any]:
                     t[t < 0] = -1 - abs(offset_us)
                 columns[0] = t + offset_us
             yield columns
-
-
-class _Rows:
-    """Rows of a data set. Each chunk is decompressed once: HDF5's own cache does not hold large ones."""
-
-    def __init__(self, data: Any) -> None:
-        chunk = data.chunks[0] if data.chunks else BLOCK_EVENTS
-        self._data = data
-        self._span = chunk * max(1, BLOCK_EVENTS // chunk)  # read at once
-        self._first = -1
-        self._held: Any = None
-
-    def read(self, start: int, stop: int) -> Any:
-        """Rows [start, stop); start is not before that of the previous call."""
-        parts = []
-        while start < stop:
-            first = start - start % self._span
-            if first != self._first:
-                self._held = None  # frees the memory for the next
-                self._first, self._held = first, self._data[first : first + self._span]
-            parts.append(self._held[start - first : stop - first])
-            start = min(stop, first + self._span)
-        return np.concatenate(parts)
 
 
 def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
@@ -110,23 +86,17 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
     return sets, offset_us
 
 
-def _find(h5py: Any, group: Any, path: str, n_links: int = 0) -> Any:
+def _find(h5py: Any, file: Any, path: str) -> Any:
     """What is at a path, None if nothing is. HDF5 itself would follow links to other files."""
-    if path.startswith("/"):
-        group = group.file
-    for name in filter(None, path.split("/")):
-        link = group.get(name, getlink=True) if isinstance(group, h5py.Group) else None
-        if isinstance(link, h5py.ExternalLink):
-            raise ValueError(f"{name} must be stored in the file itself, but it is a link to {link.filename!r}")
-        if isinstance(link, h5py.SoftLink):
-            if n_links == MAX_LINKS:
-                raise ValueError(f"{name} is a link to a link to a link, {MAX_LINKS} times")
-            group = _find(h5py, group, link.path, n_links + 1)
-        else:
-            group = None if link is None else group[name]
-        if group is None:
+    found = file
+    for name in path.split("/"):
+        link = found.get(name, getlink=True) if isinstance(found, h5py.Group) else None
+        if link is None:
             return None
-    return group
+        if not isinstance(link, h5py.HardLink):
+            raise ValueError(f"{name} must be stored in the file itself, but it is a link")
+        found = found[name]
+    return found
 
 
 def _check_filters(h5py: Any, data: Any) -> None:

@@ -20,7 +20,6 @@ there. The authors' MATLAB reader, Read_Ndataset.m, has no such rule.
 from __future__ import annotations
 
 import os
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +38,7 @@ OVERFLOW_US = 1 << 13
 TIME_LIMIT_US = 1 << 23
 
 
-def read_nmnist(
-    path: str | os.PathLike[str],
-    *,
-    strict: bool = True,
-    sensor: tuple[int, int] | None = SENSOR,
-) -> np.ndarray:
+def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None = SENSOR) -> np.ndarray:
     """Read one recording in N-MNIST's format.
 
     The format has no checksum. Damage that can be recognised: a file that ends inside an event, an event off the
@@ -53,7 +47,6 @@ def read_nmnist(
     Parameters
     ----------
     path : the `.bin` file.
-    strict : True raises at damage; False warns and returns the events before it.
     sensor : (width, height) that every event must lie on; None for any pixel up to 255.
 
     Returns
@@ -62,7 +55,7 @@ def read_nmnist(
 
     Raises
     ------
-    ValueError : damage, when `strict`. What to pass instead is in a note, which the command line does not show.
+    ValueError : damage. How to read it as another camera's is in a note, which the command line does not show.
     OSError : missing, a folder, or not readable.
     """
     path = Path(path)
@@ -78,11 +71,7 @@ def read_nmnist(
     event_rows = np.flatnonzero(~is_overflow)
     columns = t_us, rows[:, 0], rows[:, 1], rows[:, 2] >> 7
     events = structured([column[event_rows] for column in columns], len(event_rows))
-    n_good, problem = _first_problem(events, event_rows, sensor)
-    remedy, advice = "Fetch the file again", f"Pass strict=False for the {n_good} events before."
-    if problem is not None and "sensor" in problem:
-        remedy += ", or say its sensor if it is of another camera"
-        advice += " Pass sensor=(width, height), or None for any, if the recording is of another sensor."
+    problem = _first_problem(events, event_rows, sensor)
     if problem is None and n_left:
         problem = (
             f"the size must be a multiple of {BYTES_PER_EVENT} bytes (one event each), got {len(raw)}: "
@@ -90,13 +79,12 @@ def read_nmnist(
         )
     if problem is None:
         return events
-    text = f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}"
-    if strict:
-        error = ValueError(f"{text}. {remedy}.")
-        error.add_note(advice)
-        raise error
-    warnings.warn(f"{text}. Keeping the {n_good} events before.", stacklevel=2)
-    return events[:n_good].copy()
+    is_off = "sensor" in problem
+    remedy = "Fetch the file again" + (", or say its sensor if it is of another camera" if is_off else "")
+    error = ValueError(f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. {remedy}.")
+    if is_off:
+        error.add_note("Pass sensor=(width, height), or None for any, if the recording is of another sensor.")
+    raise error
 
 
 def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int, int] | None = SENSOR) -> None:
@@ -131,8 +119,8 @@ def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int
         part.write_bytes(rows.tobytes())
 
 
-def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int] | None) -> tuple[int, str | None]:
-    """The number of events before the first bad one, and what is wrong with it (None: all are good).
+def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int] | None) -> str | None:
+    """What is wrong with the first bad event; None: all are good.
 
     rows : the row of the file that each event is from.
     """
@@ -141,13 +129,13 @@ def _first_problem(events: np.ndarray, rows: np.ndarray, sensor: tuple[int, int]
     backwards = np.diff(events["t"], prepend=events["t"][:1]) < 0
     bad = off_sensor | backwards
     if not bad.any():
-        return len(events), None
+        return None
     i = int(np.argmax(bad))
     t, x, y, _ = events[i].tolist()
     place = f"event {i} (byte {rows[i] * BYTES_PER_EVENT})"
     if off_sensor[i]:
-        return i, f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}"
-    return i, f"`t` must never decrease, got {t} us after {events['t'][i - 1]} us at {place}"
+        return f"every pixel must lie on the {width} x {height} sensor, got x = {x}, y = {y} at {place}"
+    return f"`t` must never decrease, got {t} us after {events['t'][i - 1]} us at {place}"
 
 
 def _refuse(bad: np.ndarray, name: str, values: np.ndarray, rule: str) -> None:

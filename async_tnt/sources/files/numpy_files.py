@@ -3,25 +3,29 @@
 `.npy`   a structured array with the fields t, x, y, p in any order (or other names of `event_forms`), or an (N, 4)
          integer array of columns t, x, y, p. Memory-mapped, and read block by block.
 `.npz`   one such array under the name `events` (or the only array in the file), or four arrays t, x, y, p; optionally
-         `sensor` = (width, height). Checked to its end when it is opened, block by block; other arrays are not read.
+         `sensor` = (width, height). Read and checked as a whole; other arrays are not read.
 
-Times are integer microseconds; polarity is bool, 0/1 or -1/+1. Nothing is unpickled.
+Times are integer microseconds; polarity is bool, 0/1 or -1/+1. Nothing is unpickled. An array is accepted only if its
+header fits the bytes that follow it: NumPy's own reader allocates the memory that a header claims, and reports a
+damaged one in several lines, some of which advise unpickling the file.
 """
 
 from __future__ import annotations
 
 import math
+import os
+import warnings
 import zipfile
 from collections.abc import Iterator
-from contextlib import ExitStack
+from io import BytesIO
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from async_tnt.checks import one_line
 from async_tnt.event_forms import NAMES, Four, named_columns, the_name
 from async_tnt.events import EVENT_DTYPE, checked_columns
-from async_tnt.sources.files.npy_arrays import MAGIC, map_npy, read_npy_header
 from async_tnt.sources.files.source import (
     BLOCK_EVENTS,
     ArraySource,
@@ -32,10 +36,55 @@ from async_tnt.sources.files.source import (
 )
 from async_tnt.sources.sensor import Sensor
 
+MAGIC = b"\x93NUMPY"  # the first bytes of every .npy file
+MAX_HEADER_BYTES = 1 << 16  # NumPy reads what a header claims, up to 4 GiB
+MAX_NPZ_BYTES = 1 << 31  # of one array: a small archive may unpack to any size
 ANY_SENSOR = (1 << 16, 1 << 16)  # every pixel that uint16 can hold
-KEPT_EVENTS = 1 << 22  # of a .npz, in 55 MB of memory; a longer one is decompressed again at each pass
-BLOCK_BYTES = 1 << 22  # decompressed at once of each array
-MAX_ROW_BYTES = 1 << 16  # of one event and what is stored with it
+
+
+def read_npy_header(file: IO[bytes], size: int) -> tuple[np.ndarray, bool]:
+    """Read a header, from the first byte up to the array, in a file of `size` bytes.
+
+    Returns
+    -------
+    An array of the type and shape that the header claims, which takes no memory, and whether it is in Fortran's order.
+
+    Raises
+    ------
+    ValueError : no header, one of Python objects, or of an array that does not fill the rest of the file. One line,
+        without the file's name.
+    """
+    start = file.read(8)
+    if len(start) < 8 or not start.startswith(MAGIC):
+        raise ValueError(f"it must begin with {MAGIC!r}, got {start!r}")
+    try:
+        with warnings.catch_warnings():  # Python's compiler has some for damaged literals
+            warnings.simplefilter("ignore")
+            is_v1 = start[6] == 1
+            read = np.lib.format.read_array_header_1_0 if is_v1 else np.lib.format.read_array_header_2_0
+            length = file.read(2 if is_v1 else 4)
+            header = file.read(min(int.from_bytes(length, "little"), MAX_HEADER_BYTES))
+            shape, is_fortran, dtype = read(BytesIO(length + header))
+        claimed = np.broadcast_to(np.empty((), dtype), shape)
+    except Exception:  # NumPy evaluates it as a Python literal: SyntaxError, TokenError, RecursionError, ...
+        raise ValueError("its header does not describe an array") from None
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects, which are not unpickled; save it as an array of numbers")
+    if math.prod(shape) * dtype.itemsize != size - file.tell() or dtype.subdtype is not None:
+        raise ValueError(
+            f"its header claims an array of {str(dtype)[:200]} in shape {shape}, but {size - file.tell()} bytes follow"
+        )
+    return claimed, is_fortran
+
+
+def map_npy(path: str | os.PathLike[str]) -> np.memmap:
+    """Map the array of a `.npy` file, read-only; a ValueError if it is damaged."""
+    with Path(path).open("rb") as file:
+        try:
+            claimed, is_fortran = read_npy_header(file, os.fstat(file.fileno()).st_size)
+        except ValueError as error:
+            raise ValueError(f"{path}: not a readable NumPy file: {error}") from None
+        return np.memmap(file, claimed.dtype, "r", file.tell(), claimed.shape, "F" if is_fortran else "C")
 
 
 class NpySource(Source):
@@ -53,72 +102,54 @@ class NpySource(Source):
         )
 
 
-class NpzSource(Source):
-    """The events of a `.npz` file, decompressed block by block. A damaged archive raises exceptions of any type."""
+def open_npy(path: Path) -> Source:
+    """Open a `.npy` recording; its header is checked."""
+    with path.open("rb") as file:
+        if file.read(4) == b"PK\x03\x04":
+            raise ValueError(f"{path}: a .npy file must hold one array, got a zip archive; rename it to .npz")
+    try:
+        return NpySource(path)
+    except (TypeError, ValueError) as error:
+        raise ValueError(str(error) if str(path) in str(error) else f"{path}: {one_line(error)}") from None
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        with ExitStack() as files:
-            archive = files.enter_context(zipfile.ZipFile(path))
+
+def open_npz(path: Path) -> Source:
+    """Open a `.npz` recording; all of it is read and checked."""
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) == MAGIC:
+            raise ValueError(f"{path}: a .npz file must be a zip archive of arrays, got a single .npy array")
+    try:
+        with zipfile.ZipFile(path) as archive:
             members = _members(archive)
-            if "sensor" in members:
-                self.sensor = _sensor(_Array(files, archive, members.pop("sensor")))
-            infos = _event_members(members)
-            arrays = [_Array(files, archive, info) for info in infos]
-        sizes = [len(column) for column in _columns(*(array.claimed for array in arrays))]
+            sensor = _sensor(_read(archive, members.pop("sensor"))) if "sensor" in members else None
+            t, x, y, p = columns = _columns(*(_read(archive, info) for info in _event_members(members)))
+        sizes = [len(column) for column in columns]
         if len(set(sizes)) != 1:
             raise ValueError(f"t, x, y and p must have equal lengths, got {', '.join(map(str, sizes))}")
-        self.n_events = sizes[0]
-        self._parts = [(info, k) for info in infos for k in (range(4) if arrays[0].is_by_columns else (None,))]
+        parts = (slice(start, start + BLOCK_EVENTS) for start in range(0, len(t), BLOCK_EVENTS))
+        blocks = valid_blocks((t[part], x[part], y[part], p[part]) for part in parts)
+        events, problem = events_on_sensor(np.concatenate([np.empty(0, EVENT_DTYPE), *blocks]), sensor)
+        if problem:
+            raise CorruptData(problem)
+    except Exception as error:  # a damaged archive raises exceptions of any type
+        raise ValueError(f"{path}: not a readable NumPy file: {one_line(error)}") from None
+    return ArraySource(events, sensor)
 
-    def blocks(self) -> Iterator[np.ndarray]:
-        return valid_blocks(self._columns())
 
-    def _columns(self) -> Iterator[Four]:
+def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    """An array in an archive."""
+    name, size = info.filename, info.file_size
+    if size > MAX_NPZ_BYTES:
+        raise ValueError(f"{name} takes {size:,} bytes; more than {MAX_NPZ_BYTES:,} can be read from a .npy file only")
+    with archive.open(info) as file:
         try:
-            with ExitStack() as files:
-                archive = files.enter_context(zipfile.ZipFile(self.path))
-                arrays = [_Array(files, archive, info, column) for info, column in self._parts]
-                step = min(BLOCK_EVENTS, *(BLOCK_BYTES // array.row_bytes for array in arrays))
-                for start in range(0, self.n_events, step):
-                    yield _columns(*(array.read(min(step, self.n_events - start)) for array in arrays))
-        except Exception as error:  # of any type
-            raise CorruptData(one_line(error)) from None
-
-
-class _Array:
-    """An array in an archive, or one of its columns, decompressed row by row."""
-
-    def __init__(
-        self, files: ExitStack, archive: zipfile.ZipFile, info: zipfile.ZipInfo, column: int | None = None
-    ) -> None:
-        self._name = info.filename
-        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others unpack all of it at once
-            method = {zipfile.ZIP_BZIP2: "bzip2", zipfile.ZIP_LZMA: "lzma"}.get(info.compress_type, "something else")
-            raise ValueError(
-                f"{self._name} is compressed by {method}, not as np.savez_compressed does: save it by that"
-            )
-        self._file = files.enter_context(archive.open(info))
-        try:
-            self.claimed, is_fortran = read_npy_header(self._file, info.file_size)
+            claimed, is_fortran = read_npy_header(file, size)
         except ValueError as error:
-            raise ValueError(f"{self._name}: {error}") from None
-        self.is_by_columns = is_fortran and self.claimed.ndim == 2
-        self._row = self.claimed.shape[1:] if column is None else ()
-        self.row_bytes = math.prod(self._row) * self.claimed.itemsize
-        if self.row_bytes > MAX_ROW_BYTES:
-            raise ValueError(f"{self._name}: an event must take at most {MAX_ROW_BYTES} bytes, got {self.row_bytes}")
-        n_skipped = 0 if column is None else column * len(self.claimed) * self.row_bytes
-        # `seek` would read 16 MiB at a time
-        while n_skipped > 0 and (data := self._file.read(min(n_skipped, 1 << 20))):
-            n_skipped -= len(data)
-
-    def read(self, n: int) -> np.ndarray:
-        """The next n >= 1 rows."""
-        data = self._file.read(n * self.row_bytes)
-        if len(data) != n * self.row_bytes:
-            raise ValueError(f"{self._name} ends before its array does")
-        return np.frombuffer(data, self.claimed.dtype).reshape(n, *self._row)
+            raise ValueError(f"{name}: {error}") from None
+        data = file.read(claimed.nbytes)
+    if len(data) != claimed.nbytes:
+        raise ValueError(f"{name} ends before its array does")
+    return np.frombuffer(data, claimed.dtype).reshape(claimed.shape, order="F" if is_fortran else "C")
 
 
 def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
@@ -143,11 +174,10 @@ def _event_members(members: dict[str, zipfile.ZipInfo]) -> list[zipfile.ZipInfo]
     raise ValueError(f"a .npz recording has `events`, or t, x, y and p; got {sorted(members)[:8]}")
 
 
-def _sensor(array: _Array) -> Sensor:
-    shape, dtype = array.claimed.shape, array.claimed.dtype
-    sides = array.read(2).tolist() if shape == (2,) and dtype.kind in "iu" else None
+def _sensor(array: np.ndarray) -> Sensor:
+    sides = array.tolist() if array.shape == (2,) and array.dtype.kind in "iu" else None
     if sides is None or min(sides) < 1:
-        got = sides or f"shape {shape} of {dtype}"
+        got = sides or f"shape {array.shape} of {array.dtype}"
         raise ValueError(f"`sensor` must be two positive integers (width, height), got {got}")
     return sides[0], sides[1]
 
@@ -167,34 +197,3 @@ def _columns(*arrays: np.ndarray) -> Four:
         t, x, y, p = (column[:0] if column.ndim == 1 else column for column in columns)
         checked_columns(t, x, y, p, ANY_SENSOR)  # raises an error that names what is wrong
     return columns
-
-
-def open_npy(path: Path) -> Source:
-    """Open a `.npy` recording; its header is checked."""
-    with path.open("rb") as file:
-        if file.read(4) == b"PK\x03\x04":
-            raise ValueError(f"{path}: a .npy file must hold one array, got a zip archive; rename it to .npz")
-    try:
-        return NpySource(path)
-    except (TypeError, ValueError) as error:
-        raise ValueError(str(error) if str(path) in str(error) else f"{path}: {one_line(error)}") from None
-
-
-def open_npz(path: Path) -> Source:
-    """Open a `.npz` recording; all of it is read and checked once."""
-    with path.open("rb") as file:
-        if file.read(len(MAGIC)) == MAGIC:
-            raise ValueError(f"{path}: a .npz file must be a zip archive of arrays, got a single .npy array")
-    kept, n_read = [np.empty(0, EVENT_DTYPE)], 0
-    try:
-        source = NpzSource(path)
-        for block in source.blocks():
-            events, problem = events_on_sensor(block, source.sensor, n_read)
-            if problem:
-                raise CorruptData(problem)
-            n_read += len(events)
-            if source.n_events <= KEPT_EVENTS:
-                kept.append(events)
-    except Exception as error:  # of any type
-        raise ValueError(f"{path}: not a readable NumPy file: {one_line(error)}") from None
-    return ArraySource(np.concatenate(kept), source.sensor) if source.n_events <= KEPT_EVENTS else source

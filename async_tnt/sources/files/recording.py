@@ -1,10 +1,14 @@
-"""A recording of any known format, as packets of events."""
+"""A recording of any known format, as packets of events.
+
+Its reader is found by its suffix, and by its first bytes where a suffix can mean several formats. A further format is
+one more entry in `READERS`: its suffix, and a function from a path to a `Source`.
+"""
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -12,14 +16,61 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.checks import positive_int
-from async_tnt.events import EVENT_DTYPE, LATE_POLICIES, Late
-from async_tnt.sources.files.formats import READERS
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.sources.files.aedat import Aedat2Source, Aedat3Source
 from async_tnt.sources.files.nmnist import SENSOR as NMNIST_SENSOR
 from async_tnt.sources.files.nmnist import read_nmnist
+from async_tnt.sources.files.numpy_files import open_npy, open_npz
+from async_tnt.sources.files.prophesee import DatSource, EvtSource
 from async_tnt.sources.files.source import ArraySource, CorruptData, DamagedRecording, Source, events_on_sensor
+from async_tnt.sources.files.text_files import open_csv, open_txt
+from async_tnt.sources.files.worker_source import open_aedat4, open_es, open_hdf5
 from async_tnt.sources.sensor import Sensor, checked_sensor
 
+BY_FIRST_BYTES: dict[bytes, Callable[[Path], Source]] = {
+    b"\x89HDF\r\n\x1a\n": open_hdf5,
+    b"#!AER-DAT4": open_aedat4,
+    b"#!AER-DAT2.": Aedat2Source,
+    b"#!AER-DAT3.1": Aedat3Source,
+    b"Event Stream": open_es,
+}
 COMPRESSED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
+
+
+def _open_bin(path: Path) -> Source:
+    return ArraySource(read_nmnist(path), NMNIST_SENSOR)
+
+
+def _open_by_content(path: Path) -> Source:
+    """Many programs write `.raw`, `.dat`, `.h5` and `.aedat`: the first bytes tell which format it is."""
+    with path.open("rb") as file:
+        start = file.read(4096)
+    for magic, open_it in BY_FIRST_BYTES.items():
+        if start.startswith(magic):
+            return open_it(path)
+    if not start:
+        raise ValueError(f"{path}: the file is empty")
+    header = start.lower()
+    if header.startswith(b"%") and (b"% evt " in header or b"% format evt" in header):
+        return EvtSource(path)
+    if header.startswith(b"%") and path.suffix.lower() == ".dat":
+        return DatSource(path)
+    raise ValueError(
+        f"{path}: its first bytes are not those of a known format: expected a header of EVT (with a line `% evt 3.0` "
+        f"or `% format EVT3`), of DAT (lines that begin with %), AEDAT 2.0, 3.1 or 4, ES or HDF5; got {start[:16]!r}"
+    )
+
+
+READERS: dict[str, Callable[[Path], Source]] = {
+    ".bin": _open_bin,
+    ".npy": open_npy,
+    ".npz": open_npz,
+    ".txt": open_txt,
+    ".csv": open_csv,
+    ".tsv": open_csv,
+    **dict.fromkeys((".raw", ".dat", ".aedat", ".aedat4", ".es", ".h5", ".hdf5"), _open_by_content),
+}
+"""Suffix, in lower case -> function that opens such a file."""
 
 
 @dataclass
@@ -31,16 +82,21 @@ class _Totals:
     earliest_us: int | None = None
     newest_us: int = -1
 
-    @property
-    def duration_us(self) -> int:
-        return 0 if self.earliest_us is None else self.newest_us - self.earliest_us
+    def add(self, t_us: np.ndarray) -> None:
+        """Count a block of events, by their times."""
+        newest = np.maximum.accumulate(np.concatenate(([self.newest_us], t_us)))
+        self.n_unsorted += int(np.count_nonzero(t_us < newest[:-1]))
+        self.n_events += len(t_us)
+        self.newest_us = int(newest[-1])
+        earliest = int(t_us.min())
+        self.earliest_us = earliest if self.earliest_us is None else min(self.earliest_us, earliest)
 
 
 class Recording:
     """The events of one file, and the packets they come in. Made by `open_recording`.
 
-    Each iteration reads the file again and yields packets that the caller may change. All formats but `.bin` are read
-    block by block, so that memory does not grow with the file (a `.npz` of up to 4 million events is kept in memory).
+    Each iteration reads the file again and yields packets that the caller may change. All formats but `.bin` and `.npz`
+    are read block by block, so that memory does not grow with the file.
     `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over the file, unless one was made before.
     """
 
@@ -52,7 +108,6 @@ class Recording:
         packet_events: int,
         *,
         strict: bool = False,
-        unsorted: Late = "accept",
         between_us: tuple[int, int] | None = None,
     ) -> None:
         self.path = path
@@ -60,7 +115,6 @@ class Recording:
         self.sensor = sensor
         self.packet_events = packet_events
         self.strict = strict
-        self.unsorted = unsorted
         self.stated_sensor = source.sensor
         """As the file or its format states it; `sensor` may come from the caller."""
         self._source = source
@@ -69,18 +123,19 @@ class Recording:
 
     @property
     def n_events(self) -> int:
-        """Events in the recording, up to the damage if there is any, without those that `unsorted` drops."""
+        """Events in the recording, up to the damage if there is any."""
         return self._counted().n_events
 
     @property
     def n_unsorted(self) -> int:
-        """Events older than one before them in the file, whether they were accepted or dropped."""
+        """Events older than one before them in the file."""
         return self._counted().n_unsorted
 
     @property
     def duration_us(self) -> int:
         """Time from the earliest to the latest event, in microseconds; 0 for fewer than two events."""
-        return self._counted().duration_us
+        totals = self._counted()
+        return 0 if totals.earliest_us is None else totals.newest_us - totals.earliest_us
 
     def read(self) -> np.ndarray:
         """All events at once: a new structured array of `EVENT_DTYPE`."""
@@ -121,7 +176,7 @@ class Recording:
         return self._totals
 
     def _blocks(self) -> Iterator[np.ndarray]:
-        """One pass: the source's blocks, checked and counted, with the policy for unsorted events applied."""
+        """One pass: the source's blocks, checked and counted."""
         totals = _Totals()
         n_read = 0
         try:
@@ -132,37 +187,14 @@ class Recording:
                     if len(events) and (events["t"] >= self.between_us[1]).all():
                         break
                     events = events[(events["t"] >= self.between_us[0]) & (events["t"] < self.between_us[1])]
-                events = self._apply_policy(events, totals)
                 if len(events):
+                    totals.add(events["t"])
                     yield events
                 if problem:
                     raise CorruptData(problem)
         except CorruptData as error:
             self._report(str(error), totals.n_events, totals.newest_us)
         self._totals = totals
-
-    def _apply_policy(self, block: np.ndarray, totals: _Totals) -> np.ndarray:
-        if len(block) == 0:
-            return block
-        t_us = block["t"]
-        newest = np.maximum.accumulate(np.concatenate(([totals.newest_us], t_us)))
-        late = t_us < newest[:-1]
-        n_late = int(np.count_nonzero(late))
-        if n_late and self.unsorted == "raise":
-            i = int(np.argmax(late))
-            raise ValueError(
-                f'{self.path}: times must not run backwards (unsorted="raise"), got {t_us[i]} after {newest[i]} us '
-                f'at event {totals.n_events + i}; unsorted="accept" keeps such events, "drop" leaves them out'
-            )
-        if n_late and self.unsorted == "drop":
-            block = block[~late]
-        totals.n_unsorted += n_late
-        totals.n_events += len(block)
-        totals.newest_us = int(newest[-1])
-        if len(block):
-            earliest = int(block["t"].min())
-            totals.earliest_us = earliest if totals.earliest_us is None else min(totals.earliest_us, earliest)
-        return block
 
     def _report(self, problem: str, n_read: int, newest_us: int) -> None:
         text = f"{self.path}: damaged recording: {problem}"
@@ -181,7 +213,6 @@ def open_recording(
     packet_events: int = 1000,
     *,
     strict: bool = False,
-    unsorted: Late = "accept",
     sensor: Sensor | None = None,
     between_us: tuple[int, int] | None = None,
 ) -> Recording:
@@ -194,8 +225,6 @@ def open_recording(
     strict : False reads a damaged file up to the damage and gives one `DamagedRecording` warning; True raises a
         ValueError when reading gets there. Either way, a file that cannot be understood at all, a damaged `.bin` or
         `.npz`, and a `.npy` of the wrong size are refused here, with a ValueError.
-    unsorted : what to do with events older than one before them: "accept", "drop" them, or "raise" a ValueError when
-        reading gets there. `Recording.n_unsorted` counts them.
     sensor : (width, height) of the camera, for files that do not state it; a file that does keeps its own. A `.bin` has
         this sensor instead of N-MNIST's 34 x 34. Events are compared with it where they are streamed, not here.
     between_us : (start, end): only the events with start <= t < end. The file is read up to the first block of events
@@ -207,8 +236,7 @@ def open_recording(
 
     Raises
     ------
-    ValueError : unknown suffix, damaged file, a pipe or device, unknown policy, `packet_events` below 1, or an invalid
-        `sensor`.
+    ValueError : unknown suffix, damaged file, a pipe or device, `packet_events` below 1, or an invalid `sensor`.
     OSError : missing, a folder, or not readable.
     ImportError : the format needs an extra that is not installed; names it.
 
@@ -223,8 +251,6 @@ def open_recording(
     path = Path(path)
     suffix = path.suffix.lower()
     packet_events = positive_int("packet_events", packet_events)
-    if unsorted not in LATE_POLICIES:
-        raise ValueError(f"`unsorted` must be one of {', '.join(LATE_POLICIES)}, got {unsorted!r}")
     if sensor is not None:
         sensor = checked_sensor(sensor)
     if path.is_dir():
@@ -240,15 +266,13 @@ def open_recording(
     if suffix == ".bin" and sensor not in (None, NMNIST_SENSOR):
         source: Source = ArraySource(read_nmnist(path, sensor=None), None)
     else:
-        found = READERS[suffix](path)
-        source = found if isinstance(found, Source) else ArraySource(*found)
+        source = READERS[suffix](path)
     return Recording(
         path,
         source,
         source.sensor or sensor,
         int(packet_events),
         strict=strict,
-        unsorted=unsorted,
         between_us=between_us,
     )
 

@@ -18,8 +18,6 @@ import numpy as np
 
 from async_tnt.event_forms import Four
 from async_tnt.sources.files import in_worker
-from async_tnt.sources.files.aedat4 import read_aedat4
-from async_tnt.sources.files.es import read_es
 from async_tnt.sources.files.hdf5 import read_hdf5
 from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
 from async_tnt.worker import Worker, WorkerEnded
@@ -114,12 +112,12 @@ def _end_idle() -> None:
 
 def open_aedat4(path: Path) -> Source:
     """Open an AEDAT4 file."""
-    return _open(path, read_aedat4, "AEDAT4", "faery", "files")
+    return _open(path, in_worker.read_aedat4, "AEDAT4", "faery", "files")
 
 
 def open_es(path: Path) -> Source:
     """Open an Event Stream file."""
-    return _open(path, read_es, "ES", "faery", "files")
+    return _open(path, in_worker.read_es, "ES", "faery", "files")
 
 
 def open_hdf5(path: Path) -> Source:

@@ -1,0 +1,228 @@
+"""Events in any accepted form become the same four columns."""
+
+import array
+from collections import namedtuple
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from async_tnt import events as events_module
+from async_tnt.events import EVENT_DTYPE, NAMES, EventDecoder, as_events
+from async_tnt.kernels.records import FINE
+
+SENSOR = (346, 260)
+T = [16_777_217, 16_777_219, 16_777_219, 16_777_218, 2_000_000_003, 2_000_000_004, 2_000_000_005]
+X = [0, 345, 1, 255, 256, 128, 17]
+Y = [259, 0, 1, 255, 256, 127, 33]
+P = [1, 0, 0, 1, 1, 0, 1]
+EVENTS = [T, X, Y, P]
+TYPES = (np.int64, np.uint16, np.uint16, np.uint8)
+
+PACKED = {
+    "metavision": [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")],
+    "faery": [("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")],
+    "dv": [("timestamp", "<i8"), ("x", "<i2"), ("y", "<i2"), ("polarity", "<i1")],
+    "tonic, int64": [("x", "<i8"), ("y", "<i8"), ("t", "<i8"), ("p", "<i8")],
+    "tonic, int32": [("x", "<i4"), ("y", "<i4"), ("t", "<i4"), ("p", "<i4")],
+    "tonic, int16 and bool": [("x", "<i2"), ("y", "<i2"), ("t", "<i8"), ("p", "?")],
+    "uint32": [("ts", "<u4"), ("x", "<u4"), ("y", "<u4"), ("pol", "<u4")],
+    "ours": EVENT_DTYPE,
+    "aligned, with titles": np.dtype(
+        [(("column", "x"), "<u2"), (("row", "y"), "<u2"), (("on?", "p"), "i1"), (("us", "t"), "<i8")], align=True
+    ),
+    "fields out of order": np.dtype(
+        {"names": list("txyp"), "formats": ["<i8", "<u2", "<u2", "i1"], "offsets": [7, 3, 17, 0], "itemsize": 23}
+    ),
+    "more fields": [("id", "S3"), *EVENT_DTYPE.descr, ("wall", "M8[us]"), ("w", "<f4", (2,)), ("note", "U2")],
+}
+LAYOUTS = PACKED | {  # the others need a closer look
+    "big-endian": [("t", ">i8"), ("x", ">u2"), ("y", ">u2"), ("p", ">i2")],
+    "one field big-endian": [("t", "<i8"), ("x", "<u2"), ("y", ">u2"), ("p", "u1")],
+    "uint64 polarity": [("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "<u8")],
+    "with objects": [*EVENT_DTYPE.descr, ("note", "O")],
+}
+
+
+def records(layout, columns=EVENTS):
+    """A structured array of these columns."""
+    events = np.zeros(len(columns[0]), layout)
+    for names, column in zip(NAMES.values(), columns, strict=True):
+        events[next(name for name in names if name in events.dtype.names)] = column
+    return events
+
+
+STORED = {
+    "read-only": lambda values: np.frombuffer(values.tobytes(), values.dtype),
+    "every second": lambda values: np.repeat(values, 2)[::2],
+    "backwards": lambda values: values[::-1].copy()[::-1],
+    "unaligned": lambda values: np.frombuffer(b"\xff" + values.tobytes(), values.dtype, offset=1),
+    "in Fortran order": lambda values: np.asfortranarray(np.stack([values, values]))[1],
+}
+
+
+def decoded(decoder, events):
+    """The columns as lists; what is promised of their memory is checked on the way."""
+    columns = decoder.decode(events)
+    for column, dtype in zip(columns[:4], TYPES, strict=True):
+        assert column.dtype == dtype and column.ndim == 1 and len(column) >= columns.n
+        assert column.flags.carray  # one compiled version of every kernel
+    return [column[: columns.n].tolist() for column in columns[:4]]
+
+
+def bytes_of(values):
+    """All memory that an array is a view of (padding included), and its flags."""
+    owner = values
+    while isinstance(owner.base, np.ndarray):
+        owner = owner.base
+    return owner.tobytes("A"), str(values.flags)
+
+
+def assert_decoded(events, expected=EVENTS):
+    """Twice by one decoder, and by `as_events`; the caller's arrays are left as they are."""
+    arrays = [a for a in (events if isinstance(events, (tuple, list)) else [events]) if isinstance(a, np.ndarray)]
+    before = [bytes_of(a) for a in arrays]
+    decoder = EventDecoder(SENSOR)
+    assert decoded(decoder, events) == decoded(decoder, events) == expected
+    packed = as_events(events, SENSOR)
+    assert packed.dtype == EVENT_DTYPE
+    assert [packed[name].tolist() for name in "txyp"] == expected
+    assert [bytes_of(a) for a in arrays] == before
+
+
+# -- structured arrays -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
+def test_records_of_every_layout(layout):
+    events = records(layout)
+    assert_decoded(events)
+    assert_decoded(events[3], [[column[3]] for column in EVENTS])  # one record
+    assert_decoded(events[3:4].reshape(()), [[column[3]] for column in EVENTS])
+    assert_decoded(SimpleNamespace(polarity_events=SimpleNamespace(numpy=lambda: events)))
+
+
+@pytest.mark.parametrize("layout", PACKED.values(), ids=PACKED)
+def test_packed_records_take_the_fast_path(layout, monkeypatch):
+    monkeypatch.delattr(events_module, "named_columns")
+    assert decoded(EventDecoder(SENSOR), STORED["unaligned"](records(layout))) == EVENTS
+
+
+@pytest.mark.parametrize("stored", STORED.values(), ids=STORED)
+def test_any_memory(stored):
+    for layout in ("ours", "big-endian"):
+        assert_decoded(stored(records(LAYOUTS[layout])))
+    assert_decoded(tuple(stored(np.array(column, dtype)) for column, dtype in zip(EVENTS, TYPES, strict=True)))
+    assert_decoded([stored(np.array(column)) for column in EVENTS])
+
+
+def test_other_kinds_of_record_arrays(tmp_path):
+    records(PACKED["faery"]).tofile(tmp_path / "events.raw")
+    events = np.memmap(tmp_path / "events.raw", PACKED["faery"], mode="r")
+    assert_decoded(events)
+    assert_decoded(tuple(events[name] for name in ("t", "x", "y", "on")))
+    assert_decoded(records(EVENT_DTYPE).view(np.recarray))
+    assert_decoded(np.broadcast_to(records(EVENT_DTYPE)[1], (4,)), [[column[1]] * 4 for column in EVENTS])
+
+
+def test_one_decoder_takes_any_form_after_any_other():
+    decoder = EventDecoder(SENSOR)
+    for layout in LAYOUTS.values():
+        for events in (records(layout), tuple(EVENTS), records(layout)):
+            assert decoded(decoder, events) == EVENTS
+        # one event whose pixels lie on the sensor with their bytes swapped, too
+        assert decoded(decoder, records(layout)[2:3]) == [column[2:3] for column in EVENTS]
+        assert decoded(decoder, None) == [[], [], [], []]
+
+
+def test_packets_of_growing_and_shrinking_size():
+    decoder = EventDecoder(SENSOR)
+    rng = np.random.default_rng(0)
+    for n in (1, 1023, 1024, 1025, 2, 5000, 0, 5001, 1):
+        columns = [rng.integers(0, 2**62, n), rng.integers(0, 346, n), rng.integers(0, 260, n), rng.integers(0, 2, n)]
+        assert decoded(decoder, records(PACKED["metavision"], columns)) == [column.tolist() for column in columns]
+
+
+def test_fields_renamed_and_polarity_written_otherwise_between_packets():
+    events = np.array([(5, 1, 2, 1)], EVENT_DTYPE.descr)
+    decoder = EventDecoder(SENSOR)
+    assert decoded(decoder, events) == [[5], [1], [2], [1]]
+    events.dtype.names = ("t", "y", "x", "p")  # the same dtype object with another meaning
+    assert decoded(decoder, events) == [[5], [2], [1], [1]]
+    assert (
+        decoded(decoder, ([1, 2], [0, 0], [0, 0], [-1, 1]))[3] == decoded(decoder, ([1, 2], [0, 0], [0, 0], [0, 1]))[3]
+    )
+
+
+# -- columns ---------------------------------------------------------------------------------------------
+
+
+def test_columns_of_the_right_form_are_not_copied():
+    columns = tuple(np.array(c, dtype) for c, dtype in zip(EVENTS, TYPES, strict=True))
+    for came, went in zip(columns, EventDecoder(SENSOR).decode(columns)[:4], strict=True):
+        assert came is went
+
+
+@pytest.mark.parametrize("rows", [[], [(5, 3, 2, 1)]])
+def test_byte_order_does_not_depend_on_what_numba_takes(monkeypatch, rows):
+    decoder = EventDecoder(SENSOR)
+    monkeypatch.setattr(events_module, "check_columns", lambda *columns: FINE)  # as if all had the right form
+    for swapped in range(3):
+        columns = [np.array([row[k] for row in rows], dtype) for k, dtype in enumerate(TYPES)]
+        expected = [column.tolist() for column in columns]
+        columns[swapped] = columns[swapped].astype(columns[swapped].dtype.newbyteorder(">"))
+        assert decoded(decoder, tuple(columns)) == expected
+
+
+def test_columns_that_are_not_arrays():
+    for make in (
+        tuple,
+        lambda column: [np.int32(value) for value in column],
+        lambda column: memoryview(array.array("l", column)),
+        lambda column: torch.tensor(column, dtype=torch.int32),
+    ):
+        assert_decoded(tuple(make(column) for column in EVENTS))
+        assert_decoded([make(T), np.array(X), Y, [bool(p) for p in P]])
+
+
+# -- single events, objects, nothing ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [int, np.uint16, torch.tensor])
+def test_single_events(number):
+    assert_decoded(tuple(number(value) for value in (60_000, 5, 6, 1)), [[60_000], [5], [6], [1]])
+    for polarity, expected in ((True, 1), (-1, 0), (np.bool_(False), 0)):
+        assert_decoded([number(5), 1, 2, polarity], [[5], [1], [2], [expected]])
+
+
+def test_objects_and_named_tuples_name_their_columns():
+    for t, p in (("t", "p"), ("ts", "pol"), ("timestamp", "polarity"), ("t", "on")):
+        assert_decoded(SimpleNamespace(**{t: np.array(T), "x": np.array(X), "y": Y, p: [bool(value) for value in P]}))
+        assert_decoded(SimpleNamespace(**{t: 7, "x": 1, "y": 2, p: True}), [[7], [1], [2], [1]])
+    order = namedtuple("Order", "x y p t")
+    assert_decoded(order(x=X, y=Y, p=P, t=T))
+    assert_decoded(order(x=1, y=2, p=0, t=3), [[3], [1], [2], [0]])
+    assert_decoded(namedtuple("Nameless", "a b c d")(T, X, Y, P))
+
+
+EMPTY = {
+    "None": None,
+    "[]": [],
+    "four float arrays, as numpy makes them": (np.array([]),) * 4,
+    "four columns": tuple(np.zeros(0, dtype) for dtype in TYPES),
+    "polarity_events is None": SimpleNamespace(polarity_events=None),
+    "empty records": np.zeros(0, PACKED["faery"]),
+    "empty big-endian records": np.zeros(0, LAYOUTS["big-endian"]),
+}
+
+
+@pytest.mark.parametrize("late", ["accept", "drop"])
+@pytest.mark.parametrize("events", EMPTY.values(), ids=EMPTY)
+def test_empty_packets(events, late):
+    decoder = EventDecoder(SENSOR, late)
+    assert decoded(decoder, events) == [[], [], [], []]
+    assert decoded(decoder, ([7], [1], [2], [1])) == [[7], [1], [2], [1]]
+    assert decoded(decoder, events) == [[], [], [], []]
+    assert (decoder.newest_us, decoder.n_dropped) == ((-1, 0) if late == "accept" else (7, 0))
+    assert len(as_events(events, SENSOR)) == 0

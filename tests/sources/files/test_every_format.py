@@ -1,0 +1,248 @@
+"""Laws of every format: what its writer writes is read back, event for event, however it is cut into packets."""
+
+import os
+import struct
+import tracemalloc
+
+import numpy as np
+import pytest
+from numba import config
+from sources.files.written import (
+    FORMATS,
+    IN_WORKER,
+    SENSOR,
+    aedat2,
+    aedat3,
+    dat,
+    evt2,
+    evt3,
+    evt21,
+    made_events,
+    written,
+)
+
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.sources.files.nmnist import write_nmnist
+from async_tnt.sources.files.recording import open_recording
+
+HEADERS = ("evt2.raw", "v2.dat", "davis.aedat", "dvs128.aedat", "caer.aedat")
+every_format = pytest.mark.parametrize("name", sorted(FORMATS))
+
+
+def sensor_for(name):
+    return tuple(np.minimum(SENSOR, FORMATS[name].largest).tolist())
+
+
+def events_with_a_gap(sensor):
+    """Two blocks and more, at increasing and at equal times, with three seconds of silence."""
+    events = made_events(140_000, sensor=sensor, step_us=4)
+    events["t"][70_000:] += 3_000_000
+    return events
+
+
+# (events, events of a packet)
+CUTS = [(0, 1000), (140_000, 70_000)]
+MORE_CUTS = [(1, 1000), (150, 1), (150, 100), (150, 150)]
+
+
+@pytest.mark.parametrize(
+    ("name", "n", "packet_events"),
+    [(name, *cut) for name in sorted(FORMATS) for cut in (CUTS if name.endswith(IN_WORKER) else CUTS + MORE_CUTS)],
+)
+def test_events_are_read_back_in_any_packets_which_are_the_callers_own(tmp_path, name, n, packet_events):
+    sensor = sensor_for(name)
+    events = events_with_a_gap(sensor)[:n]
+    recording = open_recording(written(tmp_path / name, events, sensor), packet_events=packet_events)
+    packets = list(recording)
+    assert len(packets) == len(recording) == -(-n // packet_events)
+    assert all(len(packet) == packet_events for packet in packets[:-1])
+    got = np.concatenate([np.empty(0, EVENT_DTYPE), *packets])
+    np.testing.assert_array_equal(got, events)
+    assert (recording.n_events, recording.n_unsorted) == (n, 0)
+    assert recording.duration_us == (events["t"][-1] - events["t"][0] if n else 0)
+    assert recording.sensor == (sensor if FORMATS[name].states_sensor else None)
+    for packet in packets:
+        packet["t"] = -1
+    if packet_events < 150:  # an array in memory may be read again
+        np.testing.assert_array_equal(recording.read(), events)
+
+
+@every_format
+def test_every_bit_of_a_pixel_is_read(tmp_path, name):
+    """Events in all corners of the largest sensor that the format can say, and with one bit alone."""
+    width, height = FORMATS[name].largest
+    events = made_events(300, sensor=(width, height))
+    events["x"][:4], events["y"][:4] = [0, width - 1, 0, width - 1], [0, 0, height - 1, height - 1]
+    for i in range(16):
+        events["x"][10 + i], events["y"][40 + i] = (1 << i) % width, (1 << i) % height
+    path = written(tmp_path / name, events, (width, height))
+    capitals = tmp_path / name.upper()
+    if not capitals.exists():  # a file system may not tell them apart
+        capitals.symlink_to(path)
+    np.testing.assert_array_equal(open_recording(capitals).read(), events)
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"),
+    [(name, "utf-8") for name in HEADERS] + [("davis.aedat", "latin-1"), ("dvs128.aedat", "latin-1")],
+)
+@pytest.mark.parametrize("line", ["von José in Zürich\t1", "of a camera with a\xa0name"])
+def test_a_header_may_hold_any_text(tmp_path, name, encoding, line):
+    """Names of people and places; jAER writes them in the encoding of its system."""
+    path, events = tmp_path / name, made_events(100, sensor=sensor_for(name))
+    data = FORMATS[name].of_bytes(events, sensor_for(name))
+    first = data.index(b"\n") + 1
+    mark = b"# " if name.endswith(".aedat") else b"% "
+    path.write_bytes(data[:first] + mark + line.encode(encoding) + b"\r\n" + data[first:])
+    np.testing.assert_array_equal(open_recording(path, sensor=sensor_for(name)).read(), events)
+
+
+def test_a_davis_address_by_hand(tmp_path):
+    """240 x 180: the address (50, 20) is 50 from the right and 20 from the bottom."""
+    address = 20 << 22 | 50 << 12 | 1 << 11
+    header = b"#!AER-DAT2.0\r\n# AEChip: DAViS240C\r\n"
+    (tmp_path / "a.aedat").write_bytes(header + struct.pack(">II", address, 7))
+    assert open_recording(tmp_path / "a.aedat").read().tolist() == [(7, 189, 159, 1)]
+
+
+def test_atis_events_of_changing_light_by_hand(tmp_path):
+    """Rows count from the bottom; events may be exposures."""
+    pytest.importorskip("faery", reason="ES needs faery")
+    header = b"Event Stream\x02\x00\x00\x02" + np.array([320, 240], "<u2").tobytes()
+    pixel = np.array([4, 0], "<u2").tobytes()  # y = 0 is the lowest row
+    body = b"\xfd\xfe" + bytes([5 << 2 | 2]) + pixel + bytes([1 << 2 | 1]) + pixel + bytes([1 << 2]) + pixel
+    (tmp_path / "a.es").write_bytes(header + body)
+    recording = open_recording(tmp_path / "a.es")
+    assert recording.read().tolist() == [(194, 4, 239, 1), (196, 4, 239, 0)] and recording.sensor == (320, 240)
+
+
+@pytest.mark.parametrize("name", ["evt3.raw", "dvs.es", "v2.dat"])
+def test_the_content_tells_the_format_where_suffixes_are_shared(tmp_path, name):
+    events = made_events(50)
+    for suffix in (".h5", ".dat", ".aedat4", ".raw") if name != "v2.dat" else (".dat",):
+        renamed = written(tmp_path / name, events).rename(tmp_path / f"renamed{suffix}")
+        np.testing.assert_array_equal(open_recording(renamed).read(), events)
+
+
+SMALL = (128, 128)
+CLOCKS = [
+    ("a.dat", dat, 1 << 32),
+    ("a.raw", evt2, 1 << 34),
+    ("a.raw", evt21, 1 << 34),
+    ("a.raw", evt3, 1 << 24),
+    ("a.aedat", lambda events: aedat2(events, SMALL, ""), 1 << 32),
+    ("a.aedat", aedat3, 1 << 31),
+]
+
+
+@pytest.mark.parametrize(("name", "make", "period_us"), CLOCKS)
+def test_times_go_on_through_wraps_pauses_and_disorder(tmp_path, name, make, period_us):
+    wraps = made_events(1_000, sensor=SMALL, step_us=period_us // 200, start_us=period_us // 2)
+    assert wraps["t"][-1] > 2 * period_us
+    late = made_events(400, sensor=SMALL, step_us=10_000, start_us=period_us - 1_000_000)
+    late["t"][::7] -= 40_000
+    late = late[1:]
+    assert late["t"][0] < period_us < late["t"][-1]
+    pauses = []
+    for start in (0.1, 0.3, 0.7):  # of less than half a period
+        pauses.append(made_events(100, sensor=SMALL, step_us=50, start_us=int(start * period_us)))
+        pauses[-1]["t"][50:] += int(0.45 * period_us)
+    path = tmp_path / name
+    for events in (wraps, late, *pauses):
+        path.write_bytes(make(events))
+        np.testing.assert_array_equal(open_recording(path).read(), events)
+
+
+N_LONG = 1_000_000
+N_BLOCK = 100_000
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="a million events in Python take minutes")
+@pytest.mark.parametrize(
+    "name", ["plain.csv", "v2.dat", "evt3.raw", "records.npy", "dvs128.aedat", "caer.aedat", "dv.aedat4", "dsec.h5"]
+)
+def test_memory_does_not_grow_with_the_file(tmp_path, name):
+    """The same events ten times over: a million different ones take longer to write than to read."""
+    path, sensor = tmp_path / name, sensor_for(name)
+    block = made_events(N_BLOCK, sensor=sensor, step_us=4)
+    if FORMATS[name].of_bytes:
+        data = written(path, block, sensor).read_bytes()
+        head = len(FORMATS[name].of_bytes(block[:0], sensor))
+        path.write_bytes(data[:head] + data[head:] * (N_LONG // N_BLOCK))
+    else:
+        how = {"chunks": (10_000,)} if "h" in path.suffix else {}
+        FORMATS[name].write(path, np.repeat(block, N_LONG // N_BLOCK), sensor, **how)
+    next(iter(open_recording(path)))  # compiles and imports
+    tracemalloc.start()
+    try:
+        n = sum(len(packet) for packet in open_recording(path))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert n == N_LONG
+    assert peak < 9e6 < N_LONG * 13  # what all events would take
+
+
+def test_events_older_than_one_before_them_are_counted(tmp_path):
+    """In two blocks, the newest event of the first being not its last one."""
+    events = made_events(65_539)
+    events["t"] = t_us = [10, 30, 20, 30, 29, 50, 40, *[60] * 65_528, 40, 45, 59, 70]
+    recording = open_recording(written(tmp_path / "records.npy", events))
+    assert recording.read()["t"].tolist() == t_us
+    assert (recording.n_unsorted, recording.n_events, recording.duration_us) == (6, len(t_us), 60)
+
+
+def test_a_part_between_two_times_is_half_open(tmp_path):
+    events = made_events(140_000, step_us=1)
+    events["t"] = np.arange(140_000)
+    path = written(tmp_path / "records.npy", events)
+    for start, end, times in ((3, 5, [3, 4]), (65_535, 65_537, [65_535, 65_536]), (200_000, 200_001, [])):
+        assert open_recording(path, between_us=(start, end)).read()["t"].tolist() == times
+
+
+@pytest.mark.parametrize("suffix", [".bin", ".npz", ".h5"])
+def test_what_is_not_a_file_is_refused_at_opening(tmp_path, suffix):
+    (tmp_path / f"gone{suffix}").symlink_to(tmp_path / "nowhere")
+    for name in ("nowhere", "gone"):
+        with pytest.raises(FileNotFoundError, match=name):
+            open_recording(tmp_path / f"{name}{suffix}")
+    (tmp_path / f"folder{suffix}").mkdir()
+    with pytest.raises(IsADirectoryError, match=r"is a folder, .* `async-tnt run` streams all recordings"):
+        open_recording(tmp_path / f"folder{suffix}")
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / f"pipe{suffix}")
+        with pytest.raises(ValueError, match=rf"pipe\{suffix}: a recording must be a file that can be read more than"):
+            open_recording(tmp_path / f"pipe{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("name", "how", "message"),
+    [
+        (
+            "a.mp4",
+            {},
+            r"a\.mp4: unknown suffix '\.mp4', expected one of \.aedat, \.aedat4, \.bin, \.csv, \.dat.*\.txt$",
+        ),
+        ("a.csv.gz", {}, r"unknown suffix '\.gz', expected .*; decompress it first$"),
+        ("a.bin", {"packet_events": 0}, "`packet_events` must be at least 1, got 0"),
+        ("a.bin", {"sensor": (0, 5)}, r"`sensor` must have sides in \[1, 32768\] pixels, got \(0, 5\)"),
+    ],
+)
+def test_wrong_arguments(name, how, message):
+    with pytest.raises(ValueError, match=message):
+        open_recording(name, **how)
+
+
+def test_the_given_sensor_is_that_of_files_that_state_none(tmp_path):
+    """Off it, an event is not the file's fault: it is refused where it is streamed. N-Caltech101 had 304 x 240."""
+    events = made_events(2, sensor=(1, 1))
+    events["x"], events["y"] = (239, 100), (179, 99)
+    write_nmnist(tmp_path / "a.bin", events, sensor=(304, 240))
+    for name in ("a.bin", "records.npy", "plain.csv"):
+        path = tmp_path / name if name == "a.bin" else written(tmp_path / name, events)
+        recording = open_recording(path, sensor=(200, 200), strict=True)
+        assert (recording.sensor, recording.stated_sensor) == ((200, 200), None)
+        np.testing.assert_array_equal(recording.read(), events)
+    assert open_recording(written(tmp_path / "packed.npz", events), sensor=(200, 200)).sensor == SENSOR
+    with pytest.raises(ValueError, match=r"34 x 34 sensor, got x = 239, y = 179 .* say its sensor if it is of another"):
+        open_recording(tmp_path / "a.bin", sensor=(34, 34))

@@ -1,0 +1,75 @@
+"""N-MNIST's five-byte format: bytes by hand, round trips, overflow rows, damage."""
+
+import numpy as np
+import pytest
+
+from async_tnt.events import EVENT_DTYPE
+from async_tnt.sources.files.nmnist import read_nmnist, write_nmnist
+
+EVENT, OVERFLOW = bytes([1, 2, 0x80, 0, 100]), bytes([49, 240, 0, 0, 100])
+
+
+def events_of(*rows):
+    return np.array(list(rows), EVENT_DTYPE)
+
+
+def test_bytes_by_hand(tmp_path):
+    """0x012345 = 74565 us, OFF; then 0x7FFFFF us, the last time there is, ON: bit 7 beside bits 6-0 all set."""
+    data = bytes([3, 33, 0x01, 0x23, 0x45, 33, 0, 0xFF, 0xFF, 0xFF])
+    events = events_of((74565, 3, 33, 0), (8_388_607, 33, 0, 1))
+    write_nmnist(tmp_path / "a.bin", events)
+    assert (tmp_path / "a.bin").read_bytes() == data
+    assert read_nmnist(tmp_path / "a.bin").tolist() == events.tolist()
+
+
+def test_a_camera_may_be_as_large_as_a_byte_addresses_and_larger(tmp_path):
+    events = events_of((0, 255, 239, 1), (5, 0, 255, 0))
+    for sensor in (None, (304, 256)):
+        write_nmnist(tmp_path / "a.bin", events, sensor=sensor)
+        np.testing.assert_array_equal(read_nmnist(tmp_path / "a.bin", sensor=sensor), events)
+    with pytest.raises(ValueError, match=r"34 x 34 sensor, got x = 255, y = 239 at event 0 .*another camera") as raised:
+        read_nmnist(tmp_path / "a.bin")
+    (note,) = raised.value.__notes__  # what to pass is for Python, and not for the program, which shows no notes
+    assert note.startswith("Pass sensor=(width, height), or None")
+
+
+def test_overflow_rows_add_8192_us_to_all_that_follows_and_vanish(tmp_path):
+    path = tmp_path / "a.bin"
+    path.write_bytes(EVENT + OVERFLOW + EVENT + EVENT + OVERFLOW * 2 + EVENT)
+    assert read_nmnist(path).tolist() == [(100 + 8192 * k, 1, 2, 1) for k in (0, 1, 1, 3)]
+    path.write_bytes(OVERFLOW * 3)
+    assert len(read_nmnist(path)) == 0
+    path.write_bytes(OVERFLOW * 600_000 + EVENT)  # past 2^32
+    assert read_nmnist(path)["t"].tolist() == [600_000 * 8192 + 100]
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (EVENT * 3 + EVENT[:2], r"the size must be a multiple of 5 bytes .* got 17: .* 2 bytes into row 3"),
+        (EVENT * 2 + bytes([1, 1, 0, 0, 99]) + EVENT, r"`t` must .*, got 99 us after 100 us at event 2 \(byte 10\)"),
+        (EVENT + OVERFLOW * 2 + bytes([34, 1, 0, 0, 9]), r"got x = 34, y = 1 at event 1 \(byte 15\)"),
+    ],
+)
+def test_damage_names_its_place(tmp_path, data, message):
+    (tmp_path / "a.bin").write_bytes(data)
+    line = rf"a\.bin: damaged N-MNIST recording of {len(data)} bytes: .*{message}\. Fetch the file"
+    with pytest.raises(ValueError, match=line):
+        read_nmnist(tmp_path / "a.bin")
+
+
+@pytest.mark.parametrize(
+    ("row", "sensor", "message"),
+    [
+        ((0, 34, 0, 0), (34, 34), r"`x` must be in \[0, 34\), got 34 at event 1"),
+        ((0, 0, 0, 2), (34, 34), "`p` must be 0 or 1, or -1 or \\+1, got 2 at event 1"),
+        ((1 << 23, 0, 0, 0), (34, 34), r"`t` must be in \[0, 8388608\), got 8388608 at event 1"),
+        ((4, 0, 0, 0), (34, 34), r"`t` must never decrease, got 4 at event 1"),
+        ((9, 256, 0, 0), (304, 240), r"`x` must be in \[0, 256\), got 256 at event 1"),
+        ((9, 0, 240, 0), None, r"`y` must not be 240, the mark of a timer overflow, got 240 at event 1"),
+    ],
+)
+def test_values_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, row, sensor, message):
+    with pytest.raises(ValueError, match=message):
+        write_nmnist(tmp_path / "a.bin", events_of((5, 0, 0, 0), row), sensor=sensor)
+    assert not (tmp_path / "a.bin").exists()

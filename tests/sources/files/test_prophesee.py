@@ -1,0 +1,150 @@
+"""Prophesee's formats: words by hand, and words of other kinds."""
+
+import numpy as np
+import pytest
+from sources.files.written import by_faery, evt2, evt3, evt21, evt_header, made_events
+
+from async_tnt.kernels.evt import FINE, decode_evt2, decode_evt3, decode_evt21, unwrap_times
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.source import DamagedRecording
+
+MAKE = {"2.0": (evt2, "<u4", 28), "2.1": (evt21, "<u8", 60), "3.0": (evt3, "<u2", 12)}
+KNOWN = {"2.0": (0, 1, 8), "2.1": (0, 1, 8), "3.0": (0, 2, 3, 4, 5, 6, 8)}
+LITTLE = ";endianness=little"
+EVENTS = made_events(1_000, step_us=300)
+
+
+def read(path, data):
+    path.write_bytes(data)
+    return open_recording(path).read()
+
+
+@pytest.fixture
+def decoded(tmp_path):
+    """The events of words by hand, as tuples."""
+
+    def decode(version, words):
+        header = evt_header(version, (2048, 2048), LITTLE if version == "2.1" else "")
+        return read(tmp_path / "a.raw", header + np.array(words, MAKE[version][1]).tobytes()).tolist()
+
+    return decode
+
+
+@pytest.mark.parametrize("version", MAKE)
+def test_other_words_change_nothing(tmp_path, version):
+    make, dtype, shift = MAKE[version]
+    start = len(evt_header(version, more=LITTLE if version == "2.1" else ""))
+    data = make(EVENTS)
+    words = np.frombuffer(data[start:], dtype)
+    rng = np.random.default_rng(3)
+    for kind in sorted(set(range(16)) - set(KNOWN[version])):
+        others = rng.integers(0, 1 << shift, 200, dtype=np.uint64) | np.uint64(kind << shift)
+        mixed = np.insert(words, np.sort(rng.integers(0, len(words) + 1, 200)), others.astype(dtype))
+        got = read(tmp_path / "a.raw", data[:start] + mixed.astype(dtype).tobytes())
+        np.testing.assert_array_equal(got, EVENTS, err_msg=f"kind {kind}")
+
+
+@pytest.mark.parametrize("version", MAKE)
+def test_t0_is_added(tmp_path, version):
+    data = MAKE[version][0](EVENTS).replace(b"% end\n", b"% t0 7000000\n% end\n")
+    np.testing.assert_array_equal(read(tmp_path / "a.raw", data)["t"], EVENTS["t"] + 7_000_000)
+
+
+HIGH, LOW, ROW, X5, BASE7, VECTOR12, VECTOR8 = 0x8001, 0x6005, 0x0009, 0x2005, 0x3007, 0x4001, 0x5001
+
+
+@pytest.mark.parametrize(
+    ("words", "events"),
+    [
+        ([HIGH, X5, ROW, X5], [(4096, 5, 9, 0)]),  # before their row, time or base, events are left out
+        ([ROW, X5, HIGH, X5], [(4096, 5, 9, 0)]),
+        ([HIGH, ROW, VECTOR12, VECTOR8, BASE7, VECTOR12], [(4096, 7, 9, 0)]),
+        ([HIGH, BASE7, VECTOR12, ROW, VECTOR12], [(4096, 19, 9, 0)]),  # but the base moves on
+        ([ROW, BASE7 | 0x800, VECTOR8, HIGH, VECTOR12], [(4096, 15, 9, 1)]),
+        ([HIGH, 0x0809, X5], [(4096, 5, 9, 0)]),  # bit 11 of a row says which of two cameras
+        ([HIGH, LOW, ROW, HIGH, X5], [(4101, 5, 9, 0)]),  # cameras repeat TIME_HIGH, which keeps the lower half
+        ([HIGH, 0x6FFF, ROW, X5, 0x8002, X5, 0x6003, X5], [(t, 5, 9, 0) for t in (8191, 8192, 8195)]),
+        ([0x8005, 0x6001, ROW, X5, 0x8004, 0x6002, X5], [(5 << 12 | 1, 5, 9, 0), (4 << 12 | 2, 5, 9, 0)]),  # back
+        ([HIGH, LOW, ROW, 0x3000 | 100, 0x4801, 0x5081], [(4101, x, 9, 0) for x in (100, 111, 112, 119)]),
+        ([HIGH, ROW, 0x3000 | 2036, 0x4800], [(4096, 2047, 9, 0)]),  # the last column
+        ([HIGH, ROW, 0x3000 | 2037, 0x4800], None),
+    ],
+)
+def test_evt3_by_hand(decoded, words, events):
+    if events is None:
+        with pytest.warns(DamagedRecording, match="reaches beyond x = 2047"):
+            assert decoded("3.0", words) == []
+    else:
+        assert decoded("3.0", words) == events
+
+
+def test_evt21_by_hand(decoded):
+    """A word has 32 pixels: bits 0, 2 and 31 from x = 64, and up to the last column; none before the first time."""
+    high, pixels = 0x80000001 << 32, (1 << 28 | 5 << 22 | 64 << 11 | 9) << 32 | 1 << 31 | 0b101
+    assert decoded("2.1", [pixels, high, pixels]) == [(69, x, 9, 1) for x in (64, 66, 95)]
+    last = (1 << 28 | 2016 << 11 | 9) << 32 | 1 << 31
+    assert decoded("2.1", [high, last]) == [(64, 2047, 9, 1)]
+    with pytest.warns(DamagedRecording, match="reaches beyond x = 2047"):
+        assert decoded("2.1", [high, last + (1 << 43)]) == []
+
+
+def test_evt21_without_endianness_is_legacy_only_without_a_format_line(tmp_path):
+    little = (0x8 << 60 | 1 << 32, (1 << 28 | 5 << 22 | 64 << 11 | 9) << 32 | 1)
+    swapped = [word >> 32 | (word & 0xFFFFFFFF) << 32 for word in little]
+    for header, words in ((b"% format EVT21;height=720;width=1280\n", little), (b"% evt 2.1\n", swapped)):
+        assert read(tmp_path / "a.raw", header + np.array(words, "<u8").tobytes()).tolist() == [(69, 64, 9, 1)]
+
+
+@pytest.mark.parametrize(
+    ("decode", "words", "most"),
+    [
+        (decode_evt2, np.full(200, 1 << 28 | 7, np.uint32), 1),
+        (decode_evt21, np.tile(np.array([1 << 28 | 7, 0xFFFFFFFF], np.uint32), 100), 32),
+        (decode_evt3, np.tile(np.array([0x3000, 0x4FFF], np.uint16), 100), 12),
+    ],
+)
+def test_a_kernel_stops_while_there_is_room_for_a_whole_word(decode, words, most):
+    """Numba does not check bounds: a write beyond the columns would change other memory."""
+    words.flags.writeable = False
+    for size in range(most, most + 70):
+        whole = [np.full(size + 40, 77, dtype) for dtype in (np.int64, np.uint16, np.uint16, np.uint8)]
+        state = np.array([5, 0, 9, -1, 0, 0], np.int64)
+        n, done, status = decode(words, 0, state, *(column[:size] for column in whole))
+        assert (n, status) == (size // most * most, FINE) and done > 0
+        assert all((column[size:] == 77).all() for column in whole)
+
+
+def test_dat_version_1_by_hand(tmp_path):
+    word = np.array([70, 1 << 17 | 200 << 9 | 300], "<u4").tobytes()
+    data = b"% Version 1\n% Width 304\n% Height 240\n\x00\x08" + word
+    assert read(tmp_path / "a.dat", data).tolist() == [(70, 300, 200, 1)]
+
+
+def test_unwrapped_by_hand():
+    def times(*raw, before=-1):
+        t = np.array(raw, np.int64)
+        last = unwrap_times(t, np.int64(before), np.int64(100))
+        assert last == (t[-1] if len(t) else before)
+        return t.tolist()
+
+    assert times(10, 60, 95, 5, 50, 90, 20) == [10, 60, 95, 105, 150, 190, 220]
+    assert times(95, 5, 97, 6) == [95, 105, 97, 106]
+    assert times(50, 40, 41) == [50, 40, 41]
+    assert times(5, 99) == [5, 99]  # a long gap: no time lies before 0
+    assert times(5, before=395) == [405]
+    assert times(0, before=150) == [100]  # half a period either way: back
+    assert times(0, before=50) == [0]
+    assert times() == []
+
+
+@pytest.mark.parametrize(
+    ("suffix", "version"), [(".raw", "evt2"), (".raw", "evt3"), (".dat", "dat2"), (".es", None), (".aedat4", None)]
+)
+def test_faerys_files_are_read_back(tmp_path, suffix, version):
+    events = made_events(30_000, sensor=(1280, 720))
+    by_faery(tmp_path / f"a{suffix}", events, (1280, 720), version)
+    recording = open_recording(tmp_path / f"a{suffix}")
+    if suffix == ".es":  # the format has no t0: faery subtracts it
+        events["t"] -= events["t"][0]
+    np.testing.assert_array_equal(recording.read(), events)
+    assert recording.sensor == (1280, 720)

@@ -1,0 +1,98 @@
+"""Files that are read in a worker process: what happens if the library is missing, crashes, hangs or lies."""
+
+import os
+
+import numpy as np
+import pytest
+from sources.files.odd_readers import invalid, misbehaving
+from sources.files.written import made_events, written
+
+from async_tnt.sources.files import worker_source
+from async_tnt.sources.files.recording import open_recording
+from async_tnt.sources.files.source import CorruptData
+from async_tnt.sources.files.worker_source import WorkerSource
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "message"),
+    [
+        ("a.aedat4", b"#!AER-DAT4.0\r\n", r"AEDAT4 is read by faery, .*: pip install 'async_tnt\[files\]'"),
+        ("a.es", b"Event Stream", r"ES is read by faery, .*: pip install 'async_tnt\[files\]'"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n", r"HDF5 is read by h5py, .*: pip install 'async_tnt\[hdf5\]'"),
+    ],
+)
+def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, name, start, message):
+    monkeypatch.setattr(worker_source, "find_spec", lambda name: None)
+    (tmp_path / name).write_bytes(start)
+    with pytest.raises(ImportError, match=rf"{name}: {message}"):
+        open_recording(tmp_path / name)
+
+
+STOPPED = "the process that reads it crashed or hung"
+
+
+@pytest.mark.parametrize(
+    ("how", "message"), [("hang", STOPPED), ("die", STOPPED), ("panic", "its message in two lines")]
+)
+def test_a_reader_that_hangs_dies_or_panics_is_damage_after_the_events_before(tmp_path, monkeypatch, how, message):
+    """HDF5 reads some damaged attributes forever, and faery can run out of memory."""
+    path = tmp_path / "a.odd"
+    path.write_text("read end")
+    source = WorkerSource(path, misbehaving, "odd")
+    assert [len(block) for block in source.blocks()] == [2] and source.sensor == (34, 34)
+    if how == "hang":
+        monkeypatch.setattr(worker_source, "SILENCE_S", 0.5)
+    path.write_text(f"read {how}")
+    with pytest.raises(CorruptData, match=f"after event 2: {message}"):
+        list(source.blocks())
+    path.write_text(f"{how} end")
+    with pytest.raises(CorruptData, match=f"after event 0: {message}"):
+        list(source.blocks())
+    with pytest.raises(ValueError, match=f"a.odd: not a readable odd file: {message}"):
+        WorkerSource(path, misbehaving, "odd")
+
+
+@pytest.mark.parametrize(("row", "value"), [(0, -(1 << 63)), (0, 1 << 62), (1, -1), (2, 1 << 16), (3, 2)])
+def test_an_invalid_event_ends_the_reading(tmp_path, row, value):
+    (tmp_path / "a.odd").write_text(f"{row} {value}")
+    blocks = WorkerSource(tmp_path / "a.odd", invalid, "odd").blocks()
+    assert [next(blocks)["t"].tolist(), next(blocks)["t"].tolist()] == [[10, 11, 12], [10, 11]]
+    with pytest.raises(CorruptData, match=r"event 5: t = .* is not a valid event"):
+        next(blocks)
+
+
+def test_a_path_is_relative_to_the_folder_of_now(tmp_path, monkeypatch):
+    for k, name in enumerate("ab"):
+        (tmp_path / name).mkdir()
+        written(tmp_path / name / "dv.aedat4", made_events(50, seed=k))
+        monkeypatch.chdir(tmp_path / name)
+        np.testing.assert_array_equal(open_recording("dv.aedat4").read(), made_events(50, seed=k))
+
+
+def test_a_worker_reads_the_next_file_unless_there_was_damage(tmp_path):
+    """And each file as often as asked, whichever was opened last."""
+    paths = [
+        written(tmp_path / "dv.aedat4", made_events(50, seed=k)).rename(tmp_path / f"{k}.aedat4") for k in range(3)
+    ]
+    worker_source._end_idle()
+    recordings = [open_recording(path) for path in paths]
+    (first,) = worker_source._idle.values()
+    for k in (2, 0, 1, 1):
+        np.testing.assert_array_equal(recordings[k].read(), made_events(50, seed=k))
+    assert worker_source._idle[os.getpid()] is first
+    for k, packets in enumerate(zip(*recordings, strict=True)):  # at the same time
+        assert k == 0 and [len(packet) for packet in packets] == [50] * 3
+    kept = worker_source._idle[os.getpid()]
+    next(recordings[0]._source.blocks())  # not to its end
+    assert not kept.is_running and not worker_source._idle
+    np.testing.assert_array_equal(recordings[0].read(), made_events(50, seed=0))
+    kept = worker_source._idle[os.getpid()]
+    (tmp_path / "torn.aedat4").write_bytes(paths[0].read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"torn.aedat4: not a readable AEDAT4 file"):
+        open_recording(tmp_path / "torn.aedat4")
+    assert not kept.is_running
+    recordings[0].read()
+    kept = worker_source._idle[os.getpid()]
+    kept._process.kill()  # as a system without memory does
+    kept._process.wait()
+    np.testing.assert_array_equal(recordings[1].read(), made_events(50, seed=1))

@@ -1,0 +1,241 @@
+"""Files of events in each format, written from the formats' public descriptions, or by NumPy, faery and h5py.
+
+Nothing here is taken from the readers: no test would see a mistake that both sides share.
+"""
+
+import struct
+from collections.abc import Callable
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from made import events_of
+
+SENSOR = (320, 240)
+
+
+def made_events(n, seed=0, sensor=SENSOR, step_us=50, start_us=1_000):
+    rng = np.random.default_rng(seed)
+    t = start_us + np.cumsum(rng.integers(0, step_us, n))
+    return events_of(t, rng.integers(0, sensor[0], n), rng.integers(0, sensor[1], n), rng.integers(0, 2, n))
+
+
+def uzh_text(events, sensor=SENSOR):
+    rows = "".join(f"{t // 10**6}.{t % 10**6:06d}000 {x} {y} {p}\n" for t, x, y, p in events.tolist())
+    return (f"{sensor[0]} {sensor[1]}\n" + rows).encode()
+
+
+def csv(events, sensor=SENSOR):
+    return b"timestamp,x,y,polarity\n" + "".join(f"{t},{x},{y},{p}\n" for t, x, y, p in events.tolist()).encode()
+
+
+def evt_header(version, sensor=SENSOR, more=""):
+    name = f"EVT{version.replace('.0', '').replace('.', '')}"
+    return f"% evt {version}\n% format {name};height={sensor[1]};width={sensor[0]}{more}\n% end\n".encode()
+
+
+def evt2(events, sensor=SENSOR):
+    out, high = [], None
+    for t, x, y, p in events.tolist():
+        if t >> 6 != high:
+            high = t >> 6
+            out.append(0x8 << 28 | high & (1 << 28) - 1)
+        out.append(p << 28 | (t & 63) << 22 | x << 11 | y)
+    return evt_header("2.0", sensor) + struct.pack(f"<{len(out)}I", *out)
+
+
+def evt21(events, sensor=SENSOR, endianness="little"):
+    """An event a word, at the bit that x has in its group of 32."""
+    out, high = [], None
+    for t, x, y, p in events.tolist():
+        if t >> 6 != high:
+            high = t >> 6
+            out.append((0x8 << 28 | high & (1 << 28) - 1) << 32)
+        out.append((p << 28 | (t & 63) << 22 | (x & ~31) << 11 | y) << 32 | 1 << (x & 31))
+    if endianness == "legacy":
+        body = b"".join(struct.pack("<II", word >> 32, word & 0xFFFFFFFF) for word in out)
+    else:
+        body = struct.pack(f"<{len(out)}Q", *out)
+    return evt_header("2.1", sensor, f";endianness={endianness}") + body
+
+
+def evt3(events, sensor=SENSOR):
+    """Every third event as a vector of one."""
+    out, high, low, row = [], None, None, None
+    for i, (t, x, y, p) in enumerate(events.tolist()):
+        if t >> 12 != high:
+            high, low = t >> 12, None
+            out.append(0x8 << 12 | high & 4095)
+        if t & 4095 != low:
+            low = t & 4095
+            out.append(0x6 << 12 | low)
+        if y != row:
+            row = y
+            out.append(row)
+        if i % 3 == 0:
+            out += [0x3 << 12 | p << 11 | max(x - 11, 0), 0x4 << 12 | 1 << min(x, 11)]
+        else:
+            out.append(0x2 << 12 | p << 11 | x)
+    return evt_header("3.0", sensor) + struct.pack(f"<{len(out)}H", *out)
+
+
+def dat(events, sensor=SENSOR, version=2):
+    header = f"% Data file\n% Version {version}\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
+    y_bit, p_bit = {2: (14, 28), 1: (9, 17)}[version]
+    body = (struct.pack("<II", t & 0xFFFFFFFF, p << p_bit | y << y_bit | x) for t, x, y, p in events.tolist())
+    return header + (b"\x0c\x08" if version == 2 else b"\x00\x08") + b"".join(body)
+
+
+def es(events, sensor=SENSOR):
+    out = [b"Event Stream\x02\x00\x00\x01", struct.pack("<HH", *sensor)]
+    before = 0
+    for t, x, y, p in events.tolist():
+        passed = t - before
+        out.append(b"\xff" * (passed // 127))
+        out.append(struct.pack("<BHH", passed % 127 << 1 | p, x, sensor[1] - 1 - y))
+        before = t
+    return b"".join(out)
+
+
+def atis(events, sensor=SENSOR):
+    """Six bits of time, bytes that add up to 3 x 63 us to it; after every third event an exposure."""
+    out = [b"Event Stream\x02\x00\x00\x02", struct.pack("<HH", *sensor)]
+    before = 0
+    for i, (t, x, y, p) in enumerate(events.tolist()):
+        passed = t - before
+        out += [b"\xff" * (passed // 189), *([bytes([0xFC + passed % 189 // 63])] if passed % 189 >= 63 else [])]
+        out.append(struct.pack("<BHH", passed % 63 << 2 | 2 * p, x, sensor[1] - 1 - y))
+        if i % 3 == 0:
+            out.append(struct.pack("<BHH", 1, x, sensor[1] - 1 - y))
+        before = t
+    return b"".join(out)
+
+
+def aedat2(events, sensor, chip):
+    """A DVS128 that states no camera, or a DAVIS; between every two events one that is not a pixel's."""
+    lines = [
+        "#!AER-DAT2.0",
+        "# This is a raw AE data file - do not edit",
+        *([f"# AEChip: eu.chips.{chip}"] if chip else []),
+    ]
+    out = ["".join(line + "\r\n" for line in lines).encode()]
+    for t, x, y, p in events.tolist():
+        if chip:
+            address, other = (179 - y) << 22 | (239 - x) << 12 | p << 11, 1 << 31 | 7 << 22
+        else:
+            address, other = y << 8 | x << 1 | 1 - p, 1 << 15
+        out.append(struct.pack(">IIII", other, t & 0xFFFFFFFF, address, t & 0xFFFFFFFF))
+    return b"".join(out)
+
+
+def aedat3(events, sensor=(240, 180)):
+    """Packets of five polarity events (or a tenth of all) and one that is not valid; between them, special events."""
+    out = [b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"]
+    n = max(5, len(events) // 10)
+    for (_, overflows), rows in groupby(enumerate(events.tolist()), key=lambda row: (row[0] // n, row[1][0] >> 31)):
+        packet = [row for _, row in rows]
+        out.append(struct.pack("<hhiiiiii", 1, 1, 8, 4, overflows, len(packet) + 1, len(packet) + 1, len(packet)))
+        out += [struct.pack("<II", x << 17 | y << 2 | p << 1 | 1, t & 0x7FFFFFFF) for t, x, y, p in packet]
+        out += [struct.pack("<II", 5 << 17, 3), struct.pack("<hhiiiiiiII", 0, 1, 8, 4, overflows, 1, 1, 1, 3, 7)]
+    return b"".join(out)
+
+
+def nmnist(events, sensor=(34, 34)):
+    return b"".join(struct.pack(">BBBH", x, y, p << 7 | t >> 16, t & 0xFFFF) for t, x, y, p in events.tolist())
+
+
+def by_faery(path, events, sensor=SENSOR, version=None):
+    """In the format of the suffix."""
+    faery = pytest.importorskip("faery", reason="AEDAT4 needs faery")
+    theirs = np.empty(len(events), faery.EVENTS_DTYPE)
+    for name, ours in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
+        theirs[name] = events[ours]
+    faery.events_stream_from_array(theirs, sensor).to_file(path, version=version)
+
+
+def dsec(path, events, sensor=SENSOR, **how):
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    offset = int(events["t"][0]) if len(events) else 0
+    with h5py.File(path, "w") as file:
+        for name, dtype in (("t", "u4"), ("x", "u2"), ("y", "u2"), ("p", "u1")):
+            values = events[name] - offset if name == "t" else events[name]
+            file.create_dataset(f"events/{name}", data=values.astype(dtype), **how)
+        file["t_offset"] = np.int64(offset)
+
+
+def metavision(path, events, sensor=SENSOR, **how):
+    h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
+    records = np.zeros(len(events), [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+    records[["t", "x", "y", "p"]] = events
+    with h5py.File(path, "w") as file:
+        file.attrs["geometry"] = f"{sensor[0]}x{sensor[1]}"
+        file.create_dataset("CD/events", data=records, **how)
+
+
+def columns_of(events):
+    return {name: events[name] for name in "txyp"}
+
+
+def table_of(events):
+    return np.array(events.tolist(), np.int64).reshape(-1, 4)
+
+
+class Format(NamedTuple):
+    """How to write one format, and what it can hold."""
+
+    write: Callable
+    """Of (path, events, sensor)."""
+    largest: tuple[int, int] = (1 << 16, 1 << 16)
+    """The largest sensor."""
+    states_sensor: bool = True
+    of_bytes: Callable | None = None
+    """Where the first bytes alone decide the first events: the bytes, of (events, sensor)."""
+
+
+def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True, linear=True):
+    def write(path, events, sensor=SENSOR):
+        path.write_bytes(make(events, sensor))
+
+    return Format(write, largest, states_sensor, make if linear else None)
+
+
+def _read_by_faery(make):
+    def write(path, events, sensor=SENSOR):
+        pytest.importorskip("faery", reason="ES needs faery")
+        path.write_bytes(make(events, sensor))
+
+    return Format(write, (65535, 65535), of_bytes=make)
+
+
+FORMATS = {
+    "uzh.txt": _bytes(uzh_text),
+    "plain.csv": _bytes(csv, states_sensor=False),
+    "evt2.raw": _bytes(evt2, (2048, 2048)),
+    "evt21.raw": _bytes(evt21, (2048, 2048)),
+    "legacy.raw": _bytes(lambda events, sensor: evt21(events, sensor, "legacy"), (2048, 2048)),
+    "evt3.raw": _bytes(evt3, (2048, 2048)),
+    "v2.dat": _bytes(dat, (1 << 14, 1 << 14)),
+    "v1.dat": _bytes(lambda events, sensor: dat(events, sensor, 1), (512, 256)),
+    "dvs.es": _read_by_faery(es),
+    "atis.es": _read_by_faery(atis),
+    "dvs128.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, ""), (128, 128), states_sensor=False),
+    "davis.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, "DAViS240C"), (240, 180)),
+    "caer.aedat": _bytes(aedat3, (240, 180)),
+    "plain.bin": _bytes(nmnist, (34, 34), linear=False),  # damage anywhere refuses the whole file
+    "records.npy": Format(lambda path, events, sensor: np.save(path, events), states_sensor=False),
+    "table.npy": Format(lambda path, events, sensor: np.save(path, table_of(events)), states_sensor=False),
+    "packed.npz": Format(lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=sensor)),
+    "plain.npz": Format(lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False),
+    "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed
+    "dsec.h5": Format(dsec, states_sensor=False),
+    "metavision.hdf5": Format(metavision),
+}
+"""File name -> `Format`."""
+IN_WORKER = (".aedat4", ".es", ".h5", ".hdf5")  # suffixes that are read in a worker process, which takes a while
+
+
+def written(path, events, sensor=SENSOR):
+    """Write events in the format of the path's name; returns the path."""
+    FORMATS[path.name].write(path, events, sensor)
+    return path

@@ -1,0 +1,185 @@
+"""A reader in a thread: order, skipping and its accounts, backpressure, errors, closing in every state."""
+
+import asyncio
+import gc
+import threading
+
+import numpy as np
+import pytest
+from made import random_events
+from waiting import until
+
+from async_tnt.sources import BackgroundReader
+
+EVENTS = random_events(10_000, seed=1)
+PACKETS = np.split(EVENTS, np.sort(np.random.default_rng(2).integers(0, 10_001, 40)))  # some of them empty
+
+
+def threads():
+    return [thread for thread in threading.enumerate() if thread.name == "async_tnt.BackgroundReader"]
+
+
+@pytest.fixture(autouse=True)
+def no_thread_is_left():
+    yield
+    until(lambda: not threads())
+
+
+class Source:
+    """Packets, with a note of how many were asked for; `gate` holds back the packets from number `gate_at` on."""
+
+    def __init__(self, packets=PACKETS, gate_at=None, error=None):
+        self.packets, self.error = packets, error
+        self.gate, self.gate_at = threading.Event(), gate_at
+        self.n_asked = self.n_yielded = self.n_events = 0
+
+    def __iter__(self):
+        return self
+
+    def __next__(self):
+        self.n_asked += 1
+        if self.gate_at is not None and self.n_yielded >= self.gate_at:
+            assert self.gate.wait(60)
+        if self.n_yielded == len(self.packets):
+            raise StopIteration if self.error is None else self.error
+        packet = self.packets[self.n_yielded]
+        self.n_yielded += 1
+        self.n_events += len(packet)
+        return packet
+
+
+def in_a_loop(reader):
+    with reader:
+        return list(reader)
+
+
+def in_a_task(reader):
+    async def run():
+        async with reader:
+            return [packet async for packet in reader]
+
+    return asyncio.run(run())
+
+
+in_both_ways = pytest.mark.parametrize("read", [in_a_loop, in_a_task])
+
+
+@in_both_ways
+@pytest.mark.parametrize("latest", [False, True])
+@pytest.mark.parametrize("max_packets", [1, 64])
+def test_all_packets_come_in_order_where_there_is_room(read, latest, max_packets):
+    packets = PACKETS[:max_packets] if latest else PACKETS
+    reader = BackgroundReader(packets, latest=latest, max_packets=max_packets)
+    assert [packet.tobytes() for packet in read(reader)] == [packet.tobytes() for packet in packets]
+    assert reader.n_skipped == reader.backlog == 0
+
+
+@pytest.mark.parametrize(("limits", "n"), [({"max_packets": 5}, 5), ({"max_events": 1250}, 5), ({"max_events": 9}, 1)])
+def test_without_latest_the_source_is_held_back(limits, n):
+    """A packet that is larger than `max_events` passes alone."""
+    packets = [EVENTS[k : k + 250] for k in range(0, 10_000, 250)]
+    source = Source(packets)
+    with BackgroundReader(source, **limits) as reader:
+        for k in range(20):
+            until(lambda: reader.backlog >= 250 * n)
+            assert source.n_asked == n + k  # no more, as none fits
+            assert next(reader).tobytes() == packets[k].tobytes()
+
+
+@pytest.mark.parametrize("max_packets", [1, 7])
+def test_received_is_handed_out_and_skipped_and_waiting_at_any_moment(max_packets):
+    """And the newest packet always arrives."""
+    source, handed_out = Source(PACKETS * 20), 0
+    with BackgroundReader(source, latest=True, max_packets=max_packets) as reader:
+        for packet in reader:
+            handed_out += len(packet)
+            now = reader.counters
+            assert now.received == now.handed_out + now.skipped + now.backlog and now.handed_out == handed_out
+    now = reader.counters
+    assert now.received == source.n_events == handed_out + now.skipped and now.backlog == 0
+    assert packet.tobytes() == PACKETS[-1].tobytes()
+
+
+@in_both_ways
+@pytest.mark.parametrize("latest", [False, True])
+@pytest.mark.parametrize("error", [OSError(19, "gone"), SystemExit(3)])
+def test_an_error_of_the_source_comes_after_the_packets_before_it(read, latest, error):
+    reader = BackgroundReader(Source(PACKETS[:7], error=error), latest=latest)
+    with pytest.raises(type(error)) as raised:
+        read(reader)
+    assert raised.value is error and reader.counters.handed_out == sum(map(len, PACKETS[:7]))
+    assert list(reader) == []  # once; then it has ended
+
+
+# -- closing ---------------------------------------------------------------------------------------------
+
+
+def test_closing_at_any_moment_accounts_for_every_event():
+    for k in range(100):
+        source = Source()
+        reader = BackgroundReader(source, max_packets=3, latest=bool(k % 2))
+        handed_out = sum(len(next(reader, ())) for _ in range(k % 45))
+        assert reader.close(60)
+        counters = reader.counters
+        assert counters.received == source.n_events == handed_out + counters.skipped
+        assert counters.handed_out == handed_out and counters.backlog == 0
+        assert next(reader, None) is None and repr(reader).startswith("BackgroundReader(PacketQueue(closed, 0 events ")
+
+
+@in_both_ways
+def test_closing_from_another_thread_ends_the_loop_and_wakes_the_source(read):
+    """The error that closing causes in the source is not raised."""
+    for _ in range(20):
+        source = Source(gate_at=3, error=OSError("the device was closed"))
+        source.packets = PACKETS[:3]
+        reader = BackgroundReader(source, on_close=source.gate.set)
+        closer = threading.Timer(0.001, reader.close)
+        closer.start()
+        assert len(read(reader)) <= 3
+        closer.join()
+        assert reader.close(60)
+
+
+def test_close_reports_that_the_source_does_not_come_back():
+    source = Source(gate_at=1)
+    reader = BackgroundReader(source)
+    until(lambda: source.n_asked == 2)
+    assert not reader.close(timeout_s=0.01) and list(reader) == []
+    assert not asyncio.run(reader.aclose(timeout_s=0.01))
+    source.gate.set()
+    assert reader.close(timeout_s=60) and asyncio.run(reader.aclose(timeout_s=60))
+
+
+def test_a_forgotten_reader_stops():
+    for _ in BackgroundReader(PACKETS, max_packets=1):
+        break
+    gc.collect()  # the fixture sees that no thread is left
+
+
+# -- arguments -------------------------------------------------------------------------------------------
+
+
+async def asynchronous():
+    yield EVENTS
+
+
+@pytest.mark.parametrize(
+    "settings, error, message",
+    [
+        ({"max_packets": 0}, ValueError, "`max_packets` must be at least 1, got 0"),
+        ({"max_packets": True}, TypeError, "`max_packets` must be a whole number, got True"),
+        ({"source": 7}, TypeError, "`source` must be an iterable of packets, got int"),
+        ({"source": "a.bin"}, TypeError, r"`source` must yield events, got the path a.bin; open_recording\(path\)"),
+        ({"source": asynchronous()}, TypeError, "`source` is asynchronous already: pass it to `astream` directly"),
+    ],
+)
+def test_wrong_arguments(settings, error, message):
+    with pytest.raises(error, match=f"^{message}"):
+        BackgroundReader(**({"source": PACKETS} | settings))
+
+
+def test_a_failing_on_close_still_stops_the_thread():
+    reader = BackgroundReader(PACKETS, max_packets=1, on_close=lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        reader.close(60)
+    assert not threads() and reader.close()

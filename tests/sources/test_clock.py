@@ -1,0 +1,180 @@
+"""The rule for clocks, once: jumps are dropped until eight packets agree, and times continue. UDP applies it.
+
+That cameras do, too, is in test_cameras.py.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made import events_of
+
+from async_tnt.kernels.clock import AGREEING_PACKETS as N
+from async_tnt.kernels.clock import BACK_US, LATEST_START_US, REORDERED_US
+from async_tnt.sources import Clock, Decoder, encode
+
+JUMP_US = 10_000_000
+MINUTE_US = 60_000_000
+HOUR_US = 60 * MINUTE_US
+UNSIGNED = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])
+SIGNED = np.dtype({"names": ["t", "x"], "formats": ["<i8", "<i2"], "offsets": [4, 0], "itemsize": 16})
+
+
+def by_clock(packets, arrivals=None, *, max_jump_s=10.0, dtype=UNSIGNED):
+    """(the times that are kept of each packet, (jumped, late, restarts))."""
+    clock, kept = Clock(max_jump_s), []
+    for k, times in enumerate(packets):
+        events = np.zeros(len(times), dtype)
+        events["t"], events["x"] = times, range(len(times))
+        events = clock(events, "t", 0 if arrivals is None else arrivals[k])
+        assert np.all(np.diff(events["x"]) > 0)  # whole records are moved, in their order
+        kept.append(events["t"].tolist())
+    return kept, (clock.jumped, clock.late, clock.restarts)
+
+
+def flat(packets):
+    return [t for times in packets for t in times]
+
+
+@pytest.mark.parametrize(
+    ("time", "arrival_us", "kept"),
+    [
+        (MINUTE_US + JUMP_US, 0, True),
+        (MINUTE_US + JUMP_US + 1, 0, False),
+        (MINUTE_US - BACK_US, 0, True),
+        (MINUTE_US - BACK_US - 1, 0, False),
+        (MINUTE_US + 3 * JUMP_US, 2 * JUMP_US, True),  # a pause by both clocks
+        (MINUTE_US - BACK_US // 4 - 1, 3 * BACK_US // 4, False),  # sent again
+        (MINUTE_US - REORDERED_US - 1, 2 * JUMP_US, False),
+        (MINUTE_US + 1, HOUR_US, True),  # a slow clock
+    ],
+)
+def test_the_bounds_by_hand(time, arrival_us, kept):
+    expected = [[MINUTE_US], [time] if kept else []], (not kept, kept and time < MINUTE_US, 0)
+    assert by_clock([[MINUTE_US], [time]], [0, arrival_us]) == expected
+
+
+@pytest.mark.parametrize("place", [0, 3])
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("garbled", [21 * MINUTE_US, 2**62, 2**63 + 5])
+def test_one_garbled_time_costs_its_event_and_no_more(place, number, garbled):
+    """In the first packet, too, and whatever follows."""
+    packets = [[MINUTE_US + 10 * k + i for i in range(3)] for k in range(3)]
+    received = [list(times) for times in packets]
+    received[number].insert(place, garbled)
+    assert by_clock(received) == (packets, (garbled < 2**62, 0, 0))
+
+
+AHEAD = [[15 * MINUTE_US + k, 15 * MINUTE_US + k] for k in range(N + 2)]
+AGAIN = [[k, 10 + k] for k in range(N + 1)]
+WENT_ON = [[MINUTE_US, MINUTE_US + 10], [MINUTE_US + 1, MINUTE_US + 11]]
+NOTHING = [[]] * (N - 1)
+OLD_STREAM_NOW_AND_THEN = [[MINUTE_US + k] if k % N == 0 else [30 * MINUTE_US + k] for k in range(10 * N)]
+MOVES = {
+    "ahead: keeps its times": ([[5], *AHEAD], [[5], *NOTHING, *AHEAD[N - 1 :]], (2 * N - 2, 0, 0)),
+    "back: times continue": ([[MINUTE_US], *AGAIN], [[MINUTE_US], *NOTHING, *WENT_ON], (2 * N - 2, 1, 1)),
+    "back, twice": (
+        [[MINUTE_US], *[[0]] * N, [JUMP_US], *[[0]] * N],
+        [[MINUTE_US], *NOTHING, [MINUTE_US], [MINUTE_US + JUMP_US], *NOTHING, [MINUTE_US + JUMP_US]],
+        (2 * N - 2, 0, 2),
+    ),
+    "one packet of the old stream ends the vote": (
+        OLD_STREAM_NOW_AND_THEN,
+        [times if k % N == 0 else [] for k, times in enumerate(OLD_STREAM_NOW_AND_THEN)],
+        (10 * (N - 1), 0, 0),
+    ),
+    "and so does one event of it": (
+        [[MINUTE_US], *[[0]] * (N - 1), [0, MINUTE_US + 6], *[[0]] * (N - 1)],
+        [[MINUTE_US], *NOTHING, [MINUTE_US + 6], *NOTHING],
+        (2 * N - 1, 0, 0),
+    ),
+    "packets that disagree": ([[MINUTE_US], *[[0], [2 * MINUTE_US]] * N], [[MINUTE_US], *[[], []] * N], (2 * N, 0, 0)),
+    "the first packet's oldest event starts": ([[9, 5, 5 + JUMP_US, 6 + JUMP_US]], [[9, 5, 5 + JUMP_US]], (1, 1, 0)),
+    "a start beyond 2100 does not": (
+        [[2**62 - 1], [LATEST_START_US + 1], [LATEST_START_US - 9]],
+        [[], [], [LATEST_START_US - 9]],
+        (2, 0, 0),
+    ),
+    "unless a stream agrees on it": ([[2**61 + k] for k in range(N)], [*NOTHING, [2**61 + N - 1]], (N - 1, 0, 0)),
+}
+
+
+def test_a_sender_that_seldom_sends_is_followed_as_well():
+    """Its packets are further apart than `max_jump`, by both clocks."""
+    steps = [3 * JUMP_US * k for k in range(N + 1)]
+    kept, counts = by_clock([[HOUR_US], *([t] for t in steps)], [0, *(MINUTE_US + t for t in steps)])
+    assert kept == [[HOUR_US], *NOTHING, [HOUR_US], [HOUR_US + 3 * JUMP_US]] and counts == (N - 1, 0, 1)
+    ahead = [[t] for t in steps]  # while the receiver's clock stands still, these are jumps
+    assert flat(by_clock([[HOUR_US], *ahead])[0]) == [HOUR_US]
+
+
+@pytest.mark.parametrize(("packets", "kept", "counts"), MOVES.values(), ids=MOVES)
+@pytest.mark.parametrize("dtype", [UNSIGNED, SIGNED], ids=["unsigned", "signed"])
+def test_a_clock_that_moves(packets, kept, counts, dtype):
+    assert by_clock(packets, dtype=dtype) == (kept, counts)
+
+
+def test_times_that_no_clock_shows_are_dropped_and_vote_for_nothing():
+    impossible = [-1, 2**62, -(2**63)]
+    assert flat(by_clock([[5], *[impossible] * 2 * N, [6, -1, 7]], dtype=SIGNED)[0]) == [5, 6, 7]
+    far = 2**61
+    kept, _ = by_clock([[far]] * N + [[0]] * N + [[far - 1]] * N + [[far]], dtype=SIGNED)
+    assert kept[N - 1 :: N] == [[far], [far], [2**62 - 1]]  # the last one would go on beyond
+
+
+@pytest.mark.parametrize("dtype", [UNSIGNED, SIGNED])
+def test_without_a_bound_times_stay_what_they_are(dtype):
+    packets = [[MINUTE_US], *[[k] for k in range(3 * N)], [30 * MINUTE_US, 5]]
+    assert by_clock(packets, max_jump_s=None, dtype=dtype) == (packets, (0, 3 * N + 1, 0))
+
+
+@given(
+    packets=st.lists(st.lists(st.integers(0, 40 * MINUTE_US), max_size=6), max_size=40),
+    passed=st.lists(st.integers(0, 3 * JUMP_US), min_size=40, max_size=40),
+)
+def test_times_never_fall_far_and_every_event_is_counted(packets, passed):
+    kept, (jumped, late, _) = by_clock(packets, np.cumsum(passed).tolist())
+    newest = n_late = 0
+    for times in kept:
+        assert min(times, default=newest) >= newest - BACK_US
+        for t in times:
+            n_late += t < newest
+            newest = max(newest, t)
+    assert jumped + len(flat(kept)) == len(flat(packets)) and late == n_late
+
+
+@given(starts=st.lists(st.integers(0, 4 * MINUTE_US), min_size=1, max_size=4), first=st.integers(0, LATEST_START_US))
+def test_after_anything_one_stream_is_followed_again(starts, first):
+    """The last of several streams, in order and at its own pace."""
+    length = 4 * N  # 3 s: a fall by less than a second, which is no jump, is caught up with
+    kept, _ = by_clock([[first]] + [[start + k * 100_000] for start in starts for k in range(length)])
+    assert np.diff(flat(kept[-N:])).tolist() == [100_000] * (N - 1) and flat(kept)[-1] == max(flat(kept))
+
+
+def test_wrong_arguments():
+    with pytest.raises(TypeError, match="the field `x` must be a time of 64 bits"):
+        Clock(1)(np.zeros(3, UNSIGNED), "x", 0)
+    for max_jump_s in (0, -1, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="`max_jump_s` must be a positive number of seconds, or None, got"):
+            Clock(max_jump_s)
+
+
+# -- applied to the network ------------------------------------------------------------------------------
+
+
+def at(*times):
+    """Events at these times, all at one pixel."""
+    n = len(times)
+    return events_of(times, [1] * n, [2] * n, [1] * n)
+
+
+@pytest.mark.parametrize("format", ["t64_x16_y16_on8", "t32_x16_y15_on1", "spif_t32"])
+@pytest.mark.parametrize("move", ["ahead: keeps its times", "back, twice"])
+def test_datagrams_have_one_clock(move, format):
+    packets, kept, counts = MOVES[move]
+    decoder = Decoder(format, max_jump_s=10.0)
+    assert [decoder.decode(encode(at(*times), format))["t"].tolist() for times in packets] == kept
+    assert (decoder.clock.jumped, decoder.clock.late, decoder.clock.restarts) == counts
+    assert decoder.malformed == counts[0]
+    silence = decoder.decode(encode(at(7 * HOUR_US), format), arrival_us=8 * HOUR_US)
+    assert len(silence) == (format == "t64_x16_y16_on8")  # 32 bits of time cannot show it

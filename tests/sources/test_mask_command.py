@@ -1,0 +1,122 @@
+"""async-tnt mask: what it finds, writes and prints; files of masks."""
+
+import json
+
+import numpy as np
+import pytest
+from made import events_of, random_events
+
+from async_tnt.sources.files.nmnist import write_nmnist
+from async_tnt.sources.files.recording import open_recording, sample_recordings
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import load_mask, save_mask
+
+SAMPLE = sample_recordings()[3]
+EVENTS = open_recording(SAMPLE).read()
+
+
+def with_hot_pixels(path, *pixels):
+    """The sample of a 3 with hot pixels (x, y, events), as a file that does not state its sensor."""
+    hot = [events_of(np.linspace(0, 300_000, n).astype(int), [x] * n, [y] * n, [1] * n) for x, y, n in pixels]
+    events = np.concatenate([EVENTS, *hot])
+    np.save(path, events[np.argsort(events["t"], kind="stable")])
+    return path
+
+
+def test_it_finds_what_was_planted(tmp_path, program):
+    path, out = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200)), tmp_path / "mask.npy"
+    events = open_recording(path).read()
+    at = [int(((events["x"] == x) & (events["y"] == y)).sum()) for x, y in ((30, 2), (3, 31))]
+    code, printed, _ = program("mask", path, "--sensor", "34x34", "--out", out)
+    assert code == 0 and printed.splitlines() == [
+        f"x    30  y     2  {at[0]:>9} events  {at[0] / len(events):6.2%}",
+        f"x     3  y    31  {at[1]:>9} events  {at[1] / len(events):6.2%}",
+        f"2 hot pixels of 34x34 made {sum(at) / len(events):.2%} of {len(events)} events; wrote {out}",
+    ]
+    assert {(x, y) for y, x in np.argwhere(load_mask(out, (34, 34))).tolist()} == {(30, 2), (3, 31)}
+    assert len(PixelFilter((34, 34), mask=out)(events)) == len(events) - sum(at)
+
+    picture = tmp_path / "hot.png"
+    assert program("mask", path, "--sensor", "34x34", "--out", out, "--picture", picture)[0] == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    words = ("mask", path, "--sensor", "34x34", "--json", "--out", out)
+    pixels = [{"x": 30, "y": 2, "events": at[0]}, {"x": 3, "y": 31, "events": at[1]}]
+    result = {"sensor": [34, 34], "events": len(events), "out": str(out)}
+    assert json.loads(program(*words)[1]) == result | {"hot_pixels": pixels, "share": sum(at) / len(events)}
+    assert json.loads(program(*words, "--factor", "60")[1])["hot_pixels"] == pixels[:1]
+
+
+def test_without_out_an_existing_mask_is_not_overwritten(tmp_path, program, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    n, kept = len(EVENTS), "which masks nothing"
+    printed = f"no hot pixels: none of 34x34 stands out in {n} events; wrote mask.npy, {kept}\n"
+    assert program("mask", SAMPLE) == (0, printed, "")
+    assert not np.load("mask.npy").any()
+    (tmp_path / "mask.npy").write_bytes(b"precious")
+    message = "async-tnt: mask.npy exists already: --out mask.npy overwrites it, --out FILE writes another file\n"
+    assert program("mask", SAMPLE) == (2, "", message)
+    assert (tmp_path / "mask.npy").read_bytes() == b"precious"
+    assert program("mask", SAMPLE, "--out", "mask.npy")[0] == 0 and not np.load("mask.npy").any()
+
+
+def test_recordings_of_one_camera_count_as_one(tmp_path, program):
+    """A pixel that is not far above its neighbours in either recording is, in both together."""
+    paths = [tmp_path / "0.npy", tmp_path / "1.npy"]
+    for k, path in enumerate(paths):
+        np.save(path, np.concatenate([random_events(1156, seed=k), events_of([1] * 8, [7] * 8, [9] * 8, [1] * 8)]))
+    for files, expected in ((paths[:1], []), (paths[1:], []), (paths, [(7, 9)])):
+        printed = program("mask", *files, "--sensor", "34x34", "--json", "--out", tmp_path / "m.npy")[1]
+        assert [(p["x"], p["y"]) for p in json.loads(printed)["hot_pixels"]] == expected
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Recordings of every kind of trouble, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.npy").write_bytes(b"hello")
+    np.save(tmp_path / "a.npy", EVENTS)
+    for side in (34, 50):
+        np.savez(tmp_path / f"{side}.npz", events=random_events(9), sensor=np.array([side, side]))
+    np.savez(tmp_path / "e.npz", events=random_events(0), sensor=np.array([34, 34]))
+    write_nmnist(tmp_path / "a.bin", events_of([5, 6], [200, 3], [2, 3], [0, 1]), sensor=None)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("gone.npy", "gone.npy: No such file"),
+        ("bad.npy", "bad.npy: not a readable NumPy file"),
+        ("a.npy", "a.npy: the file does not state the camera's sensor; give --sensor WxH"),
+        ("34.npz 50.npz", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
+        ("a.bin", "on the 34 x 34 sensor, got x = 200, y = 2 at event 0 (byte 0). Fetch the file again, or say"),
+        ("e.npz", "e.npz: no events, no hot pixels can be found"),
+        ("34.npz --out m.png", "m.png: its name must end in .npy"),
+    ],
+)
+def test_an_error_is_one_line(words, message, folder, program):
+    code, printed, error = program("mask", *words.split())
+    assert (code, printed) == (2, "") and error.startswith("async-tnt: ") and len(error.splitlines()) == 1
+    assert message in error
+    assert not (folder / "mask.npy").exists()
+
+
+def test_saved_masks_load_again_and_what_is_none_is_refused(tmp_path):
+    path, mask = tmp_path / "m.npy", np.random.default_rng(0).random((4, 6)) < 0.5
+    save_mask(path, mask)
+    assert (load_mask(path, (6, 4)) == mask).all()
+    assert [path.name for path in tmp_path.iterdir()] == ["m.npy"]
+    whole = path.read_bytes()
+    for at in (0, 9, len(whole) - 1):
+        path.write_bytes(whole[:at])
+        with pytest.raises(ValueError, match=r"m.npy: not a mask, .*: not a readable NumPy file"):
+            load_mask(path, (6, 4))
+    path.unlink()
+    rule = r"a mask must be a bool array of shape \(height, width\), sides in .1, 32768.; got "
+    for wrong in (np.zeros((3, 4)), np.zeros(4, bool), np.zeros((0, 3), bool)):
+        with pytest.raises(ValueError, match=rf"^{rule}"):
+            save_mask(path, wrong)
+        assert not path.exists()
+        np.save(tmp_path / "wrong.npy", wrong)
+        with pytest.raises(ValueError, match=rf"wrong\.npy: .*{rule}"):
+            load_mask(tmp_path / "wrong.npy")

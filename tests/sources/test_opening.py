@@ -1,0 +1,120 @@
+"""Which source a name opens, and what a user reads where none can be opened."""
+
+import importlib.util
+import sys
+
+import pytest
+from sources.made_devices import PanicException, PlayedDevice, driver, drivers, found
+
+from async_tnt.sources import DRIVERS, UdpSource, open_camera, open_recording, open_source, sample_recordings
+
+LIBRARIES = {"neuromorphic_drivers": "neuromorphic-drivers 0", "dv_processing": "dv-processing 2"}
+INSTALLED = {module for module in LIBRARIES if importlib.util.find_spec(module)}
+
+
+def test_any_source_by_name():
+    """A URL, a path, an array; and cameras below."""
+    assert list(DRIVERS) == ["neuromorphic-drivers", "dv-processing"]
+    with open_source("udp://127.0.0.1:0?format=spif", (34, 20)) as source:
+        assert isinstance(source, UdpSource) and (source.format, source.sensor) == ("spif", (34, 20))
+    path = sample_recordings()[3]
+    recorded = open_recording(path).read().tobytes()
+    for name in (path, str(path), open_recording(path).read()):
+        assert b"".join(packet.tobytes() for packet in open_source(name)) == recorded
+    assert open_source(path, (60, 48)).sensor == (60, 48)
+    with pytest.raises(FileNotFoundError):
+        open_source("gone.npy")
+
+
+def davis():
+    return found(PlayedDevice(sensor=(346, 260)), "iniVation DAVIS 346", ("davis346", "davis"), "00000042")
+
+
+def evk4(device=None, serial="00050423", **known):
+    return found(device or PlayedDevice(sensor=(1280, 720)), serial=serial, **known)
+
+
+def missing():
+    raise ModuleNotFoundError("No module named 'neuromorphic_drivers'")
+
+
+def broken():
+    raise ImportError("libusb.so.0: cannot open shared object file")
+
+
+def cannot_look(error):
+    return {"c": lambda: driver(error, "c 2")}
+
+
+ALL = drivers(evk4(), evk4(serial="00050424"), davis())
+SEVERAL = {"a": missing, **drivers(name="b"), **drivers(davis(), name="c"), **drivers(evk4(), name="d")}
+BUSY = drivers(evk4(RuntimeError("already used by another program")), davis())
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "opened"),
+    [
+        ("camera", ALL, "Prophesee EVK4 00050423 by played 1.0"),
+        ("camera:EVK4:00050424", ALL, "Prophesee EVK4 00050424 by played 1.0"),
+        ("camera:davis:00000042", ALL, "iniVation DAVIS 346 00000042 by played 1.0"),
+        ("camera", SEVERAL, "iniVation DAVIS 346 00000042 by c 1.0"),  # the first library that has one
+        ("camera:evk4", SEVERAL, "Prophesee EVK4 00050423 by d 1.0"),
+        ("camera", BUSY, "iniVation DAVIS 346 00000042 by played 1.0"),  # the first that opens
+    ],
+)
+def test_a_name_selects_a_camera(name, table, opened):
+    assert open_camera(name, drivers=table).name == opened
+
+
+SHY = evk4(RuntimeError("device not found"), serial=None, problem="Access denied (insufficient permissions)")
+UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "error", "message"),
+    [
+        (
+            "camera",
+            {"a": missing, "b": missing},
+            ImportError,
+            r"camera: a is not installed; b is not installed: cameras need one of them, "
+            r"pip install 'async_tnt\[cameras\]'$",
+        ),
+        ("camera", {"a": broken, **drivers()}, OSError, r"played 1\.0 found none; a does not load: libusb[^;]*$"),
+        (
+            "camera:evk4:1",
+            drivers(evk4()),
+            OSError,
+            r"^camera:evk4:1: no camera found; .* found Prophesee EVK4 00050423, which is another camera\. ",
+        ),
+        (
+            "camera:evk4:00050423",
+            drivers(SHY),
+            OSError,
+            r"^camera:evk4:00050423: cannot be opened; .* Prophesee EVK4 but cannot open it: Access denied \(insuf",
+        ),
+        ("camera", drivers(evk4(PanicException("index\nat 3"))), OSError, r"cannot open it: index\. "),
+        ("camera", cannot_look(PanicException("poisoned")), OSError, r"c 2 cannot search: poisoned \(no USB here\?\)"),
+        ("camera", drivers(evk4(KeyboardInterrupt())), KeyboardInterrupt, "^$"),
+        ("camera:evk9", {}, ValueError, "camera:evk9: no such kind of camera; known are davis, davis346, .*, evk4"),
+        *((name, {}, ValueError, UNKNOWN) for name in ("camera:", "camera::1", "cameras")),
+    ],
+)
+def test_what_a_user_reads(name, table, error, message):
+    with pytest.raises(error, match=message):
+        open_camera(name, drivers=table)
+
+
+@pytest.mark.parametrize("absent", [set(), {"neuromorphic_drivers"}, set(LIBRARIES)])
+def test_the_installed_libraries_look_for_a_camera(absent, monkeypatch):
+    for module in absent:
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises((OSError, ImportError)) as caught:
+        open_source("camera:evk3:no such serial")
+    line = str(caught.value)
+    assert line.startswith("camera:evk3:no such serial: ") and "\n" not in line
+    present = INSTALLED - absent
+    if present:
+        assert {module for module, name in LIBRARIES.items() if name in line} == present
+    else:
+        assert caught.type is ImportError and "; dv-processing is not installed: cameras need" in line

@@ -1,0 +1,304 @@
+"""UdpSource on loopback: packets, the ways to iterate and to end it, counts, names."""
+
+import asyncio
+import gc
+import logging
+import random
+import signal
+import socket
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from listening import send
+from made import events_of, random_events
+from waiting import PATIENCE_S, meanwhile, until
+
+from async_tnt import Processor, TNTConfig, astream, stream
+from async_tnt.sources import EVENT_BYTES, Decoder, NetworkCounts, UdpSource, encode, open_udp, udp
+from async_tnt.sources.udp import WARN_AFTER
+
+EVENTS = random_events(2500, duration_us=50_000)
+SENSOR = (34, 20)
+SILENCE_S = 0.1
+
+
+def listening(**settings):
+    return UdpSource(port=0, **{"timeout_s": SILENCE_S, **settings})
+
+
+def in_a_loop(source):
+    return list(source)
+
+
+def in_a_task(source):
+    async def run():
+        async with source:
+            return [packet async for packet in source]
+
+    return asyncio.run(run())
+
+
+in_both_ways = pytest.mark.parametrize("way", [in_a_loop, in_a_task])
+
+
+# -- packets ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("format", EVENT_BYTES)
+def test_what_comes_is_what_a_decoder_makes_of_the_datagrams(format):
+    """Random bytes, good events with one wrong bit, cut ones, and more than any good datagram holds."""
+    rng = np.random.default_rng(1)
+    datagrams = [rng.bytes(int(rng.integers(0, 300))) for _ in range(100)]
+    for k in range(100):
+        good = bytearray(encode(EVENTS[k : k + 9], format))
+        good[int(rng.integers(len(good)))] ^= 1 << int(rng.integers(8))
+        datagrams.append(bytes(good[: len(good) - k % 3]))
+    datagrams = [b"\xff" * 65_507, *(datagrams[k] for k in rng.permutation(200))]
+    decoder, got = Decoder(format, (34, 34)), []
+    with (
+        listening(format=format, sensor=(34, 34), max_datagrams=8, max_jump_s=None) as source,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock,
+    ):
+        for k, datagram in enumerate(datagrams):
+            sock.sendto(datagram, ("127.0.0.1", source.port))
+            while k % 20 == 0 and source.counts.datagrams <= k:
+                got.append(source.receive(0))
+        counts = source.counts
+    got = np.concatenate([packet for packet in got if packet is not None])
+    expected = np.concatenate([decoder.decode(datagram) for datagram in datagrams])
+    fields = ["x", "y", "p"] if format == "spif" else ["t", "x", "y", "p"]  # `spif` has the time of arrival
+    assert got[fields].tolist() == expected[fields].tolist() and len(got) > 100
+    assert (counts.datagrams, counts.bytes, counts.events) == (201, sum(map(len, datagrams)), len(got))
+    assert (counts.malformed, counts.off_sensor) == (decoder.malformed, decoder.off_sensor)
+    assert format == "spif" or counts.late == decoder.clock.late
+
+
+@in_both_ways
+def test_many_datagrams_become_one_packet_up_to_the_limit(way):
+    source = listening(max_datagrams=8, sensor=(34, 34))
+    assert send(source.port, EVENTS[:2000]) == 20
+    packets = way(source)
+    source.close()
+    assert [len(packet) for packet in packets] == [800, 800, 400]
+    assert np.concatenate(packets).tobytes() == EVENTS[:2000].tobytes()  # none was overwritten by the next
+    assert source.counts == NetworkCounts(20, 13 * 2000, 2000, malformed=0, late=0)
+
+
+def by_async_for(source, model):
+    async def run():
+        return [decision async for decision in astream(source, model)]
+
+    return asyncio.run(run())
+
+
+@pytest.mark.parametrize("way", [stream, by_async_for])
+def test_decisions_are_those_of_the_events(way):
+    def processor():
+        return Processor(TNTConfig(window_us=10_000), classifier=lambda volume: [float(volume.sum()), 1.0])
+
+    with listening() as source:
+        send(source.port, EVENTS)
+        decisions = list(way(source, processor()))
+    expected = list(stream([EVENTS], processor()))
+    assert [(d.window_start_us, d.events, d.logits.tobytes()) for d in decisions] == [
+        (d.window_start_us, d.events, d.logits.tobytes()) for d in expected
+    ]
+    assert len(expected) == 5
+
+
+# 32 bits of time wrap after 71 minutes: at the start of a datagram, as faery sees no wrap within one
+WRAP = events_of(2**32 - 100 + np.arange(200), [1] * 200, [2] * 200, [1] * 200)
+
+
+# faery leaves its sockets to the garbage collector
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize(
+    ("events", "format"), [(EVENTS, "t64_x16_y16_on8"), (EVENTS, "t32_x16_y15_on1"), (WRAP, "t32_x16_y15_on1")]
+)
+def test_what_faery_sends_arrives(events, format):
+    faery = pytest.importorskip("faery", reason="needs the extra `files`")
+    array = np.zeros(len(events), faery.EVENTS_DTYPE)
+    array["t"], array["x"], array["y"], array["on"] = events["t"], events["x"], events["y"], events["p"] == 1
+    with listening(format=format) as source:
+        stream = faery.events_stream_from_array(array, dimensions=(1 << 15, 1 << 15))
+        stream.to_udp(("127.0.0.1", source.port), format=format)
+        assert np.concatenate(list(source)).tobytes() == events.tobytes()
+        assert source.counts.malformed == source.counts.late == 0
+    del stream
+    gc.collect()  # here, where the warning does no harm
+
+
+# -- waiting, and the end --------------------------------------------------------------------------------
+
+
+@in_both_ways
+def test_closed_by_a_thread_at_any_moment(way):
+    """No hang, no error, and the socket is closed."""
+    chance = random.Random(0)
+
+    def close_after(source, delay_s):
+        end = time.perf_counter() + delay_s
+        while time.perf_counter() < end:  # `sleep` is too coarse
+            pass
+        source.close()
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        for _ in range(50):
+            source = UdpSource(port=0, buffer_bytes=4096)
+            with meanwhile(close_after, source, chance.random() * 1e-3):
+                assert way(source) == []
+            assert source._socket.fileno() == -1 and source.receive(0) is None and source.closed
+    finally:
+        sys.setswitchinterval(before)
+
+
+class PatientForTwoPackets(UdpSource):
+    timeout_s = property(lambda self: PATIENCE_S if self.counts.events < 200 else 0.01, lambda *_: None)
+
+
+@in_both_ways
+def test_silence_for_a_while_ends_it(way, monkeypatch):
+    """However many pieces the sleep is cut into: the system takes no more than some days at a time."""
+    monkeypatch.setattr(udp, "LONGEST_S", 0.01)
+    source = PatientForTwoPackets(port=0)
+    send(source.port, EVENTS[:100])
+    sending = threading.Timer(0.05, send, [source.port, EVENTS[:100]])
+    sending.start()
+    assert b"".join(packet.tobytes() for packet in way(source)) == 2 * EVENTS[:100].tobytes()
+    sending.join()
+    source.close()
+
+
+def test_any_time_can_be_waited_and_the_loop_may_close_its_source():
+    with UdpSource(port=0, timeout_s=1e300) as source:
+        sending = threading.Timer(0.01, send, [source.port, EVENTS[:100]])
+        sending.start()
+        assert [(packet.tobytes(), source.close()) for packet in source] == [(EVENTS[:100].tobytes(), None)]
+        sending.join()
+
+
+def test_cancelling_the_task_that_waits_closes_the_source():
+    async def run(source):
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(anext(aiter(source)), 0.01)
+
+    source = UdpSource(port=0)
+    asyncio.run(run(source))
+    assert source.closed
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="signals")
+def test_closed_in_a_signal_handler_that_interrupts_the_wait():
+    source = UdpSource(port=0)
+    before = signal.signal(signal.SIGALRM, lambda *_: source.close())
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.02)
+        assert list(source) == []
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+# -- counts ----------------------------------------------------------------------------------------------
+
+
+def test_the_summary_is_one_line_of_what_was_counted():
+    counts = NetworkCounts(2, 90, 1234, malformed=5, late=0, jumped=3, off_sensor=1, clock_restarts=7)
+    assert counts.summary() == (
+        "2 datagrams, 1,234 events (5 malformed, 3 of them time jumps, 1 of them off the sensor, 0 out of order, "
+        "clock restarts: 7)"
+    )
+    with UdpSource(port=0, sensor=SENSOR) as source:
+        send(source.port, events_of([5, 9, 2**62 - 1, 2**62 - 1, 8], [0, 1, 2, 34, 3], [0] * 5, [0] * 5))
+        assert source.receive(60)["t"].tolist() == [5, 9, 8]
+        counts = source.counts
+    assert source.counts == counts == NetworkCounts(1, 65, 3, malformed=2, late=1, jumped=1, off_sensor=1)
+
+
+def at_pixel(x, y, n):
+    return events_of(np.arange(n), [x] * n, [y] * n, [1] * n)
+
+
+def invalid(n):
+    events = at_pixel(3, 4, n)
+    events["p"] = 2
+    return events
+
+
+BOTH = [invalid(WARN_AFTER // 2), at_pixel(0, 20, WARN_AFTER // 2)]
+LINE = (
+    "none of the first 1000 events can be used, 500 of them lie off the sensor; does the sender use another format "
+    "than t64_x16_y16_on8 (?format=...), or a larger camera?"
+)
+
+
+@pytest.mark.parametrize(("parts", "warning"), [(BOTH * 2, LINE), ([at_pixel(33, 19, 1), *BOTH], None)])
+def test_a_stream_without_one_good_event_is_reported_once(parts, warning, caplog):
+    with UdpSource(port=0, sensor=SENSOR) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
+        for n_sent, part in enumerate(parts, 1):
+            sender.sendto(part.tobytes(), (source.address, source.port))
+            until(lambda n_sent=n_sent: source.receive(0) is not None or source.counts.datagrams == n_sent)
+    warnings = [r.getMessage() for r in caplog.records if r.name == "async_tnt.sources" and r.levelno > logging.INFO]
+    warnings = [line for line in warnings if "waiting datagrams" not in line]  # a system may give little room
+    assert warnings == ([f"udp://127.0.0.1:{source.port}: {warning}"] if warning else [])
+
+
+def test_a_small_buffer_is_reported(caplog, monkeypatch):
+    monkeypatch.setattr(socket.socket, "setsockopt", lambda *_: None)
+    with UdpSource(port=0, buffer_bytes=(1 << 30) - 1) as source:
+        assert f"the system gives {source.buffer_bytes:,} bytes for waiting datagrams of the 1,073,741,8" in caplog.text
+
+
+# -- names and settings ----------------------------------------------------------------------------------
+
+
+def test_a_url_has_a_format_and_a_timeout(monkeypatch):
+    with open_udp("udp://127.0.0.1:0?format=spif&timeout_s=0.5", (34, 20)) as source:
+        assert (source.format, source.timeout_s, source.sensor) == ("spif", 0.5, (34, 20))
+        assert source.address == "127.0.0.1" and source.port > 0
+        with pytest.raises(OSError, match=rf"udp://127.0.0.1:{source.port}"):
+            open_udp(f"udp://127.0.0.1:{source.port}")  # taken
+    with UdpSource(port=source.port) as again:  # the port is free; by default for this machine only
+        assert again.address == "127.0.0.1"
+
+    def unknown(*_, **__):
+        raise socket.gaierror
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(OSError, match="no such host or port"):
+        open_udp("udp://no.such.host.invalid:3333")
+
+
+@pytest.mark.parametrize(
+    "url, message",
+    [
+        ("udp://127.0.0.1", "expected udp://HOST:PORT, such as udp://127.0.0.1:3333"),
+        ("udp://127.0.0.1:99999", "Port out of range 0-65535"),
+        ("udp://127.0.0.1:1?format=aer", f"`format` must be one of {', '.join(EVENT_BYTES)}, got 'aer'"),
+        ("udp://127.0.0.1:1?speed=1", "unknown option 'speed', expected format or timeout_s"),
+        ("udp://127.0.0.1:1?timeout_s=nan", "`timeout_s` must be a positive number of seconds, got nan"),
+    ],
+)
+def test_wrong_urls_say_what_is_wrong(url, message):
+    with pytest.raises(ValueError) as caught:
+        open_udp(url)
+    assert str(caught.value) == f"{url}: {message}"
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"port": 65536}, r"`port` must be in \[0, 65535\], got 65536"),
+        ({"buffer_bytes": 0}, r"`buffer_bytes` must be in \[1, 2\*\*30\), got 0"),
+        ({"max_datagrams": 0}, "`max_datagrams` must be at least 1, got 0"),
+    ],
+)
+def test_wrong_settings(settings, message):
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        UdpSource(**settings)
