@@ -9,7 +9,7 @@ from async_tnt.cli.output import note
 from async_tnt.networks.model import Model
 from async_tnt.process import available_cores
 from async_tnt.progress import progress
-from async_tnt.simulation.statistics import side_by_side
+from async_tnt.resynthesis.calibration import side_by_side
 from async_tnt.training.data import TrainingData
 from async_tnt.training.moved_windows import Motions, MotionSettings
 from async_tnt.training.resynthesis import resynthesize

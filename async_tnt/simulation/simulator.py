@@ -35,7 +35,7 @@ MIN_THRESHOLD = 1e-3
 
 @dataclass(frozen=True)
 class PixelModel:
-    """The sensor's pixels. The defaults are fitted to N-MNIST (see `statistics`).
+    """The sensor's pixels. The defaults are fitted to N-MNIST: `experiments/RESULTS.md` compares them.
 
     Attributes
     ----------
