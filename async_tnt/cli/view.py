@@ -109,7 +109,7 @@ def main(args: argparse.Namespace) -> int:
         left_out = pixels.nothing_left()
         raise ValueError(f"{names}: {left_out}" if left_out else f"no event in {names}: nothing to show")
     if args.out is not None:
-        n_pictures = f"{view.n_pictures:,} pictures"
+        n_pictures = f"{view.log.n_pictures:,} pictures"
         say(f"{args.out}: {view.n_events:,} events, {n_pictures}; open it with: rerun {args.out}")
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")

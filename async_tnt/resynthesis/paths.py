@@ -1,8 +1,8 @@
 """How the image of a window moves: its path, found from its events alone, and paths that were not recorded.
 
 The path that is found is the one of the highest evidence. First a dictionary of straight paths, `DIRECTIONS` x
-`LENGTHS` x speed profiles: the evidence of all of them is one product with a table. From the best of them on, Levenberg-Marquardt
-steps over the K points of the path, which is kept smooth by a prior on its second differences.
+`LENGTHS` x speed profiles: the evidence of all of them is one product with a table. From the best of them on,
+Levenberg-Marquardt steps over the K points of the path, which is kept smooth by a prior on its second differences.
 
 Other motions are drawn at random around the length of the recorded ones:
 

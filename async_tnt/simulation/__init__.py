@@ -7,7 +7,7 @@ from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist, read_idx
 from async_tnt.simulation.scene import Scene, render
 from async_tnt.simulation.shards import Shard, open_shard, write_shard
-from async_tnt.simulation.simulator import PixelModel, simulate, simulate_events
+from async_tnt.simulation.simulator import PixelModel, simulate
 from async_tnt.simulation.trajectories import ConstantVelocity, Saccade, Saccades, Trajectory, nmnist_saccades
 
 __all__ = [
@@ -25,6 +25,5 @@ __all__ = [
     "render",
     "simulate",
     "simulate_digit",
-    "simulate_events",
     "write_shard",
 ]

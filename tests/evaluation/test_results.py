@@ -11,11 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt import files
-from async_tnt.evaluation.collect import Progress, collect
 from async_tnt.evaluation.job import Job
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import failed
-from async_tnt.evaluation.results import ResultFile, read_results
+from async_tnt.evaluation.results import Progress, ResultFile, collect, read_results
 
 HERE = partial(run_all, workers=1)
 NAMES = ["b", "a", "ccc", "dd", "a-b"]

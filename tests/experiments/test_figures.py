@@ -11,9 +11,9 @@ import pytest
 
 image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib (extra: plot)")
 
-from figures.test_figure_content import assert_equal, dots, pictures  # noqa: E402
-from figures.test_plot_command import in_squares  # noqa: E402
 from made import events_of, random_events, random_model, random_regressor_model  # noqa: E402
+from views.test_figure_content import assert_equal, dots, pictures  # noqa: E402
+from views.test_plot_command import in_squares  # noqa: E402
 
 from async_tnt import Processor, TNTConfig, load_model  # noqa: E402
 from async_tnt.sources.files.nmnist import write_nmnist  # noqa: E402

@@ -5,7 +5,7 @@ import pytest
 
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.trajectories import nmnist_saccades
-from experiments.motions import KINDS, motions_of
+from experiments.motions import KINDS, flow_of, motions_of
 
 RNG = np.random.default_rng(0)
 STRAIGHT = {f"{kind} {motion.name}": motion for kind in KINDS if kind != "nmnist" for motion in motions_of(kind)}
@@ -34,7 +34,7 @@ def test_events_follow_the_stated_flow(motion):
     trajectory = motion.trajectory(RNG)
     events = simulate_digit(discs, np.random.default_rng(0), trajectory=trajectory)[::2]  # half of them is enough
     t_us = np.array([0, *motion.flow_times_us, 105_000])
-    flow = np.stack(trajectory.flow(motion.flow_times_us), axis=1)[[0, *range(len(motion.flow_times_us)), -1]]
+    flow = flow_of(trajectory, motion.flow_times_us)[[0, *range(len(motion.flow_times_us)), -1]]
     steps = (flow[1:] + flow[:-1]) / 2 * np.diff(t_us)[:, None] * 1e-6
     path = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     by = np.stack([np.interp(events["t"], t_us, path[:, k]) for k in (0, 1)], axis=1)

@@ -35,7 +35,6 @@ def test_without_rerun_the_error_says_what_to_install(monkeypatch, program, tmp_
 rrd_files = pytest.importorskip("views.rrd_files", reason="rerun-sdk is not installed (extra `view`)")
 Rrd = rrd_files.Rrd
 from async_tnt.views import rerun_log as log  # noqa: E402
-from async_tnt.views.rerun_view import _listens  # noqa: E402
 
 
 def own_lines(err):
@@ -171,6 +170,12 @@ def rerun_program():
     return shutil.which("rerun", path=str(Path(sys.executable).parent))
 
 
+def is_open(port):
+    with contextlib.suppress(OSError):
+        socket.create_connection(("127.0.0.1", port)).close()
+        return True
+
+
 @contextlib.contextmanager
 def viewer_that_writes(out):
     """In place of a window it writes what it receives. Yields the process, which leads a group, and its URL."""
@@ -185,7 +190,7 @@ def viewer_that_writes(out):
         start_new_session=True,  # it is a script that starts the program: both are to be stopped
     )
     try:
-        until(lambda: _listens("127.0.0.1", port))
+        until(lambda: is_open(port))
         yield serving, f"rerun+http://127.0.0.1:{port}/proxy"
     finally:
         with contextlib.suppress(ProcessLookupError):
