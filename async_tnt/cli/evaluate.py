@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.archive_options import add_archive
 from async_tnt.cli.archives import how_to_run, stream_archive
-from async_tnt.cli.options import model_of
+from async_tnt.cli.options import add_archive, model_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache

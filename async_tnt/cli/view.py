@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import printable
-from async_tnt.cli.live_packets import add_latest, check_pace, live_packets
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
+from async_tnt.cli.packets import add_latest, check_pace, live_packets, open_selected
 from async_tnt.cli.pixel_options import add_pixels, selector_of
-from async_tnt.cli.run_recording import open_selected
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import choose_engine
 from async_tnt.files import check_writable
