@@ -11,9 +11,8 @@ from experiments import bench_backends as backends
 from experiments import bench_every_event as every_event
 from experiments import bench_network as network
 from experiments import measure_end_to_end as end_to_end
-from experiments import measure_noise as noise
 from experiments.bench_interleaved import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
-from experiments.bench_moments import Moments, bench_recordings, windows_of
+from experiments.bench_moments import Moments, bench_recordings, made_recording, windows_of
 from experiments.bench_timing import spread
 
 WINDOW_US = 1000
@@ -170,6 +169,28 @@ def test_networks_that_differ_are_not_timed():
     with pytest.raises(WorkDiffers, match=r"got incremental and wrong 1\.0e-03 apart"):
         network.bench_network(DIGITS, networks, windows, 10, blocks=1, size=3)
     with pytest.raises(WorkDiffers, match=r"got dense and wrong \d\.\de-04 apart"):
-        noise.bench_on_noise(DIGITS, networks, blocks=1, size=3)
+        network.bench_on_noise(DIGITS, networks, blocks=1, size=3)
     with pytest.raises(WorkDiffers, match=r"got ours and wrong 1\.\de-0[34] apart"):
         every_event.bench_every_event(DIGITS, {"wrong": networks["wrong"]}, recordings, rounds=1, n_events=1000)
+
+
+TWINS = [{"landmark": landmark} for landmark in ("center", "running", "line", "window")]
+TWINS += [{"landmark": "line", "remove_flow": True}, {"transform": "none"}, {"bins": 1}]
+TWINS += [{"polarity": "unsigned", "t_max": 2.0}, {"polarity": "split"}]
+
+
+@pytest.mark.parametrize("settings", TWINS, ids=str)
+def test_batch_processing_equals_the_reference(settings):
+    """A figure beside a wrong batch computation would mean nothing."""
+    torch = pytest.importorskip("torch")
+    from async_tnt.checking.reference import reference_volume
+    from experiments.bench_torch_batch import TorchBatch, as_tensors
+
+    config = TNTConfig(grid=(20, 41), window_us=20_000, **settings)
+    events = made_recording(np.random.default_rng(5), config, 3000)
+    events = events[events["t"] < 20_000]
+    expected = reference_volume(events, config, 0)
+    with torch.inference_mode():
+        found = TorchBatch(config).volume(*as_tensors(events, 0)).numpy()
+    assert np.abs(expected).max() > 1
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * np.abs(expected).max())

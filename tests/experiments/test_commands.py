@@ -19,7 +19,7 @@ from async_tnt import TNTConfig, load_model
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.sources.files.nmnist import write_nmnist
-from experiments import decisions, edges, memory, peers, script_options, starts
+from experiments import decisions, edges, memory, peers, script_options, starts, volumes
 from experiments import measure_touched as touched
 from experiments.bench_moments import bench_recordings, windows_of
 from experiments.page_parts import RESULTS
@@ -99,6 +99,21 @@ def test_unequal_volumes_stop_the_comparison_of_peers(monkeypatch):
     monkeypatch.setattr(peers, "dsec_volume", lambda *columns: right(*columns) * 1.01)
     with pytest.raises(RuntimeError, match=r"must make the same volume as ours .*'dsec_torch': 0\.01"):
         peers.compare((34, 34), 1300, 1, rounds=1)
+
+
+def test_volumes_are_timed_in_every_way(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(volumes, "GRIDS", ((34, 34), (64, 48)))
+    monkeypatch.setattr(volumes, "ROUNDS", (31, 2))
+    assert volumes.main(["--quick", "--json", str(tmp_path / "v.json")]) == 0
+    report = json.loads((tmp_path / "v.json").read_text(encoding="utf-8"))
+    ways = {"single"} | {f"packet_{n}_{form}" for n in (10, 100, 1300) for form in ("structured", "columns")}
+    assert [v["grid"] for v in report["volume"]] == [[34, 34], [64, 48]]
+    for volume in report["volume"]:
+        assert set(volume["ns_per_event"]) == ways
+        for figure in (*volume["ns_per_event"].values(), volume["open_us"], volume["read_us"]):
+            ordered = [figure[name] for name in ("min", "q1", "median", "q3", "max")]
+            assert ordered[0] > 0 and ordered == sorted(ordered)
+    assert "packets of 1300, columns" in capsys.readouterr().out
 
 
 # -- decisions.py ----------------------------------------------------------------------------------------
