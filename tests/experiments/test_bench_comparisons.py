@@ -129,15 +129,6 @@ def test_all_engines_give_the_same_logits_and_keep_nothing_of_the_volume():
             assert np.abs(run(volume) - logits).max() < 1e-4 * np.abs(logits).max(), name
 
 
-def test_a_missing_package_leaves_its_rows_out_and_is_named(monkeypatch):
-    monkeypatch.setattr(backends, "is_installed", lambda *names: "onnxruntime" not in names)
-    assert {"onnxruntime_run", "onnxruntime_binding"} <= set(backends.left_out())
-    assert end_to_end.left_out()["ours_onnxruntime"] == "onnxruntime is not installed"
-    monkeypatch.setattr(backends, "is_installed", lambda *names: not names)
-    assert set(backends.dense_networks(DIGITS)) == {"dense"}
-    assert backends.left_out()["openvino"] == "onnx and openvino are not installed"
-
-
 @pytest.mark.parametrize("n_new", [1, 7])
 def test_ours_sees_exactly_the_new_events(n_new):
     moments = Moments([window(60), window(40, 1)], WINDOW_US, n_new)

@@ -26,7 +26,7 @@ def test_a_digit_is_displaced_as_stated_from_the_centre_or_through_it(motion):
         assert min(x.min(), y.min()) + 1 >= 0 and max(x.max(), y.max()) + 26 <= 33
 
 
-@of_straight
+@pytest.mark.parametrize("motion", list(STRAIGHT.values())[::7], ids=list(STRAIGHT)[::7])
 def test_events_follow_the_stated_flow(motion):
     """Moved back by the flow that a set states, events of a polarity lie on edges: sharper than by any other flow."""
     y, x = np.mgrid[:28, :28]

@@ -10,7 +10,6 @@ from waiting import until
 
 from async_tnt.simulation.shards import open_shard
 from async_tnt.sources.files.nmnist import read_nmnist
-from experiments import moving_mnist
 from experiments.moving_mnist_set import build, open_set
 
 ALONG = "ON - OFF centroid, along the motion"
@@ -122,12 +121,3 @@ def test_a_killed_simulation_resumes_to_the_same_files(mnist, tmp_path, experime
     build(mnist, tmp_path / "whole", kind="bell", digits=8, workers=1)
     files = [{path.name: path.read_bytes() for path in one.iterdir()} for one in (folder, tmp_path / "whole")]
     assert files[0] == files[1] and len(files[0]) == 31
-
-
-def test_ctrl_c_is_answered_in_one_line(simulate, monkeypatch):
-    def interrupt(*words, **more):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(moving_mnist, "build", interrupt)
-    code, _, err = simulate()
-    assert code == 130 and "Give the same command again to resume" in err and err.count("\n") == 1

@@ -124,9 +124,7 @@ def test_an_incomplete_set_is_refused_with_the_command_to_resume(made, copied):
     "damage",
     [
         lambda _: [],
-        lambda content: content | {"motions": ["000deg-3px"]},
         lambda content: content | {"shards": ["../elsewhere", *content["shards"][1:]]},
-        lambda content: content | {"parameters": content["parameters"] | {"digits": 5.0}},
     ],
 )
 def test_a_damaged_manifest_is_refused_in_one_line(made, tmp_path, damage):
