@@ -5,17 +5,15 @@ import multiprocessing
 import os
 import signal
 import socket
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 from evaluation.made_work import broken, deadly, make_tasks, record_of
 from evaluation.simple_work import n_events_of, raise_odd, sleep_or_end, twice, unpicklable
-from processes import PATHS, started
+from processes import started
 from recordings.written import made_events, written
-from waiting import PATIENCE_S, until
+from waiting import until
 
 from async_tnt.evaluation import processes as ways
 from async_tnt.evaluation.processes import run_all, run_on_dask
@@ -76,15 +74,6 @@ def test_a_daemonic_process_has_workers(tmp_path):
     path = written(tmp_path / "dsec.h5", made_events(50))
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         assert pool.apply(n_events_of, [path]) == 50
-
-
-@posix
-def test_workers_without_standard_streams_of_their_parent(tmp_path):
-    code = f"from evaluation.simple_work import note_doubles; note_doubles({str(tmp_path / 'sum')!r})"
-    closed = 'exec "$0" -c "$1" <&- >&- 2>&-'
-    with subprocess.Popen(["sh", "-c", closed, sys.executable, code], env={**os.environ, "PYTHONPATH": PATHS}) as shell:
-        assert shell.wait(PATIENCE_S) == 0
-    assert (tmp_path / "sum").read_text() == "[2, 4, 6]"
 
 
 def is_running(pid):

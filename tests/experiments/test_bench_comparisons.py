@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made import events_of, random_events, random_model
+from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig, load_model
 from experiments import bench_backends as backends
@@ -23,15 +23,6 @@ LOGITS = np.array([1.0, -20.0], np.float32)
 
 def window(n, seed=0):
     return random_events(n, seed=seed, duration_us=WINDOW_US, sensor=(20, 16))
-
-
-def test_windows_of_a_recording_by_hand():
-    events = events_of([5, 999, 1000, 3500, 3501], [1, 2, 3, 4, 5], [0] * 5, [1] * 5)
-    found = windows_of(events, WINDOW_US)  # the third window is empty
-    assert [w["t"].tolist() for w in found] == [[5, 999], [0], [500, 501]]
-    assert [w["x"].tolist() for w in found] == [[1, 2], [3], [4, 5]]
-    assert windows_of(events[:0], WINDOW_US) == []
-    assert events["t"].tolist() == [5, 999, 1000, 3500, 3501]  # the caller's are unchanged
 
 
 @pytest.mark.parametrize("n_new", [1, 3, 10])
@@ -80,15 +71,6 @@ def test_everyone_decides_at_every_moment_and_at_the_one_before_a_block(mode):
         own = [entry[1:] for entry in log if entry[0] == name]
         assert own == [step for moment in moments for step in (moment, ("decides",))]
         assert timed.us[name].shape == (2, 3) and (timed.us[name] > 0).all()
-
-
-def test_no_backend_always_follows_the_same_one():
-    calls, of_blocks = [], []
-    call_by_call({name: Recorder(name, calls) for name in "abc"}, blocks(5, 8))
-    in_blocks({name: Recorder(name, of_blocks) for name in "ab"}, blocks(3, 2))
-    order, of_blocks = ("".join(e[0] for e in log if e[1] == "decides") for log in (calls, of_blocks))
-    assert {order[k : k + 3] for k in range(0, len(order), 3)} == {"abc", "acb", "bac", "bca", "cab", "cba"}
-    assert of_blocks == "aaabbb" + "bbbaaa" + "aaabbb"
 
 
 @pytest.mark.parametrize("mode", [call_by_call, in_blocks])
