@@ -9,14 +9,10 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.events import EventDecoder
-from async_tnt.kernels import state as S
-from async_tnt.kernels.absorb import absorb
-from async_tnt.kernels.readout import empty_volume
 from async_tnt.kernels.splat import BORDER_TOLERANCE
 from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.volume import TNTVolume
-from async_tnt.volume_state import new_state, next_epoch
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,10 +151,7 @@ class Coordinates(NamedTuple):
 def transformed(
     events: np.ndarray, config: TNTConfig, start_us: int, landmark: tuple[float, float] | None = None
 ) -> Coordinates:
-    """The transform of one window's events: u = num_x / den * scale_x + c_x, as in `kernels.splat.place_event`.
-
-    The volume does not store them, but the kernels leave num_x, num_y and den of every event of a block in their
-    scratch memory (`kernels.state`), where they are read.
+    """The transform of one window's events: u = (x - l) / tau + c, where l is what the volume had for the event.
 
     Parameters
     ----------
@@ -179,46 +172,35 @@ def transformed(
     >>> u, v, kept, landmark  # TNT time 1/2: distances from the centre are doubled
     (array([19.5]), array([17.5]), array([ True]), array([[16.5, 16.5]]))
     """
-    # the fewest cells: the events' places do not depend on them
-    config = config.replace(representation="volume", bins=1, transform=config.transform, polarity=config.polarity)
     if landmark is None and config.defers_landmark:
         raise ValueError(f"`landmark` must be given for {config.landmark!r}: it is known when the volume is read")
-    if landmark is not None:
-        config = config.replace(transform="tnt", landmark="center", remove_flow=False)
     t = events["t"]
     if events.size and not (start_us <= t.min() and t.max() < start_us + config.window_us):
         raise ValueError(
             f"`events` must lie in the window [{start_us}, {start_us + config.window_us}) us, "
             f"got {t.min()} to {t.max()}"
         )
-    columns = EventDecoder(config.sensor).decode(events)
-    buffer = new_state(config)
-    empty_volume(buffer, np.zeros(config.shape, np.float32), start_us, start_us + config.window_us, next_epoch())
+    EventDecoder(config.sensor).decode(events)
+    place = np.stack([events["x"], events["y"]], axis=1) * config.to_grid(1.0, 1.0)  # (N, 2)
+    centre = np.subtract(config.grid, 1) / 2
+    centred_on = np.empty_like(place)
+    if landmark is None and config.transform == "none":
+        centred_on[:] = centre
+        return Coordinates(place[:, 0], place[:, 1], np.ones(events.size, bool), centred_on)
+    fraction = (t - start_us) / config.window_us
     if landmark is not None:
-        buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*landmark)
-
-    n = columns.n
-    numerator, denominator = np.empty((2, n)), np.empty(n)
-    for first in range(0, n, S.BLOCK):  # a block in the window is worked through as a whole: see `kernels.absorb`
-        m = min(S.BLOCK, n - first)
-        absorb(buffer, *columns[:4], first, first + m)
-        for row, scratch in ((numerator[0], S.NUM_X), (numerator[1], S.NUM_Y), (denominator, S.DEN)):
-            row[first : first + m] = buffer[scratch : scratch + m]
-
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = numerator[0] * (1.0 / denominator) * buffer[S.SCALE_X] + buffer[S.CENTER_X]
-        v = numerator[1] * (1.0 / denominator) * buffer[S.SCALE_Y] + buffer[S.CENTER_Y]
-    kept = _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1)
-
-    # the running centroid's numerators are n times the displacement, see `kernels.landmark`
-    count = np.arange(1, n + 1) if buffer.view(np.int64)[S.MODE] == S.MODE_RUNNING else 1
-    centred_on = np.empty((n, 2))
-    if config.transform == "none":
-        centred_on[:] = np.subtract(config.grid, 1) / 2
+        centred_on[:] = landmark
     else:
-        pixels = np.stack([columns.x[:n], columns.y[:n]]).astype(np.float64)  # (2, N)
-        centred_on[:, 0], centred_on[:, 1] = config.to_grid(*(pixels - numerator / count))
-    return Coordinates(u, v, kept, centred_on)
+        volume = TNTVolume(config.replace(representation="volume", bins=1))  # landmarks do not depend on the cells
+        volume.open(start_us)
+        for i, event in enumerate(events.tolist()):
+            volume.update_one(*event)
+            centred_on[i] = volume.landmark
+            if config.remove_flow:
+                centred_on[i] += np.multiply(volume.flow, fraction[i])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = ((place - centred_on) / (config.t_max * fraction)[:, None] + centre).T
+    return Coordinates(u, v, _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1), centred_on)
 
 
 def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:
