@@ -40,6 +40,15 @@ def test_a_pixel_that_fires_all_the_time_is_no_noise_of_the_others():
     assert measured.noise_hz == pytest.approx(expected.noise_hz, rel=0.1)
 
 
+def test_noise_does_not_count_where_on_is_compared_with_off():
+    """A third more events, all ON, anywhere: without them the thresholds are as before, within 5 %."""
+    rng = np.random.default_rng(0)
+    scenes = [recorded(blobs(rng, n=1), straight(net), rng, pixels=PixelModel(noise_hz=0.0)) for net in [(6, 3)] * 24]
+    noisy = [together(one, (*noise(rng, 80)[:3], np.ones(80, np.uint8))) for one in scenes]
+    expected, measured = (measure_pixels(windows, SENSOR, WINDOW_US) for windows in (scenes, noisy))
+    assert measured.step_on == pytest.approx(expected.step_on, rel=0.05)
+
+
 def test_pixels_without_events():
     measured = measure_pixels([noise(np.random.default_rng(0), 0)], SENSOR, WINDOW_US)
     assert (measured.step_on, measured.refractory_us, measured.noise_hz) == (1.0, 0.0, 0.0)
