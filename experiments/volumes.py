@@ -2,13 +2,11 @@
 
     python -m experiments.volumes [--quick] [--json FILE]
 
-Events are random, seeded. Each way feeds one window, all ways in turns, on one thread; opening a window and reading it
-are measured apart, because they cost by the window and not by the event.
+Events are random, seeded. Each way feeds one window, all ways in turns, on one thread. Opening a window is not timed.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -44,8 +42,7 @@ def bench_volume(grid: tuple[int, int], rng: np.random.Generator, *, n_events: i
 
     Returns
     -------
-    dict : the settings; `ns_per_event`, way -> `spread`; `open_us` and `read_us` (after 1300 more events), a `spread`
-        each.
+    dict : the settings; `ns_per_event`, way -> `spread`.
     """
     config = TNTConfig(sensor=grid, grid=grid, landmark="running")
     columns = made_columns(rng, grid, n_events, config.window_us)
@@ -54,10 +51,6 @@ def bench_volume(grid: tuple[int, int], rng: np.random.Generator, *, n_events: i
     for size in PACKETS:
         for form, packets in (("structured", _structured_packets), ("columns", _column_packets)):
             cases[f"packet_{size}_{form}"] = _packets(volume, packets(columns, size), n_events)
-    cases["open_us"] = _opening(volume, columns)
-    cases["read_us"] = _reads(volume, _column_packets(columns, 1300))
-    measured = {name: spread(values) for name, values in interleave(cases, rounds).items()}
-    open_us, read_us = measured.pop("open_us"), measured.pop("read_us")
     return {
         "grid": list(grid),
         "bins": config.bins,
@@ -65,9 +58,7 @@ def bench_volume(grid: tuple[int, int], rng: np.random.Generator, *, n_events: i
         "t_max": config.t_max,
         "window_us": config.window_us,
         "events": n_events,
-        "ns_per_event": measured,
-        "open_us": open_us,
-        "read_us": read_us,
+        "ns_per_event": {name: spread(values) for name, values in interleave(cases, rounds).items()},
     }
 
 
@@ -98,37 +89,6 @@ def _packets(volume: TNTVolume, packets: Sequence[Any], n_events: int) -> Callab
     return run
 
 
-def _opening(volume: TNTVolume, columns: tuple[np.ndarray, ...]) -> Callable[[], float]:
-    """Microseconds of opening a window after a full one."""
-
-    def run() -> float:
-        volume.open(0)
-        volume.update(columns)
-        _ = volume.array
-        started = work_clock()
-        volume.open(0)
-        return 1e6 * (work_clock() - started)
-
-    return run
-
-
-def _reads(volume: TNTVolume, packets: list[Any]) -> Callable[[], float]:
-    """Microseconds of one read after each packet: the median over the packets of a window."""
-
-    def run() -> float:
-        volume.open(0)
-        _ = volume.array
-        taken = []
-        for packet in packets[:20]:
-            volume.update(packet)
-            started = time.perf_counter()
-            _ = volume.array
-            taken.append(time.perf_counter() - started)
-        return 1e6 * float(np.median(taken))  # no other process interrupts that many
-
-    return run
-
-
 def _structured_packets(columns: tuple[np.ndarray, ...], size: int) -> list[np.ndarray]:
     events = structured(columns, dtype=CAMERA_DTYPE)
     return [events[first : first + size].copy() for first in range(0, len(events), size)]
@@ -152,8 +112,6 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
     ways = {"single": "update_one, each event"}
     ways |= {f"packet_{n}_{form}": f"packets of {n}, {form}" for n in PACKETS for form in ("structured", "columns")}
     rows = {title: [v["ns_per_event"][way] for v in volumes] for way, title in ways.items()}
-    rows["us to open a window"] = [v["open_us"] for v in volumes]
-    rows["us to read after 1300"] = [v["read_us"] for v in volumes]
     for title, figures in rows.items():
         yield f"{title:28}" + "".join(f"{quartiles(figure):>28}" for figure in figures)
 
