@@ -57,7 +57,7 @@ def stream_archive(
 
     Raises
     ------
-    KeyboardInterrupt : with what is done by then. Others : as `collect_to_file`.
+    KeyboardInterrupt : with what is done by then. Others : as `collect`.
     """
     bar: Any = None
 
