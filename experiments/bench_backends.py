@@ -19,7 +19,6 @@ Network = Callable[[np.ndarray], np.ndarray]
 class Engine(NamedTuple):
     """What runs a model's classifier."""
 
-    title: str
     work: str
     """What a call does."""
     make: Callable[[Model], Network]
@@ -100,35 +99,29 @@ def _torch(model: Model) -> Network:
 
 ENGINES = {
     "incremental": Engine(
-        "CompiledClassifier.refresh",
         "ours, CompiledClassifier.refresh: what has changed since its last call; gives probabilities, too",
         CompiledClassifier,
     ),
     "dense": Engine(
-        "CompiledClassifier(array)",
         "ours, CompiledClassifier called with an array: the whole network",
         CompiledClassifier,
     ),
     "onnxruntime_run": Engine(
-        "onnxruntime, run",
         "onnxruntime, session.run: the array goes in as it is, a new one comes out",
         _onnxruntime_run,
         ("onnx", "onnxruntime"),
     ),
     "onnxruntime_binding": Engine(
-        "onnxruntime, io binding",
         "onnxruntime, run_with_iobinding: memory bound once, the volume copied into it",
         _onnxruntime_binding,
         ("onnx", "onnxruntime"),
     ),
     "openvino": Engine(
-        "OpenVINO",
         "OpenVINO, float32, hint LATENCY: an infer request's own memory, the volume copied into it",
         _openvino,
         ("onnx", "openvino"),
     ),
     "torch": Engine(
-        "torch",
         "torch, eager, inference mode: a tensor, the volume copied into it",
         _torch,
         ("torch", "tnt_reference"),

@@ -1,7 +1,7 @@
 """Batch processing in torch, as fast as we can make it: a window's volume from all its events, then the network.
 
 The reference in `tnt_reference` is written for reading, this one for timing: float32, no masks, one `scatter_add_` for
-all eight neighbours. It must give the same volume (`bench_latency` checks that).
+all eight neighbours. It must give the same volume (a test compares it with the reference).
 """
 
 from __future__ import annotations

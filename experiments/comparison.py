@@ -7,26 +7,29 @@ them, each under three of its motions.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from async_tnt.progress import progress
+from async_tnt.resynthesis.calibration import describe
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
-from async_tnt.simulation.saccades import SACCADE_CUTS_US
 from async_tnt.simulation.shards import Shard, open_shard
-from async_tnt.simulation.statistics import describe
 from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.set_manifest import MovingMnist
 
 N_RECORDINGS = 200
+SACCADE_CUTS_US = (0, 105_000, 210_000, 315_000)
+"""Where N-MNIST's saccades begin, and where the third ends (Orchard et al. 2015)."""
 OFFICIAL_TRAIN = 60_000
 """Recordings in N-MNIST's training set; larger numbers are test recordings."""
 
@@ -37,7 +40,7 @@ def compare(
     nmnist_folder: str | os.PathLike[str] | None = None,
     n_recordings: int = N_RECORDINGS,
 ) -> dict[str, dict[str, float]]:
-    """Descriptions by `describe`: column title -> name -> value. Shows a progress bar.
+    """Descriptions by `describe_motions`: column title -> name -> value. Shows a progress bar.
 
     Parameters
     ----------
@@ -71,9 +74,9 @@ def compare(
                         "is another digit"
                     )
             real = _counted((read_nmnist(found[image]) for image in shown), bar)
-            columns["N-MNIST"] = describe(real, directions_deg=directions)
+            columns["N-MNIST"] = describe_motions(real, SACCADE_CUTS_US, directions)
         simulated = (simulate_digit(images[i], np.random.default_rng((0, i))) for i in shown)
-        columns["simulated"] = describe(_counted(simulated, bar), directions_deg=directions)
+        columns["simulated"] = describe_motions(_counted(simulated, bar), SACCADE_CUTS_US, directions)
         same = [i for i in shown if i < digits] if shown_split == split else []
         of_set = same if len(same) >= len(shown) / 2 else _spread(list(range(digits)), n_recordings)
         columns["this set"] = _describe_set(made, of_set, bar, directions)
@@ -88,12 +91,42 @@ def _describe_set(made: MovingMnist, images: list[int], bar: Any, nmnist_directi
     )
     recordings = _counted(_recordings(made, pairs), bar)
     if made.motions[0].direction_deg is None:
-        return describe(recordings, sensor=made.sensor, directions_deg=nmnist_directions)
+        return describe_motions(recordings, SACCADE_CUTS_US, nmnist_directions, made.sensor)
     moving = [made.motions[motion] for motion, _ in pairs]
-    directions = [[float(motion.direction_deg or 0)] for motion in moving]
-    numbers = describe(recordings, sensor=made.sensor, cuts_us=(0, moving[0].duration_us), directions_deg=directions)
-    # Averaged over ten directions these are zero for any recordings.
-    return {name: value for name, value in numbers.items() if ", saccade " not in name}
+    directions = [float(motion.direction_deg or 0) for motion in moving]
+    return describe_motions(recordings, (0, moving[0].duration_us), directions, made.sensor)
+
+
+def describe_motions(
+    recordings: Iterable[np.ndarray],
+    cuts_us: Sequence[int],
+    directions_deg: Sequence[float],
+    sensor: tuple[int, int] = (34, 34),
+) -> dict[str, float]:
+    """`describe` over all saccades, and where their ON events are, on average, relative to their OFF events.
+
+    Parameters
+    ----------
+    recordings : structured arrays in order of time.
+    cuts_us : where saccades begin, and where the last one ends.
+    directions_deg : of the motion in each saccade of a recording, or in each recording of one saccade; 0 to the right,
+        90 downwards. ON events trail the motion where their centroid is behind that of the OFF events.
+    """
+    saccades = [
+        events[a:b] for events in recordings for a, b in pairwise(np.searchsorted(events["t"], cuts_us).tolist())
+    ]
+    offsets = []
+    for saccade, direction in zip(saccades, itertools.cycle(directions_deg), strict=False):
+        on, off = (saccade[saccade["p"] == p] for p in (1, 0))
+        if len(on) and len(off):
+            apart = complex(on["x"].mean() - off["x"].mean(), on["y"].mean() - off["y"].mean())
+            offsets.append(apart * np.exp(-1j * np.radians(direction)))
+    mean = np.mean(offsets) if offsets else complex(np.nan, np.nan)
+    return {
+        **describe(saccades, sensor),
+        "ON - OFF centroid, along the motion": float(mean.real),
+        "ON - OFF centroid, across the motion": float(mean.imag),
+    }
 
 
 def _recordings(made: MovingMnist, pairs: list[tuple[int, int]]) -> Iterator[np.ndarray]:

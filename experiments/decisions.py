@@ -24,10 +24,9 @@ from experiments import bench_backends as backends
 from experiments import measure_end_to_end as end_to_end
 from experiments.bench_every_event import bench_every_event
 from experiments.bench_moments import NEW_EVENTS, bench_recordings, windows_of
-from experiments.bench_network import bench_network
+from experiments.bench_network import bench_network, bench_on_noise, fastest
 from experiments.bench_timing import is_installed, machine, machine_text, one_thread, quartiles
 from experiments.draw_decisions import draw_decisions
-from experiments.measure_noise import bench_on_noise, fastest
 from experiments.measure_singles import bench_singles
 from experiments.measure_touched import bench_touched
 from experiments.script_options import exit_with, run_script, script_parser

@@ -20,7 +20,6 @@ import numpy as np
 
 from async_tnt.progress import progress
 from async_tnt.simulation.mnist import load_mnist
-from async_tnt.simulation.saccades import segment
 from async_tnt.simulation.scene import render
 from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist
@@ -73,8 +72,10 @@ def measure(nmnist: Path, mnist: Path, n: int) -> dict[str, Any]:
             steepness = np.linalg.norm(slope, axis=-1)
             edges = steepness > LEAST_GRADIENT
             expected, signed, unsigned = [], [], []
-            for v, events in zip(towards, segment(read_nmnist(found[i]), ENDS_US[1:]), strict=False):
-                sign, count = moved_back(events)
+            recorded = read_nmnist(found[i])
+            saccades = np.split(recorded, np.searchsorted(recorded["t"], ENDS_US[1:]))  # and what follows the last one
+            for v, saccade in zip(towards, saccades, strict=False):
+                sign, count = moved_back(saccade)
                 change = -slope @ v
                 cosine = np.abs(change[edges]) / steepness[edges]
                 at = np.digitize(np.degrees(np.arccos(np.clip(cosine, 0, 1))), ANGLES_DEG[1:-1])

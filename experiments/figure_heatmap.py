@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.views.figure_slices import colour_limit, draw_slice
 from async_tnt.views.figure_style import (
     GREY,
     LARGE,
@@ -30,6 +29,7 @@ from async_tnt.views.figure_style import (
     write_at,
 )
 from async_tnt.views.figure_subject import Window
+from async_tnt.views.figure_window import colour_limit, draw_slice
 from async_tnt.volume import TNTVolume
 from experiments.figure_script import run
 

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.views.figure_events import MOST_DOTS, transform_words
-from async_tnt.views.figure_slices import GAP, ROW_GAP, bin_ms, draw_rows, layers_of_window
 from async_tnt.views.figure_style import (
     OFF,
     ON,
@@ -27,7 +25,16 @@ from async_tnt.views.figure_style import (
     write_at,
 )
 from async_tnt.views.figure_subject import Window, shown_evenly
-from experiments.figure_script import run
+from async_tnt.views.figure_window import (
+    GAP,
+    MOST_DOTS,
+    ROW_GAP,
+    bin_ms,
+    draw_rows,
+    layers_of_window,
+    transform_words,
+)
+from experiments.figure_script import flow_of, grid_xy, run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,7 +58,7 @@ def draw_motions(first: Window, second: Window) -> Figure:
         sensors = " and ".join(f"{w}x{h} pixels" for w, h in (config.sensor, second.subject.config.sensor))
         raise ValueError(f"two motions are drawn with one configuration, got sensors of {sensors}")
     windows = (first, second)
-    flows = [np.array(window.flow()) for window in windows]
+    flows = [np.array(flow_of(window)) for window in windows]
     axis = int(np.abs(flows[0] - flows[1]).argmax())
     layers = [layers_of_window(window) for window in windows]
     shown = busiest_bins(np.abs(np.stack([window.volumes()[1] for window in windows])), config.bins)
@@ -115,7 +122,7 @@ def _draw_along(raw: Any, tnt: Any, window: Window, axis: int) -> None:
     u, v, kept, _ = window.coordinates()
     # pixels are whole numbers: spread out over their pixel, dots do not hide one another
     spread = np.random.default_rng(0).uniform(-0.4, 0.4, kept.size) * config.to_grid(1.0, 1.0)[axis]
-    _draw_dots(raw, window, window.grid_xy[axis] + spread, np.ones(kept.size, bool))
+    _draw_dots(raw, window, grid_xy(window)[axis] + spread, np.ones(kept.size, bool))
     _draw_dots(tnt, window, (u, v)[axis], kept)
     raw.set(xlim=(0, config.window_us / 1e3), ylim=(config.grid[axis] - 0.5, -0.5))
     raw.set_ylabel(("x, after TNT u (px)", "y, after TNT v (px)")[axis])

@@ -14,9 +14,7 @@ from async_tnt.decision import Decision
 from async_tnt.networks.graph import CLASSIFIER
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
-from async_tnt.views.figure_events import draw_raw, draw_transformed
-from async_tnt.views.figure_probabilities import draw_rate
-from async_tnt.views.figure_slices import colour_limit, draw_slice, layers_of
+from async_tnt.views.figure_overview import draw_rate
 from async_tnt.views.figure_style import (
     GREY,
     NORMAL,
@@ -33,7 +31,8 @@ from async_tnt.views.figure_style import (
     write_at,
 )
 from async_tnt.views.figure_subject import Window, shown_evenly
-from experiments.figure_script import run
+from async_tnt.views.figure_window import colour_limit, draw_raw, draw_slice, draw_transformed, layers_of
+from experiments.figure_script import grid_xy, run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -123,7 +122,7 @@ def _draw_landmark(axes: Any, window: Window) -> None:
     """The window's events as dots, and the landmark of each."""
     config = window.subject.config
     width, height = config.grid
-    column, row = np.rint(window.grid_xy).astype(np.int64)
+    column, row = np.rint(grid_xy(window)).astype(np.int64)
     ink = np.zeros((height, width))
     np.add.at(ink, (row, column), 1.0)
     axes.imshow(ink, cmap="Greys", vmax=1.6 * colour_limit(ink))

@@ -7,10 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from async_tnt.networks.loading import load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.views.figure_style import check_picture, save, styled
 from async_tnt.views.figure_subject import Subject, Window
+from async_tnt.volume import TNTVolume
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,3 +66,17 @@ def subject_of(name: str, model_name: str = "digits") -> Subject:
     path = sample_recordings()[int(name)] if name.isdigit() else Path(name)
     model = load_model(model_name)
     return Subject(path.name, open_recording(path).read(), model.config, model, model_name)
+
+
+def grid_xy(window: Window) -> np.ndarray:
+    """Each event's pixel on the volume's grid: float64, shape (2, N)."""
+    gain_x, gain_y = window.subject.config.to_grid(1.0, 1.0)
+    return np.stack([window.events["x"] * gain_x, window.events["y"] * gain_y])
+
+
+def flow_of(window: Window) -> tuple[float, float]:
+    """The ridge line's slope (x, y), in grid pixels per window: the direction in which the events move."""
+    volume = TNTVolume(window.subject.config.replace(landmark="line", remove_flow=False))
+    volume.open(window.start_us)
+    volume.update(window.events)
+    return volume.flow

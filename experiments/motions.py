@@ -91,6 +91,13 @@ class Motion:
         return Saccades(start, (Saccade(0, self.duration_us, dx, dy),), self.duration_us)
 
 
+def flow_of(trajectory: Trajectory, times_us: np.ndarray) -> np.ndarray:
+    """Optical flow (vx, vy), in pixels per second, shape (K, 2): the derivative of the displacement, by differences
+    over two microseconds."""
+    after, before = (np.stack(trajectory.position(times_us + us), axis=1) for us in (1.0, -1.0))
+    return np.asarray((after - before) / 2e-6)
+
+
 def motions_of(kind: str = "constant") -> tuple[Motion, ...]:
     """All motions of a kind, by index: one of "nmnist", 30 of the others, direction by direction.
 

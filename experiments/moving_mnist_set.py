@@ -29,7 +29,7 @@ from async_tnt.simulation.scene import Scene
 from async_tnt.simulation.shards import open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel
 from async_tnt.version import __version__
-from experiments.motions import NMNIST_SENSOR, Motion, motions_of
+from experiments.motions import NMNIST_SENSOR, Motion, flow_of, motions_of
 from experiments.set_manifest import MovingMnist, other_parameters, read_manifest, shard_names, write_manifest
 
 
@@ -173,7 +173,7 @@ def _make_shard(job: _Job) -> int:
     for i, image in enumerate(job.images):
         rng = np.random.default_rng((job.seed, job.motion.index, job.first + i))
         trajectory = job.motion.trajectory(rng, image=(width, height), sensor=job.settings["sensor"])
-        flow[i] = np.stack(trajectory.flow(times_us), axis=1)
+        flow[i] = flow_of(trajectory, times_us)
         events = simulate_digit(image, rng, trajectory=trajectory, **job.settings)
         # The last half microsecond is rounded up to `duration_us`, where the next window begins.
         recordings.append(events[events["t"] < duration_us])

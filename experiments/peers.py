@@ -32,8 +32,8 @@ from experiments.bench_timing import (
     spread,
     work_clock,
 )
-from experiments.bench_volumes import GRIDS
 from experiments.script_options import exit_with, script_parser, write_outputs
+from experiments.volumes import GRIDS
 
 BINS = 9
 PACKET = 1300

@@ -10,7 +10,6 @@ from experiments import dataset_tables as datasets
 from experiments import decision_tables as decisions
 from experiments import stream_tables as streams
 from experiments import thesis_tables as thesis
-from experiments import volume_tables as volumes
 
 Table = Callable[[], str]
 
@@ -162,16 +161,16 @@ SECTIONS = (
         "far. Volumes that should be equal are checked to be equal. On the processor named under Network.",
         "experiments.peers --json experiments/results/peers.json",
         {
-            volumes.splat: "Beside the peers",
-            volumes.large_packets: "Against a new window of one large packet",
-            volumes.volumes: "By the size of a packet (`async-tnt bench`)",
+            streams.splat: "Beside the peers",
+            streams.large_packets: "Against a new window of one large packet",
+            streams.volumes: "By the size of a packet (`experiments.volumes`)",
         },
     ),
     Section(
         "Memory",
         "",
         "experiments.memory --json > experiments/results/memory.json",
-        {volumes.memory: "Growth of a long stream"},
+        {streams.memory: "Growth of a long stream"},
     ),
     Section(
         "Cars",

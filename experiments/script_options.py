@@ -56,9 +56,10 @@ def report_of(args: argparse.Namespace, measure: Callable[[], dict[str, Any]]) -
     ------
     OSError, ValueError : a file cannot be read, or the picture could not be written.
     """
-    if args.picture:
+    if getattr(args, "picture", None):
         check_picture(args.picture)
-    return json.loads(args.source.read_text(encoding="utf-8")) if args.source else measure()
+    source = getattr(args, "source", None)
+    return json.loads(source.read_text(encoding="utf-8")) if source else measure()
 
 
 def run_script(
@@ -66,7 +67,7 @@ def run_script(
     argv: list[str] | None,
     measure: Callable[[bool], dict[str, Any]],
     lines: Callable[[dict[str, Any]], Iterable[str]],
-    draw: Callable[[Any], Any],
+    draw: Callable[[Any], Any] | None = None,
 ) -> int:
     """Measure (given --quick) or read, print, and write JSON and the picture if asked. Returns the exit code: 1 if
     backends do not agree."""

@@ -23,7 +23,7 @@ from async_tnt import Model, load_model, warmup
 from async_tnt.progress import progress
 from experiments.bench_backends import missing
 from experiments.bench_timing import machine, machine_text, spread
-from experiments.script_options import exit_with, script_parser, write_outputs
+from experiments.script_options import exit_with, run_script, script_parser
 
 MODEL, ROUNDS = "digits", 5
 PACKAGES = ("torch", "onnx", "onnxruntime")
@@ -175,11 +175,7 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
 
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and write."""
-    args = script_parser("starts", __doc__, "one round, nothing compiled").parse_args(argv)
-    report = measure(args.quick)
-    print("\n".join(lines(report)))
-    write_outputs(args, report)
-    return 0
+    return run_script(script_parser("starts", __doc__, "one round, nothing compiled"), argv, measure, lines)
 
 
 if __name__ == "__main__":

@@ -65,11 +65,6 @@ def run_networks(
     return done
 
 
-def is_finished(run: Run, folder: Path) -> bool:
-    """Whether the network of a run has been trained and tested."""
-    return (folder / run.name / RESULT).exists()
-
-
 def _run_task(
     run: Run, *, real: RealFolder, simulated: dict[str, Path], settings: TrainSettings, folder: Path
 ) -> dict[str, Any]:

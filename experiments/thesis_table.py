@@ -50,7 +50,6 @@ examples:
   python -m experiments.thesis_table --list                                    the networks, and their steps
   python -m experiments.moving_mnist --mnist MNIST --out moving                10,000 digits, 30 motions
   python -m experiments.thesis_table --nmnist N-MNIST --simulated moving --out table
-  python -m experiments.thesis_table --nmnist N-MNIST --simulated moving --out table --finished
                                                                                the table so far
   python -m experiments.thesis_table --nmnist N-MNIST --simulated moving bells --rows raw line --seeds 0 1
 """
@@ -101,11 +100,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of weights, order and augmentation (default: 0 1 2 3 4)",
     )
     what.add_argument("--list", action="store_true", help="print the networks, and stop")
-    what.add_argument(
-        "--finished",
-        action="store_true",
-        help="bring together the networks of --out that are finished, and train no others: how far a long run is",
-    )
     how = parser.add_argument_group("training")
     how.add_argument(
         "--iterations",
@@ -154,13 +148,9 @@ def main(argv: list[str] | None = None) -> int:
         from tnt_reference import Classifier  # noqa: F401
     from experiments.table_data import RealFolder
     from experiments.table_numbers import aggregate, differences, markdown_table, text_table
-    from experiments.table_runs import is_finished, run_networks
+    from experiments.table_runs import run_networks
 
     args.out = args.out or Path("table-smoke" if args.smoke else "table")
-    if args.finished:
-        runs = [run for run in runs if is_finished(run, args.out / "networks")]
-        if not runs:
-            raise ValueError(f"{args.out}: no network of these rows is finished; train without --finished")
     check_folder(args.out, ("results.json", "table.md"))
     per_digit = 8 if args.smoke else None
     nmnist = data_folder(args.nmnist, "nmnist", "--nmnist")
@@ -181,7 +171,7 @@ def main(argv: list[str] | None = None) -> int:
             "python -m experiments.thesis_table --nmnist N-MNIST --simulated MOVING-MNIST",
             args,
             add_arguments,
-            leave_out=("json", "workers", "skip_damaged", "finished"),
+            leave_out=("json", "workers", "skip_damaged"),
         ),
         "data": {**data.description, "simulated": descriptions},
         "rows": {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from async_tnt.simulation.statistics import UNITS
+from async_tnt.resynthesis.calibration import UNITS
 from experiments.page_parts import results, table
 from experiments.table_numbers import markdown_table, short
 from experiments.table_rows import INPUTS, ROWS

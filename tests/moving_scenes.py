@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from async_tnt.events import structured
+from async_tnt.kernels.simulate import pixel_events
 from async_tnt.simulation.simulator import PixelModel, simulate
 
 WINDOW_US = 105_000
@@ -43,6 +45,14 @@ def recorded(scene, displacement, rng, sensor=SENSOR, pixels=None, window_us=WIN
     events = simulate(pictures(scene, displacement, sensor), times, rng, pixels or PixelModel())
     events = events[events["t"] < window_us]
     return tuple(events[name].copy() for name in "txyp")
+
+
+def noiseless_events(light, times, threshold_on, threshold_off, reference=None, refractory_us=0.0):
+    """Events of noiseless pixels with known thresholds; the level begins at the first frame, or at `reference`."""
+    level = light[0] if reference is None else reference
+    of_pixels = (np.full(light[0].shape, value, float) for value in (threshold_on, threshold_off, level))
+    found = structured(pixel_events(light, np.array(times, float), *of_pixels, refractory_us))
+    return found[np.lexsort((found["x"], found["y"], found["t"]))]
 
 
 def noise(rng, n, sensor=SENSOR, window_us=WINDOW_US):

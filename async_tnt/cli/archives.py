@@ -16,11 +16,10 @@ from async_tnt.cli.output import complain, complain_late, counted, say
 from async_tnt.cli.pixel_options import selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import choose_engine
-from async_tnt.evaluation.collect import Progress, Run, collect
 from async_tnt.evaluation.job import Task, job_of, task_of
-from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import Record, run_recording
-from async_tnt.evaluation.results import SUFFIXES
+from async_tnt.evaluation.results import SUFFIXES, Progress, Run, collect
 from async_tnt.files import check_writable
 from async_tnt.progress import progress as progress_bar
 from async_tnt.sources.labelled_recordings import recordings_under
@@ -43,8 +42,6 @@ def how_to_run(args: argparse.Namespace) -> Run:
         check_writable(args.out, SUFFIXES)
     if args.dask is None:
         return functools.partial(run_all, workers=args.workers or 1)
-    from async_tnt.evaluation.dask_cluster import run_on_dask
-
     return functools.partial(run_on_dask, address=args.dask)
 
 
@@ -60,7 +57,7 @@ def stream_archive(
 
     Raises
     ------
-    KeyboardInterrupt : with what is done by then. Others : as `collect_to_file`.
+    KeyboardInterrupt : with what is done by then. Others : as `collect`.
     """
     bar: Any = None
 

@@ -10,17 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.archive_options import add_archive
 from async_tnt.cli.archives import how_to_run, stream_archive
-from async_tnt.cli.options import model_of
+from async_tnt.cli.options import add_archive, model_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import Engine
-from async_tnt.evaluation.collect import Progress
 from async_tnt.evaluation.early import early_report, every_us
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.records import TIMED, Record, evaluate_recording
+from async_tnt.evaluation.results import Progress
 from async_tnt.evaluation.scores import score_recordings
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
@@ -104,8 +103,7 @@ def main(args: argparse.Namespace) -> int:
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
     if args.picture is not None:
-        from async_tnt.views.figure_confusion import write_confusion
-        from async_tnt.views.figure_early import early_panels
+        from async_tnt.views.figure_confusion import early_panels, write_confusion
 
         title = f"{args.dataset.name}: {report['accuracy']:.1%} of {len(good)} recordings right"
         write_confusion(np.array(report["confusion"]), model.classes, args.picture, title, early_panels(report))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.checks import needs_extra, printable
-from async_tnt.cli.live_packets import timed_packets
+from async_tnt.cli.packets import timed_packets
 from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
 

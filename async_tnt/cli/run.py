@@ -4,25 +4,35 @@ from __future__ import annotations
 
 import argparse
 import errno
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any
 
-from async_tnt.cli.archive_options import add_archive, check_no_archive
-from async_tnt.cli.live_packets import add_latest, check_pace
+import numpy as np
+
 from async_tnt.cli.live_view import draw_stream
 from async_tnt.cli.options import (
+    add_archive,
     add_files,
     add_start,
     add_triggers,
+    check_no_archive,
     paths_of,
     positive_int,
     positive_number,
     triggers_of,
 )
-from async_tnt.cli.output import HEADER, complain, json_line, say, text_line
+from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
+from async_tnt.cli.packets import add_latest, check_pace, live_packets, open_selected, timed_packets
 from async_tnt.cli.pixel_options import add_pixels, selector_of
-from async_tnt.cli.run_recording import open_selected, print_decisions
 from async_tnt.compile_ahead import fill_cache
-from async_tnt.engines import ENGINES, choose_engine
+from async_tnt.decision import Decision
+from async_tnt.engines import ENGINES, Engine, choose_engine
+from async_tnt.processor import Processor
+from async_tnt.sources.files.recording import Recording
+from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.sources.playback import replay
+from async_tnt.windows import FirstWindows
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: its time and window, the
 label and its probability, and the microseconds from the last event to the decision. After each recording a line names
@@ -96,8 +106,6 @@ def main(args: argparse.Namespace) -> int:
     for path in paths_of(args):
         try:
             if isinstance(path, str):
-                from async_tnt.cli.run_source import run_source
-
                 stopped = run_source(path, processor, engine, pixels, line, latest=args.latest, live=args.live)
                 if stopped:
                     break
@@ -131,3 +139,127 @@ def _check(args: argparse.Namespace) -> None:
     check_pace(args)
     if args.speed is not None and not args.live:
         raise ValueError("--speed belongs to --live; otherwise a recording is streamed as fast as possible")
+
+
+class Seen:
+    """Counts the packets that a model sees while they are read.
+
+    Attributes
+    ----------
+    n_events : of the packets so far.
+    n_unsorted : those of them that are older than an earlier one. Events that were left out do not count.
+    """
+
+    def __init__(self, packets: Iterable[np.ndarray]) -> None:
+        self._packets = packets
+        self._newest_us = -1
+        self.n_events = 0
+        self.n_unsorted = 0
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        for packet in self._packets:
+            newest = np.maximum.accumulate(np.concatenate(([self._newest_us], packet["t"])))
+            self.n_unsorted += int(np.count_nonzero(packet["t"] < newest[:-1]))
+            self._newest_us = int(newest[-1])
+            self.n_events += len(packet)
+            yield packet
+
+
+def print_decisions(
+    recording: Recording,
+    packets: Iterable[np.ndarray],
+    processor: Processor,
+    engine: Engine,
+    pixels: PixelSelector,
+    line: Line,
+    *,
+    summary: bool,
+) -> None:
+    """A line for each decision and, with `summary`, one for the recording: the best mean probability of its windows.
+
+    Raises
+    ------
+    ValueError : no window had an event.
+    """
+    processor.reset()
+    closed = []
+    seen, before = Seen(packets), pixels.counts
+    for decision, latency_us in timed_decisions(seen, processor):
+        say(line(str(recording.path), decision, latency_us))
+        if decision.complete or decision.trigger == "end":
+            closed.append(decision.probabilities)
+    if closed and summary:
+        mean = np.mean(closed, axis=0)
+        best = int(mean.argmax())
+        windows = "1 window" if len(closed) == 1 else f"{len(closed)} windows"
+        say(f"{recording.path.name}: {engine.classes[best]} (mean probability {mean[best]:.3f} of {windows})")
+    late = processor.counts.dropped_late
+    complain_late(str(recording.path), late, seen.n_events, "--late, --start-us")
+    if seen.n_unsorted and not late:
+        complain(
+            f"{recording.path}: {seen.n_unsorted} of {seen.n_events} events are older than an earlier one (see --late)"
+        )
+    if not closed:
+        why = pixels.nothing_left(before) or "no event in any window"
+        raise ValueError(f"{recording.path}: {why}")
+
+
+def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:
+    """Each decision, and its latency in microseconds, from the call with the event that caused it."""
+    clock, first = time.perf_counter_ns, FirstWindows(processor.config)
+    for packet in packets:
+        for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
+            handed_over = clock()
+            decisions = processor.push_one(t, x, y, p)
+            if decisions:
+                latency_us = (clock() - handed_over) / 1e3
+                for decision in first.watch(decisions):
+                    yield decision, latency_us
+    handed_over = clock()
+    decisions = processor.finish()
+    latency_us = (clock() - handed_over) / 1e3
+    for decision in decisions:
+        yield decision, latency_us
+
+
+def run_source(
+    name: str,
+    processor: Processor,
+    engine: Engine,
+    pixels: PixelSelector,
+    line: Line,
+    *,
+    latest: int | None,
+    live: bool,
+) -> bool:
+    """Print or draw decisions until the source ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it.
+
+    Parameters
+    ----------
+    name : of the source, as `open_source` takes it.
+    latest : see `live_packets`.
+    """
+    processor.reset()
+    stopped = False
+    with live_packets(name, pixels, latest) as stream:
+        try:
+            stream.announce()
+            if live:
+                draw_stream(name, engine.classes, stream.packets, processor, stream.reader)
+            else:
+                for decisions, latency_us in timed_packets(stream.packets, processor):
+                    for decision in decisions:
+                        say(line(name, decision, latency_us, stream.reader))
+        except KeyboardInterrupt:
+            stopped = True
+        finally:  # also if a camera was unplugged
+            for decision in processor.finish():
+                if not live:
+                    say(line(name, decision, 0.0))
+            counts = processor.counts
+            took = (
+                f"{counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
+                f"{counts.dropped_late:,} too late for their window"
+            )
+            complain(f"{name}: {stream.summary()}; {took}")
+    return stopped

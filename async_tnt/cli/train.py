@@ -207,7 +207,7 @@ def _other_motions(
     args: argparse.Namespace, data: TrainingData, settings: TrainSettings, start: Model | None, run_folder: Path
 ) -> Motions | None:
     """The windows under other motions, made in the run folder or found there; None with --motions recorded."""
-    from async_tnt.simulation.statistics import side_by_side
+    from async_tnt.resynthesis.calibration import side_by_side
     from async_tnt.training.moved_windows import MotionSettings
     from async_tnt.training.resynthesis import resynthesize
     from async_tnt.training.run_folder import identity_of, load_checkpoint

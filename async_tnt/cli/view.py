@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import printable
-from async_tnt.cli.live_packets import add_latest, check_pace, live_packets
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
+from async_tnt.cli.packets import add_latest, check_pace, live_packets, open_selected
 from async_tnt.cli.pixel_options import add_pixels, selector_of
-from async_tnt.cli.run_recording import open_selected
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.engines import choose_engine
 from async_tnt.files import check_writable
@@ -109,7 +108,7 @@ def main(args: argparse.Namespace) -> int:
         left_out = pixels.nothing_left()
         raise ValueError(f"{names}: {left_out}" if left_out else f"no event in {names}: nothing to show")
     if args.out is not None:
-        n_pictures = f"{view.n_pictures:,} pictures"
+        n_pictures = f"{view.log.n_pictures:,} pictures"
         say(f"{args.out}: {view.n_events:,} events, {n_pictures}; open it with: rerun {args.out}")
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")

@@ -5,7 +5,7 @@ Decisions are made at every fiftieth of a window, at its end, and (trigger `fire
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -96,7 +96,7 @@ def early_fields(window: Sequence[Decision], config: TNTConfig) -> dict[str, Any
         due since the window's start.
     """
     at = [decision_at(window, moment) for moment in moments(config)]
-    by = [_last(d for d in window if d.events <= count) for count in EVENT_COUNTS]
+    by = [next((d for d in reversed(window) if d.events <= count), None) for count in EVENT_COUNTS]
     due = [d for d in window if d.trigger != "fire"]
     first = [next((d for d in due if d.probability >= level), None) for level in LEVELS]
     return {
@@ -124,14 +124,7 @@ def decision_at(window: Sequence[Decision], moment_us: int) -> Decision | None:
 
     If a moment has no decision of its own, no events have come since the previous one, whose decision still holds.
     """
-    return _last(d for d in window if d.time_us - d.window_start_us < moment_us)
-
-
-def _last(decisions: Iterable[Decision]) -> Decision | None:
-    newest = None
-    for decision in decisions:
-        newest = decision
-    return newest
+    return next((d for d in reversed(window) if d.time_us - d.window_start_us < moment_us), None)
 
 
 def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], config: TNTConfig) -> dict[str, Any]:
@@ -167,9 +160,10 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
             "calibration": [],
             "calibration_error": None,
         }
-    against_time = []
-    for us, decided in zip(after_us, columns["decided_at"].T, strict=True):
-        against_time.append({"time_us": us, "accuracy": accuracy(decided), "decided": float((decided >= 0).mean())})
+    against_time = [
+        {"time_us": us, "accuracy": accuracy(decided), "decided": float((decided >= 0).mean())}
+        for us, decided in zip(after_us, columns["decided_at"].T, strict=True)
+    ]
     against_events = []
     for count, decided in zip(EVENT_COUNTS, columns["decided_by"].T, strict=True):
         reached = float((columns["window_events"] >= count).mean())
@@ -177,21 +171,13 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
         if not reached:
             break
     confidence = []
-    for k, level in enumerate(LEVELS):
-        sure = columns["confident"][:, k] >= 0
-        decided = np.where(sure, columns["confident"][:, k], columns["decided_at"][:, -1])
-        row: dict[str, Any] = {
-            "level": level,
-            "decided": float(sure.mean()),
-            "window_accuracy": accuracy(decided),
-            "accuracy": None,
-            "median_ms": None,
-            "p90_ms": None,
-        }
+    for level, classes, us in zip(LEVELS, columns["confident"].T, columns["confident_us"].T, strict=True):
+        sure = classes >= 0
+        row = {"level": level, "decided": float(sure.mean()), "accuracy": None, "median_ms": None, "p90_ms": None}
+        row["window_accuracy"] = accuracy(np.where(sure, classes, columns["decided_at"][:, -1]))
         if sure.any():
-            ms = columns["confident_us"][sure, k] / 1e3
-            row["accuracy"] = float((columns["confident"][sure, k] == truth[sure]).mean())
-            row["median_ms"], row["p90_ms"] = (float(np.quantile(ms, share)) for share in (0.5, 0.9))
+            row["accuracy"] = float((classes == truth)[sure].mean())
+            row["median_ms"], row["p90_ms"] = (float(np.quantile(us[sure] / 1e3, share)) for share in (0.5, 0.9))
         confidence.append(row)
     made = columns["decided_at"] >= 0
     probability, right = columns["probability_at"][made], (columns["decided_at"] == truth[:, np.newaxis])[made]

@@ -1,15 +1,29 @@
-"""Run a function over many tasks, in worker processes of this machine."""
+"""Run a function over many tasks, in worker processes of this machine or on the machines of a Dask cluster."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+import contextlib
+import itertools
+import logging
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
 from multiprocessing import connection
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from async_tnt.checks import needs_extra
+from async_tnt.version import __version__
 from async_tnt.worker import Worker, WorkerEnded
+
+if TYPE_CHECKING:
+    from async_tnt.evaluation.job import Task as RecordingTask
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+
+CONNECT_S = 10.0  # for Dask's scheduler to answer
+WORKERS_S = 15.0  # for its first worker to appear
+IN_FLIGHT = 1000  # tasks that the cluster has at a time, and at most as many results
 
 
 def run_all(
@@ -55,3 +69,112 @@ def run_all(
     finally:
         for worker, _ in team.values():
             worker.end()
+
+
+def run_on_dask(
+    function: Callable[[RecordingTask], Result],
+    tasks: Sequence[RecordingTask],
+    address: str,
+    lost: Callable[[RecordingTask], Result] | None = None,
+) -> Generator[Result]:
+    """As `run_all`, on the workers of the cluster whose scheduler has this address.
+
+    Dask replaces a worker that ends, and repeats its tasks. It gives up a task that has ended
+    `distributed.scheduler.allowed-failures` + 1 workers (4 by default), or was waiting on them. Such tasks are repeated
+    at the end, one at a time: `lost` makes the result of one that is given up alone.
+
+    Raises
+    ------
+    ImportError : Dask is not installed.
+    ValueError : workers have no async_tnt, another version of it, or cannot read the files.
+    OSError : no scheduler answers at this address, or it is gone; or there are no workers.
+    """
+    if not tasks:
+        return
+    with _connected(address) as client:
+        from distributed import KilledWorker, as_completed
+
+        _check_workers(client, address, tasks)
+        waiting = iter(tasks)
+        task_of: dict[str, RecordingTask] = {}
+
+        def submit(n: int) -> list[Any]:
+            futures = []
+            for task in itertools.islice(waiting, n):
+                futures.append(client.submit(function, task, pure=False))  # a key of its own
+                task_of[futures[-1].key] = task
+            return futures
+
+        given_up = []
+        done = as_completed(submit(IN_FLIGHT), loop=client.loop)
+        for future in done:
+            task = task_of.pop(future.key)
+            try:
+                yield _result(future, address)
+            except KilledWorker:
+                given_up.append(task)
+            done.update(submit(1))
+        for task in given_up:
+            try:
+                yield _result(client.submit(function, task, pure=False), address)
+            except KilledWorker:
+                if lost is None:
+                    raise
+                yield lost(task)
+
+
+def _result(future: Any, address: str) -> Any:
+    try:
+        return future.result()
+    except CancelledError:
+        raise ConnectionError(f"the Dask scheduler at {address} is gone, or has cancelled the work") from None
+
+
+@contextlib.contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    with needs_extra("cluster", "a cluster needs Dask"):
+        from distributed import Client
+    logging.disable()  # errors become a one-line message; Dask would log them too, with their tracebacks
+    try:
+        try:
+            client = Client(address, timeout=CONNECT_S, set_as_default=False, name="async-tnt")
+        except Exception as error:  # of many types, depending on what is wrong with the address
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise ConnectionError(
+                f"no Dask scheduler answers at {address!r}; expected the address that `dask scheduler` prints, such as "
+                f"tcp://10.0.0.1:8786 ({why})"
+            ) from None
+        with contextlib.closing(client):
+            yield client
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+def _check_workers(client: Any, address: str, tasks: Sequence[RecordingTask]) -> None:
+    """Ask every worker, before any work, whether it has this package and can read the files."""
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_S)
+    except TimeoutError:
+        raise ConnectionError(
+            f"the Dask cluster at {address} has no workers: start some, with one thread each: dask worker {address}"
+        ) from None
+    files = [str(next((task for task in tasks if task.bytes is not None), tasks[0]).path)]
+    if Path(tasks[0].job.model).is_absolute():
+        files.append(tasks[0].job.model)
+
+    # A nested function is sent as code: a worker without async_tnt could not import another.
+    def problem(files: list[str], expected: str) -> str:
+        import os
+
+        try:
+            from async_tnt.version import __version__ as version
+        except ImportError:
+            version = "missing"
+        if version != expected:
+            return f"has async_tnt {version}, expected {expected}: install it there"
+        unreadable = [file for file in files if not os.access(file, os.R_OK)]
+        return f"cannot read {unreadable[0]}: all machines must see the files by the same path" if unreadable else ""
+
+    for worker, text in client.run(problem, files, __version__).items():
+        if text:
+            raise ValueError(f"worker {worker} {text}")

@@ -8,23 +8,23 @@ intervals are most like the recorded ones is taken.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from async_tnt.events import structured
-from async_tnt.resynthesis.events import MovedImage, SimulatedPixels
 from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, measure_pixels
-from async_tnt.resynthesis.reconstruction import Reconstruction
-from async_tnt.simulation.statistics import describe
+from async_tnt.resynthesis.pixels import Columns, MeasuredPixels, SimulatedPixels, measure_pixels
+from async_tnt.resynthesis.reconstruction import MovedImage, Reconstruction
 
 REFRACTORY_SHARES = (0.0, 0.25, 0.5, 0.75)
 """Of the longest refractory time that the intervals allow."""
 INTERVALS = ("same-pixel interval, 5 %", "same-pixel interval, median")
 """The numbers of `describe` that are compared."""
+UNITS = {"active pixels": "%", "same-pixel interval": "ms", "ON share": "%", "ON - OFF centroid": "px"}
+"""What a number's name starts with, before a comma -> its unit; the others have none."""
 CLOCK_MS = 1e-3  # shorter intervals are 0 in whole microseconds
 MOST_STEPS, NEAR_ENOUGH = 8, 0.005
 
@@ -37,8 +37,7 @@ class Calibration:
     ----------
     pixels : of the simulated sensor.
     length : median length of the recorded paths, in pixels.
-    match : "recorded" and "resynthesized": the same numbers of both, for the recorded motion; see
-        `simulation.statistics.describe`.
+    match : "recorded" and "resynthesized": the same numbers of both, for the recorded motion; see `describe`.
     """
 
     pixels: SimulatedPixels
@@ -67,12 +66,12 @@ def calibrate(
     model = reconstruction.model
     measured = measure_pixels(windows, model.sensor, model.window_us)
     paths, images, recorded = _reconstruct(reconstruction, windows, measured, known)
-    target = _numbers(recorded, reconstruction)
+    target = describe(recorded, model.sensor)
     candidates = []
     for share in REFRACTORY_SHARES if measured.refractory_us else (0.0,):
         pixels = SimulatedPixels(replace(measured, refractory_us=share * measured.refractory_us))
         pixels, simulated = _scaled(pixels, images, sum(map(len, recorded)), seed)
-        found = _numbers(simulated, reconstruction)
+        found = describe(simulated, model.sensor)
         unlike = sum(abs(np.log(max(found[name], CLOCK_MS) / max(target[name], CLOCK_MS))) for name in INTERVALS)
         candidates.append((float(unlike), pixels, found))
     _, pixels, found = min(candidates, key=lambda candidate: candidate[0])
@@ -94,17 +93,6 @@ def _scaled(
     return pixels, simulated
 
 
-def _numbers(windows: Sequence[np.ndarray], reconstruction: Reconstruction) -> dict[str, float]:
-    """`describe`, without what means nothing of windows that move in different directions."""
-    model = reconstruction.model
-    numbers = describe(windows, sensor=model.sensor, cuts_us=(0, model.window_us))
-    return {
-        name.replace("saccade", "window"): value
-        for name, value in numbers.items()
-        if not name.startswith("ON - OFF centroid")
-    }
-
-
 def _reconstruct(
     reconstruction: Reconstruction,
     windows: Sequence[Columns],
@@ -121,3 +109,57 @@ def _reconstruct(
         )
     paths, images, recorded = zip(*moving, strict=True)
     return list(paths), list(images), list(recorded)
+
+
+def describe(windows: Sequence[np.ndarray], sensor: tuple[int, int]) -> dict[str, float]:
+    """Numbers that tell whether two sets of recordings are alike.
+
+    An active pixel has an event in the window. Same-pixel intervals are those between consecutive events of one pixel,
+    of either polarity, in one window; their quantiles are over all windows together.
+
+    Parameters
+    ----------
+    windows : structured arrays with fields t (us, in order), x, y, p.
+    sensor : (width, height), in pixels.
+
+    Returns
+    -------
+    Name -> value, in the units of `UNITS`; nan where there is nothing to measure.
+    """
+    n_active, n_events, n_on = 0, sum(map(len, windows)), 0
+    intervals = [np.empty(0, np.int64)]
+    for events in windows:
+        pixel = events["y"].astype(np.int64) * sensor[0] + events["x"]
+        order = np.argsort(pixel, kind="stable")  # by pixel, and by time within each
+        same = np.diff(pixel[order]) == 0
+        intervals.append(np.diff(events["t"][order])[same])
+        n_active += len(np.unique(pixel))
+        n_on += int((events["p"] == 1).sum())
+    every = np.concatenate(intervals)
+    short, median = np.quantile(every, (0.05, 0.5)) if len(every) else (np.nan, np.nan)
+    return {
+        "events per window": _ratio(n_events, len(windows)),
+        "active pixels": 100.0 * _ratio(n_active, len(windows) * sensor[0] * sensor[1]),
+        "events per active pixel": _ratio(n_events, n_active),
+        "same-pixel interval, 5 %": float(short) * 1e-3,
+        "same-pixel interval, median": float(median) * 1e-3,
+        "ON share": 100.0 * _ratio(n_on, n_events),
+    }
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else float("nan")
+
+
+def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
+    """A table of several descriptions: a column for each, a row for each number; - where one is missing."""
+    names = list(dict.fromkeys(name for description in columns.values() for name in description))
+    width = max((len(title) for title in columns), default=0) + 3
+    units = {name: UNITS.get(name.split(",")[0]) for name in names}
+    labels = {name: f"{name} [{unit}]" if unit else name for name, unit in units.items()}
+    margin = max([36, *map(len, labels.values())])
+    lines = [" " * margin + "".join(f"{title:>{width}}" for title in columns)]
+    for name in names:
+        values = (f"{column[name]:.2f}" if name in column else "-" for column in columns.values())
+        lines.append(f"{labels[name]:<{margin}}" + "".join(f"{value:>{width}}" for value in values))
+    return "\n".join(lines)

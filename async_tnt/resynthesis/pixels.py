@@ -1,4 +1,5 @@
-"""What recordings tell about the pixels of their sensor: thresholds of ON against OFF, refractory time, noise.
+"""What recordings tell about the pixels of their sensor (thresholds of ON against OFF, refractory time, noise), and the
+pixels that other motions are simulated with.
 
 How large the thresholds are, the events do not tell: contrast is measured in thresholds.
 """
@@ -10,9 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from async_tnt.simulation.simulator import PixelModel
+
 Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """t, x, y, p of one window's events, in order; t in microseconds since the window's start."""
 
+MISMATCH = 0.12
+"""Of the simulated thresholds from pixel to pixel, as in `PixelModel`."""
+THRESHOLD_SPREAD, REFRACTORY_SPREAD = 0.1, 0.4
 LARGEST_RATIO = 4.0
 REFRACTORY_SHARE = 0.01
 """Share of the intervals between a pixel's events that may be shorter than the longest possible refractory time."""
@@ -35,6 +41,33 @@ class MeasuredPixels:
     refractory_us: float = 0.0
     noise_hz: float = 0.0
     noise_on_share: float = 0.5
+
+
+@dataclass(frozen=True)
+class SimulatedPixels:
+    """The sensor that re-synthesized events come from.
+
+    Parameters
+    ----------
+    measured : what the recordings tell.
+    scale : thresholds, in units of those that images are measured in; `calibration` finds it.
+    """
+
+    measured: MeasuredPixels
+    scale: float = 1.0
+
+    def draw(self, rng: np.random.Generator) -> PixelModel:
+        """The pixels of one window: thresholds and refractory time vary from window to window."""
+        scale = self.scale * np.exp(THRESHOLD_SPREAD * rng.standard_normal())
+        spread = rng.uniform(1 - REFRACTORY_SPREAD, 1 + REFRACTORY_SPREAD)
+        return PixelModel(
+            threshold_on=scale * self.measured.step_on,
+            threshold_off=scale * self.measured.step_off,
+            mismatch=MISMATCH,
+            refractory_us=self.measured.refractory_us * spread,
+            noise_hz=self.measured.noise_hz,
+            noise_on_share=self.measured.noise_on_share,
+        )
 
 
 def measure_pixels(windows: Sequence[Columns], sensor: tuple[int, int], window_us: int) -> MeasuredPixels:

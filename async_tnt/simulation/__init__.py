@@ -5,15 +5,12 @@ Needs no torch.
 
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist, read_idx
-from async_tnt.simulation.saccades import SACCADE_CUTS_US, segment, split_saccades
 from async_tnt.simulation.scene import Scene, render
 from async_tnt.simulation.shards import Shard, open_shard, write_shard
-from async_tnt.simulation.simulator import PixelModel, simulate, simulate_events
-from async_tnt.simulation.statistics import describe, side_by_side
+from async_tnt.simulation.simulator import PixelModel, simulate
 from async_tnt.simulation.trajectories import ConstantVelocity, Saccade, Saccades, Trajectory, nmnist_saccades
 
 __all__ = [
-    "SACCADE_CUTS_US",
     "ConstantVelocity",
     "PixelModel",
     "Saccade",
@@ -21,17 +18,12 @@ __all__ = [
     "Scene",
     "Shard",
     "Trajectory",
-    "describe",
     "load_mnist",
     "nmnist_saccades",
     "open_shard",
     "read_idx",
     "render",
-    "segment",
-    "side_by_side",
     "simulate",
     "simulate_digit",
-    "simulate_events",
-    "split_saccades",
     "write_shard",
 ]

@@ -23,7 +23,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from async_tnt.checks import plain_array
 from async_tnt.events import EVENT_DTYPE, structured
@@ -35,7 +34,7 @@ MIN_THRESHOLD = 1e-3
 
 @dataclass(frozen=True)
 class PixelModel:
-    """The sensor's pixels. The defaults are fitted to N-MNIST (see `statistics`).
+    """The sensor's pixels. The defaults are fitted to N-MNIST: `experiments/RESULTS.md` compares them.
 
     Attributes
     ----------
@@ -87,7 +86,7 @@ def simulate(
 
     Raises
     ------
-    ValueError : as `simulate_events`.
+    ValueError : wrong shapes, light that is not finite, or times that do not increase.
     """
     pixels = PixelModel() if pixels is None else pixels
     frames, times = _checked_frames(log_frames, frame_times_us)
@@ -100,47 +99,6 @@ def simulate(
     refractory_us = float(pixels.refractory_us)
     signal = structured(pixel_events(frames, times, threshold_on, threshold_off, reference, refractory_us))
     return _sorted(np.concatenate([signal, _noise(shape, times, rng, pixels)]))
-
-
-def simulate_events(
-    log_frames: np.ndarray,
-    frame_times_us: np.ndarray,
-    threshold_on: ArrayLike,
-    threshold_off: ArrayLike,
-    *,
-    reference: ArrayLike | None = None,
-    refractory_us: float = 0.0,
-) -> np.ndarray:
-    """Events of noiseless pixels with known thresholds, by the definition in the module's docstring.
-
-    Parameters
-    ----------
-    log_frames : shape (K, H, W), K >= 1, natural log of luminance; finite.
-    frame_times_us : shape (K,), strictly increasing, in microseconds, at least 0.
-    threshold_on, threshold_off : C_on and C_off; scalar or shape (H, W); at least `MIN_THRESHOLD`.
-    reference : level R at the first frame, scalar or shape (H, W); the first frame itself by default.
-        A level further than a threshold from the first frame gives events at once.
-    refractory_us : time a pixel is held in reset after each event.
-
-    Returns
-    -------
-    Structured array of `EVENT_DTYPE`, sorted by (t, y, x).
-
-    Raises
-    ------
-    ValueError : wrong shapes, or values out of the ranges above.
-    """
-    frames, times = _checked_frames(log_frames, frame_times_us)
-    shape = frames.shape[1:]
-    on = _per_pixel("threshold_on", threshold_on, shape)
-    off = _per_pixel("threshold_off", threshold_off, shape)
-    for name, threshold in (("threshold_on", on), ("threshold_off", off)):
-        if threshold.size and threshold.min() < MIN_THRESHOLD:
-            raise ValueError(f"`{name}` must be at least {MIN_THRESHOLD}, got {threshold.min()}")
-    level = _per_pixel("reference", frames[0] if reference is None else reference, shape)
-    if not (math.isfinite(refractory_us) and refractory_us >= 0):
-        raise ValueError(f"`refractory_us` must be finite and at least 0, got {refractory_us}")
-    return _sorted(structured(pixel_events(frames, times, on, off, level, float(refractory_us))))
 
 
 def _noise(shape: tuple[int, ...], times: np.ndarray, rng: np.random.Generator, pixels: PixelModel) -> np.ndarray:
@@ -173,12 +131,3 @@ def _checked_frames(log_frames: np.ndarray, frame_times_us: np.ndarray) -> tuple
     if not np.isfinite(times).all() or (np.diff(times) <= 0).any() or times[0] < 0 or times[-1] > 2**53:
         raise ValueError("`frame_times_us` must be strictly increasing, in [0, 2^53]: what float64 holds exactly")
     return frames, times
-
-
-def _per_pixel(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    array = plain_array(name, value, np.float64)
-    if array.shape not in ((), shape):
-        raise ValueError(f"`{name}` must be a number or of shape {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"`{name}` must be finite")
-    return np.ascontiguousarray(np.broadcast_to(array, shape))

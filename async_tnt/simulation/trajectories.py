@@ -1,7 +1,8 @@
-"""How the image moves over the sensor: displacement in pixels as a function of time, and its optical flow.
+"""How the image moves over the sensor: displacement in pixels as a function of time.
 
 A displacement (dx, dy) puts the image's pixel (column 0, row 0) on the sensor's point (x, y) = (dx, dy);
-x grows to the right, y downwards. The image moves as a whole, so the flow is the same at every point of it.
+x grows to the right, y downwards. The image moves as a whole: its optical flow is the derivative, the same at every
+point of it.
 """
 
 from __future__ import annotations
@@ -24,10 +25,6 @@ class Trajectory(Protocol):
 
     def position(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Displacement (dx, dy) at each time, in pixels; each of the shape of `t_us`."""
-        ...
-
-    def flow(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Optical flow (vx, vy) at each time, in pixels per second; each of the shape of `t_us`."""
         ...
 
 
@@ -67,10 +64,6 @@ class ConstantVelocity:
         t_s = np.asarray(t_us, np.float64) * 1e-6
         return self.start[0] + self.velocity[0] * t_s, self.start[1] + self.velocity[1] * t_s
 
-    def flow(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        shape = np.shape(t_us)
-        return np.full(shape, float(self.velocity[0])), np.full(shape, float(self.velocity[1]))
-
 
 @dataclass(frozen=True)
 class Saccade:
@@ -78,7 +71,7 @@ class Saccade:
 
     With u = (t - start_us) / duration_us, clipped to [0, 1], the path is
 
-        s(u) = 10 u^3 - 15 u^4 + 6 u^5,    ds/du = 30 u^2 (1 - u)^2,
+        s(u) = 10 u^3 - 15 u^4 + 6 u^5,
 
     the minimum-jerk profile (Flash and Hogan 1985): at rest at both ends, halfway at 15/8 of its mean speed.
     """
@@ -96,11 +89,6 @@ class Saccade:
         """s, from 0 before the saccade to 1 after it."""
         u = np.clip((np.asarray(t_us, np.float64) - self.start_us) / self.duration_us, 0.0, 1.0)
         return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-
-    def speed(self, t_us: ArrayLike) -> np.ndarray:
-        """ds/dt, per second."""
-        u = np.clip((np.asarray(t_us, np.float64) - self.start_us) / self.duration_us, 0.0, 1.0)
-        return 30.0 * u**2 * (1.0 - u) ** 2 / (self.duration_us * 1e-6)
 
 
 @dataclass(frozen=True)
@@ -132,14 +120,6 @@ class Saccades:
             dx += saccade.dx * progress
             dy += saccade.dy * progress
         return dx, dy
-
-    def flow(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        vx, vy = np.zeros(np.shape(t_us)), np.zeros(np.shape(t_us))
-        for saccade in self.saccades:
-            speed = saccade.speed(t_us)
-            vx += saccade.dx * speed
-            vy += saccade.dy * speed
-        return vx, vy
 
 
 _NMNIST_START = (0.46, 1.1)  # px

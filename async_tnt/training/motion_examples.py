@@ -6,10 +6,9 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.events import structured
-from async_tnt.resynthesis.events import SimulatedPixels, shares
 from async_tnt.resynthesis.paths import MotionPath
-from async_tnt.resynthesis.pixels import MeasuredPixels
-from async_tnt.resynthesis.reconstruction import Reconstruction
+from async_tnt.resynthesis.pixels import MeasuredPixels, SimulatedPixels
+from async_tnt.resynthesis.reconstruction import Reconstruction, shares
 from async_tnt.training.moved_windows import Motions
 from async_tnt.training.resynthesis import generator
 from async_tnt.views.figure_resynthesis import ResynthesizedWindow

@@ -27,8 +27,8 @@ from async_tnt.events import EVENT_DTYPE
 from async_tnt.files import write_text
 from async_tnt.progress import Bar, no_progress
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
-from async_tnt.resynthesis.events import N_PICTURES
 from async_tnt.resynthesis.pixels import measure_pixels
+from async_tnt.resynthesis.reconstruction import N_PICTURES
 from async_tnt.simulation.shards import write_shard
 from async_tnt.training.moved_windows import Motions, MotionSettings, read_shards
 from async_tnt.training.run_folder import other_run, windows_checksum

@@ -1,16 +1,17 @@
-"""What figures draw: the events of a recording, their volumes, and the model that decides."""
+"""What figures draw: a recording's events, where the transform puts each, its volumes, and the model that decides."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from async_tnt.config import TNTConfig
+from async_tnt.events import EventDecoder
+from async_tnt.kernels.splat import BORDER_TOLERANCE
 from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.views.coordinates import Coordinates, transformed
 from async_tnt.volume import TNTVolume
 
 
@@ -113,13 +114,6 @@ class Window:
         """Each event's time since the window's start, in milliseconds: float64, shape (N,)."""
         return (self.events["t"] - self.start_us) / 1e3
 
-    @property
-    def grid_xy(self) -> np.ndarray:
-        """Each event's pixel on the volume's grid: float64, shape (2, N)."""
-        config = self.subject.config
-        gain_x, gain_y = config.to_grid(1.0, 1.0)
-        return np.stack([self.events["x"] * gain_x, self.events["y"] * gain_y])
-
     def volumes(self) -> tuple[np.ndarray, np.ndarray]:
         """The raw and the transformed volume of the window: float32, shape (C, H, W) each."""
         return self._read(self.subject.raw_config)[0], self._read(self.subject.config)[0]
@@ -131,14 +125,6 @@ class Window:
             self.events, config, self.start_us, self._read(config)[1] if config.defers_landmark else None
         )
 
-    def flow(self) -> tuple[float, float]:
-        """The ridge line's slope (x, y), in grid pixels per window: the direction in which the events move."""
-        line = self.subject.config.replace(landmark="line", remove_flow=False)
-        volume = TNTVolume(line)
-        volume.open(self.start_us)
-        volume.update(self.events)
-        return volume.flow
-
     def _read(self, config: TNTConfig) -> tuple[np.ndarray, tuple[float, float]]:
         """A configuration's volume after all events, and its landmark."""
         regressor = self.subject.regressor() if config.needs_regressor else None
@@ -146,6 +132,80 @@ class Window:
         volume.open(self.start_us)
         volume.update(self.events)
         return volume.array.copy(), volume.landmark
+
+
+class Coordinates(NamedTuple):
+    """Of N events of a window, in order of arrival."""
+
+    u: np.ndarray
+    """float64, shape (N,): column in the transformed grid; inf or nan at the window's very start, where tau is 0."""
+    v: np.ndarray
+    """float64, shape (N,): row."""
+    kept: np.ndarray
+    """bool, shape (N,): on the grid, and so in the volume."""
+    landmark: np.ndarray
+    """float64, shape (N, 2): the point (x, y) each event was centred on, in grid pixels. With `remove_flow`, the
+    place of the fitted line at the event's time."""
+
+
+def transformed(
+    events: np.ndarray, config: TNTConfig, start_us: int, landmark: tuple[float, float] | None = None
+) -> Coordinates:
+    """The transform of one window's events: u = (x - l) / tau + c, where l is what the volume had for the event.
+
+    Parameters
+    ----------
+    events : structured array of `EVENT_DTYPE`, all in `[start_us, start_us + window_us)`.
+    config : TNTConfig. With transform "none", (u, v) is the pixel in the grid.
+    start_us : the window's start.
+    landmark : (x, y) in grid pixels to centre all events on, instead of `config.landmark`. Landmarks that are known
+        only when the volume is read (`window`, `regressor`) must be given: `TNTVolume.landmark` has them.
+
+    Raises
+    ------
+    ValueError : an event outside the window or off the sensor; a landmark that must be given is missing.
+
+    Examples
+    --------
+    >>> events = np.array([(13_125, 18, 17, 1)], [("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
+    >>> u, v, kept, landmark = transformed(events, TNTConfig(landmark="center", t_max=4.0), 0)
+    >>> u, v, kept, landmark  # TNT time 1/2: distances from the centre are doubled
+    (array([19.5]), array([17.5]), array([ True]), array([[16.5, 16.5]]))
+    """
+    if landmark is None and config.defers_landmark:
+        raise ValueError(f"`landmark` must be given for {config.landmark!r}: it is known when the volume is read")
+    t = events["t"]
+    if events.size and not (start_us <= t.min() and t.max() < start_us + config.window_us):
+        raise ValueError(
+            f"`events` must lie in the window [{start_us}, {start_us + config.window_us}) us, "
+            f"got {t.min()} to {t.max()}"
+        )
+    EventDecoder(config.sensor).decode(events)
+    place = np.stack([events["x"], events["y"]], axis=1) * config.to_grid(1.0, 1.0)  # (N, 2)
+    centre = np.subtract(config.grid, 1) / 2
+    centred_on = np.empty_like(place)
+    if landmark is None and config.transform == "none":
+        centred_on[:] = centre
+        return Coordinates(place[:, 0], place[:, 1], np.ones(events.size, bool), centred_on)
+    fraction = (t - start_us) / config.window_us
+    if landmark is not None:
+        centred_on[:] = landmark
+    else:
+        volume = TNTVolume(config.replace(representation="volume", bins=1))  # landmarks do not depend on the cells
+        volume.open(start_us)
+        for i, event in enumerate(events.tolist()):
+            volume.update_one(*event)
+            centred_on[i] = volume.landmark
+            if config.remove_flow:
+                centred_on[i] += np.multiply(volume.flow, fraction[i])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = ((place - centred_on) / (config.t_max * fraction)[:, None] + centre).T
+    return Coordinates(u, v, _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1), centred_on)
+
+
+def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:
+    """As `kernels.splat.on_grid`: False for nan and inf."""
+    return (values >= -BORDER_TOLERANCE) & (values <= upper + BORDER_TOLERANCE)
 
 
 def shown_evenly(n: int, most: int) -> np.ndarray:

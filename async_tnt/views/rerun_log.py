@@ -160,14 +160,11 @@ def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:
     ]
     if transformed:
         pictures.append(b.Spatial2DView(origin=TNT, name="TNT volume, all bins"))
-    plotted: dict[str, Any] = {}
-    if live:
-        begins = rr.TimeRangeBoundary.cursor_relative(seconds=-LIVE_SECONDS)
-        ends = rr.TimeRangeBoundary.cursor_relative()
-        plotted["time_ranges"] = [rr.VisibleTimeRange(TIMELINE, start=begins, end=ends)]
+    at = rr.TimeRangeBoundary.cursor_relative
+    last = rr.VisibleTimeRange(TIMELINE, start=at(seconds=-LIVE_SECONDS), end=at())
     plots = b.Tabs(
-        b.TimeSeriesView(origin=PROBABILITIES, name="Probabilities", **plotted),
-        b.TimeSeriesView(origin=RATES, name="Rates", **plotted),
+        b.TimeSeriesView(origin=PROBABILITIES, name="Probabilities", time_ranges=[last] if live else None),
+        b.TimeSeriesView(origin=RATES, name="Rates", time_ranges=[last] if live else None),
         active_tab=0,
     )
     top = b.Horizontal(*pictures, b.TextDocumentView(origin=CLASS, name="Class now"))

@@ -92,14 +92,19 @@ class RerunView:
         raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
         self._raw = TNTVolume(raw_config, late=self.processor.late)
         self._stream = rr.RecordingStream("async_tnt")
-        self._file = None if out is None else _save(self._stream, Path(out))
-        if self._file is None:
-            _show(self._stream, connect)
+        self._file: Replacement | None = None
+        if out is not None:
+            self._file = _save(self._stream, Path(out))
+        elif connect is not None:
+            _connect(self._stream, connect)
+        else:
+            _start_viewer(self._stream)
         viewer = "the Rerun viewer was closed or does not respond"
         self._trouble = str(out or (f"{connect}: {viewer}" if connect else viewer))
         if name is not None:
             self._stream.send_recording_name(name)
-        self._log = StreamLog(rr, self._stream, config, live=most_pictures_per_s is not None)
+        self.log = StreamLog(rr, self._stream, config, live=most_pictures_per_s is not None)
+        """What was written so far, and how many pictures."""
         self._closed = False
         self._next_check_s = time.perf_counter() + CHECK_S
         self._end_us: int | None = None  # on the timeline: of the sources before
@@ -112,8 +117,6 @@ class RerunView:
         self._recent = [np.empty(0, EVENT_DTYPE)]  # packets, of the open window and of the event image
         self._next_picture_s = 0.0
 
-    # -- events in ---------------------------------------------------------------------------------------
-
     def start(self, name: str) -> None:
         """Start another source: windows and counts are reset, and its times follow those of the previous source.
 
@@ -122,7 +125,7 @@ class RerunView:
         self.finish()
         self.processor.reset()
         self._forget()
-        self._log.name = name
+        self.log.name = name
 
     def push(self, events: Any) -> list[Decision]:
         """Classify a packet as `Processor.push` does, and log the pictures that are due.
@@ -138,7 +141,7 @@ class RerunView:
         np.maximum(newest, self._newest_us, out=newest)
         if self._origin_us is None:
             self._begin(int(newest[0]))
-        if int(newest[-1]) + self._log.offset_us > LAST_US:
+        if int(newest[-1]) + self.log.offset_us > LAST_US:
             raise ValueError(f"`t` must be below {LAST_US} us to be shown by Rerun, got {int(newest[-1])}")
         decisions: list[Decision] = []
         first = 0
@@ -149,7 +152,7 @@ class RerunView:
             last = int(np.searchsorted(newest, self._due_us))
             part = packet[first:last]
             new = self.processor.push(part)
-            self._log.add(new)
+            self.log.add(new)
             decisions += new
             self.n_events += len(part)
             self._recent.append(part)
@@ -163,9 +166,9 @@ class RerunView:
             return []
         self._picture(self._newest_us + 1, last=True)
         decisions = self.processor.finish()
-        self._log.add(decisions)
-        self._log.write_decisions()
-        self._end_us = self._newest_us + self._log.offset_us
+        self.log.add(decisions)
+        self.log.write_decisions()
+        self._end_us = self._newest_us + self.log.offset_us
         self._origin_us = None
         return decisions
 
@@ -175,12 +178,10 @@ class RerunView:
         if origin_us is None:  # a window may be open already; if none is, it starts at 0
             origin_us = self.processor.fire().window_start_us or first_us
         self._origin_us = origin_us
-        self._log.offset_us = 0 if self._end_us is None else self._end_us + self._picture_us - first_us
-        self._log.begin(first_us)
+        self.log.offset_us = 0 if self._end_us is None else self._end_us + self._picture_us - first_us
+        self.log.begin(first_us)
         self._shown_us = first_us
         self._due_us = self._after(first_us)
-
-    # -- pictures ----------------------------------------------------------------------------------------
 
     def _after(self, t_us: int) -> int:
         assert self._origin_us is not None
@@ -195,7 +196,7 @@ class RerunView:
         self._recent = [events[events["t"] >= min(image_us, now.window_start_us)]]
         if clock_s >= self._next_picture_s or last:
             raw = self._raw_volume(events, now)
-            self._log.write(at_us, at_us - self._shown_us, now, events[events["t"] >= image_us], raw, self.processor)
+            self.log.write(at_us, at_us - self._shown_us, now, events[events["t"] >= image_us], raw, self.processor)
             self._shown_us = at_us
             if self._pause_s:
                 took_s = time.perf_counter() - clock_s
@@ -212,13 +213,6 @@ class RerunView:
             self._raw.update(events[events["t"] >= now.window_start_us])
         return self._raw.array
 
-    @property
-    def n_pictures(self) -> int:
-        """Pictures taken so far."""
-        return self._log.n_pictures
-
-    # -- the end -----------------------------------------------------------------------------------------
-
     def close(self) -> None:
         """Finish, and complete the file; a viewer stays open. May be called twice.
 
@@ -233,6 +227,7 @@ class RerunView:
             self._end()
 
     def _end(self) -> None:
+        """Write out what is left, and give the file its name."""
         try:
             self._flush()
             self._stream.disconnect()
@@ -241,7 +236,7 @@ class RerunView:
                 raise
             raise OSError(f"{error}; what was written before is in {self._file.part}") from None
         if self._file is not None:
-            if self._log.has_begun:
+            if self.log.has_begun:
                 self._file.complete()
             self._file.discard()
 
@@ -276,34 +271,26 @@ def _save(stream: Any, path: Path) -> Replacement:
     return file
 
 
-def _show(stream: Any, url: str | None) -> None:
-    """Send to the viewer at a URL, or to one that is started and outlives this program."""
-    if url is None:
-        if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            raise OSError("no display to open the Rerun viewer on: write a file, or connect to a viewer elsewhere")
-        with _as_os_error("the Rerun viewer cannot be started"):
-            stream.spawn(memory_limit="25%")
-            stream.flush(timeout_sec=PATIENCE_S)
-        return
-    try:
-        parts = urlsplit(url)
-        address = parts.hostname or "", parts.port or DEFAULT_PORT
-    except ValueError:
-        address = "", 0
-    if not address[0] or parts.path != "/proxy":
+def _start_viewer(stream: Any) -> None:
+    """Send to a viewer that is started and outlives this program."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise OSError("no display to open the Rerun viewer on: write a file, or connect to a viewer elsewhere")
+    with _as_os_error("the Rerun viewer cannot be started"):
+        stream.spawn(memory_limit="25%")
+        stream.flush(timeout_sec=PATIENCE_S)
+
+
+def _connect(stream: Any, url: str) -> None:
+    """Send to the viewer at a URL."""
+    parts = urlsplit(url)
+    if not parts.hostname or parts.path != "/proxy":
         raise ValueError(f"a viewer's URL is rerun+http://HOST:{DEFAULT_PORT}/proxy, got {url}")
-    if not _listens(*address):  # the SDK would wait for seconds
-        raise OSError(f"{url}: no Rerun viewer listens there; `rerun` starts one")
+    try:  # the SDK would wait for seconds, and print lines of its own
+        socket.create_connection((parts.hostname, parts.port or DEFAULT_PORT), timeout=PATIENCE_S).close()
+    except OSError:
+        raise OSError(f"{url}: no Rerun viewer listens there; `rerun` starts one") from None
     with _as_os_error(url):
         stream.connect_grpc(url)
-
-
-def _listens(host: str, port: int) -> bool:
-    try:
-        socket.create_connection((host, port), timeout=PATIENCE_S).close()
-    except OSError:
-        return False
-    return True
 
 
 @contextlib.contextmanager

@@ -5,7 +5,8 @@ from functools import partial
 import pytest
 from waiting import until
 
-from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation import processes
+from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.sources.files.recording import sample_recordings
 
 
@@ -36,9 +37,7 @@ def two_workers():
 @pytest.fixture
 def cluster(two_workers, monkeypatch):
     """Address of a scheduler, once both its workers are there: a test before may have ended some."""
-    from async_tnt.evaluation import dask_cluster
-
-    monkeypatch.setattr(dask_cluster, "CONNECT_S", 120.0)
+    monkeypatch.setattr(processes, "CONNECT_S", 120.0)
     until(lambda: len(two_workers.scheduler.workers) == 2)
     return two_workers.scheduler_address
 
@@ -55,7 +54,5 @@ def run(request):
     """Every way to run a function over tasks."""
     if request.param == "dask":
         address = request.getfixturevalue("cluster")
-        from async_tnt.evaluation.dask_cluster import run_on_dask
-
         return partial(run_on_dask, address=address)
     return partial(run_all, workers=1 if request.param == "here" else 2)

@@ -11,11 +11,6 @@ def twice(number):
     return 2 * number
 
 
-def note_doubles(path):
-    """For a program that can print nothing."""
-    Path(path).write_text(str(sorted(run_all(twice, [1, 2, 3], 2))))
-
-
 def n_events_of(path):
     from async_tnt import open_recording
 

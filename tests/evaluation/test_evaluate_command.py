@@ -200,8 +200,7 @@ def test_the_text_names_classes_and_times_and_the_picture_is_drawn(saved, datase
 
 def test_panels_show_the_reports_numbers(saved, dataset, program):
     pytest.importorskip("matplotlib", reason="--picture needs matplotlib (extra `plot`)")
-    from async_tnt.views.figure_confusion import draw_confusion
-    from async_tnt.views.figure_early import early_panels
+    from async_tnt.views.figure_confusion import draw_confusion, early_panels
 
     report = json.loads(program("evaluate", saved, dataset, "--json")[1])
     figure = draw_confusion(np.array(report["confusion"]), CLASSES, panels=early_panels(report))

@@ -2,7 +2,7 @@
 
 import numpy as np
 from deciding import CONFIG, at, key, total_and_size
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from made import events_of
 
@@ -24,6 +24,7 @@ def events_at(times):
     times=st.lists(st.integers(0, 5000), min_size=1, max_size=130).map(sorted),
     cuts=st.lists(st.integers(0, 130), max_size=5),
 )
+@example(times=list(range(60)), cuts=[5, 33])
 @settings(deadline=None)
 def test_every_window_is_decided_after_so_many_events(times, cuts):
     fired = [(d.window_start_us, d.events) for d in decide(events_at(times), cuts) if d.trigger == "fire"]

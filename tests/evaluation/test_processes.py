@@ -4,19 +4,19 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import subprocess
-import sys
+import socket
 import time
 from pathlib import Path
 
 import pytest
 from evaluation.made_work import broken, deadly, make_tasks, record_of
 from evaluation.simple_work import n_events_of, raise_odd, sleep_or_end, twice, unpicklable
-from processes import PATHS, started
+from processes import started
 from sources.files.written import made_events, written
-from waiting import PATIENCE_S, until
+from waiting import until
 
-from async_tnt.evaluation.processes import run_all
+from async_tnt.evaluation import processes as ways
+from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import lost
 from async_tnt.worker import Worker, WorkerEnded
 
@@ -76,15 +76,6 @@ def test_a_daemonic_process_has_workers(tmp_path):
         assert pool.apply(n_events_of, [path]) == 50
 
 
-@posix
-def test_workers_without_standard_streams_of_their_parent(tmp_path):
-    code = f"from evaluation.simple_work import note_doubles; note_doubles({str(tmp_path / 'sum')!r})"
-    closed = 'exec "$0" -c "$1" <&- >&- 2>&-'
-    with subprocess.Popen(["sh", "-c", closed, sys.executable, code], env={**os.environ, "PYTHONPATH": PATHS}) as shell:
-        assert shell.wait(PATIENCE_S) == 0
-    assert (tmp_path / "sum").read_text() == "[2, 4, 6]"
-
-
 def is_running(pid):
     try:
         os.kill(pid, 0)
@@ -141,3 +132,35 @@ def test_a_call_over_its_limit_ends_the_worker():
         worker.result(0.1)
     worker.end()
     assert not worker.is_running
+
+
+# -- what is special about a Dask cluster: wrong addresses, and workers that differ ------------------------------------
+
+
+def test_workers_that_cannot_read_the_files_or_have_another_version_are_named(cluster, tmp_path, monkeypatch):
+    (task,) = make_tasks(tmp_path / "set", ["00"])
+    task.path.unlink()
+    with pytest.raises(ValueError, match=r"worker tcp://\S+ cannot read .*00: all machines must see the files"):
+        list(run_on_dask(record_of, [task], cluster, lost))
+    monkeypatch.setattr(ways, "__version__", "9.9")
+    with pytest.raises(ValueError, match=r"worker tcp://\S+ has async_tnt \S+, expected 9.9: install it there"):
+        list(run_on_dask(record_of, [task], cluster, lost))
+
+
+def test_a_cluster_without_workers(empty_cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(ways, "CONNECT_S", 120.0)
+    monkeypatch.setattr(ways, "WORKERS_S", 0.5)
+    with pytest.raises(ConnectionError, match=r"has no workers: start some, with one thread each: dask worker tcp://"):
+        list(run_on_dask(record_of, make_tasks(tmp_path / "set", ["00"]), empty_cluster, lost))
+
+
+def test_an_address_where_no_scheduler_answers(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="needs Dask (extra `cluster`)")
+    monkeypatch.setattr(ways, "CONNECT_S", 0.5)
+    tasks = make_tasks(tmp_path / "set", ["00"])
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        for address in ("nowhere", "tcp://a:b", f"tcp://127.0.0.1:{server.getsockname()[1]}"):
+            expected = f"no Dask scheduler answers at '{address}'; expected the address that `dask scheduler`"
+            with pytest.raises(ConnectionError, match=expected):
+                list(run_on_dask(record_of, tasks, address, lost))

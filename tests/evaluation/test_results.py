@@ -11,11 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from async_tnt import files
-from async_tnt.evaluation.collect import Progress, collect
 from async_tnt.evaluation.job import Job
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import failed
-from async_tnt.evaluation.results import ResultFile, read_results
+from async_tnt.evaluation.results import Progress, ResultFile, collect, read_results
 
 HERE = partial(run_all, workers=1)
 NAMES = ["b", "a", "ccc", "dd", "a-b"]
@@ -174,19 +173,6 @@ def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp
 # -- what a kill, damage, an earlier version or another program leaves of a file -------------------------------------
 
 
-def test_cut_anywhere_it_holds_its_whole_lines(unfinished):
-    path, names = unfinished, ["b", "a", "ccc", "b"]
-    whole = path.read_bytes()
-    ends = [0, *(k + 1 for k, byte in enumerate(whole) if byte == ord("\n"))]
-    near = {end + k for end in ends for k in range(-3, 4)}
-    for length in sorted({*range(0, len(whole), 97), *near} & {*range(len(whole) + 1)}):
-        path.write_bytes(whole[:length])
-        n = sum(end <= length for end in ends) - 1
-        with ResultFile(unfinished, JOB) as file:
-            assert file.versions.keys() == set(names[:n]), length
-            assert path.read_bytes() == whole[: ends[n]], length
-
-
 def test_the_newest_line_of_a_recording_counts(unfinished):
     with ResultFile(unfinished, JOB) as file:
         file.finish({"a", "b", "ccc"})
@@ -197,26 +183,17 @@ def test_the_newest_line_of_a_recording_counts(unfinished):
 @pytest.mark.parametrize(
     "line", [b"[" * 100_000, b'{"recording": 3}', b"9" * 5000, b'{"recording": "x"}', b"\xff", b""]
 )
-def test_a_damaged_line_is_refused(line, unfinished):
-    path = unfinished
-    lines = path.read_bytes().splitlines(keepends=True)
-    damaged = b"".join([*lines[:2], line + b"\n", *lines[2:]])
-    path.write_bytes(damaged)
-    with pytest.raises(ValueError, match=r"is not a result of async-tnt.*: move it away"):
-        ResultFile(unfinished, JOB)
-    assert path.read_bytes() == damaged
+def test_a_damaged_line_is_refused_and_files_of_others_stay(line, unfinished):
+    lines = unfinished.read_bytes().splitlines(keepends=True)
+    for content, is_ours in (b"".join([*lines[:2], line + b"\n", *lines[2:]]), True), (b"x" + line, False):
+        unfinished.write_bytes(content)
+        for restart in (False, True)[: 2 - is_ours]:
+            with pytest.raises(ValueError, match=r"is not a result of async-tnt.*: move it away"):
+                ResultFile(unfinished, JOB, restart=restart)
+        assert unfinished.read_bytes() == content
+    unfinished.write_bytes(b"".join(lines))
     with ResultFile(unfinished, JOB, restart=True) as file:
         assert not file.versions
-
-
-@pytest.mark.parametrize("restart", [False, True])
-@pytest.mark.parametrize("theirs", [b"my notes", b'{"a": 1}\n', b"\x00\xff\n\n"])
-def test_files_of_others_stay(theirs, restart, unfinished):
-    unfinished.write_bytes(theirs)
-    before = unfinished.read_bytes()
-    with pytest.raises(ValueError, match=r"is not a result of async-tnt.*: move it away"):
-        ResultFile(unfinished, JOB, restart=restart)
-    assert unfinished.read_bytes() == before
 
 
 def test_two_programs_at_once_are_refused(unfinished):

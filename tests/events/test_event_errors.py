@@ -12,7 +12,7 @@ from made import random_model
 from async_tnt import EVENT_DTYPE, Model, Processor, TNTConfig, TNTVolume
 from async_tnt.events import EventDecoder, as_events
 from async_tnt.networks.compiled import CompiledClassifier
-from async_tnt.simulation.simulator import simulate_events
+from async_tnt.simulation.simulator import simulate
 from async_tnt.sources.pixel_filter import PixelFilter
 
 SENSOR = (346, 260)
@@ -240,7 +240,7 @@ def test_no_mask_of_any_other_array_is_ignored():
         ("fc2.bias", lambda bias: Model(model.config, model.weights | {"fc2.bias": bias}, model.classes), 10),
         ("volume", CompiledClassifier(model), model.config.shape),
         ("mask", lambda mask: PixelFilter((34, 34), mask=mask), (34, 34)),
-        ("log_frames", lambda frames: simulate_events(frames, [0, 1], 0.2, 0.2), (2, 3, 3)),
+        ("log_frames", lambda frames: simulate(frames, [0, 1], np.random.default_rng(0)), (2, 3, 3)),
     ):
         with pytest.raises(TypeError, match=rf"^`{name}` must not be a masked array, .*; pass `\.filled\(value\)`, or"):
             take(np.ma.masked_all(shape))

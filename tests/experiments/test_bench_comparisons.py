@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made import events_of, random_events, random_model
+from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig, load_model
 from experiments import bench_backends as backends
 from experiments import bench_every_event as every_event
 from experiments import bench_network as network
 from experiments import measure_end_to_end as end_to_end
-from experiments import measure_noise as noise
 from experiments.bench_interleaved import Timed, WorkDiffers, call_by_call, check_logits, in_blocks
-from experiments.bench_moments import Moments, bench_recordings, windows_of
+from experiments.bench_moments import Moments, bench_recordings, made_recording, windows_of
 from experiments.bench_timing import spread
 
 WINDOW_US = 1000
@@ -24,15 +23,6 @@ LOGITS = np.array([1.0, -20.0], np.float32)
 
 def window(n, seed=0):
     return random_events(n, seed=seed, duration_us=WINDOW_US, sensor=(20, 16))
-
-
-def test_windows_of_a_recording_by_hand():
-    events = events_of([5, 999, 1000, 3500, 3501], [1, 2, 3, 4, 5], [0] * 5, [1] * 5)
-    found = windows_of(events, WINDOW_US)  # the third window is empty
-    assert [w["t"].tolist() for w in found] == [[5, 999], [0], [500, 501]]
-    assert [w["x"].tolist() for w in found] == [[1, 2], [3], [4, 5]]
-    assert windows_of(events[:0], WINDOW_US) == []
-    assert events["t"].tolist() == [5, 999, 1000, 3500, 3501]  # the caller's are unchanged
 
 
 @pytest.mark.parametrize("n_new", [1, 3, 10])
@@ -83,15 +73,6 @@ def test_everyone_decides_at_every_moment_and_at_the_one_before_a_block(mode):
         assert timed.us[name].shape == (2, 3) and (timed.us[name] > 0).all()
 
 
-def test_no_backend_always_follows_the_same_one():
-    calls, of_blocks = [], []
-    call_by_call({name: Recorder(name, calls) for name in "abc"}, blocks(5, 8))
-    in_blocks({name: Recorder(name, of_blocks) for name in "ab"}, blocks(3, 2))
-    order, of_blocks = ("".join(e[0] for e in log if e[1] == "decides") for log in (calls, of_blocks))
-    assert {order[k : k + 3] for k in range(0, len(order), 3)} == {"abc", "acb", "bac", "bca", "cab", "cba"}
-    assert of_blocks == "aaabbb" + "bbbaaa" + "aaabbb"
-
-
 @pytest.mark.parametrize("mode", [call_by_call, in_blocks])
 def test_different_logits_stop_the_comparison(mode):
     wrong = LOGITS + np.array([0, 3e-3], np.float32)  # 1.5e-4 of the largest
@@ -130,15 +111,6 @@ def test_all_engines_give_the_same_logits_and_keep_nothing_of_the_volume():
             assert np.abs(run(volume) - logits).max() < 1e-4 * np.abs(logits).max(), name
 
 
-def test_a_missing_package_leaves_its_rows_out_and_is_named(monkeypatch):
-    monkeypatch.setattr(backends, "is_installed", lambda *names: "onnxruntime" not in names)
-    assert {"onnxruntime_run", "onnxruntime_binding"} <= set(backends.left_out())
-    assert end_to_end.left_out()["ours_onnxruntime"] == "onnxruntime is not installed"
-    monkeypatch.setattr(backends, "is_installed", lambda *names: not names)
-    assert set(backends.dense_networks(DIGITS)) == {"dense"}
-    assert backends.left_out()["openvino"] == "onnx and openvino are not installed"
-
-
 @pytest.mark.parametrize("n_new", [1, 7])
 def test_ours_sees_exactly_the_new_events(n_new):
     moments = Moments([window(60), window(40, 1)], WINDOW_US, n_new)
@@ -170,6 +142,28 @@ def test_networks_that_differ_are_not_timed():
     with pytest.raises(WorkDiffers, match=r"got incremental and wrong 1\.0e-03 apart"):
         network.bench_network(DIGITS, networks, windows, 10, blocks=1, size=3)
     with pytest.raises(WorkDiffers, match=r"got dense and wrong \d\.\de-04 apart"):
-        noise.bench_on_noise(DIGITS, networks, blocks=1, size=3)
+        network.bench_on_noise(DIGITS, networks, blocks=1, size=3)
     with pytest.raises(WorkDiffers, match=r"got ours and wrong 1\.\de-0[34] apart"):
         every_event.bench_every_event(DIGITS, {"wrong": networks["wrong"]}, recordings, rounds=1, n_events=1000)
+
+
+TWINS = [{"landmark": landmark} for landmark in ("center", "running", "line", "window")]
+TWINS += [{"landmark": "line", "remove_flow": True}, {"transform": "none"}, {"bins": 1}]
+TWINS += [{"polarity": "unsigned", "t_max": 2.0}, {"polarity": "split"}]
+
+
+@pytest.mark.parametrize("settings", TWINS, ids=str)
+def test_batch_processing_equals_the_reference(settings):
+    """A figure beside a wrong batch computation would mean nothing."""
+    torch = pytest.importorskip("torch")
+    from async_tnt.checking.reference import reference_volume
+    from experiments.bench_torch_batch import TorchBatch, as_tensors
+
+    config = TNTConfig(grid=(20, 41), window_us=20_000, **settings)
+    events = made_recording(np.random.default_rng(5), config, 3000)
+    events = events[events["t"] < 20_000]
+    expected = reference_volume(events, config, 0)
+    with torch.inference_mode():
+        found = TorchBatch(config).volume(*as_tensors(events, 0)).numpy()
+    assert np.abs(expected).max() > 1
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * np.abs(expected).max())

@@ -19,7 +19,7 @@ from async_tnt import TNTConfig, load_model
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.mnist import load_mnist
 from async_tnt.sources.files.nmnist import write_nmnist
-from experiments import decisions, edges, memory, peers, script_options, starts
+from experiments import decisions, edges, memory, peers, script_options, starts, volumes
 from experiments import measure_touched as touched
 from experiments.bench_moments import bench_recordings, windows_of
 from experiments.page_parts import RESULTS
@@ -101,6 +101,21 @@ def test_unequal_volumes_stop_the_comparison_of_peers(monkeypatch):
         peers.compare((34, 34), 1300, 1, rounds=1)
 
 
+def test_volumes_are_timed_in_every_way(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(volumes, "GRIDS", ((34, 34), (64, 48)))
+    monkeypatch.setattr(volumes, "ROUNDS", (31, 2))
+    assert volumes.main(["--quick", "--json", str(tmp_path / "v.json")]) == 0
+    report = json.loads((tmp_path / "v.json").read_text(encoding="utf-8"))
+    ways = {"single"} | {f"packet_{n}_{form}" for n in (10, 100, 1300) for form in ("structured", "columns")}
+    assert [v["grid"] for v in report["volume"]] == [[34, 34], [64, 48]]
+    for volume in report["volume"]:
+        assert set(volume["ns_per_event"]) == ways
+        for figure in volume["ns_per_event"].values():
+            ordered = [figure[name] for name in ("min", "q1", "median", "q3", "max")]
+            assert ordered[0] > 0 and ordered == sorted(ordered)
+    assert "packets of 1300, columns" in capsys.readouterr().out
+
+
 # -- decisions.py ----------------------------------------------------------------------------------------
 
 
@@ -123,7 +138,8 @@ def test_every_row_is_timed_or_left_out_with_a_reason(quick):
         assert not [work for name, work in report["work"][part].items() if name in rows and work not in text]
 
 
-def test_starts_are_timed_or_left_out_with_a_reason(capsys, tmp_path):
+def test_starts_are_timed_or_left_out_with_a_reason(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(starts, "missing", lambda *packages: f"{packages[0]} is not installed")  # ours alone: fast
     assert starts.main(["--quick", "--json", str(tmp_path / "s.json")]) == 0
     report, text = json.loads((tmp_path / "s.json").read_text(encoding="utf-8")), capsys.readouterr().out
     assert set(report["starts"]) | set(report["left_out"]) == set(starts.WORK) and "ours_warm" in report["starts"]
@@ -184,14 +200,16 @@ def test_events_fall_with_the_angle_between_edge_and_motion(tmp_path):
 # -- incremental.py --------------------------------------------------------------------------------------
 
 
-def test_four_networks_are_compared_and_drawn(tmp_path, capsys):
+def test_networks_are_compared_and_drawn(tmp_path, capsys, monkeypatch):
     pytest.importorskip("torch", reason="torch is not installed")
     from experiments import incremental
 
+    two = {name: incremental.NETWORKS[name] for name in ("thesis", "conv4")}
+    monkeypatch.setattr(incremental, "NETWORKS", two)
     words = ["--quick", "--json", str(tmp_path / "i.json"), "--picture", str(tmp_path / "i.png")]
     assert incremental.main(words) == 0
     report, text = json.loads((tmp_path / "i.json").read_text(encoding="utf-8")), capsys.readouterr().out
-    assert list(report["networks"]) == list(incremental.NETWORKS) and all(name in text for name in incremental.NETWORKS)
+    assert list(report["networks"]) == list(two) and all(name in text for name in two)
     for row in report["networks"].values():
         counts = [row["touched"][n]["multiplications"] for n in ("1", "10", "100", "1300", "whole")]
         assert counts == sorted(counts) and counts[0] < counts[-1] / 5

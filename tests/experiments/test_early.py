@@ -68,27 +68,6 @@ def test_evaluations_are_those_that_a_counting_classifier_counts(settings):
     assert len(found) == 3 and sum(e.evaluations for e in found) == len(asked)
 
 
-def test_summaries_by_hand():
-    rows = [(True, 10.0, 20, True, 1, 3, 4), (False, 30.0, 60, True, 3, 5, 6), (True, 105.0, 100, False, 8, 8, 2)]
-    rows = [early.Early(*row) for row in rows]
-    third = pytest.approx(1 / 3)
-    assert early.summary(rows) == {
-        "windows": 3,
-        "accuracy": pytest.approx(2 / 3),
-        "mean_ms": pytest.approx(145 / 3),
-        "median_ms": 30.0,
-        "mean_events": 60.0,
-        "fewest_events": 20,
-        "at_end": third,
-        "soon": third,
-        "soon_accuracy": 1.0,
-        "evaluations_until": 4.0,
-        "evaluations": pytest.approx(16 / 3),
-        "emitted": 4.0,
-    }
-    assert early.summary(rows[1:])["soon_accuracy"] is None
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """The bundled samples, twice, as a folder of recordings."""

@@ -11,12 +11,11 @@ import pytest
 
 image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib (extra: plot)")
 
-from figures.test_figure_content import assert_equal, dots, pictures  # noqa: E402
-from figures.test_plot_command import in_squares  # noqa: E402
-from made import events_of, random_events, random_model, random_regressor_model  # noqa: E402
+from made import random_model, random_regressor_model  # noqa: E402
+from views.test_figure_content import assert_equal, dots, pictures  # noqa: E402
+from views.test_plot_command import in_squares  # noqa: E402
 
 from async_tnt import Processor, TNTConfig, load_model  # noqa: E402
-from async_tnt.sources.files.nmnist import write_nmnist  # noqa: E402
 from async_tnt.views.figure_subject import Subject  # noqa: E402
 from experiments import figure_heatmap, figure_motions, figure_pipeline  # noqa: E402
 from experiments.figure_motions import draw_motions  # noqa: E402
@@ -57,8 +56,7 @@ def test_the_pipeline_shows_what_the_network_sees_and_decides(changes):
     shown = Subject("9.bin", subject_of("9").events, model.config, model, "mine")
     window = shown.window(1)
     figure = draw_pipeline(window)
-    processor = Processor(model)
-    decision = next(d for d in processor.push(shown.events) if d.trigger == "window")
+    decision = next(d for d in Processor(model).push(shown.events) if d.trigger == "window")
     assert f"9.bin, window 1: from events to “{decision.label}”" in words(figure)
     assert_equal(stacked(figure.axes[-3]), window.volumes()[1])
     np.testing.assert_array_equal([bar.get_width() for bar in figure.axes[-1].patches], decision.probabilities)
@@ -66,10 +64,6 @@ def test_the_pipeline_shows_what_the_network_sees_and_decides(changes):
     landmarks = window.coordinates().landmark
     assert_equal(cross.get_xydata(), landmarks[-1:])
     assert [line.get_xydata()[[0, -1]].tolist() for line in path] == [landmarks[[0, -1]].tolist()] * (not changes)
-
-
-def test_a_pipeline_is_drawn_with_the_models_own_configuration():
-    shown = subject_of("3")
     with pytest.raises(ValueError, match="a pipeline is drawn with a model and its own configuration"):
         draw_pipeline(replace(shown, config=shown.config.replace(t_max=2.0)).window(1))
 
@@ -88,7 +82,6 @@ def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_p
     "script, labels",
     [
         (figure_heatmap, ["3.bin, window 1: the landmark network's heatmap", "21 ms", "running centroid"]),
-        (figure_pipeline, ["landmark: regressor"]),
         (figure_motions, ["window 1: moving down", "y, after TNT v (px)"]),
     ],
 )
@@ -98,30 +91,6 @@ def test_figures_of_a_model_with_a_landmark_network(script, labels, tmp_path):
     assert script.main(["3", "--model", str(model), "--picture", str(out)]) == 0
     text = " ".join("".join(ElementTree.parse(out).getroot().itertext()).split())
     assert not [label for label in labels if label not in text]
-
-
-def test_two_recordings_are_two_motions(tmp_path):
-    for name, step in (("right", 1), ("left", -1)):
-        events = random_events(600, seed=1)
-        events["x"] = np.clip(17 + step * (events["t"] - 52_500) // 8_000 + events["x"] // 6, 0, 33)
-        write_nmnist(tmp_path / f"{name}.bin", events)
-    shown = [subject_of(str(tmp_path / f"{name}.bin")).window(1) for name in ("right", "left")]
-    assert {"right.bin: moving right", "left.bin: moving left"} <= set(words(draw_motions(*shown)))
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    "events",
-    [events_of([7], [3], [4], [1]), events_of([200_000, 100, 250_000], [3, 9, 9], [4, 5, 6], [1, 1, 1])],
-    ids=["one", "unsorted"],
-)
-def test_odd_recordings_are_drawn(events):
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    window = Subject("odd $x", events, DIGITS.config, DIGITS, "digits").window(1)
-    for figure in (draw_pipeline(window), draw_motions(window, window)):
-        figure.set_dpi(30)
-        FigureCanvasAgg(figure).draw()
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from experiments.table_data import (  # noqa: E402
     trained_on,
 )
 from experiments.table_numbers import aggregate, differences, markdown_table, text_table  # noqa: E402
-from experiments.table_rows import DIFFERENCES, INPUTS, ROWS, Run, runs_of  # noqa: E402
+from experiments.table_rows import DIFFERENCES, INPUTS, ROWS, Run  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -72,19 +72,6 @@ def test_pairs_that_are_compared_differ_in_one_thing():
             a.motions != b.motions,
         ]
         assert sum(differ) == 1, (row, against)
-
-
-def test_networks_in_the_order_they_are_trained():
-    runs = runs_of(["line", "thesis", "raw"], ["1", "all"], [3, 4])
-    assert [run.name for run in runs[:5]] == [
-        "raw-all-seed3",
-        "raw-1-seed3",
-        "line-all-seed3",
-        "line-1-seed3",
-        "raw-all-seed4",
-    ]
-    assert [run.seed for run in runs[8:]] == [3] * 6  # one seed of the thesis' rows
-    assert runs_of(["raw-moved"], ["1"], [0]) == []
 
 
 def test_images_seen_in_training_are_read_from_the_names():
@@ -202,14 +189,8 @@ def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(
     before = json.loads((done / "results.json").read_text())
     shutil.copytree(done, tmp_path / "cut")
     shutil.rmtree(tmp_path / "cut" / "networks" / "regressor-translated-1-seed3")
-    code, printed, _ = experiment("thesis_table", *words, tmp_path / "cut", "--finished", "--json")
-    so_far = json.loads(printed)["table"]
-    assert (code, list(so_far["regressor-translated"])) == (0, ["all/all", "all/sim"])
-    assert so_far["raw"] == before["table"]["raw"]
     code, printed, _ = experiment("thesis_table", *words, tmp_path / "cut", "--json")
     assert code == 0 and json.loads(printed)["table"] == before["table"]
-    code, _, err = experiment("thesis_table", *words, tmp_path / "none", "--finished")
-    assert code == 2 and "no network of these rows is finished" in err
     monkeypatch.setattr("torch.optim.AdamW.step", lambda *a, **k: pytest.fail("trained again"))
     code, printed, _ = experiment("thesis_table", *words, done, "--json")
     assert code == 0 and json.loads(printed)["table"] == before["table"]
@@ -231,14 +212,6 @@ def test_another_set_is_tested_on_without_training(done, words, mnist, tmp_path,
         assert columns == before["table"][row]
     code, _, err = experiment("thesis_table", *words[:place], bells, bells, *words[place:], tmp_path / "more")
     assert code == 2 and "are the same kind of set, bell bright" in err
-
-
-def test_networks_are_listed(experiment):
-    code, printed, _ = experiment("thesis_table", "--list", "--rows", "thesis", "raw", "--seeds", 1, 2)
-    assert code == 0 and printed.splitlines()[:2] == [
-        "10 networks:",
-        "  raw                            trained on all, 1     2 seeds  3,000 steps",
-    ]
 
 
 def test_rows_with_resynthesis(nmnist, moving, tmp_path, experiment):

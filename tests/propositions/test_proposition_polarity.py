@@ -4,9 +4,9 @@ A pixel follows log luminance L; for a pattern that moves with velocity v, dL/dt
 """
 
 import numpy as np
+from moving_scenes import noiseless_events
 
 from async_tnt.simulation.scene import Scene, render
-from async_tnt.simulation.simulator import simulate_events
 from async_tnt.simulation.trajectories import ConstantVelocity
 
 SENSOR = (34, 34)
@@ -18,7 +18,7 @@ def events_of_motion(image, start, end):
     motion = ConstantVelocity(tuple(10 * (b - a) for a, b in zip(start, end, strict=True)), start, 100_000)
     times = np.linspace(0, 100_000, 101)
     light = render(image, *motion.position(times), scene=Scene(contrast=5.0, gamma=1.0), sensor=SENSOR)
-    return simulate_events(light, times, THRESHOLD, THRESHOLD)
+    return noiseless_events(light, times, THRESHOLD, THRESHOLD)
 
 
 def counts(events, polarity):

@@ -19,16 +19,6 @@ def seeded():
     torch.manual_seed(0)
 
 
-@pytest.mark.parametrize("grid", [(4, 4), (5, 7), (40, 26)])
-def test_classifier_takes_one_volume_or_several(grid):
-    network = Classifier(channels=3, grid=grid, n_classes=4, widths=(5, 6, 7))
-    volumes = torch.randn(6, 3, grid[1], grid[0])
-    logits = network(volumes)
-    assert logits.shape == (6, 4)
-    assert logits.std(dim=0).min() > 0  # the logits depend on the volume
-    torch.testing.assert_close(network(volumes[2]), logits[2])
-
-
 def test_classifier_by_hand():
     """Grid 8 wide, 4 high. Both convolutions copy their channels, so pooling twice averages 4 x 4 blocks."""
     network = Classifier(channels=2, grid=(8, 4), n_classes=1, widths=(2, 2, 1))

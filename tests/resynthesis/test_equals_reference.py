@@ -10,8 +10,8 @@ torch = pytest.importorskip("torch")
 from tnt_reference import moving_image as reference  # noqa: E402
 
 from async_tnt.kernels.moving_image import contrast_frames, move_periodic  # noqa: E402
-from async_tnt.resynthesis import images, moving_image  # noqa: E402
-from async_tnt.resynthesis.images import finer  # noqa: E402
+from async_tnt.resynthesis import moving_image  # noqa: E402
+from async_tnt.resynthesis.moving_image import finer  # noqa: E402
 
 K = moving_image.N_FRAMES
 
@@ -34,7 +34,7 @@ def made(seed, n=2):
     return np.cumsum(rng.normal(0, 0.7, (n, K, *MODEL.shape)), 1), path
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_evidence_and_its_gradient(seed):
     frames, path = made(seed)
     found, gradient, _ = MODEL.evidence(MODEL.spectra(frames).reshape(len(frames), -1, K), path)
@@ -51,19 +51,18 @@ def test_no_motion_has_no_evidence():
     assert found == 0 and np.isfinite(gradient).all() and np.isfinite(curvature).all()
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_image_costs_least(seed):
+def test_image_costs_least():
     """Its cost is within a thousandth of the least that another method finds, of a slightly rounded cost."""
-    frames, path = made(seed, n=1)
-    found = images.find_images(MODEL, MODEL.spectra(frames), path[None])[0]
+    frames, path = made(0, n=1)
+    found = moving_image.find_images(MODEL, MODEL.spectra(frames), path[None])[0]
 
     def cost(image):
         return reference.image_cost(
             image,
             torch.tensor(frames[0]),
             torch.tensor(path),
-            sparseness=images.SPARSENESS,
-            level=images.MEAN_PRECISION,
+            sparseness=moving_image.SPARSENESS,
+            level=moving_image.MEAN_PRECISION,
         )
 
     best = torch.zeros(MODEL.shape, dtype=torch.float64, requires_grad=True)
@@ -109,6 +108,14 @@ def test_finer_image_is_the_same_where_it_was_known():
         7, torch.tensor(1 / 3, dtype=torch.float64)
     ).numpy()  # moved right, a place shows what was left of it
     np.testing.assert_allclose(image @ right.T, np.roll(fine, 1, axis=1)[::3, ::3], atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_image_comes_in_where_it_left(axis):
+    """A quarter of a place: three quarters of a place's light and one of that before it, round the border."""
+    image, frames = np.random.default_rng(2).normal(size=(5, 7)), np.empty((1, 5, 7))
+    move_periodic(frames, image, *np.array([[[0.0], [0.25]], [[0.25], [0.0]]])[axis], 0, 0.0, 1.0)
+    np.testing.assert_allclose(frames[0], 0.75 * image + 0.25 * np.roll(image, 1, axis), atol=1e-12)
 
 
 def test_pictures_move_as_the_reference_moves_an_image():

@@ -127,13 +127,6 @@ def test_what_is_no_moving_picture_has_no_path(reconstruction, make, most):
     assert all(np.isfinite(path.positions).all() and 0 <= path.explained <= 1 for path, _ in found)
 
 
-def test_a_window_does_not_depend_on_the_others(reconstruction):
-    rng = np.random.default_rng(2)
-    windows = [recorded(blobs(rng), straight(net), rng) for net in paths(rng, 6, 4, 8)]
-    together_, alone = list(reconstruction(windows, PIXELS)), list(reconstruction(windows[3:4], PIXELS))
-    np.testing.assert_allclose(together_[3][0].positions, alone[0][0].positions, atol=1e-6)
-
-
 @pytest.mark.parametrize("sensor", [(128, 96), (41, 20), (5, 3), (1, 1)])
 def test_sensors_of_any_size(sensor):
     """Larger ones are averaged over cells; paths stay in pixels."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from made import events_of, random_events, random_model
 
-from async_tnt import Model, Processor, TNTConfig, TNTVolume, load_model
+from async_tnt import Processor, TNTConfig, TNTVolume, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 
 rrd_files = pytest.importorskip("views.rrd_files", reason="rerun-sdk is not installed (extra `view`)")
@@ -50,17 +50,12 @@ def summary(decisions):
         ("line", EVENTS, {"every_us": 7_000}, False),
         ("window", EVENTS, {"every_events": 100}, False),
         ("regressor", EVENTS, {}, False),
-        ("center", EVENTS, {"confidence": 0.8}, False),
         ("running", EVENTS, {"hop_us": 10_000}, False),
-        ("running", LATE, {"late": "drop"}, False),
         ("running", LATE, {"late": "drop", "start_us": 0}, True),
     ],
 )
 def test_every_picture_shows_what_the_processor_has(tmp_path, landmark, events, settings, ready):
     model = random_model(CONFIG.replace(landmark=landmark))
-    if "confidence" in settings:  # probabilities that differ
-        weights = model.weights | {"fc2.weight": model.weights["fc2.weight"] * 300}
-        model = Model(model.config, weights, model.classes, {"made": True})
     packets = np.array_split(events, 37)
     if ready:
         rrd, decisions = view_of(tmp_path, packets, Processor(model, **settings), picture_us=9_000)
@@ -68,7 +63,6 @@ def test_every_picture_shows_what_the_processor_has(tmp_path, landmark, events, 
         rrd, decisions = view_of(tmp_path, packets, model, picture_us=9_000, **settings)
     processor = Processor(model, **settings)
     assert summary(decisions) == summary([d for p in packets for d in processor.push(p)] + processor.finish())
-    assert "confidence" not in settings or "confidence" in {d.trigger for d in decisions}
     raws, tnts = rrd.images(log.RAW), rrd.images(log.TNT)
     landmarks = rrd.series(log.LANDMARK, "Points2D:positions")
     assert len(raws) > 18 and any(len(np.unique(sheet)) > 10 for _, sheet in tnts)

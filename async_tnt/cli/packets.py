@@ -1,4 +1,4 @@
-"""The packets of a camera or of a network stream, by the options of a command."""
+"""The packets of a recording, a camera or a network stream, by the options of a command."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from async_tnt.cli.options import paths_of, positive_int
 from async_tnt.cli.output import complain
 from async_tnt.decision import Decision
 from async_tnt.processor import Processor
+from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.opening import open_source
 from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.windows import FirstWindows
@@ -41,6 +42,19 @@ def check_pace(args: argparse.Namespace) -> None:
         raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
     if args.speed is not None and n_recordings == 0:
         raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
+
+
+def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
+    """A recording, and its packets without the pixels to leave out.
+
+    Raises
+    ------
+    ValueError, OSError : unreadable, or recorded with another sensor than the model's.
+    """
+    recording, sensor = pixels.open(path)
+    if recording.stated_sensor is None:
+        pixels.check_events(recording, path, sensor)
+    return recording, map(pixels.filter_of(path, sensor), recording)
 
 
 @dataclass(frozen=True)

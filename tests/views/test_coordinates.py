@@ -8,8 +8,7 @@ from made import events_of, nasty_streams, random_events, random_model
 
 from async_tnt import TNTConfig, TNTVolume
 from async_tnt.kernels.state import BLOCK
-from async_tnt.views.coordinates import transformed
-from async_tnt.views.figure_subject import Subject
+from async_tnt.views.figure_subject import Subject, transformed
 
 CONFIGS = {
     "center": TNTConfig(landmark="center", t_max=3.0),

@@ -9,7 +9,7 @@ from made import events_of
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.views import figure_events, figure_probabilities, figure_resynthesis
+from async_tnt.views import figure_overview, figure_resynthesis, figure_window
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_style import OFF, ON, new_figure
 from async_tnt.views.figure_subject import Subject
@@ -67,7 +67,7 @@ def test_events_are_drawn_where_they_are_and_where_the_transform_puts_them():
     shown = subject(4)
     window = shown.window(3)
     figure = new_figure(4.9)
-    figure_events.draw_both(figure, window, height=4.2)
+    figure_window.draw_both(figure, window, height=4.2)
     raw, tnt = figure.axes
     events, (u, v, kept, _) = window.events, window.coordinates()
     time_ms, on = (events["t"] - window.start_us) / 1e3, events["p"] == 1
@@ -85,10 +85,10 @@ def test_slices_are_the_bins_of_the_volumes(polarity):
     assert np.abs(raw).max() > 1 and np.abs(tnt).max() > 1
 
 
-@pytest.mark.parametrize("every_us", [None, 7_000])
-def test_probabilities_are_those_of_the_streams_decisions(every_us):
+def test_probabilities_are_those_of_the_streams_decisions():
+    every_us = 7_000
     shown = subject(8)
-    decisions = list(async_tnt.stream([sample(8)], "digits", every_us=every_us or figure_probabilities.EVERY_US))
+    decisions = list(async_tnt.stream([sample(8)], "digits", every_us=every_us))
     drawn = draw_overview(shown, every_us=every_us).axes
     (axes,) = [each for each in drawn if each.get_ylabel() == "class probability"]
     ends = np.flatnonzero(np.diff([d.window_start_us for d in decisions]))
@@ -109,7 +109,7 @@ def test_probabilities_are_those_of_the_streams_decisions(every_us):
 def test_the_verdict_is_that_of_async_tnt_run(program):
     _, printed, _ = program("run", sample_recordings()[7])
     shown = subject(7)
-    answer = figure_probabilities.verdict(shown, figure_probabilities.decisions_of(shown))
+    answer = figure_overview.verdict(shown, figure_overview.decisions_of(shown))
     assert printed.splitlines()[-1] == "7.bin: " + answer.replace("“7”, ", "7 (") + ")"
 
 
@@ -120,7 +120,7 @@ def test_figures_that_need_another_model_are_refused():
     with pytest.raises(ValueError, match="but there is no model"):
         Subject("3.bin", sample(), DIGITS.config.replace(landmark="regressor"))
     with pytest.raises(ValueError, match="no model to make decisions"):
-        figure_probabilities.decisions_of(without)
+        figure_overview.decisions_of(without)
 
 
 @pytest.mark.filterwarnings("error")
@@ -129,9 +129,8 @@ def test_figures_that_need_another_model_are_refused():
     [
         events_of([7], [3], [4], [1]),
         events_of([1 << 40, (1 << 40) + 104_999, (1 << 40) + 300_000_000], [3, 9, 9], [4, 5, 6], [0, 0, 0]),
-        events_of([200_000, 100, 250_000], [3, 9, 9], [4, 5, 6], [1, 1, 1]),
     ],
-    ids=["one", "minutes apart", "unsorted"],
+    ids=["one", "minutes apart"],
 )
 def test_odd_recordings_are_drawn(events):
     from matplotlib.backends.backend_agg import FigureCanvasAgg

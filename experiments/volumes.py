@@ -1,0 +1,125 @@
+"""Nanoseconds per event of `TNTVolume`: single calls and packets, on three sensors.
+
+    python -m experiments.volumes [--quick] [--json FILE]
+
+Events are random, seeded. Each way feeds one window, all ways in turns, on one thread. Opening a window is not timed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from async_tnt import TNTConfig, TNTVolume, warmup
+from async_tnt.events import structured
+from async_tnt.progress import progress
+from experiments.bench_moments import made_columns
+from experiments.bench_timing import interleave, machine, machine_text, quartiles, spread, work_clock
+from experiments.script_options import exit_with, run_script, script_parser
+
+GRIDS = ((34, 34), (346, 260), (1280, 720))
+PACKETS = (10, 100, 1300)
+CAMERA_DTYPE = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+"""How camera drivers commonly pack an event: 14 bytes, t not aligned."""
+N_EVENTS, ROUNDS = (26_000, 13_000), (31, 5)  # in full, with --quick; whole packets of every size, many short rounds
+
+
+def measure(quick: bool) -> dict[str, Any]:
+    """All sensors, as one JSON object."""
+    rng, rounds, found = np.random.default_rng(0), ROUNDS[quick], []
+    with progress(len(GRIDS), "compiling") as bar:
+        warmup()
+        for grid in GRIDS:
+            bar.update(title=f"volume, {grid[0]} x {grid[1]}")
+            found.append(bench_volume(grid, rng, n_events=N_EVENTS[quick], rounds=rounds))
+    return {"machine": machine(), "settings": {"quick": quick, "threads": 1, "rounds": rounds}, "volume": found}
+
+
+def bench_volume(grid: tuple[int, int], rng: np.random.Generator, *, n_events: int, rounds: int) -> dict[str, Any]:
+    """Time one window of `n_events` events, fed in every way.
+
+    Returns
+    -------
+    dict : the settings; `ns_per_event`, way -> `spread`.
+    """
+    config = TNTConfig(sensor=grid, grid=grid, landmark="running")
+    columns = made_columns(rng, grid, n_events, config.window_us)
+    volume = TNTVolume(config)
+    cases = {"single": _singles(volume, [column[::10] for column in columns])}
+    for size in PACKETS:
+        for form, packets in (("structured", _structured_packets), ("columns", _column_packets)):
+            cases[f"packet_{size}_{form}"] = _packets(volume, packets(columns, size), n_events)
+    return {
+        "grid": list(grid),
+        "bins": config.bins,
+        "landmark": config.landmark,
+        "t_max": config.t_max,
+        "window_us": config.window_us,
+        "events": n_events,
+        "ns_per_event": {name: spread(values) for name, values in interleave(cases, rounds).items()},
+    }
+
+
+def _singles(volume: TNTVolume, columns: Sequence[np.ndarray]) -> Callable[[], float]:
+    """Nanoseconds per event, one event after the other; opening the window is not timed."""
+    rows = list(zip(*(column.tolist() for column in columns), strict=True))
+
+    def run() -> float:
+        volume.open(0)
+        started = work_clock()
+        for t, x, y, p in rows:  # the loop itself, some 20 ns, is in the figure: a user has it too
+            volume.update_one(t, x, y, p)
+        return 1e9 * (work_clock() - started) / len(rows)
+
+    return run
+
+
+def _packets(volume: TNTVolume, packets: Sequence[Any], n_events: int) -> Callable[[], float]:
+    """Nanoseconds per event, one packet after the other; opening the window is not timed."""
+
+    def run() -> float:
+        volume.open(0)
+        started = work_clock()
+        for packet in packets:
+            volume.update(packet)
+        return 1e9 * (work_clock() - started) / n_events
+
+    return run
+
+
+def _structured_packets(columns: tuple[np.ndarray, ...], size: int) -> list[np.ndarray]:
+    events = structured(columns, dtype=CAMERA_DTYPE)
+    return [events[first : first + size].copy() for first in range(0, len(events), size)]
+
+
+def _column_packets(columns: tuple[np.ndarray, ...], size: int) -> list[tuple[np.ndarray, ...]]:
+    n = len(columns[0])
+    return [tuple(column[first : first + size] for column in columns) for first in range(0, n, size)]
+
+
+def lines(report: dict[str, Any]) -> Iterator[str]:
+    """The report as text."""
+    volumes = report["volume"]
+    yield machine_text(report["machine"])
+    yield f"processor time, medians of {report['settings']['rounds']} interleaved rounds, quartiles in brackets"
+    yield (
+        f"landmark {volumes[0]['landmark']}, {volumes[0]['bins']} bins, {volumes[0]['events']:,} events a window: "
+        "ns per event"
+    )
+    yield f"{'':28}" + "".join(f"{'{} x {}'.format(*v['grid']):>28}" for v in volumes)
+    ways = {"single": "update_one, each event"}
+    ways |= {f"packet_{n}_{form}": f"packets of {n}, {form}" for n in PACKETS for form in ("structured", "columns")}
+    rows = {title: [v["ns_per_event"][way] for v in volumes] for way, title in ways.items()}
+    for title, figures in rows.items():
+        yield f"{title:28}" + "".join(f"{quartiles(figure):>28}" for figure in figures)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure, print, and write JSON if asked."""
+    return run_script(script_parser("volumes", __doc__, "fewer events and rounds"), argv, measure, lines)
+
+
+if __name__ == "__main__":
+    exit_with(main)
