@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import checked_time
+from async_tnt.checks import Running, checked_time, one_at_a_time
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
@@ -23,7 +23,6 @@ from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
-from async_tnt.one_call import Running, one_at_a_time
 from async_tnt.replay_buffer import Regressor
 from async_tnt.triggers import LeakyIntegrator, Triggers, TriggerSettings
 from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of

@@ -42,10 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     from async_tnt.checking.agreement import compare_engines
-    from async_tnt.engines import regressor_path
+    from async_tnt.networks.engines import regressor_path
     from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
-    from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
-    from async_tnt.networks.onnx_session import import_onnxruntime
+    from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor, import_onnxruntime
 
     out: Path = args.out
     check_writable(out, (".onnx",))

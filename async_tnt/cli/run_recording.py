@@ -10,7 +10,7 @@ import numpy as np
 
 from async_tnt.cli.output import Line, complain, complain_late, say
 from async_tnt.decision import Decision
-from async_tnt.engines import Engine
+from async_tnt.networks.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selector import PixelSelector

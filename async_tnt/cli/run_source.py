@@ -5,7 +5,7 @@ from __future__ import annotations
 from async_tnt.cli.live_packets import live_packets, timed_packets
 from async_tnt.cli.live_view import draw_stream
 from async_tnt.cli.output import Line, complain, say
-from async_tnt.engines import Engine
+from async_tnt.networks.engines import Engine
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selector import PixelSelector
 

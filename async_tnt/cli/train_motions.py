@@ -7,7 +7,6 @@ from pathlib import Path
 
 from async_tnt.cli.output import note
 from async_tnt.networks.model import Model
-from async_tnt.process import available_cores
 from async_tnt.progress import progress
 from async_tnt.simulation.statistics import side_by_side
 from async_tnt.training.data import TrainingData
@@ -15,6 +14,7 @@ from async_tnt.training.moved_windows import Motions, MotionSettings
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.run_folder import identity_of, load_checkpoint
 from async_tnt.training.settings import TrainSettings
+from async_tnt.worker import available_cores
 
 FOLDER, PICTURE = "motions", "motions.png"
 

@@ -9,9 +9,9 @@ from async_tnt.cli.data_options import add_folder, add_precision
 from async_tnt.cli.options import positive_int, positive_number, size_text, whole_number
 from async_tnt.cli.pixel_options import add_selection
 from async_tnt.config import LANDMARKS, POLARITIES, REPRESENTATIONS, TRANSFORMS, Landmark
-from async_tnt.process import available_cores
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.settings import STREAMED
+from async_tnt.worker import available_cores
 
 DESCRIPTION = """\
 Train a classifier on volumes of events: the thesis' network, others that suit small machines, or your own (--network).

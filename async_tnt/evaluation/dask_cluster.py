@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from async_tnt.checks import needs_extra
 from async_tnt.evaluation.job import Task
-from async_tnt.version import __version__
+from async_tnt.package import __version__
 
 Result = TypeVar("Result")
 
@@ -117,7 +117,7 @@ def _check_workers(client: Any, address: str, tasks: Sequence[Task]) -> None:
         import os
 
         try:
-            from async_tnt.version import __version__ as version
+            from async_tnt.package import __version__ as version
         except ImportError:
             version = "missing"
         if version != expected:

@@ -12,11 +12,11 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.engines import Engine, is_onnx, regressor_path
+from async_tnt.networks.engines import Engine, is_onnx, regressor_path
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
+from async_tnt.package import __version__
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.version import __version__
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from async_tnt.sources.udp_sender import UdpSender
     from async_tnt.sources.udp_socket import UdpUrl, parse_udp_url
 else:
-    from async_tnt.lazy_names import lazy_names
+    from async_tnt.package import lazy_names
 
     __getattr__, __dir__ = lazy_names(
         globals(),

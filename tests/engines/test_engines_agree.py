@@ -12,8 +12,8 @@ from made import random_events, random_regressor_model
 
 from async_tnt import CompiledClassifier, CompiledRegressor, Model, TNTConfig, TNTVolume, load_model
 from async_tnt.checking.equality import closed_volumes
-from async_tnt.engines import choose_engine
 from async_tnt.networks import OnnxClassifier, OnnxRegressor, TorchClassifier, regressor_to_onnx, to_onnx
+from async_tnt.networks.engines import choose_engine
 from async_tnt.networks.torch_modules import torch_classifier
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 

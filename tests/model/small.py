@@ -5,9 +5,7 @@ import json
 from made import random_model
 
 from async_tnt import TNTConfig
-from async_tnt.checked_tensors import checksum, tensor_bytes
-from async_tnt.networks.model import FORMAT
-from async_tnt.networks.thesis import thesis_network
+from async_tnt.networks.model import FORMAT, checksum, tensor_bytes, thesis_network
 
 SMALL = TNTConfig(sensor=(9, 8), grid=(5, 6), bins=2)
 WITH_REGRESSOR = SMALL.replace(landmark="regressor")

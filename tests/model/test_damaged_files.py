@@ -14,11 +14,9 @@ from safetensors.numpy import save, save_file
 from safetensors.torch import save_file as save_tensors
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
-from async_tnt.checked_tensors import read_tensors
 from async_tnt.networks import OnnxClassifier, OnnxRegressor, regressor_to_onnx, to_onnx
-from async_tnt.networks.model import FORMAT
-from async_tnt.networks.onnx_metadata import seal
-from async_tnt.networks.thesis import thesis_network
+from async_tnt.networks.model import FORMAT, read_tensors, thesis_network
+from async_tnt.networks.onnx_export import seal
 
 ONNX = to_onnx(small_model()).SerializeToString()
 ONNX_REGRESSOR = regressor_to_onnx(small_model(config=WITH_REGRESSOR)).SerializeToString()

@@ -14,7 +14,7 @@ from tnt_reference import Classifier, LandmarkRegressor, LayerNetwork
 from async_tnt import CompiledClassifier, Model, load_model
 from async_tnt.networks import graph
 from async_tnt.networks.graph import layer_shapes
-from async_tnt.networks.thesis import thesis_network
+from async_tnt.networks.model import thesis_network
 
 
 @given(random_models())

@@ -7,7 +7,7 @@ import pytest
 from model.small import SMALL, WITH_REGRESSOR, changed, small_model
 
 from async_tnt import CompiledClassifier, Model, Processor
-from async_tnt.notebook import html_table
+from async_tnt.decision import html_table
 
 NASTY = ("<script>alert(1)</script>", "a\n\x1b[31mb", "</td>&\"'")
 

@@ -7,8 +7,8 @@ import pytest
 from made import random_model
 
 from async_tnt import Model, Processor, TNTConfig, load_model
-from async_tnt.engines import choose_engine
 from async_tnt.evaluation.job import Job, job_of
+from async_tnt.networks.engines import choose_engine
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter

@@ -14,7 +14,6 @@ from async_tnt.networks.model import Model
 from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
 from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
 from async_tnt.networks.torch_modules import TorchClassifier, landmark_function, torch_classifier
-from async_tnt.processor import Processor
 
 ENGINES = ("compiled", "onnx", "torch")
 
@@ -27,16 +26,13 @@ class Engine:
     model: Model | TNTConfig
     classes: Sequence[str]
     networks: dict[str, Any] = field(default_factory=dict)
-    """`classifier` and, where the configuration needs one, `regressor`; none for a Model that runs its own."""
+    """Arguments of a `Processor`: `classifier` and, where the configuration needs one, `regressor`; none for a Model
+    that runs its own."""
 
     @property
     def config(self) -> TNTConfig:
         """How events become the volumes that the networks read."""
         return self.model.config if isinstance(self.model, Model) else self.model
-
-    def processor(self, **settings: Any) -> Processor:
-        """A Processor that decides by these networks; `settings` are its own."""
-        return Processor(self.model, classes=self.classes, **self.networks, **settings)
 
 
 def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine:

@@ -1,4 +1,7 @@
-"""Public names of a package that are imported when they are first used, so that programs start at once."""
+"""What is known of the package before anything is imported: its version, and names that are imported when first used,
+so that programs start at once."""
+
+__version__ = "0.1.0"
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
