@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import importlib
 import os
 import signal
@@ -96,6 +97,7 @@ def _run(argv: Sequence[str]) -> int:
         OPTIONS.update(vars(args))
         with warnings.catch_warnings(), handled_by(interrupt) as before:
             warnings.showwarning = _show_warning  # type: ignore[assignment]
+            gc.enable()
             code = args.main(args)
     except BrokenPipeError:  # `| head`: the reader has seen enough
         pass
