@@ -1,0 +1,241 @@
+"""Torch modules made at random from what people write: layers and functions, in place or not, shared, with views and
+with results that nobody reads. Each can be made again from its seed."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import fx, nn
+from torch.nn import functional as F
+
+SHAPE = (3, 12, 11)
+N_CLASSES = 4
+
+
+def scale_(x):
+    return x.mul_(0.5)
+
+
+fx.wrap("scale_")
+
+
+@dataclass
+class Step:
+    """value[out] = run(module, *values)"""
+
+    run: object
+    inputs: list[int]
+    result: bool = True
+    """Whether the value is kept; else only what it does in place has an effect."""
+
+
+class RandomModule(nn.Module):
+    def __init__(self, steps: list[Step], parts: list[nn.Module]) -> None:
+        super().__init__()
+        self.steps, self.parts = steps, nn.ModuleList(parts)
+
+    def forward(self, x):
+        values = [x]
+        for step in self.steps:
+            value = step.run(self, *(values[k] for k in step.inputs))
+            if step.result:
+                values.append(value)
+        return values[-1]
+
+
+class _Builder:
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+        torch.manual_seed(seed)
+        self.parts: list[nn.Module] = []
+        self.steps: list[Step] = []
+        self.wild = seed % 3 == 0  # a third of the modules: in place, shared layers, results that nobody reads
+        self.shapes = [SHAPE]
+
+    def pick(self, *choices):
+        return choices[self.rng.integers(len(choices))]
+
+    def chance(self, share: float) -> bool:
+        return self.wild and self.rng.random() < share
+
+    def part(self, module: nn.Module):
+        """A call of a layer, kept in the module."""
+        self.parts.append(module)
+        return self.call(len(self.parts) - 1)
+
+    @staticmethod
+    def call(k: int):
+        return lambda module, x: module.parts[k](x)
+
+    def add(self, run, *inputs: int, result: bool = True) -> None:
+        """A step, unless it fails on these values."""
+        step = Step(run, list(inputs), result)
+        module = RandomModule([*self.steps, step], self.parts).eval()
+        with torch.no_grad():
+            try:
+                shape = tuple(copy.deepcopy(module)(torch.ones(1, *SHAPE)).shape[1:])
+            except Exception:  # of torch: these shapes do not go together
+                return
+        self.steps.append(step)
+        if result:
+            self.shapes.append(shape)
+
+    def activation(self):
+        inplace = self.chance(0.5)
+        low, high = self.pick((-1.0, 1.0), (0.0, 6.0), (-0.5, 2.0))
+        slope = self.pick(0.01, 0.2)
+        choices = [
+            lambda: self.part(nn.ReLU(inplace)),
+            lambda: self.part(nn.LeakyReLU(slope, inplace)),
+            lambda: self.part(nn.ReLU6(inplace)),
+            lambda: self.part(nn.Hardtanh(low, high, inplace)),
+            lambda: self.part(nn.PReLU()),
+            lambda: lambda m, x: F.relu(x, inplace),
+            lambda: lambda m, x: torch.relu(input=x),
+            lambda: lambda m, x: F.leaky_relu(x, slope, inplace=inplace),
+            lambda: lambda m, x: F.hardtanh(x, low, high, inplace),
+            lambda: lambda m, x: F.relu6(x, inplace=inplace),
+            lambda: lambda m, x: torch.clamp(x, low, high),
+            lambda: lambda m, x: x.clamp(max=high),
+            lambda: lambda m, x: x.relu(),
+        ]
+        if self.chance(0.5):
+            choices = [
+                lambda: lambda m, x: x.relu_(),
+                lambda: lambda m, x: torch.relu_(x),
+                lambda: lambda m, x: x.clamp_(low, high),
+                lambda: lambda m, x: torch.clamp_(x, low),
+                lambda: lambda m, x: F.hardtanh_(x, low, high),
+                lambda: lambda m, x: F.leaky_relu_(x, slope),
+                lambda: lambda m, x: x.div_(10),
+                lambda: lambda m, x: x.mul_(0.5),
+                lambda: lambda m, x: torch.clamp(x, low, high, out=x),
+                lambda: lambda m, x: scale_(x),
+            ]
+        return self.pick(*choices)()
+
+    def layer(self, shape):
+        channels = shape[0]
+        groups = self.pick(1, 1, channels)
+        filters = groups * self.pick(1, 2, 3)
+        kernel, stride = self.pick(1, 2, 3, (3, 2)), self.pick(1, 1, 2)
+        padding = self.pick(0, 1, "same") if stride == 1 else self.pick(0, 1)
+        pool = {"kernel_size": self.pick(2, (2, 3)), "stride": self.pick(None, 1, 2), "padding": self.pick(0, 0, 1)}
+        norm = nn.BatchNorm2d(channels, affine=self.pick(True, False))
+        norm.running_mean.normal_()
+        norm.running_var.uniform_(0.5, 2.0)
+        return self.pick(
+            lambda: self.part(
+                nn.Conv2d(
+                    channels, filters, kernel, stride, padding, self.pick(1, 1, 2), groups, bias=self.pick(True, False)
+                )
+            ),
+            lambda: self.part(norm),
+            lambda: self.part(nn.MaxPool2d(**pool)),
+            lambda: self.part(nn.AvgPool2d(**pool, count_include_pad=self.pick(True, False))),
+            lambda: lambda m, x: F.max_pool2d(x, **pool),
+            lambda: lambda m, x: F.avg_pool2d(x, pool["kernel_size"], pool["stride"]),
+            lambda: lambda m, x: F.dropout(x, 0.4, m.training),
+            lambda: self.part(self.pick(nn.Dropout(inplace=self.pick(True, False)), nn.Dropout2d(), nn.Identity())),
+            lambda: lambda m, x: x.contiguous(),
+        )()
+
+    def join(self):
+        alpha = self.pick(1, 2)
+        if self.chance(0.5):
+            return self.pick(lambda m, x, y: x.add_(y), lambda m, x, y: _iadd(x, y), lambda m, x, y: torch.add(x, y))
+        return self.pick(
+            lambda m, x, y: x + y,
+            lambda m, x, y: torch.cat([x, y], 1),
+            lambda m, x, y: torch.cat(tensors=(x, y), dim=1),
+            lambda m, x, y: torch.add(x, y, alpha=alpha),
+        )
+
+    def unused(self):
+        """Something whose result nobody reads, and which may have changed its input."""
+        return self.pick(
+            lambda m, x: x.exp(),
+            lambda m, x: x * 3,
+            lambda m, x: x.clamp_(-0.5, 0.5),
+            lambda m, x: F.relu(x, inplace=True),
+            lambda m, x: x.div_(10),
+            lambda m, x: _imul(x, 2),
+            lambda m, x: x.flatten(1).clamp_(max=0.7),
+            lambda m, x: x.view(x.size(0), -1).relu_(),
+            lambda m, x: scale_(x),
+            self.activation(),
+        )
+
+    def head(self) -> None:
+        shape = self.shapes[-1]
+        if len(shape) == 3:
+            if self.pick(True, False):
+                pool = self.pick(
+                    self.part(nn.AdaptiveAvgPool2d(1)),
+                    lambda m, x: F.adaptive_avg_pool2d(x, (1, 1)),
+                    lambda m, x: x.mean((2, 3), keepdim=True),
+                    lambda m, x: torch.mean(x, dim=(-1, -2), keepdim=True),
+                )
+                self.add(pool, len(self.shapes) - 1)
+            flat = self.pick(
+                self.part(nn.Flatten()),
+                lambda m, x: torch.flatten(x, 1),
+                lambda m, x: x.flatten(start_dim=1),
+                lambda m, x: x.view(x.size(0), -1),
+                lambda m, x: x.reshape(x.shape[0], -1),
+                lambda m, x: x.view(1, -1),
+            )
+            if self.chance(0.1):
+                flat = self.pick(lambda m, x: x.view(x.size(1), -1), lambda m, x: x.reshape(2, -1))
+            self.add(flat, len(self.shapes) - 1)
+        shape = self.shapes[-1]
+        if len(shape) == 1:
+            if self.pick(True, False):
+                self.add(self.activation(), len(self.shapes) - 1)
+            self.add(self.part(nn.Linear(shape[0], N_CLASSES)), len(self.shapes) - 1)
+            if self.chance(0.2):
+                self.add(self.unused(), len(self.shapes) - 1, result=False)
+
+
+def _iadd(x, y):
+    x += y
+    return x
+
+
+def _imul(x, y):
+    x *= y
+    return x
+
+
+def random_module(seed: int) -> nn.Module:
+    """Volumes (1, *SHAPE) to logits (1, N_CLASSES), in most cases."""
+    builder = _Builder(seed)
+    for _ in range(builder.rng.integers(1, 8)):
+        n = len(builder.shapes)
+        source = int(builder.rng.integers(n)) if builder.rng.random() < 0.3 else n - 1
+        shape = builder.shapes[source]
+        same = [k for k, other in enumerate(builder.shapes) if other == shape]
+        if len(shape) != 3:
+            break
+        choice = builder.rng.random()
+        if choice < 0.5:
+            run = builder.layer(shape)
+        elif choice < 0.7:
+            run = builder.activation()
+        elif choice < 0.85:
+            other = same[builder.rng.integers(len(same))]
+            builder.add(builder.join(), source, other)
+            continue
+        elif builder.wild and choice < 0.92:
+            builder.add(builder.unused(), source, result=False)
+            continue
+        elif builder.wild and builder.parts:  # a layer that is used again
+            run = builder.call(int(builder.rng.integers(len(builder.parts))))
+        else:
+            continue
+        builder.add(run, source)
+    builder.head()
+    return RandomModule(builder.steps, builder.parts).eval()
