@@ -11,8 +11,8 @@ from async_tnt.checks import needs_extra
 from async_tnt.config import TNTConfig
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
-from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
-from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
+from async_tnt.networks.onnx_export import to_onnx
+from async_tnt.networks.onnx_network import OnnxClassifier
 from async_tnt.networks.torch_modules import TorchClassifier, landmark_function, torch_classifier
 
 ENGINES = ("compiled", "onnx", "torch")
@@ -41,8 +41,8 @@ def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine
     Parameters
     ----------
     name_or_path : as for `load_model`, or an .onnx file that `async-tnt export` wrote.
-    engine : `compiled` (Numba; by default), `onnx` (exported in memory, run by onnxruntime) or `torch` (the reference
-        networks). An .onnx file runs by `onnx`, and only by it.
+    engine : `compiled` (Numba; by default), `onnx` (the classifier, exported in memory, by onnxruntime) or `torch` (the
+        reference networks). An .onnx file runs by `onnx`, and only by it.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def choose_engine(name_or_path: str | Path, engine: str | None = None) -> Engine
         return _of_file(Path(name_or_path))
     model = load_model(name_or_path)
     if engine == "onnx":
-        return Engine("onnx", model, model.classes, _onnx_networks(model))
+        return Engine("onnx", model, model.classes, {"classifier": OnnxClassifier(to_onnx(model))})
     if engine == "torch":
         return Engine("torch", model, model.classes, _torch_networks(model))
     return Engine("compiled", model, model.classes)
@@ -72,11 +72,6 @@ def is_onnx(name_or_path: str | Path) -> bool:
     return Path(name_or_path).suffix.lower() == ".onnx"
 
 
-def regressor_path(path: Path) -> Path:
-    """Where the landmark network of an exported model lies: net.onnx -> net.regressor.onnx, beside it."""
-    return path.with_suffix(".regressor" + path.suffix)
-
-
 def _of_file(path: Path) -> Engine:
     classifier = OnnxClassifier(path)
     if classifier.exported is None:
@@ -84,24 +79,7 @@ def _of_file(path: Path) -> Engine:
             f"{path}: an ONNX network without a configuration of this package, which defines how events become its "
             "volume; a Python program can provide one: Processor(TNTConfig(...), classifier=OnnxClassifier(path))"
         )
-    networks: dict[str, Any] = {"classifier": classifier}
-    config = classifier.exported.config
-    if config.needs_regressor:
-        beside = regressor_path(path)
-        if not beside.exists():
-            raise FileNotFoundError(f"no file {beside}: `async-tnt export` writes the landmark network of {path} there")
-        regressor = OnnxRegressor(beside)
-        if regressor.exported is None or regressor.exported.weights != classifier.exported.weights:
-            raise ValueError(f"{beside} is not the landmark network of {path}: they are from two models")
-        networks["regressor"] = regressor
-    return Engine("onnx", config, classifier.exported.classes, networks)
-
-
-def _onnx_networks(model: Model) -> dict[str, Any]:
-    networks: dict[str, Any] = {"classifier": OnnxClassifier(to_onnx(model))}
-    if model.config.needs_regressor:
-        networks["regressor"] = OnnxRegressor(regressor_to_onnx(model))
-    return networks
+    return Engine("onnx", classifier.exported.config, classifier.exported.classes, {"classifier": classifier})
 
 
 def _torch_networks(model: Model) -> dict[str, Any]:

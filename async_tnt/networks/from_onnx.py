@@ -47,7 +47,9 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
         if config is not None or classes is not None:
             raise TypeError(f"`config` and `classes` are for networks of other programs; {path} has its own")
         if exported.config.needs_regressor:
-            raise NotImplementedError(f"{path} has a landmark network beside it: load the model it was exported from")
+            raise NotImplementedError(
+                f"the landmark network of {path} has no ONNX form: load the model it was exported from"
+            )
         config, classes = exported.config, exported.classes
     if config is None:
         raise TypeError(

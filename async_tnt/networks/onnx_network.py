@@ -1,4 +1,4 @@
-"""Networks in ONNX files, run by onnxruntime on the CPU: volume -> logits, raw volume -> landmark."""
+"""Networks in ONNX files, run by onnxruntime on the CPU: volume -> logits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from async_tnt.checks import Running, needs_extra, one_at_a_time, one_line, positive_int
 from async_tnt.config import MAX_CELLS
-from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.onnx_export import Exported, is_damaged, read_metadata
 
 if TYPE_CHECKING:
@@ -22,77 +21,7 @@ Shape = tuple[int, int, int]
 DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # by onnxruntime's names
 
 
-class _OnnxNetwork:
-    """A network of one input, a volume, and one output, a few numbers."""
-
-    kind = ""
-    answer = ""
-    opens_the_other = ""
-    output_types: tuple[str, ...] = ()
-
-    def __init__(self, path_or_bytes: Any, *, threads: int = 1, shape: Sequence[int] | None = None) -> None:
-        self.threads = positive_int("threads", threads)
-        self._running = Running(type(self).__name__)
-        self._source = source = source_of(path_or_bytes)
-        self._name = name = f"the ONNX network of {len(source):_} bytes" if isinstance(source, bytes) else source
-        self._session, inputs, outputs, exported = open_session(source, name, self.threads)
-        if exported is not None and exported.network != self.kind:
-            raise ValueError(f"{name} holds a {exported.network}, not a {self.kind}: {self.opens_the_other} opens it")
-        try:
-            self.shape = check_input(inputs, shape)
-            check_output(outputs, self.output_types, self.answer)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-        self._volume, self._answer, self._binding = self._bind(inputs[0].name, outputs[0])
-        self.exported: Exported | None = exported
-        if exported is not None and exported.config.shape != self.shape:
-            raise ValueError(
-                f"{name} is damaged: its configuration gives volumes of shape {exported.config.shape}, its network "
-                f"takes {self.shape}"
-            )
-        self.config = None if exported is None else exported.config
-        self.classes = None if exported is None else exported.classes
-
-    def __reduce__(self) -> Any:  # a session cannot be copied, only opened again
-        return functools.partial(type(self), self._source, threads=self.threads, shape=self.shape), ()
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}(volumes of {self.shape}, {self._answer.size} outputs, {self.threads} threads)"
-
-    def _bind(self, input_name: str, output: Any) -> tuple[np.ndarray, np.ndarray, Any]:
-        """Memory that the network reads from and writes to, bound once.
-
-        This is the fastest way that onnxruntime offers. For `digits` on one Xeon core: 50 us, where `session.run` takes
-        52 to 57 (it checks a dictionary and makes a list and an array), an `io_binding` for each volume 55, and
-        `run_with_ort_values` 93.
-        """
-        try:
-            volume = np.zeros((1, *self.shape), np.float32)
-            (answer,) = self._session.run([output.name], {input_name: volume})  # its size may depend on the input's
-        except Exception as error:  # of many types, none of them a ValueError
-            raise ValueError(f"{self._name}: the network fails on an empty volume: {one_line(error)}") from None
-        if answer.size == 0 or answer.size != max(answer.shape, default=1):
-            raise ValueError(f"{self._name}: the network must give {self.answer} of a volume, got shape {answer.shape}")
-        answer = np.zeros(answer.shape, DTYPES[output.type])
-        binding = self._session.io_binding()
-        binding.bind_input(input_name, "cpu", 0, np.float32, volume.shape, volume.ctypes.data)
-        binding.bind_output(output.name, "cpu", 0, answer.dtype.type, answer.shape, answer.ctypes.data)
-        return volume[0], answer.reshape(-1), binding
-
-    @one_at_a_time
-    def _run(self, volume: np.ndarray) -> np.ndarray:
-        """The network's numbers, a new array."""
-        if volume.shape != self.shape:
-            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
-        np.copyto(self._volume, volume)
-        try:
-            self._session.run_with_iobinding(self._binding)
-        except Exception as error:  # as above
-            raise ValueError(f"{self._name}: the network fails on this volume: {one_line(error)}") from None
-        return self._answer.copy()
-
-
-class OnnxClassifier(_OnnxNetwork):
+class OnnxClassifier:
     """A classifier in an ONNX file, run by onnxruntime: volume (C, H, W) -> logits (n_classes,).
 
     `Processor(config, classifier=OnnxClassifier("net.onnx"))` decides by any network of one input, float32 of shape
@@ -124,42 +53,71 @@ class OnnxClassifier(_OnnxNetwork):
         has another shape.
     """
 
-    kind, answer, output_types = CLASSIFIER, "logits (1, n_classes)", ("tensor(float)",)
-    opens_the_other = "OnnxRegressor"
-
     def __init__(self, path_or_bytes: Any, *, threads: int = 1, shape: Sequence[int] | None = None) -> None:
-        super().__init__(path_or_bytes, threads=threads, shape=shape)
+        self.threads = positive_int("threads", threads)
+        self._running = Running("OnnxClassifier")
+        self._source = source = source_of(path_or_bytes)
+        self._name = name = f"the ONNX network of {len(source):_} bytes" if isinstance(source, bytes) else source
+        self._session, inputs, outputs, exported = open_session(source, name, self.threads)
+        try:
+            self.shape = check_input(inputs, shape)
+            check_output(outputs)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+        self._volume, self._answer, self._binding = self._bind(inputs[0].name, outputs[0])
         self.n_classes = self._answer.size
+        self.exported: Exported | None = exported
+        self.config = None if exported is None else exported.config
+        self.classes = None if exported is None else exported.classes
+        if self.config is not None and self.config.shape != self.shape:
+            raise ValueError(
+                f"{name} is damaged: its configuration gives volumes of shape {self.config.shape}, its network takes "
+                f"{self.shape}"
+            )
         if self.classes is not None and len(self.classes) != self.n_classes:
             raise ValueError(
-                f"{self._name} is damaged: it names {len(self.classes)} classes, its network gives "
-                f"{self.n_classes} logits"
+                f"{name} is damaged: it names {len(self.classes)} classes, its network gives {self.n_classes} logits"
             )
 
+    def __reduce__(self) -> Any:  # a session cannot be copied, only opened again
+        return functools.partial(type(self), self._source, threads=self.threads, shape=self.shape), ()
+
+    def __repr__(self) -> str:
+        return f"OnnxClassifier(volumes of {self.shape}, {self.n_classes} outputs, {self.threads} threads)"
+
+    def _bind(self, input_name: str, output: Any) -> tuple[np.ndarray, np.ndarray, Any]:
+        """Memory that the network reads from and writes to, bound once.
+
+        This is the fastest way that onnxruntime offers. For `digits` on one Xeon core: 50 us, where `session.run` takes
+        52 to 57 (it checks a dictionary and makes a list and an array), an `io_binding` for each volume 55, and
+        `run_with_ort_values` 93.
+        """
+        try:
+            volume = np.zeros((1, *self.shape), np.float32)
+            (answer,) = self._session.run([output.name], {input_name: volume})  # its size may depend on the input's
+        except Exception as error:  # of many types, none of them a ValueError
+            raise ValueError(f"{self._name}: the network fails on an empty volume: {one_line(error)}") from None
+        if answer.size == 0 or answer.size != max(answer.shape, default=1):
+            raise ValueError(
+                f"{self._name}: the network must give logits (1, n_classes) of a volume, got shape {answer.shape}"
+            )
+        answer = np.zeros(answer.shape, np.float32)
+        binding = self._session.io_binding()
+        binding.bind_input(input_name, "cpu", 0, np.float32, volume.shape, volume.ctypes.data)
+        binding.bind_output(output.name, "cpu", 0, answer.dtype.type, answer.shape, answer.ctypes.data)
+        return volume[0], answer.reshape(-1), binding
+
+    @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """Logits of one volume: float32, shape (n_classes,), a new array."""
-        return self._run(volume)
-
-
-class OnnxRegressor(_OnnxNetwork):
-    """A landmark network in an ONNX file, run by onnxruntime: raw volume (C, H, W) -> landmark (x, y).
-
-    For `Processor(..., regressor=OnnxRegressor("net.regressor.onnx"))` and `TNTVolume`. The output is two numbers in
-    grid pixels, float64 or float32. Everything else is as for `OnnxClassifier`.
-    """
-
-    kind, answer, output_types = REGRESSOR, "a landmark (1, 2)", ("tensor(float)", "tensor(double)")
-    opens_the_other = "OnnxClassifier"
-
-    def __init__(self, path_or_bytes: Any, *, threads: int = 1, shape: Sequence[int] | None = None) -> None:
-        super().__init__(path_or_bytes, threads=threads, shape=shape)
-        if self._answer.size != 2:
-            raise ValueError(f"{self._name}: a landmark network gives two numbers (x, y), got {self._answer.size}")
-
-    def __call__(self, volume: np.ndarray) -> tuple[float, float]:
-        """The landmark of one raw volume, in grid pixels."""
-        x, y = self._run(volume).tolist()
-        return x, y
+        if volume.shape != self.shape:
+            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
+        np.copyto(self._volume, volume)
+        try:
+            self._session.run_with_iobinding(self._binding)
+        except Exception as error:  # as above
+            raise ValueError(f"{self._name}: the network fails on this volume: {one_line(error)}") from None
+        return self._answer.copy()
 
 
 # -- opening a file, and whether its network takes one volume and gives one answer --------------------------
@@ -256,13 +214,14 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
     return channels, height, width
 
 
-def check_output(outputs: list[Any], types: tuple[str, ...], answer: str) -> None:
-    """Refuse a network that does not have one output of one of these types; `answer` says what it should hold."""
+def check_output(outputs: list[Any]) -> None:
+    """Refuse a network that does not have one output, float32."""
     if len(outputs) != 1:
-        raise ValueError(f"the network must have one output, {answer}, got {len(outputs)}{_listed(outputs)}")
-    if outputs[0].type not in types:
-        expected = " or ".join(_type_name(name) for name in types)
-        raise ValueError(f"the network's output must be {expected}, got {_type_name(outputs[0].type)}")
+        raise ValueError(
+            f"the network must have one output, logits (1, n_classes), got {len(outputs)}{_listed(outputs)}"
+        )
+    if outputs[0].type != "tensor(float)":
+        raise ValueError(f"the network's output must be float32, got {_type_name(outputs[0].type)}")
 
 
 def _listed(nodes: list[Any]) -> str:

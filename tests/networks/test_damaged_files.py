@@ -9,24 +9,22 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks.foreign import network, onnx
-from networks.small import SMALL, WITH_REGRESSOR, changed, small_model, write_file
+from networks.small import SMALL, changed, small_model, write_file
 from safetensors.numpy import save, save_file
 from safetensors.torch import save_file as save_tensors
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
-from async_tnt.networks import OnnxClassifier, OnnxRegressor, regressor_to_onnx, to_onnx
+from async_tnt.networks import OnnxClassifier, to_onnx
 from async_tnt.networks.model import FORMAT, read_tensors, thesis_network
 from async_tnt.networks.onnx_export import seal
 
 ONNX = to_onnx(small_model()).SerializeToString()
-ONNX_REGRESSOR = regressor_to_onnx(small_model(config=WITH_REGRESSOR)).SerializeToString()
-READERS = (load_model, OnnxClassifier, OnnxRegressor)
+READERS = (load_model, OnnxClassifier)
 STEP = 17  # bytes from one damage to the next
 of_all = pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.__name__)
 NEITHER = {  # what a file of anything else is called
     load_model: "is not a readable .safetensors file: ",
     OnnxClassifier: "is not a readable ONNX network: ",
-    OnnxRegressor: "is not a readable ONNX network: ",
 }
 
 
@@ -35,7 +33,7 @@ def files(tmp_path_factory):
     """A path with a strange name, and a sound file's bytes for each reader."""
     path = tmp_path_factory.mktemp("damaged") / "a {model} 100%.file"
     content = small_model().save(path).read_bytes()
-    return path, {load_model: content, OnnxClassifier: ONNX, OnnxRegressor: ONNX_REGRESSOR}
+    return path, {load_model: content, OnnxClassifier: ONNX}
 
 
 def refused(reader, path, content=None):
@@ -57,9 +55,8 @@ def refused(reader, path, content=None):
         logits = CompiledClassifier(opened)(np.zeros(opened.config.shape, np.float32))
         assert len(logits) == len(opened.classes) and all(type(name) is str for name in opened.classes)
     else:
-        assert content in (ONNX, ONNX_REGRESSOR) or opened.exported is None
-        answer = opened(np.zeros(opened.shape, np.float32))
-        assert len(answer) == (opened.n_classes if reader is OnnxClassifier else 2)
+        assert content == ONNX or opened.exported is None
+        assert len(opened(np.zeros(opened.shape, np.float32))) == opened.n_classes
     return False
 
 
@@ -194,7 +191,7 @@ def with_metadata(**changes):
         ({"format": "async_tnt 3"}, "metadata `format` must be 'async_tnt 2', got 'async_tnt 3'"),
         ({"sha256": None}, "no sha256 in its metadata"),
         ({"config": '{"a\\nb": 1}'}, "unknown configuration a b"),
-        ({"weights": None, "record": None}, "no record and no weights in its metadata"),
+        ({"classes": None, "record": None}, "no classes and no record in its metadata"),
         ({"config": "{}"}, "its configuration gives volumes of shape (9, 34, 34), its network takes (2, 6, 5)"),
         ({"classes": '["a", "b"]'}, "it names 2 classes, its network gives 3 logits"),
         ({"record": "[" * 100_000}, "maximum recursion depth exceeded"),
@@ -211,12 +208,3 @@ def test_onnx_files_of_other_programs_have_no_configuration():
     for content in (foreign, *(with_metadata(format=format) for format in (None, "", "pt", "async_tnt"))):
         net = OnnxClassifier(content)
         assert (net.config, net.classes, net.exported) == (None, None, None)
-
-
-def test_one_network_in_place_of_the_other(files):
-    files[0].write_bytes(ONNX_REGRESSOR)
-    name = re.escape(str(files[0]))
-    with pytest.raises(ValueError, match=f"^{name} holds a regressor, not a classifier: OnnxRegressor opens it$"):
-        OnnxClassifier(files[0])
-    with pytest.raises(ValueError, match=r"^the ONNX network .* holds a classifier, not a regressor: OnnxClassifier"):
-        OnnxRegressor(to_onnx(small_model()))

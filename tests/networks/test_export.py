@@ -1,4 +1,4 @@
-"""to_onnx, regressor_to_onnx, and the command `async-tnt export`."""
+"""to_onnx, and the command `async-tnt export`."""
 
 import json
 import os
@@ -13,18 +13,13 @@ from networks.foreign import onnx
 
 from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
 from async_tnt.checking import agreement
-from async_tnt.networks import OnnxClassifier, onnx_export, regressor_to_onnx, to_onnx
-
-REGRESSOR_MODEL = random_regressor_model(TNTConfig(landmark="regressor"), widths=(4, 4, 8), regressor_widths=(3, 4, 5))
+from async_tnt.networks import OnnxClassifier, onnx_export, to_onnx
 
 
-@pytest.mark.parametrize("export, prefix", [(to_onnx, False), (regressor_to_onnx, True)])
-def test_weights_are_initializers_bit_by_bit_and_each_files_own(export, prefix):
-    model = REGRESSOR_MODEL
-    found = {w.name: onnx.numpy_helper.to_array(w) for w in export(model).graph.initializer}
-    assert found.keys() & model.weights.keys() == {n for n in model.weights if n.startswith("regressor.") == prefix}
-    for name in found.keys() & model.weights.keys():
-        assert found[name].dtype == np.float32 and found[name].tobytes() == model.weights[name].tobytes()
+def test_weights_are_initializers_bit_by_bit():
+    model = random_model(TNTConfig(), widths=(4, 4, 8))
+    found = {w.name: onnx.numpy_helper.to_array(w) for w in to_onnx(model).graph.initializer}
+    assert {name: w.tobytes() for name, w in found.items()} == {name: w.tobytes() for name, w in model.weights.items()}
 
 
 def test_metadata_come_back():
@@ -36,8 +31,6 @@ def test_metadata_come_back():
 
 
 def test_what_cannot_be_exported(monkeypatch):
-    with pytest.raises(ValueError, match=r"the model has no regressor: .* got landmark='running', transform='tnt'"):
-        regressor_to_onnx(random_model())
     monkeypatch.setattr(onnx_export, "MAX_BYTES", 1000)
     with pytest.raises(ValueError, match=r"less than 2 GiB, the classifier's weights are [\d_]+ bytes"):
         to_onnx(random_model())
@@ -64,32 +57,15 @@ def test_export_writes_the_file_and_checks_it(tmp_path, program):
     assert 0 < report["largest_logit_difference"] <= 1e-4 and report["classes_that_differ"] == 0
 
 
-def test_a_regressor_of_others_stays(tmp_path, program):
-    model = REGRESSOR_MODEL.save(tmp_path / "m.safetensors")
-    (tmp_path / "m.regressor.onnx").write_bytes(b"of others")
-    code, _, err = program("export", model, "--out", tmp_path / "m.onnx")
-    assert code == 2 and "m.regressor.onnx is of another program (expected m.regressor.onnx with async_tnt" in err
-    assert (tmp_path / "m.regressor.onnx").read_bytes() == b"of others" and not (tmp_path / "m.onnx").exists()
-
-
-def test_export_of_a_model_with_a_regressor(tmp_path, program):
-    path = REGRESSOR_MODEL.save(tmp_path / "m.safetensors")
-    report = json.loads(program("export", path, "--out", tmp_path / "m.onnx", "--json")[1])
-    assert sorted(os.listdir(tmp_path)) == ["m.onnx", "m.regressor.onnx", "m.safetensors"]
-    assert list(report["files"]) == [str(tmp_path / "m.onnx"), str(tmp_path / "m.regressor.onnx")]
-    assert 0 < report["largest_landmark_difference_px"] <= 1e-4
-
-
-@pytest.mark.parametrize("function, name", [("to_onnx", "fc2.bias"), ("regressor_to_onnx", "regressor.conv1.weight")])
-def test_nothing_is_written_where_the_networks_do_not_agree(function, name, tmp_path, monkeypatch, program):
-    right = getattr(onnx_export, function)
-    wrong = {**REGRESSOR_MODEL.weights, name: REGRESSOR_MODEL.weights[name] * np.float32(1.01)}
-    monkeypatch.setattr(onnx_export, function, lambda model: right(replace(model, weights=wrong)))
-    path, out = REGRESSOR_MODEL.save(tmp_path / "m.safetensors"), tmp_path / "m.onnx"
+def test_nothing_is_written_where_the_networks_do_not_agree(tmp_path, monkeypatch, program):
+    model = load_model("digits")
+    wrong = replace(model, weights={**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(0.1)})
+    monkeypatch.setattr(onnx_export, "to_onnx", lambda model: to_onnx(wrong))
+    out = tmp_path / "m.onnx"
     out.write_bytes(b"what was there")
-    code, text, _ = program("export", path, "--out", out)
-    assert code == 1 and text.endswith("they do NOT agree: nothing is written\n")
-    assert sorted(os.listdir(tmp_path)) == ["m.onnx", "m.safetensors"] and out.read_bytes() == b"what was there"
+    code, text, _ = program("export", "digits", "--out", out)
+    assert code == 1 and text.endswith("it does NOT agree: nothing is written\n")
+    assert os.listdir(tmp_path) == ["m.onnx"] and out.read_bytes() == b"what was there"
 
 
 def test_one_class_that_differs_is_one_too_many():
@@ -134,3 +110,14 @@ def test_onnxruntime_sends_and_keeps_nothing_about_its_use(tmp_path):
     env |= {"HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     subprocess.run([sys.executable, "-c", code], env=env, check=True)
     assert not list(tmp_path.rglob("*onnxruntime*"))
+
+
+def test_a_landmark_network_has_no_onnx_form(tmp_path, program):
+    path = random_regressor_model().save(tmp_path / "m.safetensors")
+    code, _, error = program("export", path, "--out", tmp_path / "m.onnx")
+    assert (code, error.count("\n")) == (2, 1) and f"{path} has a landmark network, which has no ONNX form" in error
+    (tmp_path / "m.onnx").write_bytes(to_onnx(load_model(path)).SerializeToString())
+    with pytest.raises(
+        NotImplementedError, match=r"^the landmark network of .*m.onnx has no ONNX form: load the model"
+    ):
+        load_model(tmp_path / "m.onnx")

@@ -1,4 +1,4 @@
-"""OnnxClassifier and OnnxRegressor: other programs' networks, wrong ones, threads, copies."""
+"""OnnxClassifier: other programs' networks, wrong ones, threads, copies."""
 
 import copy
 import os
@@ -12,7 +12,7 @@ from made import random_model
 from networks.foreign import TensorProto, linear, network, node, onnx
 
 from async_tnt import TNTConfig
-from async_tnt.networks import OnnxClassifier, OnnxRegressor, to_onnx
+from async_tnt.networks import OnnxClassifier, to_onnx
 
 VOLUME = np.random.default_rng(1).normal(size=(2, 6, 5)).astype(np.float32)
 POOL = [node("GlobalAveragePool", ["image"], ["scores"])]
@@ -145,18 +145,3 @@ def test_copies_and_pickles_open_the_network_again(tmp_path):
         for duplicate in (copy.copy(net), copy.deepcopy(net), pickle.loads(pickle.dumps(net))):
             assert duplicate is not net and np.array_equal(duplicate(volume), net(volume))
             assert (duplicate.threads, duplicate.config, duplicate.classes) == (2, net.config, net.classes)
-
-
-@pytest.mark.parametrize("dtype", [TensorProto.FLOAT, TensorProto.DOUBLE])
-def test_a_foreign_landmark_network(dtype):
-    nodes = [node("Flatten", ["image"], ["f"]), node("Gemm", ["f", "w"], ["g"]), node("Cast", ["g"], ["at"], to=dtype)]
-    content = network(
-        nodes, weights={"w": np.eye(60, 2, dtype=np.float32)}, outputs=[("at", (1, 2))], output_dtype=dtype
-    )
-    regressor = OnnxRegressor(content)
-    assert regressor(VOLUME) == (VOLUME[0, 0, 0], VOLUME[0, 0, 1]) and regressor.config is None
-    if dtype == TensorProto.DOUBLE:
-        with pytest.raises(ValueError, match="output must be float32, got float64"):
-            OnnxClassifier(content)
-    with pytest.raises(ValueError, match=r"^the ONNX .* bytes: a landmark network gives two numbers \(x, y\), got 3"):
-        OnnxRegressor(network())
