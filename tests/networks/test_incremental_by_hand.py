@@ -93,7 +93,7 @@ LOUD = 7, 7  # an event here overflows; elsewhere events hardly count
 
 
 def overflowing(**settings) -> list[Processor]:
-    """A place of the image has weights of 1e38, which an event there makes infinite: on the compiled and general path."""
+    """A place of the image has weights of 1e38, which an event there makes infinite; on both paths."""
     weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=2, widths=(2, 2, 3)).weights.items()}
     weights["conv1.weight"][0, 0, 1, 1] = weights["conv2.weight"][0, 0, 1, 1] = 1
     weights["fc1.weight"][:2, 3] = 1e38  # of filter 0 the lower right

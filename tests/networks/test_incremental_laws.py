@@ -1,4 +1,4 @@
-"""Laws of incremental networks: after any events, windows and copies the logits of a whole forward pass, bit for bit."""
+"""Incremental networks: after any events, windows and copies the logits of a whole forward pass, bit for bit."""
 
 import copy
 import itertools
