@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 OPSET, IR_VERSION = 13, 7
 MAX_BYTES = 1 << 31  # of a protobuf message
+PLAIN = {"relu": "Relu", "global_average_pool": "GlobalAveragePool", "add": "Sum", "flatten": "Flatten"}
+"""Layers without parameters, as ONNX calls them."""
 BLANK = 64 * "0"  # in place of the checksum while it is computed
 
 
@@ -90,7 +92,11 @@ class _Nodes:
                 name = "logits"
             taken.add(name)
             self._names[layer["name"]] = name
-            getattr(self, f"_{layer['op']}")(layer, [self._names[value] for value in layer["inputs"]], name)
+            inputs = [self._names[value] for value in layer["inputs"]]
+            if layer["op"] in PLAIN:
+                self.add(PLAIN[layer["op"]], inputs, name)
+            else:
+                getattr(self, f"_{layer['op']}")(layer, inputs, name)
         self.output = self._names[layers[-1]["name"]]
 
     def add(self, op: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
@@ -115,9 +121,6 @@ class _Nodes:
         bias = given.get("bias") or self._constant(f"{name}.zeros", np.zeros(n))
         more = [weight, bias, given["mean"], given["variance"]]
         self.add("BatchNormalization", [*inputs, *more], name, epsilon=layer["epsilon"])
-
-    def _relu(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("Relu", inputs, name)
 
     def _leaky_relu(self, layer: Layer, inputs: list[str], name: str) -> None:
         self.add("LeakyRelu", inputs, name, alpha=layer["slope"])
@@ -144,17 +147,8 @@ class _Nodes:
         size = self._constant(f"{name}.size", layer["kernel"][0] * layer["kernel"][1])
         self.add("Mul", [f"{name}.mean", size], name)
 
-    def _global_average_pool(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("GlobalAveragePool", inputs, name)
-
-    def _add(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("Sum", inputs, name)
-
     def _concat(self, layer: Layer, inputs: list[str], name: str) -> None:
         self.add("Concat", inputs, name, axis=1)
-
-    def _flatten(self, layer: Layer, inputs: list[str], name: str) -> None:
-        self.add("Flatten", inputs, name)
 
 
 def _roles(layer: Layer, *roles: str) -> list[str]:
