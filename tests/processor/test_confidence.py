@@ -74,6 +74,12 @@ BY_HAND = {  # settings, times of events, all decisions, events counted as dropp
         [("confidence", 0, 2, 3, True), ("window", 1000, 1000, 1, True), ("confidence", 2000, 2002, 3, True)],
         (2, 1),
     ),
+    "of two windows closed in a row the first is remembered, too": (
+        {"start_us": 0},
+        (0, 1, 2, 1000, 1001, 1002, 3),
+        [("confidence", 0, 2, 3, True), ("confidence", 1000, 1002, 3, True)],
+        (1, 0),
+    ),
     "with every_us it is checked only there": (
         {"every_us": 100},
         (0, 50, 150, 160, 170, 180, 290, 1000),
