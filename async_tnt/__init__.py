@@ -9,7 +9,7 @@ Start with `Processor` (events in, decisions out), `TNTVolume` (the representati
 (what it holds). The batch reference is the package `tnt_reference`.
 """
 
-from async_tnt.version import __version__ as __version__
+from async_tnt.package import __version__ as __version__
 
 TYPE_CHECKING = False  # type checkers assume True, as for `typing.TYPE_CHECKING`, whose import takes milliseconds
 if TYPE_CHECKING:  # for type checkers and editors
@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.triggers import LeakyIntegrator
     from async_tnt.volume import TNTVolume
 else:  # type checkers use the imports above; __getattr__ would let every name pass
-    from async_tnt.lazy_names import lazy_names
+    from async_tnt.package import lazy_names
 
     __getattr__, __dir__ = lazy_names(
         globals(),

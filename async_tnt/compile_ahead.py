@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from async_tnt.config import TNTConfig
@@ -16,7 +16,7 @@ from async_tnt.kernels.entry_points import ENTRY_POINTS
 from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.process import available_cores
+from async_tnt.worker import available_cores
 
 CHILD_S = 120.0  # a second process that takes longer is not waited for
 
@@ -86,14 +86,9 @@ def compile_for(config: TNTConfig, classifier: object, regressor: object, *, dro
 def compile_kernels(names: Iterable[str]) -> None:
     """Compile these kernels, or load them from Numba's cache."""
     missing = [name for name in _in_order(names) if not _is_compiled(name)]
-    collecting = gc.isenabled()
-    try:
-        gc.disable()  # a tenth of the time, and Numba makes no garbage in the meantime
+    with _not_collecting():
         for name in missing:
             compile_for_types(*ENTRY_POINTS[name])
-    finally:
-        if collecting:
-            gc.enable()
 
 
 def fill_cache(names: Iterable[str] = EVENTS | CLASSIFIER) -> None:
@@ -102,8 +97,9 @@ def fill_cache(names: Iterable[str] = EVENTS | CLASSIFIER) -> None:
     The commands call it with the default, the largest kernels of a stream, before they make a `Processor`.
     """
     absorb, types = ENTRY_POINTS["absorb"]
-    if is_cached(absorb, types):
-        return
+    with _not_collecting():
+        if is_cached(absorb, types):
+            return
     if not can_be_cached(absorb):
         told = "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR to one that can"
         print(f"async_tnt: compiling kernels, {told} ...", file=sys.stderr, flush=True)
@@ -121,6 +117,18 @@ def fill_cache(names: Iterable[str] = EVENTS | CLASSIFIER) -> None:
     finally:
         child.kill()
         child.wait()
+
+
+@contextlib.contextmanager
+def _not_collecting() -> Iterator[None]:
+    """Without garbage collection: a tenth of the time, and Numba makes no garbage in the meantime."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
 
 
 def _in_order(names: Iterable[str]) -> list[str]:

@@ -9,34 +9,30 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import checked_time
+from async_tnt.checks import Running, checked_time, one_at_a_time
 from async_tnt.compile_ahead import compile_for
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
-from async_tnt.kernels.state import NEVER_US
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
-from async_tnt.one_call import Running, one_at_a_time
 from async_tnt.replay_buffer import Regressor
-from async_tnt.triggers import LeakyIntegrator, Triggers, TriggerSettings
+from async_tnt.triggers import LeakyIntegrator, TriggerAttributes, Triggers, TriggerSettings
 from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
 
 
-class Processor:
+class Processor(TriggerAttributes):
     """Classifies windows of an event stream while the events arrive.
 
     Windows lie end to end, from `start_us` or else from the first event. A window is classified when it closes, and
-    skipped if it holds no events. The decisions do not depend on how the stream is cut into packets. Where the
-    configuration has `window_events`, a window begins with the first event after the one before it, and is classified
-    when its last event arrives.
+    skipped if it holds no events; one of `window_events` begins with the first event after the window before it, and is
+    classified when its last event arrives. The decisions do not depend on how the stream is cut into packets.
 
     Parameters
     ----------
@@ -44,8 +40,6 @@ class Processor:
     classifier : any callable from a volume (float32 array, shape (C, H, W), read-only, valid during the call)
         to finite logits; by default the model's own network, compiled, which computes only what has changed
         since the last decision. Others are in `async_tnt.networks`.
-    regressor : for landmark `regressor`, see `TNTVolume`; by default the model's own network, compiled. Its errors
-        are treated like those of the classifier, see `push`.
     classes : class names; by default the model's, or "0", "1", ...
     start_us : start of the first window, in microseconds. It and `hop_us` cannot be given with `window_events`.
     hop_us : distance between the starts of windows, by default `window_us`. With a smaller one windows overlap;
@@ -57,11 +51,11 @@ class Processor:
         It is checked at every decision of the other triggers, or after every event if there are none. Events that
         still arrive for the window are counted as `dropped_decided`.
     activity : a `LeakyIntegrator`: decide also when much happens in little time.
-    late, replay_events : see `TNTVolume`.
+    regressor, late, replay_events : see `TNTVolume`; a model has a compiled regressor of its own.
 
-    Copies and pickles continue the stream, bit for bit.
-    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change between
-    calls. A call while another one is running, in another thread or further up in the same, is a RuntimeError.
+    Copies and pickles continue the stream, bit for bit. The four triggers, from `every_us` to `activity`, and
+    `classifier` are attributes, too, and may change between calls. A call while another one is running, in another
+    thread or further up in the same, is a RuntimeError.
 
     Examples
     --------
@@ -73,8 +67,8 @@ class Processor:
     """
 
     __slots__ = (  # so that a mistyped trigger is an error
-        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_running", "_start_us", "_triggers",
-        "_windows", "config",
+        "__weakref__", "_absorb_one", "_by_event", "_classifier", "_decoder", "_running", "_triggers", "_windows",
+        "config",
     )  # fmt: skip
 
     def __init__(
@@ -96,11 +90,10 @@ class Processor:
         self.config, classifier, regressor, classes = networks_of(model, classifier, regressor, classes)
         self._classifier = WindowClassifier(self.config, classifier, classes)
         self._running = Running("Processor")
-        self._start_us = start_us = None if start_us is None else checked_time("start_us", start_us)
+        start_us = None if start_us is None else checked_time("start_us", start_us)
         self._triggers = Triggers(TriggerSettings(every_us, every_events, confidence, activity))
         self._decoder = EventDecoder(self.config.sensor, late, LARGER_CAMERA)
         self._compile(regressor)
-        self._by_event = self._triggers.settings.by_event
         self._windows = WindowScheduler(self.config, hop_us, start_us, replay_events, regressor)
         self.reset()
 
@@ -114,112 +107,13 @@ class Processor:
         self._windows.reset()
         self._triggers.forget()
         self._choose_paths()
-        if self._start_us is not None:
-            self._open_windows(self._start_us)
-
-    # -- settings that may change ------------------------------------------------------------------------
-
-    @property
-    def classifier(self) -> Classifier:
-        """The callable from a volume to logits. A new one is used from the next decision on.
-
-        Raises
-        ------
-        TypeError : not callable. ValueError : a `CompiledClassifier` for volumes of another shape.
-        """
-        return self._classifier.classifier
-
-    @classifier.setter
-    @one_at_a_time
-    def classifier(self, classifier: Classifier) -> None:
-        self._classifier.classifier = classifier
-        self._compile(None)
-
-    @property
-    def classes(self) -> tuple[str, ...] | None:
-        """Class names; if none were given, known from the first decision on."""
-        return self._classifier.classes
-
-    @property
-    def start_us(self) -> int | None:
-        """Start of the first window, in microseconds; None: at the first event."""
-        return self._start_us
-
-    @property
-    def late(self) -> Late:
-        """What is done with an event older than the newest one seen: `accept`, `drop` or `raise`."""
-        return self._decoder.late
-
-    @property
-    def every_us(self) -> int | None:
-        """Decide also whenever this many microseconds have passed; None: never. May change between calls."""
-        return self._triggers.settings.every_us
-
-    @every_us.setter
-    def every_us(self, every_us: int | None) -> None:
-        self._set_triggers(replace(self._triggers.settings, every_us=every_us))
-
-    @property
-    def every_events(self) -> int | None:
-        """Decide also after every this many events of the window; None: never. May change between calls."""
-        return self._triggers.settings.every_events
-
-    @every_events.setter
-    def every_events(self, every_events: int | None) -> None:
-        self._set_triggers(replace(self._triggers.settings, every_events=every_events))
-
-    @property
-    def confidence(self) -> float | None:
-        """Close a window at a decision whose class has this probability; None: never. May change between calls."""
-        return self._triggers.settings.confidence
-
-    @confidence.setter
-    def confidence(self, confidence: float | None) -> None:
-        self._set_triggers(replace(self._triggers.settings, confidence=confidence))
-
-    @property
-    def activity(self) -> LeakyIntegrator | None:
-        """Decide also when much happens in little time; None: never. May change between calls."""
-        return self._triggers.settings.activity
-
-    @activity.setter
-    def activity(self, activity: LeakyIntegrator | None) -> None:
-        self._set_triggers(replace(self._triggers.settings, activity=activity))
-
-    @one_at_a_time
-    def _set_triggers(self, settings: TriggerSettings) -> None:
-        """Change the triggers; they apply to the open window, too."""
-        self._triggers.set(settings)
-        self._choose_paths()
-        if len(self._windows):
-            oldest = self._windows.oldest
-            self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
-        self._windows.set_limit(self._triggers.next_due_us)
-
-    def _compile(self, regressor: Regressor | None) -> None:
-        """Now, so that no event has to wait for it."""
-        compile_for(
-            self.config,
-            self.classifier,
-            regressor,
-            drops_late=self.late != "accept",
-            by_event=self._triggers.settings.by_event,
-        )
-
-    def _choose_paths(self) -> None:
-        """Whether triggers look at each event; whether single events may go straight to the one volume."""
-        if self._triggers.settings.by_event and not self._by_event:
-            self._compile(None)
-        direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
-        self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
-        self._by_event = self._triggers.settings.by_event
+        if self.start_us is not None:
+            self._open_windows(self.start_us)
 
     # -- events in ---------------------------------------------------------------------------------------
 
     def push(self, events: Any) -> list[Decision]:
         """Process a packet of events, in any form that `async_tnt.event_forms` lists.
-
-        Columns that are already in the decoder's own form are not copied: do not change them until `push` returns.
 
         Returns one decision for each window that the packet closes and for each trigger that fires.
 
@@ -227,10 +121,9 @@ class Processor:
         ------
         ValueError, TypeError : the packet is invalid. The message names field, rule, value and event; nothing changes.
 
-        Errors of the classifier pass through. The events before that decision have then been processed and the rest of
-        the packet has not (but `late` has seen it: pushed again, it is late), and the packet's earlier decisions are
-        lost. The end of a window, and `every_us`, are tried again at the next push; a decision that an event made due
-        has been missed.
+        Errors of classifier and regressor pass through. The events before that decision have then been processed, the
+        others have not (but `late` has seen them: pushed again, they are late), and the packet's earlier decisions are
+        lost. The next push tries the end of a window, and `every_us`, again; a decision made due by an event is missed.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
@@ -332,8 +225,8 @@ class Processor:
 
     def _close_oldest(self, now_us: int, decisions: list[Decision]) -> None:
         """The oldest window is complete: decide, unless it is empty, and close it."""
-        if self._windows.oldest.n_events:  # first: should the classifier raise, the window stays open
-            decisions.append(self._classifier.decide(self._windows.oldest, "window", complete=True))
+        if (oldest := self._windows.oldest).n_events:  # first: should the classifier raise, the window stays open
+            decisions.append(self._classifier.decide(oldest, "window", complete=True))
         self._windows.close_oldest()
         self._begin_oldest(now_us)
 
@@ -345,23 +238,19 @@ class Processor:
 
     def _accept(self, new: list[Decision], now_us: int, decisions: list[Decision]) -> None:
         """Append decisions about the oldest window; a complete one closes it early."""
-        if not new:
-            return
-        decisions += new
-        self._triggers.n_decided = new[-1].events
-        if new[-1].complete:
+        if new:
+            decisions += new
+            self._triggers.n_decided = new[-1].events
+        if new and new[-1].complete:
             self._windows.close_oldest(early=True)
             self._begin_oldest(now_us)
             self._windows.set_limit(self._triggers.next_due_us)
 
     def _begin_oldest(self, now_us: int) -> None:
         """Another window has become the oldest, or none is open."""
-        self._triggers.n_decided = 0
-        self._triggers.next_due_us = NEVER_US
-        if len(self._windows):
-            self._triggers.schedule(now_us, self._windows.oldest.start_us)
+        self._triggers.begin_window(now_us, self._windows.oldest.start_us if len(self._windows) else None)
 
-    # -- results, and the state of the stream ------------------------------------------------------------
+    # -- results, and the state of the stream ----------------------------------------------------------
 
     def fire(self) -> Decision:
         """Classify the open window as it is now: an empty one before the first event. Changes nothing."""
@@ -402,8 +291,58 @@ class Processor:
         event once, the others once per window that contains it."""
         return self._windows.counts(self._decoder.n_dropped)
 
+    # -- settings that may change ------------------------------------------------------------------------
+
+    @property
+    def classifier(self) -> Classifier:
+        """The callable from a volume to logits, used from the next decision on; one that cannot fit is an error."""
+        return self._classifier.classifier
+
+    @classifier.setter
+    @one_at_a_time
+    def classifier(self, classifier: Classifier) -> None:
+        self._classifier.classifier = classifier
+        self._compile(None)
+
+    @property
+    def classes(self) -> tuple[str, ...] | None:
+        """Class names; if none were given, known from the first decision on."""
+        return self._classifier.classes
+
+    @property
+    def start_us(self) -> int | None:
+        """Start of the first window, in microseconds; None: at the first event."""
+        return self._windows.start_us
+
+    @property
+    def late(self) -> Late:
+        """What is done with an event older than the newest one seen: `accept`, `drop` or `raise`."""
+        return self._decoder.late
+
+    @one_at_a_time
+    def _set_triggers(self, settings: TriggerSettings) -> None:
+        """Change the triggers; they apply to the open window, too."""
+        self._triggers.set(settings)
+        self._compile(None)
+        self._choose_paths()
+        if len(self._windows):
+            oldest = self._windows.oldest
+            self._triggers.schedule(max(oldest.start_us, oldest.newest_us), oldest.start_us)
+        self._windows.set_limit(self._triggers.next_due_us)
+
+    def _compile(self, regressor: Regressor | None) -> None:
+        """Now, so that no event has to wait for it."""
+        by_event = self._triggers.settings.by_event
+        compile_for(self.config, self.classifier, regressor, drops_late=self.late != "accept", by_event=by_event)
+
+    def _choose_paths(self) -> None:
+        """Whether triggers look at each event, and whether single events may go straight to the one volume."""
+        direct = not self._windows.overlap and self._decoder.late == "accept" and self.activity is None
+        self._absorb_one = self._windows.oldest.absorb_one if direct else _refuse
+        self._by_event = self._triggers.settings.by_event
+
     def __copy__(self) -> Processor:
-        """A copy continues by itself, bit for bit; so does what `pickle` returns, in any process."""
+        """A copy continues by itself; so does what `pickle` returns, in any process."""
         return copy.deepcopy(self)
 
 

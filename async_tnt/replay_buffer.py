@@ -14,13 +14,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from async_tnt.checks import positive_int, short
+from async_tnt.checks import Running, one_at_a_time, positive_int, short
 from async_tnt.config import TNTConfig
 from async_tnt.events import Columns, empty_columns
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import absorb, store_events
 from async_tnt.kernels.readout import empty_volume
-from async_tnt.one_call import Running, one_at_a_time
 from async_tnt.volume_state import MAX_EVENTS, next_epoch, set_duration
 
 Regressor = Callable[[np.ndarray], Any]

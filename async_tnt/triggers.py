@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -114,13 +114,19 @@ class Triggers:
 
     def forget(self) -> None:
         """Forget the stream: no window, no potential."""
-        self.next_due_us = NEVER_US
-        self.n_decided = 0
+        self.begin_window(0, None)
         self._discharge()
 
     def _discharge(self) -> None:
         self.state[T.POTENTIAL] = 0.0
         self._ints[T.CHARGED_US] = 0
+
+    def begin_window(self, now_us: int, start_us: int | None) -> None:
+        """The window that starts at `start_us` has become the oldest one; None: no window is open."""
+        self.n_decided = 0
+        self.next_due_us = NEVER_US
+        if start_us is not None:
+            self.schedule(now_us, start_us)
 
     def schedule(self, now_us: int, start_us: int) -> None:
         """Set the next moment of `every_us`: the first after `now_us` in a window that starts at `start_us`."""
@@ -129,6 +135,53 @@ class Triggers:
         if every_us is not None:
             due_us = start_us + ((now_us - start_us) // every_us + 1) * every_us
             self.next_due_us = min(due_us, NEVER_US)
+
+
+class TriggerAttributes:
+    """The four triggers as attributes of a `Processor`, which may change between calls."""
+
+    __slots__ = ()
+    _triggers: Triggers
+
+    def _set_triggers(self, settings: TriggerSettings) -> None:
+        """Use these settings, for the open window, too."""
+        raise NotImplementedError
+
+    @property
+    def every_us(self) -> int | None:
+        """Decide also whenever this many microseconds have passed; None: never. May change between calls."""
+        return self._triggers.settings.every_us
+
+    @every_us.setter
+    def every_us(self, every_us: int | None) -> None:
+        self._set_triggers(replace(self._triggers.settings, every_us=every_us))
+
+    @property
+    def every_events(self) -> int | None:
+        """Decide also after every this many events of the window; None: never. May change between calls."""
+        return self._triggers.settings.every_events
+
+    @every_events.setter
+    def every_events(self, every_events: int | None) -> None:
+        self._set_triggers(replace(self._triggers.settings, every_events=every_events))
+
+    @property
+    def confidence(self) -> float | None:
+        """Close a window at a decision whose class has this probability; None: never. May change between calls."""
+        return self._triggers.settings.confidence
+
+    @confidence.setter
+    def confidence(self, confidence: float | None) -> None:
+        self._set_triggers(replace(self._triggers.settings, confidence=confidence))
+
+    @property
+    def activity(self) -> LeakyIntegrator | None:
+        """Decide also when much happens in little time; None: never. May change between calls."""
+        return self._triggers.settings.activity
+
+    @activity.setter
+    def activity(self, activity: LeakyIntegrator | None) -> None:
+        self._set_triggers(replace(self._triggers.settings, activity=activity))
 
 
 def _level(name: str, value: Any) -> float:

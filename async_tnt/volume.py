@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.checks import checked_time
+from async_tnt.checks import Running, checked_time
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts
 from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
-from async_tnt.one_call import Running
 from async_tnt.replay_buffer import Regressor, ReplayBuffer, check_regressor
 from async_tnt.volume_state import new_state, next_epoch
 

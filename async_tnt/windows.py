@@ -84,7 +84,7 @@ class WindowScheduler:
             smallest = f"window_us / {MAX_OPEN_WINDOWS} = {math.ceil(window_us / MAX_OPEN_WINDOWS)}"
             got = f"{self.hop_us}: {n_volumes} windows would be open at once"
             raise ValueError(f"`hop_us` must be at least {smallest}, got {got}")
-        self._start_us = start_us
+        self.start_us = start_us
         self.volumes = [TNTVolume(config, replay_events=replay_events, regressor=regressor) for _ in range(n_volumes)]
         self.reset()
 
@@ -94,7 +94,7 @@ class WindowScheduler:
             volume.reset()
         self._open: deque[TNTVolume] = deque()
         self._free = list(self.volumes)
-        self._next_start_us: int | None = self._start_us  # of the next window to be opened; None: at the first event
+        self._next_start_us: int | None = self.start_us  # of the next window to be opened; None: at the first event
         # The start of the windows closed early that lead up to the oldest open one, or to the next where none is.
         self._decided_from_us: int | None = None
         self._n_received = 0

@@ -1,4 +1,6 @@
-"""Worker processes: each calls one function after another, and may crash or hang without harm to this process.
+"""The cores of this machine, and worker processes.
+
+A worker calls one function after another, and may crash or hang without harm to this process.
 
 `subprocess` starts them: a process of `multiprocessing` imports the user's script again, which then needs the line
 `if __name__ == "__main__":`, and a daemonic process, such as a worker of torch's DataLoader, may not start any.
@@ -20,6 +22,11 @@ from queue import SimpleQueue
 from typing import Any
 
 MAX_ANSWER_BYTES = 1 << 30  # a process that is about to crash may send anything
+
+
+def available_cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class WorkerEnded(ChildProcessError):

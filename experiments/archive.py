@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 
 from async_tnt import load_model, warmup
-from async_tnt.engines import choose_engine
 from async_tnt.evaluation.early import every_us
 from async_tnt.evaluation.job import Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import evaluate_recording
 from async_tnt.evaluation.results import Progress, Run, collect
+from async_tnt.networks.engines import choose_engine
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.labelled_recordings import find_recordings

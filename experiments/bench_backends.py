@@ -53,7 +53,7 @@ def _onnxruntime_binding(model: Model) -> Network:
 
 def _session(model: Model) -> Any:
     from async_tnt.networks.onnx_export import to_onnx
-    from async_tnt.networks.onnx_session import open_session
+    from async_tnt.networks.onnx_network import open_session
 
     return open_session(to_onnx(model).SerializeToString(), "the exported network", threads=1)[0]
 

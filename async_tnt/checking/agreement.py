@@ -1,4 +1,4 @@
-"""Whether a model's exported networks agree with its compiled ones, on volumes like those they will see."""
+"""Whether a model's exported classifier agrees with its compiled one, on volumes like those they will see."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from async_tnt.checking.equality import LOGIT_BOUND, REGRESSED_LANDMARK_BOUND, Comparison, closed_volumes, same_class
+from async_tnt.checking.equality import LOGIT_BOUND, Comparison, closed_volumes, same_class
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.progress import progress
-from async_tnt.replay_buffer import Regressor
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.window_classifier import Classifier
 
@@ -33,21 +32,15 @@ class Agreement:
     """The same differences, absolute, for the report."""
     n_differ: int = 0
     """Windows of another class, but for ties within the bound."""
-    landmarks: Comparison = field(default_factory=lambda: Comparison("landmark, px", "", REGRESSED_LANDMARK_BOUND))
-    """Empty if the model has no landmark network."""
 
     @property
     def holds(self) -> bool:
-        return self.logits.holds and self.n_differ == 0 and (self.landmarks.holds or self.landmarks.n == 0)
+        return self.logits.holds and self.n_differ == 0
 
 
-def compare_engines(model: Model, classifier: Classifier, regressor: Regressor | None = None) -> Agreement:
-    """Compare networks with the model's compiled ones, on windows of the bundled samples, or of made streams if the
-    model is for another sensor. Landmark networks are compared on the raw volumes of the same windows.
-
-    Parameters
-    ----------
-    regressor : needed where the model has a landmark network.
+def compare_engines(model: Model, classifier: Classifier) -> Agreement:
+    """Compare a classifier with the model's compiled one, on windows of the bundled samples, or of made streams if the
+    model is for another sensor.
     """
     config = model.config
     streams, recordings = list(_samples(model)), "bundled samples"
@@ -55,21 +48,16 @@ def compare_engines(model: Model, classifier: Classifier, regressor: Regressor |
         streams, recordings = list(_made(model)), "made streams"
     agreement = Agreement(recordings)
     compiled = CompiledClassifier(model)
-    compiled_regressor = CompiledRegressor(model) if config.needs_regressor else None
-    raw = config.replace(transform="none", landmark="center", remove_flow=False)
+    regressor = CompiledRegressor(model) if config.needs_regressor else None
     with progress(len(streams), "checking") as bar:
         for events in streams:
-            for _, volume in closed_volumes(events, config, 0, None, compiled_regressor):
+            for _, volume in closed_volumes(events, config, 0, None, regressor):
                 ours, theirs = compiled(volume), np.asarray(classifier(volume))
                 difference = float(np.abs(ours - theirs).max())
                 agreement.plain_logits.add(difference)
                 largest = max(1.0, float(np.abs(ours).max()))
                 agreement.logits.add(difference / largest)
                 agreement.n_differ += not same_class(ours, theirs, LOGIT_BOUND * largest)
-            if compiled_regressor is not None and regressor is not None:
-                for _, volume in closed_volumes(events, raw, 0, None):
-                    distance = np.abs(np.subtract(compiled_regressor(volume), regressor(volume))).max()
-                    agreement.landmarks.add(float(distance))
             bar.update()
     return agreement
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _signal  # not `signal`: Ctrl-C during that import would show a traceback
+import gc
 import io
 import os
 import sys
@@ -20,12 +21,14 @@ def main(argv: list[str] | None = None) -> int:
     if argv is None:
         _at_signals(_end)
         _open_streams()
-    # imports NumPy and Numba, whose C code may turn a KeyboardInterrupt into any other error
-    from async_tnt.cli.program import run
-
+    gc.disable()  # until the command begins: imports make no garbage, and to look for it takes a tenth of a start
     try:
+        # imports NumPy and Numba, whose C code may turn a KeyboardInterrupt into any other error
+        from async_tnt.cli.program import run
+
         return run(sys.argv[1:] if argv is None else argv)
     finally:
+        gc.enable()
         if argv is None:
             _at_signals(_signal.SIG_DFL)  # an interpreter that ends takes a signal and calls no handler
 

@@ -15,12 +15,13 @@ from async_tnt.cli.options import paths_of, triggers_of
 from async_tnt.cli.output import complain, complain_late, counted, say
 from async_tnt.cli.pixel_options import selector_of
 from async_tnt.compile_ahead import fill_cache
-from async_tnt.engines import choose_engine
 from async_tnt.evaluation.job import Task, job_of, task_of
 from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import Record, run_recording
 from async_tnt.evaluation.results import SUFFIXES, Progress, Run, collect
 from async_tnt.files import check_writable
+from async_tnt.networks.engines import choose_engine
+from async_tnt.processor import Processor
 from async_tnt.progress import progress as progress_bar
 from async_tnt.sources.labelled_recordings import recordings_under
 
@@ -96,7 +97,8 @@ def run_archive(args: argparse.Namespace) -> int:
     engine = choose_engine(args.model, args.engine)
     fill_cache()
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
-    engine.processor(**settings)  # refuses bad settings before any work
+    # refuses bad settings before any work
+    Processor(engine.model, classes=engine.classes, **engine.networks, **settings)
     pixels = selector_of(args, engine.model)
     paths = recordings_under(paths_of(args))
     job = job_of("run", args.model, engine, pixels.selection, **settings)

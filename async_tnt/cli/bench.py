@@ -20,10 +20,10 @@ from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
+from async_tnt.package import __version__
 from async_tnt.processor import Processor
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.version import __version__
 from async_tnt.volume import TNTVolume
 
 DESCRIPTION = """\

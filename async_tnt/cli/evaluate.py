@@ -15,12 +15,12 @@ from async_tnt.cli.options import add_archive, model_of
 from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
-from async_tnt.engines import Engine
 from async_tnt.evaluation.early import early_report, every_us
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.records import TIMED, Record, evaluate_recording
 from async_tnt.evaluation.results import Progress
 from async_tnt.evaluation.scores import score_recordings
+from async_tnt.networks.engines import Engine
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
 from async_tnt.sources.labelled_recordings import LabelledRecording, file_of, find_recordings

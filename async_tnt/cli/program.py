@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import importlib
 import os
 import signal
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from async_tnt.checks import printable
 from async_tnt.cli.output import OPTIONS, complain
-from async_tnt.process import handled_by
-from async_tnt.version import __version__
+from async_tnt.package import __version__
 
+# Ctrl-C, SIGTERM (systemd, docker, timeout), SIGHUP (the terminal closes), which Windows does not have
+ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 COMMANDS = {  # name: (module with DESCRIPTION, add_arguments(parser) and main(args), one line of help)
     "run": ("async_tnt.cli.run", "stream recordings through a model and print its decisions"),
     "export": ("async_tnt.cli.export", "write a model's networks to ONNX files, checked (extra: onnx)"),
@@ -93,6 +97,7 @@ def _run(argv: Sequence[str]) -> int:
         OPTIONS.update(vars(args))
         with warnings.catch_warnings(), handled_by(interrupt) as before:
             warnings.showwarning = _show_warning  # type: ignore[assignment]
+            gc.enable()
             code = args.main(args)
     except BrokenPipeError:  # `| head`: the reader has seen enough
         pass
@@ -108,6 +113,26 @@ def _run(argv: Sequence[str]) -> int:
     finally:
         sys.unraisablehook = hook
     return _code_after_signal(received[0], code, told) if received else code
+
+
+@contextmanager
+def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[dict[int, Any]]:
+    """Call `handler` for these signals within the block; yields the previous handlers.
+
+    Ignored signals stay ignored: Ctrl-C in a background job, SIGHUP under nohup. Outside the main thread nothing
+    changes, as Python can set handlers only there.
+    """
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.getsignal(number) for number in ENDING}
+        before = {number: known for number, known in before.items() if known not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, handler)
+    try:
+        yield before
+    finally:
+        for number, known in before.items():
+            signal.signal(number, known)
 
 
 def _code_after_signal(number: int, code: int, told: str) -> int:

@@ -27,7 +27,7 @@ from async_tnt.cli.packets import add_latest, check_pace, live_packets, open_sel
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
-from async_tnt.engines import ENGINES, Engine, choose_engine
+from async_tnt.networks.engines import ENGINES, Engine, choose_engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selection import PixelSelector
@@ -97,7 +97,8 @@ def main(args: argparse.Namespace) -> int:
     _check(args)
     engine = choose_engine(args.model, args.engine)
     fill_cache()
-    processor = engine.processor(start_us=args.start_us, hop_us=args.hop_us, late=args.late, **triggers_of(args))
+    settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
+    processor = Processor(engine.model, classes=engine.classes, **engine.networks, **settings)
     pixels = selector_of(args, engine.model)
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line

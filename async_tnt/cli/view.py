@@ -14,8 +14,8 @@ from async_tnt.cli.output import complain, complain_late, say
 from async_tnt.cli.packets import add_latest, check_pace, live_packets, open_selected
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
-from async_tnt.engines import choose_engine
 from async_tnt.files import check_writable
+from async_tnt.networks.engines import choose_engine
 from async_tnt.progress import progress
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selection import PixelSelector

@@ -12,11 +12,11 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from async_tnt.engines import Engine, is_onnx, regressor_path
+from async_tnt.networks.engines import Engine
 from async_tnt.networks.loading import bundled_models
 from async_tnt.networks.model import Model
+from async_tnt.package import __version__
 from async_tnt.sources.pixel_selection import PixelSelection
-from async_tnt.version import __version__
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def task_of(
 
 
 def sha256_of(engine: Engine, path: str) -> str:
-    """Of what the decisions depend on: configuration, classes, layers and weights; of an .onnx model, its files."""
+    """Of what the decisions depend on: configuration, classes, layers and weights; of an .onnx model, its file."""
     sha256 = hashlib.sha256()
     if isinstance(engine.model, Model):
         about = [engine.config.to_dict(), list(engine.classes), engine.model.layers]
@@ -120,6 +120,4 @@ def sha256_of(engine: Engine, path: str) -> str:
             sha256.update(weights.tobytes())
         return sha256.hexdigest()
     sha256.update(Path(path).read_bytes())
-    if is_onnx(path) and engine.config.needs_regressor:
-        sha256.update(regressor_path(Path(path)).read_bytes())
     return sha256.hexdigest()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from async_tnt.checks import needs_extra
-from async_tnt.version import __version__
+from async_tnt.package import __version__
 from async_tnt.worker import Worker, WorkerEnded
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def _check_workers(client: Any, address: str, tasks: Sequence[RecordingTask]) ->
         import os
 
         try:
-            from async_tnt.version import __version__ as version
+            from async_tnt.package import __version__ as version
         except ImportError:
             version = "missing"
         if version != expected:

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from async_tnt.decision import Decision
-from async_tnt.engines import Engine, choose_engine
 from async_tnt.evaluation.early import FIELDS as EARLY
 from async_tnt.evaluation.early import FiringProcessor, early_fields
 from async_tnt.evaluation.job import Job, Task, sha256_of
+from async_tnt.networks.engines import Engine, choose_engine
+from async_tnt.package import __version__
 from async_tnt.processor import Processor
 from async_tnt.sources.pixel_selection import PixelSelector
-from async_tnt.version import __version__
 
 Record = dict[str, Any]
 
@@ -149,7 +149,7 @@ def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
             raise ValueError(
                 f"{job.model}: not the model that the job was made for; it has changed, or a worker reads another file"
             )
-        processor = engine.processor(**job.settings)
+        processor = Processor(engine.model, classes=engine.classes, **engine.networks, **job.settings)
         processor.fire()  # of the empty window: changes nothing, but an engine's first call takes longer
         kept = _kept.of_job = job, processor, engine, PixelSelector(job.pixels, engine.config.sensor)
     _, processor, engine, pixels = kept

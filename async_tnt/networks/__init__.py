@@ -3,9 +3,8 @@
     Model, load_model           a configuration, weights and class names, in one .safetensors file
     CompiledClassifier          its classifier, compiled: computes only what has changed; `CompiledRegressor`
     OnnxClassifier              any ONNX network, by onnxruntime: `Processor(config, classifier=...)`
-    OnnxRegressor               the same for landmarks, raw volume -> (x, y): `Processor(..., regressor=...)`
     TorchClassifier             any torch module, TorchScript or exported program
-    to_onnx                     a Model's classifier as an ONNX network; `regressor_to_onnx` its landmark network
+    to_onnx                     a Model's classifier as an ONNX network
 
 onnx, onnxruntime (extra `onnx`) and torch are imported only when they are needed.
 """
@@ -13,8 +12,8 @@ onnx, onnxruntime (extra `onnx`) and torch are imported only when they are neede
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
-from async_tnt.networks.onnx_export import regressor_to_onnx, to_onnx
-from async_tnt.networks.onnx_network import OnnxClassifier, OnnxRegressor
+from async_tnt.networks.onnx_export import to_onnx
+from async_tnt.networks.onnx_network import OnnxClassifier
 from async_tnt.networks.torch_modules import TorchClassifier
 
 __all__ = [
@@ -22,10 +21,8 @@ __all__ = [
     "CompiledRegressor",
     "Model",
     "OnnxClassifier",
-    "OnnxRegressor",
     "TorchClassifier",
     "bundled_models",
     "load_model",
-    "regressor_to_onnx",
     "to_onnx",
 ]

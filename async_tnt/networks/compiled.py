@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from async_tnt.checks import Running, one_at_a_time
 from async_tnt.config import TNTConfig
 from async_tnt.events import Columns
 from async_tnt.kernels.classify import absorb_and_decide, classify_cells
@@ -14,7 +15,6 @@ from async_tnt.kernels.program import EPOCH, OUTPUT_DY
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
 from async_tnt.networks.program import StepWork, VolumeInput, make_program
-from async_tnt.one_call import Running, one_at_a_time
 
 
 class Volume(Protocol):

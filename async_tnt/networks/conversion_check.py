@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from importlib import resources
 
 import numpy as np
 
@@ -47,24 +46,12 @@ def compare(original: Function, layers: Function, shape: tuple[int, ...], tolera
 
 
 def volumes_to_compare(shape: tuple[int, ...]) -> Iterator[np.ndarray]:
-    """Volumes (C, H, W), float32: normal numbers, sparse counts, these times 100, only negative numbers, zeros, and the
-    counts of bundled recordings."""
+    """Volumes (C, H, W), float32: normal numbers, sparse counts, these times 100, only negative numbers, zeros, and
+    counts that are dense in one corner, as of an object."""
     rng = np.random.default_rng(0)
     normal = rng.normal(size=(2, *shape)).astype(np.float32)
     counts = (rng.poisson(0.05, (2, *shape)) * rng.choice([-1, 1], (2, *shape))).astype(np.float32)
     yield from (*normal, *counts, 100 * counts[0], -np.abs(normal[0]), np.zeros(shape, np.float32))
-    samples = resources.files("async_tnt") / "assets" / "samples"
-    for digit in (0, 3, 7):
-        yield _counts_of_recording((samples / f"{digit}.bin").read_bytes(), shape)
-
-
-def _counts_of_recording(content: bytes, shape: tuple[int, ...]) -> np.ndarray:
-    """The first 105 ms of a recording in N-MNIST's format, as counts with their sign, spread over any shape."""
-    rows = np.frombuffer(content, np.uint8).reshape(-1, 5).astype(np.int64)  # see `sources.files.nmnist`
-    t_us = (rows[:, 2] & 127) << 16 | rows[:, 3] << 8 | rows[:, 4]
-    rows, t_us = rows[t_us < 105_000], t_us[t_us < 105_000]
-    channels, height, width = shape
-    cells = t_us * channels // 105_000, rows[:, 1] * height // 34, rows[:, 0] * width // 34
-    volume = np.zeros(shape, np.float32)
-    np.add.at(volume, cells, np.where(rows[:, 2] >> 7, 1, -1))
-    return volume
+    corner = np.zeros(shape, np.float32)
+    corner[:, : 1 + shape[1] // 2, : 1 + shape[2] // 2] = 1
+    yield 3 * rng.poisson(2.0, shape).astype(np.float32) * corner

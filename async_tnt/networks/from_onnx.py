@@ -1,11 +1,22 @@
-"""ONNX networks as layers: what torch, Keras and others export of convolutional networks."""
+"""ONNX networks as Models: what torch, Keras and others export of convolutional networks, and our own files."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from async_tnt.checks import needs_extra, one_line
+from async_tnt.config import TNTConfig
+from async_tnt.networks.compiled import CompiledClassifier
+from async_tnt.networks.conversion_check import TOLERANCE, compare
+from async_tnt.networks.graph import CLASSIFIER, layer_shapes
+from async_tnt.networks.model import Model
+from async_tnt.networks.onnx_export import is_damaged, read_metadata
+from async_tnt.networks.onnx_network import open_session
 from async_tnt.networks.onnx_operations import RULES, Node, OnnxLayers
 
 if TYPE_CHECKING:
@@ -16,6 +27,77 @@ Layers = list[dict[str, Any]]
 STANDARD = ("", "ai.onnx")  # the domain of ONNX's own operations
 FIRST_OPSET = 7  # before it, sums took an axis, and batch norms and dropouts trained unless told otherwise
 WAY_OUT = "; OnnxClassifier(path) runs any network, whole at every decision"
+
+
+def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | None) -> Model:
+    """The model in an .onnx file, see `load_model`."""
+    with needs_extra("onnx", "ONNX networks are read by onnx"):
+        import onnx
+    content = path.read_bytes()
+    try:
+        proto = onnx.load(path)  # and weights in files beside it
+        onnx.checker.check_model(proto)
+        metadata = {entry.key: entry.value for entry in proto.metadata_props}
+        exported = read_metadata(metadata)
+    except Exception as error:  # of many types
+        raise ValueError(f"{path} is not a readable ONNX network: {one_line(error)}") from None
+    if exported is not None:
+        if is_damaged(metadata, content):
+            raise ValueError(f"{path} is damaged: its checksum differs; copy or download it again")
+        if config is not None or classes is not None:
+            raise TypeError(f"`config` and `classes` are for networks of other programs; {path} has its own")
+        if exported.config.needs_regressor:
+            raise NotImplementedError(
+                f"the landmark network of {path} has no ONNX form: load the model it was exported from"
+            )
+        config, classes = exported.config, exported.classes
+    if config is None:
+        raise TypeError(
+            f"{path} does not say how events become its volume: load_model(path, config=TNTConfig(...), classes=[...])"
+        )
+    try:
+        layers, weights = layers_from_onnx(proto, config.shape)
+    except (NotImplementedError, ValueError) as error:
+        raise type(error)(f"{path}: {error}") from None
+    if classes is None:
+        shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
+        classes = [str(k) for k in range(list(shapes.values())[-1][0])]
+    model = Model(config, weights, tuple(classes), exported.record if exported else {}, {CLASSIFIER: layers})
+    try:
+        _compare_with_onnxruntime(path, proto, model)
+    except ImportError:
+        warnings.warn(
+            f"{path}: its layers were not compared with the network itself, as onnxruntime is not installed",
+            stacklevel=3,  # the caller of `load_model`
+        )
+    except ValueError as error:
+        raise NotImplementedError(f"{path} cannot be read as layers: {error}{WAY_OUT}") from None
+    return model
+
+
+def _compare_with_onnxruntime(path: Path, proto: onnx.ModelProto, model: Model) -> None:
+    """Compare an ONNX network, run by onnxruntime, with the compiled layers that were read from it.
+
+    Raises
+    ------
+    ImportError : onnxruntime is not installed.
+    ValueError : see `compare`; or onnxruntime cannot open the file.
+    """
+    session, (given,), *_ = open_session(str(path), str(path), 1)
+    dtype, softmax = input_type(proto), ends_in_softmax(proto)
+    n = given.shape[0] if given.shape and isinstance(given.shape[0], int) else 1  # some files fix a batch
+    compiled = CompiledClassifier(model)
+
+    def theirs(volume: np.ndarray) -> np.ndarray:
+        answer: np.ndarray = session.run(None, {given.name: np.repeat(volume[None], n, 0).astype(dtype)})[0]
+        return np.asarray(answer.reshape(n, -1)[0], np.float64)
+
+    def ours(volume: np.ndarray) -> np.ndarray:
+        logits = compiled(volume).astype(np.float64)
+        odds = np.exp(logits - logits.max())
+        return odds / odds.sum() if softmax else logits
+
+    compare(theirs, ours, model.config.shape, max(TOLERANCE, 8 * float(np.finfo(dtype).eps)))
 
 
 def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tuple[Layers, dict[str, np.ndarray]]:

@@ -53,10 +53,6 @@ Shape = tuple[int, ...]
 """(C, H, W), or (N,)."""
 
 
-class UnknownOperation(NotImplementedError):
-    """A layer that this release cannot run."""
-
-
 def layer_shapes(
     layers: Sequence[Layer], volume: Shape, tensors: Mapping[str, Shape], *, partial: bool = False
 ) -> dict[str, Shape]:
@@ -71,7 +67,7 @@ def layer_shapes(
 
     Raises
     ------
-    UnknownOperation : names the first layer that this release cannot run.
+    NotImplementedError : names the first layer that this release cannot run.
     ValueError : names the first layer that does not fit, and what was expected.
     """
     shapes: dict[str, Shape] = {VOLUME: volume}
@@ -142,14 +138,14 @@ def _is_flat_map(layer: Layer, shapes: Mapping[str, Shape], flat_maps: set[str])
 def _shape_of(layer: Layer, shapes: Mapping[str, Shape], tensors: Mapping[str, Shape]) -> Shape:
     op = OPERATIONS.get(layer["op"])
     if op is None:
-        raise UnknownOperation(
+        raise NotImplementedError(
             f"layer {layer['name']!r} is a {layer['op']!r}; this release knows {', '.join(OPERATIONS)}"
         )
     expected = {"op", "name", "inputs", *op.parameters, *(["weights"] if op.roles else [])}
     if set(layer) != expected:
         missing, unknown = sorted(expected - set(layer)), sorted(set(layer) - expected)
         if unknown and not missing:
-            raise UnknownOperation(f"layer {layer['name']!r} ({layer['op']}) has {', '.join(unknown)}")
+            raise NotImplementedError(f"layer {layer['name']!r} ({layer['op']}) has {', '.join(unknown)}")
         raise ValueError(f"must have {', '.join(missing)}")
     for name, check in op.parameters.items():
         if not check.holds(layer[name]):

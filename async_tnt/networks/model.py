@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
 
-from async_tnt.checked_tensors import checksum, tensor_bytes
 from async_tnt.checks import plain_array, short
 from async_tnt.config import TNTConfig
+from async_tnt.decision import html_table
 from async_tnt.files import replacing
-from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, Network, layer_shapes, tensors_of
-from async_tnt.networks.thesis import thesis_network
-from async_tnt.notebook import html_table
+from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, VOLUME, Network, layer_shapes, tensors_of
 
 if TYPE_CHECKING:
     from torch import nn
 
 FORMAT = "async_tnt 2"
 CENTROID = "heatmap_centroid"
+ALIGNMENT = 8
+MAX_HEADER = 100_000_000  # bytes; safetensors' own limit
+LayerRow = tuple[str, str, dict[str, Any]]  # name, op, parameters
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single answer to ==
@@ -168,9 +172,71 @@ class Model:
         return path
 
 
+# -- the file ----------------------------------------------------------------------------------------------
+
+
+def tensor_bytes(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> bytes:
+    """`safetensors.numpy.save` with sorted metadata, whose order otherwise changes from call to call.
+
+    Examples
+    --------
+    >>> from safetensors.numpy import load
+    >>> content = tensor_bytes({"x": np.arange(3)}, {"b": "2", "a": "1"})
+    >>> load(content)["x"].tolist(), content == tensor_bytes({"x": np.arange(3)}, {"a": "1", "b": "2"})
+    ([0, 1, 2], True)
+    """
+    content = save(dict(tensors), metadata=dict(metadata))
+    end = ALIGNMENT + int.from_bytes(content[:8], "little")
+    header = json.loads(content[8:end])
+    header = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % ALIGNMENT)  # tensors begin at multiples of 8
+    return len(text).to_bytes(8, "little") + text + content[end:]
+
+
+def read_tensors(file: BinaryIO, expected: str) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Tensors and metadata of an open file, which is read once.
+
+    Raises
+    ------
+    SafetensorError : it is not a .safetensors file, or NumPy lacks the type of a tensor.
+    ValueError : `format` in its metadata is not the expected one. Only the header has been read then, as tensors of
+        other programs may be huge.
+    """
+    size = file.read(8)
+    n_bytes = int.from_bytes(size, "little")
+    if len(size) < 8 or n_bytes > MAX_HEADER:
+        raise SafetensorError("it does not begin with the length of a header")
+    text = file.read(n_bytes)
+    try:
+        metadata = json.loads(text).get("__metadata__") or {}
+        written = metadata.get("format")
+    except (AttributeError, ValueError, RecursionError):
+        raise SafetensorError("its header is not a JSON object") from None
+    if written != expected:
+        raise ValueError(f"`format` must be {expected!r}, got {written!r}")
+    try:
+        tensors = load(size + text + file.read())
+    except KeyError as error:
+        raise SafetensorError(f"NumPy has no type {error.args[0]}") from None
+    return dict(sorted(tensors.items())), metadata  # `load` returns them in a different order each time
+
+
+def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:
+    """SHA-256 of a text and of the tensors' names, dtypes, shapes and bytes, in any order and memory layout."""
+    digest = hashlib.sha256(text.encode())
+    for name in sorted(tensors):
+        digest.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
+        digest.update(np.ascontiguousarray(tensors[name]).tobytes())
+    return digest.hexdigest()
+
+
 def checksum_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> str:
     """Of the weights and all metadata other than itself."""
     return checksum(weights, json.dumps({name: metadata[name] for name in sorted(metadata) if name != "sha256"}))
+
+
+# -- what a model has to be ---------------------------------------------------------------------------------
 
 
 def _float32(name: str, values: Any) -> np.ndarray:
@@ -219,3 +285,47 @@ def _check_values(network: Mapping[str, Any], weights: Mapping[str, np.ndarray])
         for layer in layers:
             if layer["op"] == "batch_norm" and not (weights[layer["weights"]["variance"]] + layer["epsilon"] > 0).all():
                 raise ValueError(f"layer {layer['name']!r} (batch_norm): variance + epsilon must be positive")
+
+
+# -- the network of a model for which none is given ---------------------------------------------------------
+
+
+def thesis_network(config: TNTConfig) -> dict[str, list[dict[str, Any]]]:
+    """The thesis' two networks as layers: what a model has whose network is not given.
+
+    The classifier: two convolutions with ReLU, each followed by average pooling, then two dense layers. The landmark
+    regressor, where the configuration needs one: three convolutions with ReLU, then one 1x1, and the heatmap's centroid
+    (Wang 2019; widths are the weights').
+    """
+    pool = {"kernel": [2, 2], "stride": [2, 2], "padding": [0, 0, 0, 0]}
+    halves = [s for k in (1, 2) for s in (_conv(f"conv{k}"), _relu(k), (f"pool{k}", "average_pool", pool))]
+    dense = [("flatten", "flatten", {}), _dense("fc1"), _relu(3), _dense("fc2")]
+    network = {CLASSIFIER: _chain(*halves, *dense)}
+    if config.needs_regressor:
+        steps = [s for k in (1, 2, 3) for s in (_conv(f"conv{k}", "regressor."), _relu(k))]
+        heatmap = _conv("heatmap", "regressor.", side=1, roles=("weight",))  # a bias would not move the centroid
+        network[REGRESSOR] = _chain(*steps, heatmap, ("landmark", "heatmap_centroid", {}))
+    return network
+
+
+def _chain(*steps: LayerRow) -> list[dict[str, Any]]:
+    names = [VOLUME, *(name for name, _, _ in steps)]
+    return [
+        {"op": op, "name": name, "inputs": [before], **parameters}
+        for before, (name, op, parameters) in zip(names, steps, strict=False)
+    ]
+
+
+def _conv(name: str, prefix: str = "", side: int = 3, roles: tuple[str, ...] = ("weight", "bias")) -> LayerRow:
+    """A convolution that keeps the size."""
+    weights = {role: f"{prefix}{name}.{role}" for role in roles}
+    sides = {"kernel": [side, side], "stride": [1, 1], "padding": [side // 2] * 4, "dilation": [1, 1]}
+    return name, "conv", {"weights": weights, **sides, "groups": 1}
+
+
+def _relu(k: int) -> LayerRow:
+    return f"relu{k}", "relu", {}
+
+
+def _dense(name: str) -> LayerRow:
+    return name, "dense", {"weights": {role: f"{name}.{role}" for role in ("weight", "bias")}}

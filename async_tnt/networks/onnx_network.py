@@ -1,91 +1,27 @@
-"""Networks in ONNX files, run by onnxruntime on the CPU: volume -> logits, raw volume -> landmark."""
+"""Networks in ONNX files, run by onnxruntime on the CPU: volume -> logits."""
 
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from async_tnt.checks import one_line, positive_int
-from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
-from async_tnt.networks.onnx_metadata import Exported
-from async_tnt.networks.onnx_session import DTYPES, check_input, check_output, open_session, source_of
-from async_tnt.one_call import Running, one_at_a_time
+from async_tnt.checks import Running, needs_extra, one_at_a_time, one_line, positive_int
+from async_tnt.config import MAX_CELLS
+from async_tnt.networks.onnx_export import Exported, is_damaged, read_metadata
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+Shape = tuple[int, int, int]
+DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # by onnxruntime's names
 
 
-class _OnnxNetwork:
-    """A network of one input, a volume, and one output, a few numbers."""
-
-    kind = ""
-    answer = ""
-    opens_the_other = ""
-    output_types: tuple[str, ...] = ()
-
-    def __init__(self, path_or_bytes: Any, *, threads: int = 1, shape: Sequence[int] | None = None) -> None:
-        self.threads = positive_int("threads", threads)
-        self._running = Running(type(self).__name__)
-        self._source = source = source_of(path_or_bytes)
-        self._name = name = f"the ONNX network of {len(source):_} bytes" if isinstance(source, bytes) else source
-        self._session, inputs, outputs, exported = open_session(source, name, self.threads)
-        if exported is not None and exported.network != self.kind:
-            raise ValueError(f"{name} holds a {exported.network}, not a {self.kind}: {self.opens_the_other} opens it")
-        try:
-            self.shape = check_input(inputs, shape)
-            check_output(outputs, self.output_types, self.answer)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-        self._volume, self._answer, self._binding = self._bind(inputs[0].name, outputs[0])
-        self.exported: Exported | None = exported
-        if exported is not None and exported.config.shape != self.shape:
-            raise ValueError(
-                f"{name} is damaged: its configuration gives volumes of shape {exported.config.shape}, its network "
-                f"takes {self.shape}"
-            )
-        self.config = None if exported is None else exported.config
-        self.classes = None if exported is None else exported.classes
-
-    def __reduce__(self) -> Any:  # a session cannot be copied, only opened again
-        return functools.partial(type(self), self._source, threads=self.threads, shape=self.shape), ()
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}(volumes of {self.shape}, {self._answer.size} outputs, {self.threads} threads)"
-
-    def _bind(self, input_name: str, output: Any) -> tuple[np.ndarray, np.ndarray, Any]:
-        """Memory that the network reads from and writes to, bound once.
-
-        This is the fastest way that onnxruntime offers. For `digits` on one Xeon core: 50 us, where `session.run` takes
-        52 to 57 (it checks a dictionary and makes a list and an array), an `io_binding` for each volume 55, and
-        `run_with_ort_values` 93.
-        """
-        try:
-            volume = np.zeros((1, *self.shape), np.float32)
-            (answer,) = self._session.run([output.name], {input_name: volume})  # its size may depend on the input's
-        except Exception as error:  # of many types, none of them a ValueError
-            raise ValueError(f"{self._name}: the network fails on an empty volume: {one_line(error)}") from None
-        if answer.size == 0 or answer.size != max(answer.shape, default=1):
-            raise ValueError(f"{self._name}: the network must give {self.answer} of a volume, got shape {answer.shape}")
-        answer = np.zeros(answer.shape, DTYPES[output.type])
-        binding = self._session.io_binding()
-        binding.bind_input(input_name, "cpu", 0, np.float32, volume.shape, volume.ctypes.data)
-        binding.bind_output(output.name, "cpu", 0, answer.dtype.type, answer.shape, answer.ctypes.data)
-        return volume[0], answer.reshape(-1), binding
-
-    @one_at_a_time
-    def _run(self, volume: np.ndarray) -> np.ndarray:
-        """The network's numbers, a new array."""
-        if volume.shape != self.shape:
-            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
-        np.copyto(self._volume, volume)
-        try:
-            self._session.run_with_iobinding(self._binding)
-        except Exception as error:  # as above
-            raise ValueError(f"{self._name}: the network fails on this volume: {one_line(error)}") from None
-        return self._answer.copy()
-
-
-class OnnxClassifier(_OnnxNetwork):
+class OnnxClassifier:
     """A classifier in an ONNX file, run by onnxruntime: volume (C, H, W) -> logits (n_classes,).
 
     `Processor(config, classifier=OnnxClassifier("net.onnx"))` decides by any network of one input, float32 of shape
@@ -117,39 +53,186 @@ class OnnxClassifier(_OnnxNetwork):
         has another shape.
     """
 
-    kind, answer, output_types = CLASSIFIER, "logits (1, n_classes)", ("tensor(float)",)
-    opens_the_other = "OnnxRegressor"
-
     def __init__(self, path_or_bytes: Any, *, threads: int = 1, shape: Sequence[int] | None = None) -> None:
-        super().__init__(path_or_bytes, threads=threads, shape=shape)
+        self.threads = positive_int("threads", threads)
+        self._running = Running("OnnxClassifier")
+        self._source = source = source_of(path_or_bytes)
+        self._name = name = f"the ONNX network of {len(source):_} bytes" if isinstance(source, bytes) else source
+        self._session, inputs, outputs, exported = open_session(source, name, self.threads)
+        try:
+            self.shape = check_input(inputs, shape)
+            check_output(outputs)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+        self._volume, self._answer, self._binding = self._bind(inputs[0].name, outputs[0])
         self.n_classes = self._answer.size
+        self.exported: Exported | None = exported
+        self.config = None if exported is None else exported.config
+        self.classes = None if exported is None else exported.classes
+        if self.config is not None and self.config.shape != self.shape:
+            raise ValueError(
+                f"{name} is damaged: its configuration gives volumes of shape {self.config.shape}, its network takes "
+                f"{self.shape}"
+            )
         if self.classes is not None and len(self.classes) != self.n_classes:
             raise ValueError(
-                f"{self._name} is damaged: it names {len(self.classes)} classes, its network gives "
-                f"{self.n_classes} logits"
+                f"{name} is damaged: it names {len(self.classes)} classes, its network gives {self.n_classes} logits"
             )
 
+    def __reduce__(self) -> Any:  # a session cannot be copied, only opened again
+        return functools.partial(type(self), self._source, threads=self.threads, shape=self.shape), ()
+
+    def __repr__(self) -> str:
+        return f"OnnxClassifier(volumes of {self.shape}, {self.n_classes} outputs, {self.threads} threads)"
+
+    def _bind(self, input_name: str, output: Any) -> tuple[np.ndarray, np.ndarray, Any]:
+        """Memory that the network reads from and writes to, bound once.
+
+        This is the fastest way that onnxruntime offers. For `digits` on one Xeon core: 50 us, where `session.run` takes
+        52 to 57 (it checks a dictionary and makes a list and an array), an `io_binding` for each volume 55, and
+        `run_with_ort_values` 93.
+        """
+        try:
+            volume = np.zeros((1, *self.shape), np.float32)
+            (answer,) = self._session.run([output.name], {input_name: volume})  # its size may depend on the input's
+        except Exception as error:  # of many types, none of them a ValueError
+            raise ValueError(f"{self._name}: the network fails on an empty volume: {one_line(error)}") from None
+        if answer.size == 0 or answer.size != max(answer.shape, default=1):
+            raise ValueError(
+                f"{self._name}: the network must give logits (1, n_classes) of a volume, got shape {answer.shape}"
+            )
+        answer = np.zeros(answer.shape, np.float32)
+        binding = self._session.io_binding()
+        binding.bind_input(input_name, "cpu", 0, np.float32, volume.shape, volume.ctypes.data)
+        binding.bind_output(output.name, "cpu", 0, answer.dtype.type, answer.shape, answer.ctypes.data)
+        return volume[0], answer.reshape(-1), binding
+
+    @one_at_a_time
     def __call__(self, volume: np.ndarray) -> np.ndarray:
         """Logits of one volume: float32, shape (n_classes,), a new array."""
-        return self._run(volume)
+        if volume.shape != self.shape:
+            raise ValueError(f"`volume` must have shape {self.shape}, got {volume.shape}")
+        np.copyto(self._volume, volume)
+        try:
+            self._session.run_with_iobinding(self._binding)
+        except Exception as error:  # as above
+            raise ValueError(f"{self._name}: the network fails on this volume: {one_line(error)}") from None
+        return self._answer.copy()
 
 
-class OnnxRegressor(_OnnxNetwork):
-    """A landmark network in an ONNX file, run by onnxruntime: raw volume (C, H, W) -> landmark (x, y).
+# -- opening a file, and whether its network takes one volume and gives one answer --------------------------
 
-    For `Processor(..., regressor=OnnxRegressor("net.regressor.onnx"))` and `TNTVolume`. The output is two numbers in
-    grid pixels, float64 or float32. Everything else is as for `OnnxClassifier`.
+
+def source_of(path_or_bytes: Any) -> str | bytes:
+    """A network as onnxruntime opens it: the path of its file, or its bytes; a TypeError for anything else."""
+    if hasattr(path_or_bytes, "SerializeToString"):  # onnx.ModelProto, without importing onnx
+        return bytes(path_or_bytes.SerializeToString())
+    if isinstance(path_or_bytes, (bytes, bytearray, memoryview)):
+        return bytes(path_or_bytes)
+    if not isinstance(path_or_bytes, (str, os.PathLike)):
+        raise TypeError(
+            f"`path_or_bytes` must be a path, bytes or an onnx.ModelProto, got {type(path_or_bytes).__name__}"
+        )
+    path = Path(path_or_bytes)
+    if not path.exists():
+        raise FileNotFoundError(f"no file {path}")
+    return str(path)
+
+
+def import_onnxruntime() -> Any:
+    """The library, with telemetry off unless the user's environment turns it on.
+
+    Raises
+    ------
+    ImportError : it is not installed.
     """
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when it is loaded: its API's own switch comes too late
+    with needs_extra("onnx", "ONNX networks are run by onnxruntime"):
+        import onnxruntime
+    return onnxruntime
 
-    kind, answer, output_types = REGRESSOR, "a landmark (1, 2)", ("tensor(float)", "tensor(double)")
-    opens_the_other = "OnnxClassifier"
 
-    def __init__(self, path_or_bytes: Any, *, threads: int = 1, shape: Sequence[int] | None = None) -> None:
-        super().__init__(path_or_bytes, threads=threads, shape=shape)
-        if self._answer.size != 2:
-            raise ValueError(f"{self._name}: a landmark network gives two numbers (x, y), got {self._answer.size}")
+def open_session(
+    source: str | bytes, name: str, threads: int
+) -> tuple[onnxruntime.InferenceSession, list[Any], list[Any], Exported | None]:
+    """The session, its inputs and outputs, and the metadata if the file is ours."""
+    onnxruntime = import_onnxruntime()
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = threads
+    for pool in ("intra_op", "inter_op"):  # a spinning helper thread would take a core from the source of the events
+        options.add_session_config_entry(f"session.{pool}.allow_spinning", "0")
+    options.log_severity_level = 4  # errors are raised; nothing else is printed
+    try:
+        session = onnxruntime.InferenceSession(
+            source,
+            options,
+            providers=["CPUExecutionProvider"],
+            enable_fallback=0,  # otherwise it prints that it tries again
+        )
+        inputs, outputs = session.get_inputs(), session.get_outputs()
+        metadata = session.get_modelmeta().custom_metadata_map
+    except Exception as error:  # of many types, none of them a ValueError
+        raise ValueError(f"{name} is not a readable ONNX network: {one_line(error)}") from None
+    try:
+        exported = read_metadata(metadata)
+    except ValueError as error:
+        raise ValueError(f"{name} is damaged: {one_line(error)}") from None
+    if exported is not None and is_damaged(metadata, Path(source).read_bytes() if isinstance(source, str) else source):
+        raise ValueError(
+            f"{name} is damaged: its checksum differs; copy or export it again (where another program has changed "
+            "it, remove `format` from its metadata)"
+        )
+    return session, inputs, outputs, exported
 
-    def __call__(self, volume: np.ndarray) -> tuple[float, float]:
-        """The landmark of one raw volume, in grid pixels."""
-        x, y = self._run(volume).tolist()
-        return x, y
+
+def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
+    """The shape (C, H, W) of a network's volumes; `shape` where it leaves sides open."""
+    if len(inputs) != 1:
+        raise ValueError(f"the network must have one input, a volume, got {len(inputs)}{_listed(inputs)}")
+    (volume,) = inputs
+    if volume.type != "tensor(float)":
+        raise ValueError(
+            f"the network's input must be float32, as volumes are, got {_type_name(volume.type)} for {volume.name!r}"
+        )
+    sides = tuple(volume.shape)
+    if len(sides) != 4:
+        raise ValueError(f"the network's input must have shape (1, C, H, W), got {_spelled(sides)} for {volume.name!r}")
+    if isinstance(sides[0], int) and sides[0] != 1:
+        raise ValueError(f"the network must take one volume at a time, or any number, got input {_spelled(sides)}")
+    if shape is None:
+        if not all(isinstance(side, int) for side in sides[1:]):
+            raise ValueError(f"the network's input {_spelled(sides)} leaves sides open: `shape` must be (C, H, W)")
+        shape = sides[1:]
+    elif len(shape) != 3:
+        raise ValueError(f"`shape` must be (C, H, W), got {shape!r}")
+    channels, height, width = (positive_int("shape", side) for side in shape)
+    for side, wanted in zip(sides[1:], (channels, height, width), strict=True):
+        if isinstance(side, int) and side != wanted:
+            raise ValueError(f"`shape` must fit the network's input {_spelled(sides)}, got {tuple(shape)}")
+    if channels * height * width > MAX_CELLS:
+        raise ValueError(f"the network's input must have at most {MAX_CELLS:_} cells, got {_spelled(sides)}")
+    return channels, height, width
+
+
+def check_output(outputs: list[Any]) -> None:
+    """Refuse a network that does not have one output, float32."""
+    if len(outputs) != 1:
+        raise ValueError(
+            f"the network must have one output, logits (1, n_classes), got {len(outputs)}{_listed(outputs)}"
+        )
+    if outputs[0].type != "tensor(float)":
+        raise ValueError(f"the network's output must be float32, got {_type_name(outputs[0].type)}")
+
+
+def _listed(nodes: list[Any]) -> str:
+    return ": " + ", ".join(f"{node.name!r} {_spelled(node.shape)}" for node in nodes) if nodes else ""
+
+
+def _spelled(sides: Sequence[Any]) -> str:
+    """(1, 9, height, ?): a side is a number, a name or unknown."""
+    return "(" + ", ".join("?" if side is None else str(side) for side in sides) + ")"
+
+
+def _type_name(name: str) -> str:
+    """In NumPy's words: float16 and int64 have one name here and there."""
+    return np.dtype(DTYPES[name]).name if name in DTYPES else name.removeprefix("tensor(").removesuffix(")")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from async_tnt.sources.queue import PacketQueue, QueueCounters
     from async_tnt.sources.udp import NetworkCounts, UdpSource, open_udp
 else:
-    from async_tnt.lazy_names import lazy_names
+    from async_tnt.package import lazy_names
 
     __getattr__, __dir__ = lazy_names(
         globals(),

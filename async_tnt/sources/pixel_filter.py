@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numba import int64, uint8
 
-from async_tnt.checks import is_whole, short
+from async_tnt.checks import Running, is_whole, one_at_a_time, short
 from async_tnt.events import EVENT_DTYPE, EventDecoder
 from async_tnt.kernels.jit import compile_only
 from async_tnt.kernels.pixels import MASKED, OUTSIDE, keep_events
 from async_tnt.kernels.records import COLUMN_TYPES
-from async_tnt.one_call import Running, one_at_a_time
 from async_tnt.sources.pixel_masks import checked_mask, load_mask
 from async_tnt.sources.sensor import checked_sensor, format_size
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from async_tnt.training.settings import TrainSettings, default_config, settings_for
     from async_tnt.training.windows import Windows, make_windows
 else:
-    from async_tnt.lazy_names import lazy_names
+    from async_tnt.package import lazy_names
 
     __getattr__, __dir__ = lazy_names(
         globals(),

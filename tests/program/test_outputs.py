@@ -12,13 +12,13 @@ from made import random_events, random_model
 
 from async_tnt import files
 from async_tnt.cli import main
-from async_tnt.engines import choose_engine
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import run_recording
 from async_tnt.evaluation.results import Progress
 from async_tnt.evaluation.results import collect as collect_results
 from async_tnt.files import Replacement, locked_folder, write_text
+from async_tnt.networks.engines import choose_engine
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import sample_recordings
 from async_tnt.sources.pixel_masks import save_mask

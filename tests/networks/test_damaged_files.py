@@ -1,0 +1,210 @@
+"""A damaged or foreign model file, of ours or of ONNX, is refused in one line with its path; only a sound one loads."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from networks.foreign import network, onnx
+from networks.small import SMALL, changed, small_model, write_file
+from safetensors.numpy import save, save_file
+from safetensors.torch import save_file as save_tensors
+
+from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
+from async_tnt.networks import OnnxClassifier, to_onnx
+from async_tnt.networks.model import FORMAT, read_tensors, thesis_network
+from async_tnt.networks.onnx_export import seal
+
+ONNX = to_onnx(small_model()).SerializeToString()
+READERS = (load_model, OnnxClassifier)
+STEP = 17  # bytes from one damage to the next
+of_all = pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.__name__)
+NEITHER = {  # what a file of anything else is called
+    load_model: "is not a readable .safetensors file: ",
+    OnnxClassifier: "is not a readable ONNX network: ",
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A path with a strange name, and a sound file's bytes for each reader."""
+    path = tmp_path_factory.mktemp("damaged") / "a {model} 100%.file"
+    content = small_model().save(path).read_bytes()
+    return path, {load_model: content, OnnxClassifier: ONNX}
+
+
+def refused(reader, path, content=None):
+    """Whether a reader refuses a file, in one line that names it; what it opens instead must run.
+
+    content : written first. ONNX files carry no mark at their end, and damage to `format` in their metadata makes them
+        files of another program: that is fine as long as they do not claim to be ours.
+    """
+    if content is not None:
+        path.write_bytes(content)
+    try:
+        opened = reader(path)
+    except ValueError as error:
+        message = str(error)
+        assert message.startswith(str(path)) and "\n" not in message and len(message) < 1200
+        return True
+    if isinstance(opened, Model):
+        assert type(opened.config) is TNTConfig and isinstance(opened.record, dict)
+        logits = CompiledClassifier(opened)(np.zeros(opened.config.shape, np.float32))
+        assert len(logits) == len(opened.classes) and all(type(name) is str for name in opened.classes)
+    else:
+        assert content == ONNX or opened.exported is None
+        assert len(opened(np.zeros(opened.shape, np.float32))) == opened.n_classes
+    return False
+
+
+@of_all
+def test_a_file_cut_short_or_changed_anywhere(reader, files, capfd):
+    """Hardly any damage to an ONNX file makes it one of another program, none to a model."""
+    path, content = files[0], files[1][reader]
+    assert not refused(reader, path, content)
+    places = range(0, len(content), STEP)
+    damaged = [content[:at] for at in places]
+    damaged += [content[:at] + bytes([content[at] ^ 1 << at % 8]) + content[at + 1 :] for at in places]
+    opened = sum(not refused(reader, path, other) for other in damaged)
+    assert opened < (1 if reader is load_model else 8)
+    assert capfd.readouterr() == ("", "")
+
+
+@of_all
+@pytest.mark.parametrize(
+    "content", [b"", b"\0", b"PK\x03\x04 a zip", b"\x80\x02 a pickle", b"{}", b"\xff" * 99, b"\0" * 99], ids=repr
+)
+def test_files_of_something_else(reader, content, files):
+    files[0].write_bytes(content)
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{files[0]} {NEITHER[reader]}')}"):
+        reader(files[0])
+
+
+# -- model files: what the checksum covers, and what is checked under it ------------------------------------------
+
+
+json_values = st.recursive(
+    st.sampled_from([None, True, 0, -1, 2**31, 10**400, 1e400, -0.5, float("nan"), "a\nb", "window", "x" * 5000]),
+    lambda values: st.lists(values, max_size=3) | st.dictionaries(st.sampled_from(["a", "b\n"]), values, max_size=3),
+    max_leaves=5,
+)
+broken_json = st.sampled_from(["[" * 100_000, '{"a":' * 100_000, "1" * 5000, "\0", "", "[1,]", "{"])
+
+
+@settings(max_examples=100)
+@given(st.data())
+def test_anything_under_a_valid_checksum(files, data):
+    config, graph, metadata = SMALL.to_dict(), thesis_network(SMALL), {}
+    layers = graph["classifier"]
+    place = data.draw(st.sampled_from(["config", "layer", "parameter", "network", "text"]))
+    value = data.draw(json_values)
+    if place == "config":
+        config[data.draw(st.sampled_from([*config, "a\nb"]))] = value
+    elif place == "layer":
+        layers[data.draw(st.integers(0, len(layers) - 1))] = value
+    elif place == "parameter":
+        layer = data.draw(st.sampled_from(layers))
+        layer[data.draw(st.sampled_from([*layer, "new"]))] = value
+    elif place == "network":
+        graph[data.draw(st.sampled_from(["classifier", "regressor", "a\nb"]))] = value
+    else:
+        name = data.draw(st.sampled_from(["config", "classes", "record", "network"]))
+        metadata[name] = data.draw(broken_json | json_values.map(json.dumps))
+    write_file(files[0], changed(), **{"config": json.dumps(config), "network": json.dumps(graph), **metadata})
+    refused(load_model, files[0])
+
+
+DAMAGED = "holds a damaged model: "
+FOREIGN = "is not a model that this release can read: `format` must be 'async_tnt 2', got "
+KNOWN = (
+    "known: bins, grid, landmark, polarity, remove_flow, representation, sensor, t_max, transform, window_events, "
+    "window_us"
+)
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"config": None, "classes": None}, DAMAGED + "no config and no classes in its metadata"),
+        ({"config": '{"a\\nb": 1}'}, DAMAGED + "unknown configuration a b; " + KNOWN),
+        (
+            {"config": "{}"},
+            DAMAGED + "layer 'conv1' (conv): its weight must have shape (2, 9, 3, 3) here, got (2, 2, 3, 3)",
+        ),
+        ({"classes": ""}, DAMAGED + "Expecting value: line 1 column 1 (char 0)"),
+        ({"network": None}, DAMAGED + "no network in its metadata"),
+        ({"sha256": None}, DAMAGED + "no sha256 in its metadata"),
+        ({"sha256": 64 * "0"}, DAMAGED + "its checksum differs; copy or download it again"),
+        ({"format": "async_tnt 3"}, FOREIGN + "'async_tnt 3'"),
+    ],
+)
+def test_wrong_metadata_of_a_model(tmp_path, changes, message):
+    path = write_file(tmp_path / "m.st", changed(), **changes)
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{path} {message}')}$"):
+        load_model(path)
+
+
+def test_tensors_of_other_programs_and_types(tmp_path):
+    path = tmp_path / "f"
+    path.write_bytes(save({"weight": np.zeros(3)}, {"format": "pt"}))
+    with open(path, "rb") as file:
+        with pytest.raises(ValueError, match=r"^`format` must be 'a', got 'pt'$"):
+            read_tensors(file, "a")
+        assert len(file.read()) == 24  # the weights: only the header is read
+    save_file({"weight": np.zeros(3)}, path)
+    with pytest.raises(ValueError, match=re.escape(f"{path} {FOREIGN}None")):
+        load_model(path)
+    for dtype in (torch.bfloat16, torch.float8_e4m3fn, torch.complex64):  # unknown to NumPy or to safetensors
+        save_tensors({"weight": torch.zeros(3, dtype=dtype)}, path, {"format": "pt"})
+        with pytest.raises(ValueError, match=re.escape(f"{path} {FOREIGN}'pt'")):
+            load_model(path)
+    save_tensors({"fc1.bias": torch.zeros(4, dtype=torch.bfloat16)}, path, {"format": FORMAT})
+    with pytest.raises(ValueError, match=r"f is not a readable .safetensors file: NumPy has no type BF16$"):
+        load_model(path)
+    for dtype in ("float64", "int32"):
+        write_file(path, changed(fc1__bias=np.zeros(4, dtype)))
+        with pytest.raises(ValueError, match=f"f holds a damaged model: `fc1.bias` must be float32, got {dtype}$"):
+            load_model(path)
+
+
+# -- the metadata of ONNX files ----------------------------------------------------------------------------------
+
+
+def with_metadata(**changes):
+    """The small classifier with other metadata under a valid checksum; None leaves a name out."""
+    made = onnx.ModelProto()
+    made.ParseFromString(ONNX)
+    metadata = {entry.key: entry.value for entry in made.metadata_props} | changes
+    del made.metadata_props[:]
+    onnx.helper.set_model_props(made, {key: value for key, value in metadata.items() if value is not None})
+    if metadata["sha256"] is not None:
+        seal(made)
+    return made.SerializeToString()
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"format": "async_tnt 3"}, "metadata `format` must be 'async_tnt 2', got 'async_tnt 3'"),
+        ({"sha256": None}, "no sha256 in its metadata"),
+        ({"config": '{"a\\nb": 1}'}, "unknown configuration a b"),
+        ({"classes": None, "record": None}, "no classes and no record in its metadata"),
+        ({"config": "{}"}, "its configuration gives volumes of shape (9, 34, 34), its network takes (2, 6, 5)"),
+        ({"classes": '["a", "b"]'}, "it names 2 classes, its network gives 3 logits"),
+        ({"record": "[" * 100_000}, "maximum recursion depth exceeded"),
+    ],
+)
+def test_wrong_metadata_of_an_onnx_file(changes, message, files):
+    files[0].write_bytes(with_metadata(**changes))
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{files[0]} is damaged: {message}')}"):
+        OnnxClassifier(files[0])
+
+
+def test_onnx_files_of_other_programs_have_no_configuration():
+    foreign = network(metadata={"config": "{}", "classes": json.dumps(["a"])})
+    for content in (foreign, *(with_metadata(format=format) for format in (None, "", "pt", "async_tnt"))):
+        net = OnnxClassifier(content)
+        assert (net.config, net.classes, net.exported) == (None, None, None)

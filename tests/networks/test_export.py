@@ -1,0 +1,123 @@
+"""to_onnx, and the command `async-tnt export`."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made import random_model, random_regressor_model
+from networks.foreign import onnx
+
+from async_tnt import CompiledClassifier, Model, TNTConfig, load_model
+from async_tnt.checking import agreement
+from async_tnt.networks import OnnxClassifier, onnx_export, to_onnx
+
+
+def test_weights_are_initializers_bit_by_bit():
+    model = random_model(TNTConfig(), widths=(4, 4, 8))
+    found = {w.name: onnx.numpy_helper.to_array(w) for w in to_onnx(model).graph.initializer}
+    assert {name: w.tobytes() for name, w in found.items()} == {name: w.tobytes() for name, w in model.weights.items()}
+
+
+def test_metadata_come_back():
+    config = TNTConfig(sensor=(40, 30), grid=(20, 16), bins=3, polarity="split", landmark="line", remove_flow=True)
+    weights = random_model(config, classes=3, widths=(2, 3, 4)).weights
+    model = Model(config, weights, ("null", 'ein\n"s"', "二"), {"seed": 5, "said": ["ü", 1.5, None]})
+    net = OnnxClassifier(to_onnx(model))
+    assert (net.config, net.classes, net.exported.record) == (config, model.classes, model.record)
+
+
+def test_what_cannot_be_exported(monkeypatch):
+    monkeypatch.setattr(onnx_export, "MAX_BYTES", 1000)
+    with pytest.raises(ValueError, match=r"less than 2 GiB, the classifier's weights are [\d_]+ bytes"):
+        to_onnx(random_model())
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(
+        ImportError, match=r"^ONNX networks are written by onnx and run by .* 'async_tnt\[onnx\]' \(.*\)$"
+    ):
+        to_onnx(random_model())
+
+
+# -- the command -------------------------------------------------------------------------------------------
+
+
+def test_export_writes_the_file_and_checks_it(tmp_path, program):
+    out = tmp_path / "digits.onnx"
+    code, text, _ = program("export", "digits", "--out", out)
+    first, second = text.splitlines()
+    assert code == 0 and os.listdir(tmp_path) == ["digits.onnx"]
+    assert first == f"{out} ({out.stat().st_size / 1e3:.0f} kB): volume (1, 9, 34, 34) -> logits (1, 10)"
+    assert "30 windows of bundled samples: logits within " in second and second.endswith("no classes differ")
+    assert out.read_bytes() == to_onnx(load_model("digits")).SerializeToString()
+    report = json.loads(program("export", "digits", "--out", out, "--json")[1])
+    assert report["agrees"] and report["files"] == {str(out): out.stat().st_size} and report["windows"] == 30
+    assert 0 < report["largest_logit_difference"] <= 1e-4 and report["classes_that_differ"] == 0
+
+
+def test_nothing_is_written_where_the_networks_do_not_agree(tmp_path, monkeypatch, program):
+    model = load_model("digits")
+    wrong = replace(model, weights={**model.weights, "fc2.bias": model.weights["fc2.bias"] + np.float32(0.1)})
+    monkeypatch.setattr(onnx_export, "to_onnx", lambda model: to_onnx(wrong))
+    out = tmp_path / "m.onnx"
+    out.write_bytes(b"what was there")
+    code, text, _ = program("export", "digits", "--out", out)
+    assert code == 1 and text.endswith("it does NOT agree: nothing is written\n")
+    assert os.listdir(tmp_path) == ["m.onnx"] and out.read_bytes() == b"what was there"
+
+
+def test_one_class_that_differs_is_one_too_many():
+    model = random_model(classes=3)
+    network, calls = CompiledClassifier(model), []
+
+    def sometimes_wrong(volume):
+        calls.append(1)
+        logits = network(volume)
+        return -logits if len(calls) == 7 else logits
+
+    found = agreement.compare_engines(model, sometimes_wrong)
+    assert found.n_differ == 1 and not found.logits.holds
+    found = agreement.compare_engines(model, network)
+    assert found.n_differ == 0 and found.holds
+    found.n_differ = 1  # two logits that are nearly equal, and another one is the largest
+    assert found.logits.holds and not found.holds
+    assert not agreement.compare_engines(model, lambda volume: network(volume) * np.nan).holds
+
+
+@pytest.mark.parametrize(
+    "model, out, message",
+    [
+        ("digits", "m.pt", "{}/m.pt: its name must end in .onnx"),
+        ("digits", "no/m.onnx", "no folder {}/no to write m.onnx to"),
+        ("digits", "folder.onnx", "{}/folder.onnx is not a regular file; only those are replaced: give another name"),
+    ],
+)
+def test_wrong_arguments_give_one_line(model, out, message, tmp_path, program):
+    (tmp_path / "folder.onnx").mkdir()
+    assert program("export", model, "--out", tmp_path / out) == (2, "", f"async-tnt: {message.format(tmp_path)}\n")
+    assert os.listdir(tmp_path) == ["folder.onnx"]
+
+
+def test_onnxruntime_sends_and_keeps_nothing_about_its_use(tmp_path):
+    """Its telemetry, on by default, writes below the home folder when a session is made."""
+    code = (
+        "from async_tnt import load_model\nfrom async_tnt.networks import OnnxClassifier, to_onnx\n"
+        "OnnxClassifier(to_onnx(load_model('digits')))"
+    )
+    env = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
+    env |= {"HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    subprocess.run([sys.executable, "-c", code], env=env, check=True)
+    assert not list(tmp_path.rglob("*onnxruntime*"))
+
+
+def test_a_landmark_network_has_no_onnx_form(tmp_path, program):
+    path = random_regressor_model().save(tmp_path / "m.safetensors")
+    code, _, error = program("export", path, "--out", tmp_path / "m.onnx")
+    assert (code, error.count("\n")) == (2, 1) and f"{path} has a landmark network, which has no ONNX form" in error
+    (tmp_path / "m.onnx").write_bytes(to_onnx(load_model(path)).SerializeToString())
+    with pytest.raises(
+        NotImplementedError, match=r"^the landmark network of .*m.onnx has no ONNX form: load the model"
+    ):
+        load_model(tmp_path / "m.onnx")

@@ -1,0 +1,142 @@
+"""What the compiled classifier computes: bit for bit its twin in NumPy, by hand, and finite or refused."""
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+import numpy as np
+import pytest
+from made import events_of, random_events, random_model
+from networks.cases import NETWORKS
+from numba.core.registry import CPUDispatcher
+from oracles import forward
+
+from async_tnt import CompiledClassifier, LeakyIntegrator, Model, Processor, TNTConfig, TNTVolume, kernels
+from async_tnt.kernels import classify
+
+
+def test_no_kernel_may_reorder_arithmetic():
+    """However a stream is cut, its bits stay: sums keep their order, and 1 / 0 is inf as in the equations."""
+    modules = [import_module(f"async_tnt.kernels.{module.name}") for module in iter_modules(kernels.__path__)]
+    compiled = [k for module in modules for k in vars(module).values() if isinstance(k, CPUDispatcher)]
+    assert len(compiled) > 60
+    for kernel in compiled:
+        assert not kernel.targetoptions.get("fastmath") and kernel.targetoptions["error_model"] == "numpy"
+    assert classify.absorb_and_decide.targetoptions["nogil"]  # other threads run while a packet is decided
+
+
+@pytest.mark.parametrize("network", [network for network in NETWORKS if network.widths], ids=str)
+def test_logits_are_those_of_the_twin_bit_for_bit(network):
+    """After events, where many channels are empty, and for arrays in which none is, or each second one."""
+    model, classifier, volume = network.model(), network.classifier(), network.volume()
+    for packet in np.split(random_events(90, seed=1, duration_us=6000, sensor=network.config.sensor), 3):
+        volume.update(packet)
+        assert classifier.refresh(volume).tobytes() == forward(model.weights, volume.array).tobytes()
+    assert volume.array.any()
+    if network in NETWORKS[:7]:
+        array = np.random.default_rng(2).normal(size=network.config.shape).astype(np.float32)
+        assert classifier(array).tobytes() == forward(model.weights, array).tobytes()
+        array[::2] = 0
+        assert classifier(array).tobytes() == forward(model.weights, array).tobytes()
+
+
+CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none")
+
+
+def by_hand() -> Model:
+    """8 x 8 pixels, one bin: the first convolution is the middle tap and its negative, the second adds the one
+    and four times the other, the dense layer weighs the four places by 1, 10, 100, 1000."""
+    weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=2, widths=(2, 1, 1)).weights.items()}
+    weights["conv1.weight"][:, 0, 1, 1] = 1, -1
+    weights["conv2.weight"][0, :, 1, 1] = 1, 4
+    weights["fc1.weight"][:] = 1, 10, 100, 1000
+    weights["fc1.bias"][:] = 0.5
+    weights["fc2.weight"][:, 0] = 2, -1
+    weights["fc2.bias"][:] = 0, 1
+    return Model(CONFIG, weights, ("a", "b"))
+
+
+def test_one_small_network_event_by_event():
+    """Each ON event adds 1/16 to its quarter of the image, each OFF event 4/16; the hidden unit has a bias of 1/2."""
+    classifier, volume, hidden = CompiledClassifier(by_hand()), TNTVolume(CONFIG), 0.5
+    volume.open(0)
+    assert classifier.refresh(volume).tolist() == [2 * 0.5, 1 - 0.5]
+    for x, y, p, sixteenths in [
+        (0, 0, 1, 1),
+        (4, 0, 1, 10),
+        (0, 4, 1, 100),
+        (7, 7, 1, 1000),
+        (5, 6, 0, 4000),
+        (2, 1, 0, 4),
+        (2, 1, 1, -4),  # cancels the one before
+    ]:
+        volume.update_one(100, x, y, p)
+        hidden += sixteenths / 16
+        assert classifier.refresh(volume).tolist() == [2 * hidden, 1 - hidden]
+    volume.open(0)
+    assert classifier.refresh(volume).tolist() == [1.0, 0.5]
+
+
+def test_probabilities_of_logits_beyond_the_range_of_exp():
+    weights = dict(by_hand().weights)
+    weights["fc1.weight"] = np.zeros((1, 4))
+    for biases, expected in (([2000, 1999], 1 / (1 + np.exp(-1))), ([-2000, -1999], 1 / (1 + np.exp(1)))):
+        model = Model(CONFIG, weights | {"fc2.weight": np.zeros((2, 1)), "fc2.bias": np.array(biases)}, ("a", "b"))
+        for classifier in (None, lambda volume, biases=biases: biases):
+            decision = Processor(model, classifier=classifier).fire()
+            assert decision.probabilities.tolist() == pytest.approx([expected, 1 - expected], rel=1e-12)
+
+
+# -- weights so large that logits overflow: an error on every path, and the stream goes on -----------------------
+
+FINITE = "^`classifier` must return finite logits, got"
+LOUD = 7, 7  # an event here overflows; elsewhere events hardly count
+
+
+def overflowing(**settings) -> list[Processor]:
+    """A place of the image has weights of 1e38, which an event there makes infinite; on both paths."""
+    weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=2, widths=(2, 2, 3)).weights.items()}
+    weights["conv1.weight"][0, 0, 1, 1] = weights["conv2.weight"][0, 0, 1, 1] = 1
+    weights["fc1.weight"][:2, 3] = 1e38  # of filter 0 the lower right
+    weights["fc1.weight"][2, 0] = 1  # the upper left
+    weights["fc2.weight"][0] = [1e38, 0, 0]
+    weights["fc2.weight"][1, 2] = 0.01
+    weights["fc2.bias"][:] = 0.1, 0.2
+    model = Model(CONFIG, weights, ("a", "b"))
+    general = Processor(CONFIG, classifier=CompiledClassifier(model).__call__, classes=["a", "b"], **settings)
+    return [Processor(model, **settings), general]
+
+
+@pytest.mark.parametrize(
+    "settings, size",  # `late="drop"` has seen all times of a packet, also of one that is absorbed in part
+    [
+        ({"every_events": 1}, 1500),
+        ({"confidence": 1.0}, 7),
+        ({"activity": LeakyIntegrator(0.5, 1000.0)}, 1500),
+        ({"every_events": 1, "late": "drop"}, 1),
+    ],
+)
+def test_a_packet_is_absorbed_up_to_the_error_and_the_stream_goes_on(settings, size):
+    """Its later events are not: pushed again, the stream continues there. After the next event, which cancels it, the
+    stream is as without both."""
+    loud, k = [4, 9, 700, 1303], np.arange(1500)
+    events = events_of(100 + k, k % 3, (k + 1) % 3, [1] * 1500)  # quiet ones, at the upper left
+    for at in loud:
+        events["x"][at : at + 2], events["y"][at : at + 2] = LOUD
+        events["p"][at : at + 2] = 1, 0
+    found = []
+    for processor in overflowing(**settings):
+        first, errors, decisions = 0, [], []
+        while first < len(events):
+            last = min(first + size, len(events))
+            try:
+                decisions += processor.push(events[first:last])
+                first = last
+            except ValueError as error:
+                assert str(error).startswith(FINITE[1:])
+                first = processor.counts.received
+                errors.append(first - 1)
+                assert len(errors) <= len(loud)  # and not the same one again and again
+        decisions += processor.finish()
+        assert errors == loud and processor.counts.received == 1500
+        found.append((processor.counts, decisions[-1].logits.tobytes(), decisions[-1].events))
+    assert found[0] == found[1]

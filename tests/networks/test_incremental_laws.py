@@ -1,0 +1,184 @@
+"""Incremental networks: after any events, windows and copies the logits of a whole forward pass, bit for bit."""
+
+import copy
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made import nasty_streams, random_events
+from networks.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network, of_all
+from networks.random_networks import CONFIG, random_models
+from tnt_reference import LayerNetwork
+
+from async_tnt import CompiledClassifier, TNTConfig, TNTVolume, volume_state
+from async_tnt.kernels import program as P
+from async_tnt.kernels import state as S
+from async_tnt.kernels.sync_input import CELLS_PER_LOGGED
+
+DUPLICATES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda one: pickle.loads(pickle.dumps(one))}
+
+
+def logits_after_packets(network: Network, events: np.ndarray, sizes) -> list[bytes]:
+    """The logits after each packet of these sizes, held against the whole network's."""
+    classifier, volume, seen, first = network.classifier(), network.volume(), [], 0
+    for size in itertools.cycle(sizes):
+        if first >= len(events):
+            return seen
+        if size == 1:
+            volume.update_one(*events[first].tolist())
+        else:
+            volume.update(events[first : first + size])
+        seen.append(classifier.refresh(volume).tobytes())
+        assert seen[-1] == network.dense()(volume.array).tobytes()
+        first += size
+
+
+@pytest.mark.parametrize("network", [*NETWORKS, LARGE], ids=str)
+def test_at_every_event_of_a_random_stream(network):
+    n = 24 if network is LARGE else 250
+    events = random_events(n, seed=1, duration_us=2 * WINDOW_US + 100, sensor=network.config.sensor)
+    assert len(set(logits_after_packets(network, events, [1]))) > 0.4 * n  # most events change the logits
+
+
+@given(st.sampled_from(NETWORKS), st.data(), st.lists(st.integers(1, 7), min_size=1, max_size=4))
+def test_at_every_packet_of_a_nasty_stream(network, data, sizes):
+    events = data.draw(nasty_streams(network.config.sensor, 2 * WINDOW_US, 77))
+    logits_after_packets(network, events, sizes)
+
+
+# -- in any order, with copies -----------------------------------------------------------------------------------
+
+which = st.integers(0, 1)
+steps = st.one_of(
+    st.tuples(st.just("refresh"), which, which),
+    st.tuples(st.just("packet"), which, st.one_of(st.integers(1, 12), st.integers(13, 700))),
+    st.tuples(st.just("one"), which, st.integers(0, 500)),
+    st.tuples(st.sampled_from(["array", "open", "close", "reset", "jump", "dense"]), which, which),
+    st.tuples(st.just("duplicate"), which, st.sampled_from(sorted(DUPLICATES))),
+    st.tuples(st.just("duplicate classifier"), which, st.sampled_from(["deepcopy", "pickle"])),
+)
+
+
+@settings(max_examples=2 * settings.default.max_examples)
+@given(st.sampled_from(NETWORKS[:7]), st.lists(steps, min_size=4, max_size=40))
+def test_two_volumes_and_two_classifiers_in_any_order(network, script):
+    """The volumes are of one shape and two kinds. Each has a twin with the same events that only the whole network
+    reads, from its array. A copy takes the other volume's, or the other classifier's, place."""
+    config = network.config
+    other = config.replace(polarity="signed", bins=config.channels, landmark="center", remove_flow=False)
+    seeds, classifiers = [0, 1], [network.classifier(0), network.classifier(1)]
+    volumes, twins = ([network.volume(), network.volume(other)] for _ in range(2))
+    now_us = [0, 0]
+    for k, (step, v, number) in enumerate(script):
+        both = volumes[v], twins[v]
+        width, height = config.sensor
+        if step == "refresh":
+            logits = classifiers[number].refresh(volumes[v])
+            assert logits.tobytes() == network.dense(seeds[number])(twins[v].array).tobytes()
+        elif step == "packet":
+            events = random_events(number, seed=k, duration_us=300, sensor=config.sensor, start_us=now_us[v])
+            for volume in both:
+                volume.update(events)
+            now_us[v] += 300
+        elif step == "one":
+            for volume in both:
+                volume.update_one(now_us[v] + number, (k * 7) % width, (k * 5) % height, k % 2)
+        elif step == "array":
+            assert volumes[v].array.tobytes() == twins[v].array.tobytes()
+        elif step in ("open", "close", "reset"):
+            for volume in both:
+                getattr(volume, step)(*[now_us[v]] * (step == "open"))
+        elif step == "jump":
+            now_us[v] += WINDOW_US
+        elif step == "dense":  # the incremental classifier is called with an array in between
+            array = np.random.default_rng(k).normal(size=config.shape).astype(np.float32)
+            expected = network.dense(seeds[number])(array)
+            assert classifiers[number](array).tobytes() == expected.tobytes()
+        elif step == "duplicate":
+            volumes[1 - v], twins[1 - v] = DUPLICATES[number](volumes[v]), copy.deepcopy(twins[v])
+            now_us[1 - v] = now_us[v]
+        else:
+            classifiers[1 - v], seeds[1 - v] = DUPLICATES[number](classifiers[v]), seeds[v]
+    for v, number in np.ndindex(2, 2):
+        logits = classifiers[number].refresh(volumes[v])
+        assert logits.tobytes() == network.dense(seeds[number])(twins[v].array).tobytes()
+        assert volumes[v].array.tobytes() == twins[v].array.tobytes()
+
+
+def test_a_classifier_from_another_process_does_not_know_this_ones_windows(monkeypatch):
+    """Windows there are numbered 1, 2, 3 .. too; it must not mistake one for a window of the first process."""
+    classifier, volume = SMALL.classifier(), SMALL.volume()
+    volume.update(random_events(10, seed=1, duration_us=900, sensor=SMALL.config.sensor))
+    classifier.refresh(volume)
+    parcel, number = pickle.dumps(classifier), int(classifier.network.program[P.EPOCH])
+    assert number > 0
+    monkeypatch.setattr(volume_state, "_epochs", itertools.count(number - 1))  # one for `reset`, one for `open`
+    here = SMALL.volume()
+    here.update(random_events(10, seed=2, duration_us=900, sensor=SMALL.config.sensor))
+    expected = SMALL.dense()(here.array).tobytes()
+    assert pickle.loads(parcel).refresh(here).tobytes() == expected
+    classifier.network.program[P.EPOCH] = number  # had it kept the number, it would have been wrong
+    assert classifier.refresh(here).tobytes() != expected
+
+
+# -- the log, a ring of the newest events' places ----------------------------------------------------------------
+
+
+LONG_LOG = Network((34, 34), 9, (3, 5, 7), 3, polarity="split")
+
+
+@pytest.mark.parametrize("network", [NETWORKS[0], NETWORKS[2], LONG_LOG], ids=str)
+@pytest.mark.parametrize("more", [-1, 0, 1])
+def test_packets_about_as_long_as_the_log_or_as_it_pays_to_follow_it(network, more):
+    """So many that they cross the ring's end several times, each time elsewhere, in one window."""
+    log = int(network.volume().buffer.view(np.int64)[S.LOG_SIZE])
+    n = max(int(np.prod(network.config.shape)) // CELLS_PER_LOGGED, 1)
+    assert n < log == (2048 if network is LONG_LOG else 512)
+    long = [log + more] * 4 + [1] * 5 + [2 * log + more] * 2 + [20 * log, 1, n, 1, 2]
+    for sizes in (long, [max(n + more, 1)] * (3 * log // n)):
+        sensor = network.config.sensor
+        events = random_events(sum(sizes), seed=7, duration_us=WINDOW_US - 1, sensor=sensor, start_us=1)
+        logits_after_packets(network, events, sizes)
+
+
+# -- as a callable -----------------------------------------------------------------------------------------------
+
+
+@of_all
+def test_any_float_array_of_the_right_shape_will_do_and_logits_are_the_callers(network):
+    array = np.random.default_rng(0).normal(size=network.config.shape).astype(np.float32)
+    classifier = network.classifier()
+    first = classifier(array)
+    kept = first.tobytes()
+    first[:] = 7
+    for volume in (array, array.astype(np.float64), np.asfortranarray(array)):
+        assert classifier(volume).tobytes() == kept
+    assert (first == 7).all()
+
+
+def test_a_volume_of_another_shape_is_refused():
+    volume = TNTVolume(TNTConfig(polarity="split"))
+    for call, argument in ((DIGITS.dense().refresh, volume), (DIGITS.dense(), volume.array)):
+        with pytest.raises(ValueError, match=r"^`volume` must have shape \(9, 34, 34\), got \(18, 34, 34\)"):
+            call(argument)
+
+
+@settings(max_examples=3 * settings.default.max_examples)
+@given(random_models(), st.integers(0, 10_000), st.lists(st.sampled_from([1, 1, 2, 10, 100]), min_size=3, max_size=12))
+def test_at_every_packet(model, seed, sizes):
+    dense, incremental = CompiledClassifier(model), CompiledClassifier(model)
+    reference = LayerNetwork(model.layers["classifier"], model.weights).double().eval()
+    volume, first = TNTVolume(model.config), 0
+    events = random_events(sum(sizes), seed=seed, duration_us=2500, sensor=CONFIG.sensor)
+    for size in sizes:
+        volume.update(events[first : first + size])
+        first += size
+        logits = incremental.refresh(volume)
+        assert logits.tobytes() == dense(volume.array).tobytes()
+        with torch.no_grad():
+            expected = reference(torch.tensor(volume.array.copy())[None].double()).flatten().numpy()
+        assert np.abs(logits - expected).max() <= 1e-4 * max(1, np.abs(expected).max())

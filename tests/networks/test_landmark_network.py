@@ -1,0 +1,90 @@
+"""The compiled landmark network: near the torch reference, and by hand."""
+
+import numpy as np
+import pytest
+import torch
+from made import random_events, random_model, random_regressor_model
+
+from async_tnt import CompiledRegressor, Model, TNTConfig, TNTVolume
+from async_tnt.kernels.heatmap import centroid
+from async_tnt.networks.torch_modules import landmark_function
+
+NETWORKS = [  # grid, bins, polarity, widths
+    ((34, 34), 9, "signed", (20, 20, 20)),
+    ((32, 48), 5, "split", (8, 12, 20)),
+    ((4, 4), 1, "signed", (1, 1, 1)),
+    ((7, 5), 2, "signed", (3, 9, 24)),
+]
+
+
+@pytest.mark.parametrize("grid, bins, polarity, widths", NETWORKS)
+def test_within_1e_4_pixels_of_the_torch_reference(grid, bins, polarity, widths):
+    config = TNTConfig(sensor=grid, grid=grid, bins=bins, polarity=polarity, landmark="regressor")
+    center, from_center = np.subtract(grid, 1) / 2, []
+    for seed in range(3):
+        model = random_regressor_model(config, regressor_widths=widths, sharpness=5.0, seed=seed)
+        regressor, reference = CompiledRegressor(model), landmark_function(model)
+        for n_events in (0, 1, 40, 800):
+            volume = TNTVolume(config.replace(transform="none", landmark="center"))
+            volume.open(0)
+            quarter = tuple(side // 2 for side in grid)  # so that there is something to find
+            volume.update(random_events(n_events, sensor=quarter, seed=seed))
+            landmark = regressor(volume.array)
+            assert np.abs(np.subtract(landmark, reference(volume.array))).max() <= 1e-4
+            heat, (rows, columns) = regressor.heatmap(volume.array), np.indices(config.shape[1:])
+            assert np.allclose([(heat * columns).sum(), (heat * rows).sum()], landmark, atol=1e-9)
+            assert heat.min() >= 0 and np.isclose(heat.sum(), 1)
+            assert 0 <= landmark[0] <= grid[0] - 1 and 0 <= landmark[1] <= grid[1] - 1
+            from_center.append(np.abs(landmark - center).max())
+    assert max(from_center) > 0.1 * max(grid)  # what was compared does not stand still
+
+
+def test_the_zero_heatmap_gives_the_image_centre_exactly():
+    """Where training starts: whatever the events and the other layers."""
+    config = TNTConfig(sensor=(35, 12), grid=(35, 12), landmark="regressor")
+    volume = np.random.default_rng(0).normal(size=config.shape).astype(np.float32)
+    assert CompiledRegressor(random_regressor_model(config, sharpness=0.0))(volume) == (17.0, 5.5)
+
+
+def middle_taps(config: TNTConfig, heatmap: float) -> CompiledRegressor:
+    """Every convolution is its middle tap: the heatmap's exponent is `heatmap` times ReLU(V), of one bin."""
+    weights = dict(random_regressor_model(config, regressor_widths=(1, 1, 1)).weights)
+    kernel = np.zeros((1, 1, 3, 3))
+    kernel[0, 0, 1, 1] = 1
+    for layer in ("conv1", "conv2", "conv3"):
+        weights |= {f"regressor.{layer}.weight": kernel, f"regressor.{layer}.bias": np.zeros(1)}
+    return CompiledRegressor(
+        Model(config, weights | {"regressor.heatmap.weight": np.full((1, 1, 1, 1), heatmap)}, tuple("abcdefghij"))
+    )
+
+
+def test_centroid_of_one_cell_by_hand():
+    """One cell of weight e^w among 19 of weight 1: l = sum h (x, y) / sum h."""
+    volume = np.zeros((1, 4, 5), np.float32)
+    volume[0, 3, 1] = 2.0
+    volume[0, 0, 0] = -7.0  # ReLU: as if it were zero
+    h = np.ones((4, 5))
+    h[3, 1] = np.exp(2.0 * 1.5)
+    y, x = np.indices(h.shape)
+    expected = (h * x).sum() / h.sum(), (h * y).sum() / h.sum()
+    config = TNTConfig(sensor=(5, 4), grid=(5, 4), bins=1, landmark="regressor")
+    assert middle_taps(config, 1.5)(volume) == pytest.approx(expected, abs=1e-12)
+    assert middle_taps(config, 1.5).heatmap(volume) == pytest.approx(h / h.sum())
+    assert expected[0] < 1.6 and expected[1] > 2.2
+
+
+@pytest.mark.parametrize("heatmap", [[3e38, 3e38, -3e38, 0], [-3e38, 0, -3e38, -3e38], *np.eye(4)[:2] * 3e38], ids=str)
+@pytest.mark.parametrize("value", [None, np.inf, -np.inf, np.nan])
+def test_large_exponents_and_those_that_overflowed_give_what_torch_gives(heatmap, value):
+    exponent = np.array(heatmap, np.float32)
+    exponent[3] = exponent[3] if value is None else value
+    h = torch.softmax(torch.tensor(exponent).double(), 0).numpy()
+    in_rows = np.array([*exponent[:2], 7, 7, *exponent[2:]], np.float32)
+    assert centroid(in_rows, 4, 2, 2) == pytest.approx((h[1] + h[3], h[2] + h[3]), abs=1e-15, nan_ok=True)
+
+
+def test_what_is_refused():
+    with pytest.raises(ValueError, match=r'^the model has no regressor: that needs landmark="regressor" and trans'):
+        CompiledRegressor(random_model())
+    with pytest.raises(ValueError, match=r"^`volume` must have shape \(9, 34, 34\), got \(9, 34, 33\)$"):
+        CompiledRegressor(random_regressor_model())(np.zeros((9, 34, 33)))

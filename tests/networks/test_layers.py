@@ -1,0 +1,222 @@
+"""The layers in a model file: what does not fit, or cannot be run, is refused with the layer's name."""
+
+import copy
+import json
+import re
+
+import numpy as np
+import pytest
+from networks.small import SMALL, WITH_REGRESSOR, changed, small_model, write_file
+from tnt_reference import Classifier, LandmarkRegressor, LayerNetwork
+
+from async_tnt import CompiledClassifier, Model, load_model
+from async_tnt.networks import graph
+from async_tnt.networks.graph import layer_shapes
+from async_tnt.networks.model import thesis_network
+
+
+def test_the_thesis_layers_are_those_of_the_references_modules():
+    import torch
+
+    model = small_model(seed=1, config=WITH_REGRESSOR)
+    channels, height, width = model.config.shape
+    classifier = Classifier(channels, (width, height), 3, (2, 3, 4))
+    classifier.load_state_dict(
+        {name: torch.tensor(w) for name, w in model.weights.items() if not name.startswith("regressor.")}
+    )
+    volume = torch.randn(2, channels, height, width, generator=torch.Generator().manual_seed(0))
+    layers = {name: LayerNetwork(part, model.weights) for name, part in model.layers.items()}
+    assert torch.equal(layers["classifier"](volume), classifier(volume))
+    even = LandmarkRegressor(channels, (width, height), 5)
+    weights = {f"regressor.{name}": w.detach().numpy() for name, w in even.state_dict().items()}
+    landmarks = LayerNetwork(model.layers["regressor"], weights)(volume)
+    assert torch.allclose(landmarks, even(volume), atol=1e-12)
+
+
+def edited(edit):
+    network = copy.deepcopy(thesis_network(SMALL))
+    edit(network["classifier"])
+    return network
+
+
+def insert(place, **layer):
+    return lambda layers: layers.insert(place, layer)
+
+
+def update(place, **parameters):
+    return lambda layers: layers[place].update(parameters)
+
+
+CANNOT_RUN = [
+    (update(1, op="gelu"), "layer 'relu1' is a 'gelu'; this release knows conv, dense, batch_norm, relu, "),
+    (update(1, inplace=True), "layer 'relu1' (relu) has inplace"),
+]
+DAMAGED = [
+    (lambda layers: layers.clear(), "a network must have at least one layer"),
+    (update(1, name=3), "layer 1 must be an object with `name` and `op`, got {'inputs': ['conv1'], 'name': 3, 'op': "),
+    (update(1, name="conv1"), "layer 'conv1' (relu): another layer has this name"),
+    (update(1, inputs=["conv7"]), "layer 'relu1' (relu): no earlier layer is named 'conv7'"),
+    (update(1, inputs=["fc1"]), "layer 'relu1' (relu): no earlier layer is named 'fc1'"),
+    (update(1, inputs="conv1"), "layer 'relu1' (relu): `inputs` must be a list of names, got 'conv1'"),
+    (update(1, inputs=["conv1", "conv1"]), "layer 'relu1' (relu): must have 1 input, got 2"),
+    (insert(1, op="add", name="sum", inputs=["conv1"]), "layer 'sum' (add): must have 2 inputs or more, got 1"),
+    (insert(4, op="add", name="sum", inputs=["conv2", "pool1"]), "layer 'sum' (add): its inputs must have one shape, "),
+    (lambda layers: layers[0].pop("stride"), "layer 'conv1' (conv): must have stride"),
+    (update(0, stride=[0, 1]), "layer 'conv1' (conv): `stride` must be a list of 2 whole numbers from 1 on, got [0, 1"),
+    (update(0, padding=[1, 1]), "layer 'conv1' (conv): `padding` must be a list of 4 whole numbers from 0 on, got [1,"),
+    (update(0, kernel=[9, 9]), "layer 'conv1' (conv): its kernel reaches over 9 places, its input has 8 with the padd"),
+    (update(0, kernel=[1, 1]), "layer 'conv1' (conv): its weight must have shape (2, 2, 1, 1) here, got (2, 2, 3, 3)"),
+    (update(0, groups=3), "layer 'conv1' (conv): 3 groups must divide its 2 channels and 2 filters"),
+    (update(0, weights={"bias": "conv1.bias"}), "layer 'conv1' (conv): `weights` must be weight, bias, got bias"),
+    (update(2, padding=[2, 0, 0, 0]), "layer 'pool1' (average_pool): padding [2, 0, 0, 0] must be less than kernel [2"),
+    (insert(1, op="clip", name="c", inputs=["conv1"], low=2, high=1), "layer 'c' (clip): `low` must be at most `high`"),
+    (
+        insert(1, op="leaky_relu", name="l", inputs=["conv1"], slope=1e999),
+        "layer 'l' (leaky_relu): `slope` must be a fini",
+    ),
+    (
+        insert(7, op="prelu", name="p", inputs=["flatten"], weights={"slope": "fc1.bias"}),
+        "layer 'p' (prelu): its slope must have shape (3,) here, got (4,)",
+    ),
+    (update(7, inputs=["pool2"]), "layer 'fc1' (dense): its input must be flat, got (3, 1, 1): a flatten belongs befo"),
+    (lambda layers: layers.pop(), "the network must compute 3 logits, one for each class, got (4,)"),
+    (
+        lambda layers: layers.append({"op": "heatmap_centroid", "name": "h", "inputs": ["volume"]}),
+        "layer 'h' (heatmap_c",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    "edit, message", CANNOT_RUN + DAMAGED, ids=[message[:50] for _, message in CANNOT_RUN + DAMAGED]
+)
+def test_what_does_not_fit_is_one_error_that_names_the_layer(tmp_path, edit, message):
+    """From Python, and from a file with a valid checksum."""
+    network, path = edited(edit), tmp_path / "m"
+    error, kind = (NotImplementedError, "a network that this release cannot run")
+    if (edit, message) in DAMAGED:
+        error, kind = ValueError, "a damaged model"
+    with pytest.raises(error) as raised:
+        Model(SMALL, changed(), ("a", "b", "c"), network=network)
+    assert str(raised.value).startswith(message)
+    write_file(path, changed(), network=json.dumps(network))
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{path} holds {kind}: {message}')}"):
+        load_model(path)
+
+
+def flat_map(*layers):
+    """A map of 3 x 2 places, flattened, and what follows."""
+    return [
+        {"op": "max_pool", "name": "p", "inputs": ["volume"], "kernel": [2, 2], "stride": [2, 2], "padding": [0] * 4},
+        {"op": "flatten", "name": "f", "inputs": ["p"]},
+        *layers,
+    ]
+
+
+@pytest.mark.parametrize(
+    "layers, message",
+    [
+        (flat_map(), "layer 'f' is the output, and a flattened map: a dense layer belongs behind it"),
+        (
+            flat_map({"op": "add", "name": "s", "inputs": ["f", "f"]}),
+            "layer 's' (add): 'f' is a flattened map: a dense layer belongs between",
+        ),
+    ],
+)
+def test_only_a_dense_layer_knows_the_order_of_a_flattened_map(layers, message):
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        Model(SMALL, {}, list("abcdefghijkl"), network={"classifier": layers})
+
+
+@pytest.mark.parametrize("network, error", [({}, ValueError), ({"classifier": 3}, TypeError), ([], TypeError)])
+def test_networks_that_are_none(network, error):
+    with pytest.raises(error, match=r"^`network` must "):
+        Model(SMALL, changed(), ("a", "b", "c"), network=network)
+    with pytest.raises(ValueError, match=r"^`network` must hold classifier, regressor here, got classifier$"):
+        Model(WITH_REGRESSOR, changed(), ("a", "b", "c"), network=thesis_network(SMALL))
+
+
+def test_a_heatmap_of_other_places_than_the_volumes_is_refused():
+    """Its places are grid pixels; the kernel reads as many as the volume has."""
+    network = copy.deepcopy(thesis_network(WITH_REGRESSOR))
+    pool = {
+        "op": "max_pool",
+        "name": "p",
+        "inputs": ["heatmap"],
+        "kernel": [2, 2],
+        "stride": [2, 2],
+        "padding": [0] * 4,
+    }
+    network["regressor"].insert(-1, pool)
+    network["regressor"][-1]["inputs"] = ["p"]
+    message = r"^the heatmap must be of shape \(1, 6, 5\), as the volume, got \(1, 3, 2\)$"
+    with pytest.raises(ValueError, match=message):
+        Model(WITH_REGRESSOR, changed(WITH_REGRESSOR), ("a", "b", "c"), network=network)
+
+
+def window(kernel, padding=0, stride=1):
+    return {"kernel": [kernel] * 2, "padding": [padding] * 4, "stride": [stride] * 2}
+
+
+def conv(kernel=1, padding=0, stride=1, weight="w"):
+    more = {"weights": {"weight": weight}, "dilation": [1, 1], "groups": 1}
+    return "conv", window(kernel, padding, stride) | more
+
+
+def chain(*layers, source="volume"):
+    """Each of the one before."""
+    made = []
+    for k, (op, parameters) in enumerate(layers):
+        made.append({"op": op, "name": f"{op} {k}", "inputs": [made[-1]["name"] if made else source], **parameters})
+    return made
+
+
+@pytest.mark.parametrize(
+    "layers, limit, at",
+    [
+        ([conv(padding=8013)], "MAX_NUMBERS", "conv 0"),  # a large map
+        ([conv(padding=4092, stride=8191)] * 9, "MAX_NUMBERS", "conv 4"),  # small maps in large frames
+        ([conv(weight="shared")] * 17, "MAX_NUMBERS", "conv 15"),  # a megabyte of weights, many times
+        ([("max_pool", window(1700, 1699, 1700))], "MAX_NUMBERS", "max_pool 0"),  # tables of places
+        ([("average_pool", window(99, 98))] * 9, "MAX_PRODUCTS", "average_pool 5"),
+        ([conv(3, 1, weight="wide")] * 60, "MAX_PRODUCTS", "conv 56"),
+    ],
+)
+def test_the_sum_of_all_layers_is_limited_and_a_program_may_raise_the_limit(layers, limit, at, monkeypatch):
+    shapes = {"w": (1, 1, 1, 1), "shared": (4096, 4096, 1, 1), "wide": (512, 512, 3, 3)}
+    volume = {"shared": (4096, 1, 1), "wide": (512, 32, 32)}.get(str(layers[0][1].get("weights", {}).get("weight")))
+    arguments = chain(*layers), volume or (1, 8, 8), shapes
+    name = at.split()[0]
+    words = r"up to here .* [\d_]+ (numbers|multiplications), more than [\d_]+ \(a program may raise async_tnt.networks"
+    with pytest.raises(ValueError, match=rf"^layer '{at}' \({name}\): {words}.graph.{limit}\)$"):
+        layer_shapes(*arguments)
+    monkeypatch.setattr(graph, limit, 1 << 40)
+    assert len(layer_shapes(*arguments)) == len(layers) + 1
+
+
+def test_maps_that_are_added_have_the_frame_of_each_other(monkeypatch):
+    """So many of them take more memory than the layers say; known once a program is made, before it takes any."""
+    many = [{**chain(conv())[0], "name": f"map {k}"} for k in range(12)]
+    layers = [
+        *many,
+        *chain(conv(padding=60, stride=120), ("global_average_pool", {}), source="map 0"),
+        {"op": "add", "name": "sum", "inputs": [layer["name"] for layer in many]},
+        {**chain(("global_average_pool", {}), source="sum")[0], "name": "mean"},
+        {"op": "add", "name": "last", "inputs": ["global_average_pool 1", "mean"]},
+    ]
+    model = Model(SMALL.replace(bins=1), {"w": np.ones((1, 1, 1, 1))}, ["a"], network={"classifier": layers})
+    assert CompiledClassifier(model)(np.ones((1, 6, 5))).shape == (1,)
+    monkeypatch.setattr(graph, "MAX_NUMBERS", 1 << 16)
+    with pytest.raises(ValueError, match=r"^the network's maps need [\d_]+ numbers, more than 2 \* 65_536"):
+        CompiledClassifier(model)
+
+
+def test_vgg16_at_640_x_480_is_within_the_limits():
+    layers, shapes, channels = [], {}, 5
+    for n_filters, n in ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3)):
+        for _ in range(n):
+            shapes[f"w{len(layers)}"] = n_filters, channels, 3, 3
+            layers += [conv(3, 1, weight=f"w{len(layers)}"), ("relu", {})]
+            channels = n_filters
+        layers.append(("max_pool", window(2, 0, 2)))
+    assert layer_shapes(chain(*layers), (5, 480, 640), shapes)["max_pool 30"] == (512, 15, 20)

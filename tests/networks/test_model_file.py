@@ -1,0 +1,211 @@
+"""A model survives its file bit for bit, and says what it is.
+
+Weights, classes and configuration that do not fit each other are refused, from Python and from a file.
+"""
+
+import json
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from networks.random_networks import random_models
+from networks.small import CLASSES, SMALL, WITH_REGRESSOR, assert_same, changed, small_model, write_file
+from safetensors import safe_open
+from safetensors.numpy import load_file
+
+from async_tnt import CompiledClassifier, CompiledRegressor, Model, Processor, bundled_models, load_model
+from async_tnt.decision import html_table
+
+
+@given(random_models())
+def test_a_saved_network_is_the_same(tmp_path_factory, model):
+    path = model.save(tmp_path_factory.mktemp("model") / "m.safetensors")
+    volume = np.random.default_rng(0).normal(size=model.config.shape).astype(np.float32)
+    for loaded in (load_model(path), load_model(str(path))):
+        assert_same(loaded, model)
+        assert list(loaded.weights) == sorted(model.weights)  # as what is made of them depends on their order
+        assert loaded.layers == model.layers
+        assert CompiledClassifier(loaded)(volume).tobytes() == CompiledClassifier(model)(volume).tobytes()
+
+
+def test_a_saved_regressor_is_the_same(tmp_path):
+    model = small_model(config=WITH_REGRESSOR)
+    volume = np.random.default_rng(0).normal(size=model.config.shape).astype(np.float32)
+    assert CompiledRegressor(load_model(model.save(tmp_path / "m")))(volume) == CompiledRegressor(model)(volume)
+
+
+def test_extreme_weights_names_and_records_come_back(tmp_path):
+    special = np.array([np.finfo("f4").max, np.finfo("f4").tiny, 1e-45, -0.0], np.float32)
+    record = {"data": "N-MNIST", "Genauigkeit": [0.5, 1, None, True], "nested": {"猫": "\n\"'\\\0"}}
+    model = Model(SMALL, changed(fc1__bias=special), ["Ölbaum", "", "猫 🐈"], record)
+    assert model.classes == ("Ölbaum", "", "猫 🐈")
+    assert_same(load_model(model.save(tmp_path / "ein Modell.safetensors")), model)
+    assert Model(SMALL, changed(), [0, 1, 2]).classes == ("0", "1", "2")
+    assert Model(SMALL, changed(), CLASSES).record == {}
+
+
+@pytest.mark.parametrize("dtype", ["f2", ">f4", "u1"])
+def test_weights_of_any_numbers_in_any_memory_become_float32(dtype):
+    weights = {name: np.asfortranarray(np.ceil(np.abs(w)), dtype) for name, w in changed().items()}
+    weights["fc2.weight"] = np.repeat(weights["fc2.weight"], 2, axis=1)[:, ::2]
+    weights["fc1.bias"].flags.writeable = False
+    for name, values in Model(SMALL, weights, CLASSES).weights.items():
+        assert (
+            values.dtype == np.float32 and values.flags.c_contiguous and not np.may_share_memory(values, weights[name])
+        )
+        np.testing.assert_array_equal(values, weights[name])
+
+
+def test_the_file_is_plain_safetensors(tmp_path):
+    model = small_model()
+    path = model.save(tmp_path / "m")
+    assert path == tmp_path / "m" and os.listdir(tmp_path) == ["m"]
+    arrays = load_file(path)
+    assert {name: w.tobytes() for name, w in arrays.items()} == {name: w.tobytes() for name, w in model.weights.items()}
+    with safe_open(path, "numpy") as file:
+        metadata = file.metadata()
+    assert metadata.keys() == {"format", "config", "classes", "record", "network", "sha256"}
+    parts = [json.loads(metadata[name]) for name in ("config", "classes", "record")]
+    assert parts == [SMALL.to_dict(), list(model.classes), {"made": True}]
+
+
+def test_what_cannot_be_saved_leaves_nothing(tmp_path):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match="folder"):
+        small_model().save(tmp_path / "folder")
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        small_model().save(tmp_path / "nowhere" / "m.safetensors")
+    with pytest.raises(TypeError, match="float32 is not JSON serializable"):
+        Model(SMALL, changed(), CLASSES, {"accuracy": np.float32(0.5)}).save(tmp_path / "m")
+    assert os.listdir(tmp_path) == ["folder"] and os.listdir(tmp_path / "folder") == []
+
+
+@pytest.mark.parametrize("name", ["nonsense", "", "no\0name"])
+def test_an_unknown_name_lists_the_bundled_ones(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert list(bundled_models()) == sorted(set(bundled_models())) and load_model("digits").classes[3] == "3"
+    names = ", ".join(bundled_models())
+    message = rf"^no model file {re.escape(str(Path(name)))}, and no bundled model of that name \(bundled: {names}\)$"
+    with pytest.raises(FileNotFoundError, match=message):
+        load_model(name)
+
+
+def test_only_a_regular_file_is_a_model(tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "link").symlink_to(tmp_path / "fifo")
+    for path in (tmp_path, tmp_path / "fifo", tmp_path / "link", "/dev/zero", "/dev/null"):
+        with pytest.raises(FileNotFoundError, match=f"^no model file {path}, "):
+            load_model(path)
+
+
+@pytest.mark.parametrize(
+    "value, line",
+    [
+        (small_model(), "Model(3 classes, 9x8 -> 2x6x5, 2 conv, 2 dense, 126 weights)"),
+        (small_model(config=WITH_REGRESSOR), "Model(3 classes, 9x8 -> 2x6x5, 6 conv, 2 dense, 889 weights)"),
+        (CompiledClassifier(small_model()), "CompiledClassifier(2x6x5 -> 3 logits, 6 steps, 1,104 products)"),
+    ],
+)
+def test_one_line(value, line):
+    assert repr(value) == line
+
+
+def test_tables_show_any_name_as_it_is():
+    """No name becomes an element of the page, and a table of many names stays short."""
+    name = "<b>&\"'</td>"
+    shown = "&lt;b&gt;&amp;&quot;&#x27;&lt;/td&gt;"
+    table = Model(SMALL, changed(), (name, "a", "b"))._repr_html_()
+    assert f"<td>{shown}, a, b</td>" in table and table.count("<b>") == 0
+    decision = Processor(SMALL, classifier=lambda volume: [5.0, 0.0, 0.0], classes=(name, "a", "b"), start_us=5).fire()
+    assert f'<th>{shown}</th><td><meter value="0.9867"></meter> 98.7%</td>' in decision._repr_html_()
+    assert len(html_table({"<" * 10**6: ", ".join(map(str, range(10**6)))})) < 2000
+
+
+SHAPES = {name: w.shape for name, w in small_model(config=WITH_REGRESSOR).weights.items()}
+
+
+def assert_refused(message, path, weights, config=WITH_REGRESSOR):
+    """By Model, and by `load_model` as a damaged file; `message` is a regular expression."""
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        Model(config, weights, CLASSES)
+    with np.errstate(over="ignore"):
+        write_file(path, {name: np.asarray(w, np.float32) for name, w in weights.items()}, config)
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{path} holds a damaged model: ')}{message}$"):
+        load_model(path)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_each_array_has_its_shape(name, tmp_path):
+    """One side more, one axis more, one axis less, empty: of the layer itself, or of the next one, which reads it."""
+    shape = SHAPES[name]
+    wrong = [(*shape[:k], shape[k] + 1, *shape[k + 1 :]) for k in range(len(shape))]
+    for other in [*wrong, (*shape, 1), shape[:-1], (0, *shape[1:])]:
+        message = r"layer '\w+' \((conv|dense)\): .*"
+        if (name, other) == ("regressor.heatmap.weight", (2, 7, 1, 1)):
+            message = r"layer 'landmark' \(heatmap_centroid\): its input must be a heatmap \(1, H, W\), got \(2, 6, 5\)"
+        assert_refused(message, tmp_path / "m", changed(WITH_REGRESSOR, **{name: np.zeros(other)}))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e39])  # the last: beyond float32
+def test_each_array_is_finite(name, value, tmp_path):
+    values = np.zeros(SHAPES[name])
+    values.flat[-1] = value
+    weights = changed(WITH_REGRESSOR, **{name: values})
+    assert_refused(f"`{name}` must be finite numbers", tmp_path / "m", weights)
+
+
+def test_exactly_the_arrays_of_the_network(tmp_path):
+    """Those of a landmark network where the landmark needs one, and only there."""
+    path, whole, plain = tmp_path / "m", changed(WITH_REGRESSOR), changed(SMALL)
+    one_less = r"layer 'fc2' \(dense\): no tensor is named 'fc2.bias'"
+    assert_refused(one_less, path, changed(WITH_REGRESSOR, fc2__bias=None))
+    assert_refused("no layer has the weights fc3.bias", path, whole | {"fc3.bias": np.zeros(1)})
+    assert_refused(r"layer 'conv1' \(conv\): no tensor is named 'regressor.conv1.weight'", path, plain)
+    for changes in ({"landmark": "window"}, {"transform": "none"}):
+        config = WITH_REGRESSOR.replace(**changes)
+        names = ", ".join(sorted(name for name in SHAPES if name.startswith("regressor.")))
+        assert_refused(f"no layer has the weights {names}", path, whole, config)
+    assert small_model(config=WITH_REGRESSOR.replace(transform="none")).weights.keys() == plain.keys()
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        (
+            {"bins": 3},
+            r"layer 'conv1' \(conv\): its weight must have shape \(2, 3, 3, 3\) here, got \(2, 2, 3, 3\)",
+        ),
+        ({"grid": (8, 8)}, r"layer 'fc1' \(dense\): its weight must have shape \(4, 12\) here, got \(4, 3\)"),
+        (
+            {"grid": (3, 8)},
+            r"layer 'pool2' \(average_pool\): its kernel reaches over 2 places, its input has 1 with the padding "
+            r"\(input \(3, 4, 1\)\)",
+        ),
+    ],
+)
+def test_weights_of_another_configuration(changes, message, tmp_path):
+    assert_refused(message, tmp_path / "m", changed(), SMALL.replace(**changes))
+
+
+NAMES = "`classes` must be a tuple or list of names, got "
+
+
+@pytest.mark.parametrize(
+    "classes, record, error, message",
+    [
+        (("a", "b"), {}, ValueError, "the network must compute 2 logits, one for each class, got (3,)"),
+        ((), {}, ValueError, "`classes` must hold at least one name"),
+        (("a", "b", "a"), {}, ValueError, "`classes` must have different names, got ('a', 'b', 'a')"),
+        ("abc", {}, TypeError, NAMES + "'abc'"),
+        (CLASSES, None, TypeError, "`record` must be a mapping, got None"),
+    ],
+)
+def test_wrong_classes_and_records(classes, record, error, message):
+    with pytest.raises(error, match=f"^{re.escape(message)}$"):
+        Model(SMALL, changed(), classes, record)
+    with pytest.raises(TypeError, match=r"^`fc1.bias` must be an array of numbers, got complex128$"):
+        Model(SMALL, changed(fc1__bias=np.zeros(4, complex)), CLASSES)

@@ -1,0 +1,112 @@
+"""Processor: what a decision holds, and which settings, triggers and classifiers are refused."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from deciding import CONFIG, at, total_and_size
+from made import random_events
+
+from async_tnt import LeakyIntegrator, Processor, ReplayBufferFull
+
+
+def test_decision_carries_logits_probabilities_and_label():
+    processor = Processor(CONFIG, classifier=lambda volume: [0.0, np.log(3.0)], classes=["cat", "dog"])
+    processor.push(at([5]))
+    decision = processor.fire()
+    assert (decision.label, decision.index, decision.complete) == ("dog", 1, False)
+    assert decision.probabilities == pytest.approx([0.25, 0.75])
+    assert decision.probability == pytest.approx(0.75)
+    assert decision.logits.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("answer", "classes", "message"),
+    [
+        ([float("nan"), 1.0], None, "finite logits, got"),
+        (None, None, "finite logits, got"),
+        ([0.0], ["a", "b"], "2 logits, one for each class, got 1"),
+    ],
+)
+def test_answers_that_are_refused(answer, classes, message):
+    processor = Processor(CONFIG, classifier=lambda volume: answer, classes=classes)
+    with pytest.raises(ValueError, match=f"`classifier` must return {message}"):
+        processor.fire()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_full_replay_buffer_warns_after_the_packet_is_processed():
+    """A warning may be an error: nothing may be half done then."""
+    events = random_events(40, seed=5, duration_us=4000)
+    strict, quiet = (
+        Processor(CONFIG.replace(landmark="window"), classifier=total_and_size, replay_events=2, hop_us=500)
+        for _ in range(2)
+    )
+    with pytest.raises(ReplayBufferFull):
+        strict.push(events)
+    with pytest.warns(ReplayBufferFull):
+        quiet.push(events)
+    assert quiet.counts == strict.counts and quiet.counts.received == 40
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"hop_us": 1001}, "`hop_us` must be at most window_us = 1000, got 1001"),
+        ({"hop_us": 1}, r"`hop_us` must be at least window_us / 256 = 4, got 1: 1000 windows would be open"),
+        ({"start_us": -1}, r"`start_us` must be in \[0, 2\*\*62\), got -1"),
+        ({"classes": "cat"}, "`classes` must be a sequence of names, got the single string 'cat'"),
+        ({"late": "later"}, "`late` must be one of accept, drop, raise, got 'later'"),
+        (
+            {"start_us": -(10**5000)},
+            r"`start_us` must be in \[0, 2\*\*62\), got -10\*\*5000 or so$",
+        ),  # Python prints none
+        (
+            {"hop_us": 5, "model": CONFIG.replace(window_events=3)},
+            "`hop_us` must not be given with window_events=3, got 5",
+        ),
+        (
+            {"start_us": 5, "model": CONFIG.replace(window_events=3)},
+            "`start_us` must not be given with window_events=3",
+        ),
+        ({"classifier": 7}, "`classifier` must be callable, got int"),
+        ({"classifier": None}, "`classifier` is missing: a TNTConfig alone cannot decide"),
+        ({"model": "digits"}, "`model` must be a Model or a TNTConfig, got str; load_model"),
+    ],
+)
+def test_bad_settings(settings, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        Processor(**({"model": CONFIG, "classifier": total_and_size} | settings))
+
+
+BAD_TRIGGERS = [
+    ("every_us", 0, ValueError, "`every_us` must be at least 1, got 0"),
+    ("every_us", True, TypeError, "`every_us` must be a whole number, got True"),
+    ("every_events", 1.0, TypeError, "`every_events` must be a whole number, got 1.0"),
+    ("confidence", 1.01, ValueError, "`confidence` must be a probability in (0, 1], got 1.01"),
+    ("confidence", math.nan, ValueError, "`confidence` must be a probability in (0, 1], got nan"),
+    ("confidence", "high", TypeError, "`confidence` must be a number, got 'high'"),
+    ("activity", 5, TypeError, "`activity` must be a LeakyIntegrator(threshold, leak_us), got 5"),
+]
+
+
+@pytest.mark.parametrize("name, value, error, message", BAD_TRIGGERS)
+def test_bad_triggers_are_refused_and_change_nothing(name, value, error, message):
+    with pytest.raises(error, match=f"^{re.escape(message)}$"):
+        Processor(CONFIG, classifier=total_and_size, **{name: value})
+    good = {"every_us": 70, "every_events": 5, "confidence": 0.999, "activity": LeakyIntegrator(3.0, 500.0)}
+    processor = Processor(CONFIG, classifier=total_and_size, **good)
+    with pytest.raises(error, match=f"^{re.escape(message)}$"):
+        setattr(processor, name, value)
+    assert {name: getattr(processor, name) for name in good} == good
+    with pytest.raises(AttributeError, match="every_ms"):
+        processor.every_ms = 5
+
+
+@pytest.mark.parametrize("place, name", [(0, "threshold"), (1, "leak_us"), (2, "charge")])
+def test_bad_integrators(place, name):
+    for value, error in ((0, ValueError), (math.nan, ValueError), ("3", TypeError)):
+        with pytest.raises(error, match=f"^`{name}` must be a .*number, got {value!r}$"):
+            LeakyIntegrator(*[value if k == place else 3.0 for k in range(3)])
+    assert LeakyIntegrator(np.float32(3), 10**5000).leak_us == math.inf  # beyond float

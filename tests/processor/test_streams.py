@@ -1,0 +1,119 @@
+"""stream and astream: a source of events in, decisions out."""
+
+import asyncio
+from typing import get_type_hints
+
+import pytest
+from deciding import key
+from made import random_events, random_model
+
+from async_tnt import LeakyIntegrator, Processor, TNTConfig, astream, stream
+from async_tnt.streams import Settings
+
+MODEL = random_model(TNTConfig(window_us=1000))
+EVENTS = random_events(400, seed=1, duration_us=4000)
+
+
+def packets(size):
+    return (EVENTS[first : first + size] for first in range(0, len(EVENTS), size))
+
+
+def keys(decisions):
+    return [key(d) for d in decisions]
+
+
+@pytest.fixture(scope="module")
+def expected():
+    decisions = keys(stream([EVENTS], MODEL))
+    assert len(set(decisions)) == 4
+    return decisions
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        lambda: packets(70),
+        lambda: EVENTS.tolist(),  # single tuples
+        lambda: [None, EVENTS[:0], EVENTS, None],
+        lambda: (tuple(packet[name] for name in "txyp") for packet in packets(33)),
+    ],
+    ids=["packets", "tuples", "empty", "columns"],
+)
+def test_any_source_gives_the_same_decisions(source, expected):
+    assert keys(stream(source(), MODEL)) == expected
+
+
+def test_a_source_of_the_other_kind_is_refused_at_the_call():
+    with pytest.raises(TypeError, match="`source` must be an iterable of packets or of events, got int"):
+        stream(5, MODEL)
+    with pytest.raises(TypeError, match=r"`source` must be asynchronous, got list; `stream` takes"):
+        astream([], MODEL)
+
+
+def test_astream_equals_stream(expected):
+    async def source():
+        for packet in packets(70):
+            await asyncio.sleep(0)
+            yield packet
+
+    async def collect():
+        return [decision async for decision in astream(source(), MODEL)]
+
+    assert keys(asyncio.run(collect())) == expected
+
+
+def test_the_model_may_be_a_path_or_a_processor(tmp_path, expected):
+    path = MODEL.save(tmp_path / "m.safetensors")
+    processor = Processor(MODEL)
+    for model in (path, str(path), processor):
+        assert keys(stream([EVENTS], model)) == expected
+    with pytest.raises(TypeError, match="a Processor has its settings already, got also every_us"):
+        next(stream([EVENTS], processor, every_us=5))
+    triggers = {d.trigger for d in stream([EVENTS], MODEL, every_events=10)}
+    assert triggers == {"every_events", "window", "end"}
+
+
+def test_mistakes_show_before_the_first_event():
+    with pytest.raises(FileNotFoundError, match="no model file digitz"):
+        stream([EVENTS], "digitz")
+    with pytest.raises(TypeError, match=r"`source` must yield events, got the path five.bin; open_recording"):
+        stream("five.bin", MODEL)
+
+
+def test_settings_are_the_keywords_of_a_processor():
+    keywords = get_type_hints(Processor.__init__)
+    assert get_type_hints(Settings) == {name: keywords[name] for name in keywords if name not in ("model", "return")}
+
+
+SPARSE = random_events(100, duration_us=300_000_000)  # 0.3 s in nanoseconds
+UNIT = "32 of the first 32 windows hold 2 events or fewer: times are read as microseconds, divide nanoseconds by 1000"
+
+
+@pytest.mark.parametrize("settings", [{}, {"every_us": 70}, {"every_events": 1}])
+def test_nanoseconds_read_as_microseconds_are_warned_of_once(settings):
+    async def source():
+        for packet in (SPARSE[:40], SPARSE[40:]):
+            yield packet
+
+    async def collect():
+        return [decision async for decision in astream(source(), MODEL, **settings)]
+
+    with pytest.warns(UserWarning, match=UNIT) as warned:
+        decisions = list(stream(iter(SPARSE.tolist()), MODEL, **settings))
+    assert len(warned) == 1 and warned[0].filename == __file__
+    with pytest.warns(UserWarning, match=UNIT) as warned:
+        assert keys(asyncio.run(collect())) == keys(decisions)
+    assert len(warned) == 1
+
+
+@pytest.mark.parametrize(
+    "events, config, settings",
+    [
+        (SPARSE[:32], MODEL.config, {}),  # too few to tell
+        (SPARSE, MODEL.config.replace(window_events=2), {}),  # so many are wanted
+        (SPARSE, MODEL.config, {"confidence": 0.01}),  # windows that the first event decides
+        (random_events(4_000, duration_us=300_000), MODEL.config, {"activity": LeakyIntegrator(5, 500.0)}),
+    ],
+)
+def test_other_small_windows_are_no_reason_to_warn(events, config, settings):
+    assert list(stream([events], random_model(config), **settings))  # warnings are errors in these tests

@@ -1,0 +1,199 @@
+"""Landmark "regressor": the streamed volume equals the reference's at every prefix; what a regressor sees; one that is
+missing, out of place, fails, or returns what cannot be a landmark."""
+
+import re
+
+import numpy as np
+import pytest
+from deciding import total_and_size
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made import nasty_streams, random_events, random_regressor_model
+
+from async_tnt import CompiledRegressor, Counts, Processor, TNTConfig, TNTVolume
+from async_tnt.checking.reference import reference_kept, reference_volume
+from async_tnt.networks.torch_modules import landmark_function
+
+CONFIG = TNTConfig(window_us=1000, landmark="regressor", t_max=2.0)
+
+
+def centre(raw):
+    return 16.5, 16.5
+
+
+@pytest.mark.parametrize(
+    ("config", "regressor", "error", "message"),
+    [
+        (CONFIG, None, ValueError, "`regressor` is missing: landmark='regressor', transform='tnt' needs a callable"),
+        (CONFIG, (16.5, 16.5), TypeError, "`regressor` must be callable, got tuple"),
+        (TNTConfig(), centre, ValueError, '`regressor` needs landmark="regressor" and transform="tnt", got'),
+    ],
+)
+def test_regressor_and_landmark_go_together(config, regressor, error, message):
+    for make in (TNTVolume, lambda config, **settings: Processor(config, classifier=total_and_size, **settings)):
+        with pytest.raises(error, match=f"^{re.escape(message)}"):
+            make(config, regressor=regressor)
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (None, "must return two numbers (x, y) in grid pixels, got None"),
+        (np.zeros((2, 2)), "must return two numbers (x, y) in grid pixels, got array([[0."),
+        ((10**400, 1), "must return two numbers (x, y) in grid pixels, got (1000"),
+        ((float("nan"), 1), "must return a finite landmark, got (nan, 1.0)"),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_an_answer_that_cannot_be_a_landmark(answer, message):
+    volume = TNTVolume(CONFIG, regressor=lambda raw: answer)
+    volume.update_one(5, 3, 3, 1)
+    for read in (lambda: volume.array, lambda: volume.landmark, lambda: volume.counts, volume.close):
+        with pytest.raises(ValueError, match=f"^{re.escape('`regressor` ' + message)}") as caught:
+            read()
+        assert len(str(caught.value)) < 200 and "\n" not in str(caught.value)
+    volume.reset()  # works without a landmark
+    assert volume.n_events == 0 and not volume.array.any()
+
+
+def test_an_error_leaves_the_window_as_it_was():
+    def regressor(raw):
+        if fails[0]:
+            raise RuntimeError("no memory")
+        return raw.sum() / 10 + 16, 15.0
+
+    fails = [False]
+    events = random_events(60, seed=1, duration_us=2000)
+    volume = TNTVolume(CONFIG, regressor=regressor)
+    untroubled = TNTVolume(CONFIG, regressor=regressor)
+    volume.open(0), untroubled.open(0)
+    volume.update(events[:20]), untroubled.update(events[:20])
+    view = volume.array
+    before = view.copy()
+    fails[0] = True
+    volume.update(events[20:25])
+    for read in ("array", "landmark", "counts"):
+        with pytest.raises(RuntimeError, match="no memory"):
+            getattr(volume, read)
+    with pytest.raises(RuntimeError, match="no memory"):
+        volume.open(5000)
+    assert np.array_equal(view, before) and (volume.start_us, volume.n_events) == (0, 25)
+    fails[0] = False
+    untroubled.update(events[20:25])
+    assert volume.array.tobytes() == untroubled.array.tobytes()
+    volume.update(events[25:]), untroubled.update(events[25:])
+    assert volume.array.tobytes() == untroubled.array.tobytes() and volume.counts == untroubled.counts
+
+
+MODELS = [  # sensor, grid, bins, window_us, t_max, polarity, widths
+    random_regressor_model(
+        TNTConfig(sensor=sensor, grid=grid, bins=bins, window_us=window_us, t_max=t_max, polarity=polarity),
+        regressor_widths=widths,
+        sharpness=20.0,
+    )
+    for sensor, grid, bins, window_us, t_max, polarity, widths in (
+        ((34, 34), (34, 34), 9, 105_000, 8.0, "signed", (20, 20, 20)),
+        ((34, 34), (34, 34), 9, 800, 2.0, "split", (12, 9, 16)),
+        ((5, 7), (5, 7), 2, 7, 4.0, "unsigned", (8, 5, 17)),
+        ((64, 48), (17, 23), 4, 1000, 3.7, "split", (8, 5, 17)),
+    )
+]
+TORCH = {id(model): landmark_function(model) for model in MODELS}
+
+
+def assert_equals_reference(volume, events, model, start_us):
+    config, array = volume.config, volume.array
+    raw = reference_volume(events, config.replace(transform="none"), start_us)
+    expected = TORCH[id(model)](raw)
+    offset = np.abs(np.subtract(volume.landmark, expected))
+    assert offset.max() <= 1e-4
+    about_ours = reference_volume(events, config, start_us, volume.landmark)
+    largest = max(np.abs(about_ours).max(), 1e-9)  # below: cancelled
+    assert np.abs(array - about_ours).max() <= 1e-6 * largest
+    kept = reference_kept(events, config, start_us, volume.landmark)
+    assert volume.counts.kept == kept.sum()
+    # About the reference's own landmark: at TNT time tau an event lies offset / tau from where it lies about ours,
+    # and its share of a cell changes by no more than that in x plus that in y. Where it crosses the border, the
+    # outermost cells have or lack all of it.
+    about_theirs = reference_volume(events, config, start_us, expected)
+    same_kept = np.array_equal(kept, reference_kept(events, config, start_us, expected))
+    inner = slice(None) if same_kept else slice(1, -1)
+    tau = config.t_max * (events["t"] - start_us) / config.window_us
+    bound = (offset.sum() / tau[kept]).sum() + 1e-6 * largest
+    assert np.abs(array - about_theirs)[:, inner, inner].max() <= bound
+
+
+@settings(max_examples=settings.default.max_examples // 4)  # a torch network at every prefix
+@given(st.data())
+def test_update_equals_batch_at_every_prefix(data):
+    model = data.draw(st.sampled_from(MODELS))
+    config, start_us = model.config, data.draw(st.sampled_from([0, 1_700_000_000_000_000]))
+    events = data.draw(nasty_streams(config.sensor, config.window_us, start_us, max_events=20))
+    volume = TNTVolume(config, regressor=CompiledRegressor(model))
+    volume.open(start_us)
+    for n, event in enumerate(events.tolist(), start=1):
+        volume.update_one(*event)
+        assert_equals_reference(volume, events[:n], model, start_us)
+
+
+def test_by_hand():
+    """bins 5, t_max 2, window 1000: t = 500 has tau 1 and bin 2; t = 750 has tau 1.5 and bin 3."""
+    config = TNTConfig(sensor=(67, 34), grid=(34, 34), bins=5, window_us=1000, t_max=2.0, landmark="regressor")
+    volume = TNTVolume(config, regressor=lambda raw: (10.5, 8.5))
+    volume.open(0)
+    volume.update(([500, 750], [21, 27], [9, 10], [1, 0]))  # in grid pixels (10.5, 9), (13.5, 10)
+    expected = np.zeros((5, 34, 34), np.float32)
+    expected[2, 17, 16:18] = 0.5  # u = 0 / 1 + 16.5, v = 0.5 / 1 + 16.5
+    expected[3, 17:19, 18:20] = -0.25  # u = 3 / 1.5 + 16.5 = 18.5, v = 1.5 / 1.5 + 16.5 = 17.5
+    assert np.abs(volume.array - expected).max() <= 1e-6
+    assert volume.counts == Counts(received=2, kept=2)
+
+
+@pytest.mark.parametrize(("sensor", "grid", "bound"), [((34, 34), (34, 34), 0), ((90, 70), (33, 20), 1e-6)])
+def test_the_centre_as_answer_equals_landmark_center(sensor, grid, bound):
+    config = TNTConfig(sensor=sensor, grid=grid, window_us=1000, t_max=2.0, landmark="center")
+    center, c = TNTVolume(config), np.subtract(grid, 1) / 2
+    volume = TNTVolume(config.replace(landmark="regressor"), regressor=lambda raw: c)
+    events = random_events(2000, seed=4, duration_us=3500, sensor=sensor)
+    for part in np.split(events, 5):
+        assert volume.update(part) == center.update(part)
+        assert np.abs(volume.array - center.array).max() <= bound
+        assert volume.counts == center.counts and volume.array.any()
+
+
+def test_it_sees_the_raw_volume_of_its_window_read_only():
+    seen = []
+
+    def regressor(raw):
+        with pytest.raises(ValueError, match="read-only"):
+            raw[0, 0, 0] = 1
+        seen.append(raw.copy())
+        return 3.0, 4.0
+
+    volume = TNTVolume(CONFIG, regressor=regressor)
+    raw = TNTVolume(CONFIG.replace(transform="none"))
+    for start_us in (0, 1000, 7000):
+        events = random_events(300, seed=start_us, duration_us=1000, start_us=start_us)
+        volume.open(start_us), raw.open(start_us)
+        for part in np.split(events, [0, 1, 100]):
+            volume.update(part), raw.update(part)
+            _ = volume.array
+            if part.size:
+                assert seen[-1].dtype == np.float32 and seen[-1].tobytes() == raw.array.tobytes()
+                assert volume.landmark == (3.0, 4.0)
+
+
+def test_it_is_asked_once_until_new_events_come():
+    asked = []
+    volume = TNTVolume(CONFIG, regressor=lambda raw: asked.append(1) or (16.0, 16.0))
+    volume.open(1000)
+    for update, n_asked in (
+        (lambda: volume.update_one(1500, 3, 3, 1), 1),
+        (lambda: volume.update_one(999, 3, 3, 1), 1),  # late: not in the window
+        (lambda: volume.update_one(1500, 3, 3, 1), 2),
+        (lambda: volume.open(2000), 2),  # nothing new to ask about
+    ):
+        update()
+        for _ in range(3):
+            _ = volume.array, volume.landmark, volume.counts
+        assert len(asked) == n_asked

@@ -1,0 +1,171 @@
+"""TNTConfig checks itself, cannot be changed, and survives JSON."""
+
+import json
+import math
+import re
+from dataclasses import FrozenInstanceError, fields
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from async_tnt import TNTConfig
+from async_tnt.config import LANDMARKS, POLARITIES, REPRESENTATIONS, TRANSFORMS
+
+
+def one_of(name, allowed, value):
+    return {name: value}, ValueError, f"`{name}` must be one of {', '.join(allowed)}, got {value!r}"
+
+
+def flow(landmark, transform):
+    rule = '`remove_flow` needs landmark="line" and transform="tnt"'
+    message = f"{rule}, got landmark={landmark!r}, transform={transform!r}"
+    return {"remove_flow": True, "landmark": landmark, "transform": transform}, ValueError, message
+
+
+def of_times(values, got):
+    rule = 'an image of times needs transform="none" and polarity "split" or "unsigned"'
+    return {"representation": "mean_time"} | values, ValueError, f"{rule}, got representation='mean_time', {got}"
+
+
+CELLS = (
+    "`grid` and `bins` must give at most 268_435_456 cells, got {:_} (a program may raise async_tnt.config.MAX_CELLS)"
+)
+WRONG = [
+    *[
+        ({"sensor": v}, TypeError, f"`sensor` must be two whole numbers (width, height), got {v!r}")
+        for v in (34, None, "ab", (34,), (34.0, 34), (True, 34))
+    ],
+    *[
+        ({name: side}, ValueError, f"`{name}` must have sides of 2 to 32768 pixels, got {side}")
+        for name, side in (("sensor", (1, 34)), ("sensor", (34, 32769)), ("grid", (34, -34)), ("grid", (34, 10**30)))
+    ],
+    *[
+        ({name: v}, TypeError, f"`{name}` must be a whole number, got {v!r}")
+        for name, v in (("bins", 9.0), ("bins", True), ("bins", np.array([9, 9])), ("window_events", 9.0))
+    ],
+    *[
+        ({name: v}, ValueError, f"`{name}` must be in [1, {most}], got {v}")
+        for name, most in (("bins", 1024), ("window_events", 1 << 30), ("window_us", 3_600_000_000))
+        for v in (0, most + 1)
+    ],
+    (
+        {"representation": "count_time", "bins": 9},
+        ValueError,
+        "`bins` of an image must be 1 (count), 2 (count_time), 1 (mean_time), 1 (time_surface), got "
+        "representation='count_time', bins=9",
+    ),
+    of_times({"transform": "tnt"}, "transform='tnt', polarity='split'"),
+    of_times({"polarity": "signed"}, "transform='none', polarity='signed'"),
+    *[({"t_max": v}, TypeError, f"`t_max` must be a number, got {v!r}") for v in ("8", True, (8.0,), 8j)],
+    *[
+        ({"t_max": value}, ValueError, f"`t_max` must be in [1e-6, 1e6], got {got}")
+        for value, got in ((0, 0.0), (9e-7, 9e-7), (1e6 + 1, 1e6 + 1), (math.nan, math.nan), (10**400, math.inf))
+    ],
+    one_of("landmark", LANDMARKS, "CENTER"),
+    one_of("polarity", POLARITIES, 0),
+    one_of("transform", TRANSFORMS, []),
+    one_of("representation", REPRESENTATIONS, "image"),
+    ({"remove_flow": 1}, TypeError, "`remove_flow` must be True or False, got 1"),
+    flow("center", "tnt"),
+    flow("line", "none"),
+    ({"grid": (32768, 16000)}, ValueError, CELLS.format(18 * 32769 * 16001)),
+    ({"grid": (1023, 1023), "bins": 65, "polarity": "split"}, ValueError, CELLS.format(260 << 20)),
+]
+
+
+@pytest.mark.parametrize(("values", "error", "message"), WRONG, ids=lambda value: str(value)[:40])
+def test_a_value_that_breaks_its_rule_is_refused(values, error, message):
+    with pytest.raises(error, match=f"^{re.escape(message)}$"):
+        TNTConfig(**values)
+    with pytest.raises(error, match=f"^{re.escape(message)}$"):
+        TNTConfig(sensor=(40, 30)).replace(**values)
+
+
+def test_the_limits_themselves_are_allowed_and_a_program_may_raise_that_of_cells(monkeypatch):
+    assert TNTConfig(sensor=(2, 32768), grid=(2, 32768)).shape == (9, 32768, 2)
+    assert TNTConfig(bins=1).shape == (1, 34, 34)
+    assert TNTConfig(window_us=1, t_max=1e-6) != TNTConfig(window_us=3600 * 10**6, t_max=1e6)
+    assert TNTConfig(grid=(1023, 1023), bins=128).channels == 128  # 2**28 cells
+    monkeypatch.setattr("async_tnt.config.MAX_CELLS", 1 << 30)
+    assert TNTConfig(grid=(1023, 1023), bins=512).channels == 512
+
+
+def test_defaults_that_depend_on_the_representation_and_the_windows():
+    image = TNTConfig(representation="count_time")
+    assert (image.bins, image.polarity, image.transform, image.shape) == (2, "split", "none", (4, 34, 34))
+    volume = TNTConfig(bins=5, polarity="unsigned")
+    assert volume.replace(representation="mean_time", grid=(20, 20)).shape == (2, 20, 20)
+    assert volume.replace(representation="count", polarity="signed").shape == (1, 34, 34)
+    assert image.replace(representation="volume") == TNTConfig()
+    assert image.replace(grid=(20, 20), representation="count_time").polarity == "split"
+    by_events = TNTConfig(window_us=20_000).replace(window_events=9)
+    assert by_events == TNTConfig(window_events=9) and by_events.replace(window_events=None) == TNTConfig()
+    assert by_events.replace(window_events=8, window_us=50).window_us == 50
+    assert by_events.replace(window_us=50).replace(window_events=7).window_us == 50
+
+
+@pytest.mark.parametrize("number", [np.int8, np.uint64, np.array])
+def test_numbers_of_any_type_become_pythons_own(number):
+    made = TNTConfig(
+        sensor=(number(50), number(40)), grid=[number(20), number(30)], bins=number(7), window_us=number(99), t_max=2
+    )
+    expected = TNTConfig(sensor=(50, 40), grid=(20, 30), bins=7, window_us=99, t_max=2.0)
+    assert made == expected and hash(made) == hash(expected)
+    assert {type(value) for value in (*made.sensor, *made.grid, made.bins, made.window_us)} == {int}
+    assert type(made.t_max) is type(TNTConfig(t_max=np.float32(2)).t_max) is type(TNTConfig(t_max=Fraction(2)).t_max)
+
+
+def test_a_configuration_is_a_value_and_cannot_be_changed():
+    size = [346, 260]
+    config = TNTConfig(sensor=size, bins=4)
+    size[0] = 1
+    config.to_dict()["grid"][0] = 5
+    with pytest.raises(FrozenInstanceError):
+        config.bins = 5
+    same = TNTConfig(sensor=(346, 260), bins=4)
+    assert config == same == config.replace() != config.replace(bins=5) and hash(config) == hash(same)
+    with pytest.raises(TypeError, match="nonsense"):
+        config.replace(nonsense=1)
+
+
+@st.composite
+def configs(draw):
+    landmark, transform = draw(st.sampled_from(LANDMARKS)), draw(st.sampled_from(TRANSFORMS))
+    side = st.integers(2, 200)
+    return TNTConfig(
+        sensor=(draw(side), draw(side)),
+        grid=(draw(side), draw(side)),
+        bins=draw(st.integers(1, 1024)),
+        window_us=draw(st.none() | st.integers(1, 3_600_000_000)),
+        window_events=draw(st.none() | st.integers(1, 1 << 30)),
+        t_max=draw(st.floats(1e-6, 1e6)),
+        landmark=landmark,
+        polarity=draw(st.sampled_from(POLARITIES)),
+        transform=transform,
+        remove_flow=(landmark, transform) == ("line", "tnt") and draw(st.booleans()),
+    )
+
+
+@given(configs())
+def test_any_configuration_survives_json(config):
+    values = config.to_dict()
+    assert list(values) == [field.name for field in fields(TNTConfig)]
+    restored = TNTConfig.from_dict(json.loads(json.dumps(values)))
+    assert restored == config and restored.to_dict() == values
+    assert config.shape == (config.bins * (1 + (config.polarity == "split")), *config.grid[::-1])
+
+
+@pytest.mark.parametrize(
+    ("values", "error", "message"),
+    [
+        ({"z": 9, "bins": 9, 1: 1}, ValueError, "unknown configuration 1, z; known: bins, grid, landmark, polarity, "),
+        (["bins"], TypeError, "a configuration must be a mapping of names to values, got ['bins']"),
+        ({"sensor": [34]}, TypeError, "`sensor` must be two whole numbers (width, height), got (34,)"),
+    ],
+)
+def test_from_dict_refuses(values, error, message):
+    with pytest.raises(error, match=f"^{re.escape(message)}"):
+        TNTConfig.from_dict(values)
