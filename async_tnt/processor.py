@@ -38,6 +38,10 @@ class Processor:
     configuration has `window_events`, a window begins with the first event after the one before it, and is classified
     when its last event arrives.
 
+    Copies and pickles continue the stream, bit for bit.
+    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change between
+    calls. A call while another one is running, in another thread or further up in the same, is a RuntimeError.
+
     Parameters
     ----------
     model : a Model, or a TNTConfig together with `classifier`.
@@ -58,10 +62,6 @@ class Processor:
         still arrive for the window are counted as `dropped_decided`.
     activity : a `LeakyIntegrator`: decide also when much happens in little time.
     late, replay_events : see `TNTVolume`.
-
-    Copies and pickles continue the stream, bit for bit.
-    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change between
-    calls. A call while another one is running, in another thread or further up in the same, is a RuntimeError.
 
     Examples
     --------
@@ -125,7 +125,8 @@ class Processor:
 
         Raises
         ------
-        TypeError : not callable. ValueError : a `CompiledClassifier` for volumes of another shape.
+        TypeError : not callable.
+        ValueError : a `CompiledClassifier` for volumes of another shape.
         """
         return self._classifier.classifier
 
@@ -217,20 +218,20 @@ class Processor:
     # -- events in ---------------------------------------------------------------------------------------
 
     def push(self, events: Any) -> list[Decision]:
-        """Process a packet of events, in any form that `async_tnt.event_forms` lists.
+        """Process a packet of `events`, in any form that `async_tnt.event_forms` lists.
 
         Columns that are already in the decoder's own form are not copied: do not change them until `push` returns.
 
         Returns one decision for each window that the packet closes and for each trigger that fires.
 
-        Raises
-        ------
-        ValueError, TypeError : the packet is invalid. The message names field, rule, value and event; nothing changes.
-
         Errors of the classifier pass through. The events before that decision have then been processed and the rest of
         the packet has not (but `late` has seen it: pushed again, it is late), and the packet's earlier decisions are
         lost. The end of a window, and `every_us`, are tried again at the next push; a decision that an event made due
         has been missed.
+
+        Raises
+        ------
+        ValueError, TypeError : the packet is invalid. The message names field, rule, value and event; nothing changes.
         """
         if type(events) is tuple and len(events) == 4 and type(events[0]) is int:
             return self.push_one(*events)
@@ -241,7 +242,7 @@ class Processor:
             self._running.now = False
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
-        """`push` for one event: microseconds, pixels, polarity 0/1 or -1/+1."""
+        """`push` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or -1/+1."""
         running = self._running  # `begin`, whose call would take another 30 ns
         if running.now:
             raise running.overlap()

@@ -23,7 +23,7 @@ MAX_BYTES = 1 << 31  # of a protobuf message
 
 
 def to_onnx(model: Model) -> onnx.ModelProto:
-    """The classifier of a model: input `volume` (1, C, H, W), output `logits` (1, n_classes), float32.
+    """The classifier of a Model, `model`: input `volume` (1, C, H, W), output `logits` (1, n_classes), float32.
 
     Weights are initializers under their names in `Model.weights`. `metadata_props` hold what a model file's metadata
     holds (`format`, `config`, `classes`, `record`), `network`, `weights`, a hash of all weights, and `sha256`, one of
@@ -41,7 +41,7 @@ def to_onnx(model: Model) -> onnx.ModelProto:
 
 
 def regressor_to_onnx(model: Model) -> onnx.ModelProto:
-    """The landmark network of a model: input `volume` (1, C, H, W), float32, without the transform; output
+    """The landmark network of a Model, `model`: input `volume` (1, C, H, W), float32, without the transform; output
     `landmark` (1, 2), float64: (x, y) in grid pixels.
 
     The centroid is computed in float64, by Softmax and Gemm: l = c + sum_i softmax(e)_i ((x_i, y_i) - c), with

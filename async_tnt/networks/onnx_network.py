@@ -93,6 +93,9 @@ class OnnxClassifier(_OnnxNetwork):
     Files by `to_onnx` or `async-tnt export` hold their configuration and classes:
     `Processor(net.config, classifier=net, classes=net.classes)`.
 
+    Holds scratch memory: one instance per thread. Copies and pickles open the network again, from the same path or
+    bytes.
+
     Parameters
     ----------
     path_or_bytes : an .onnx file's path, its content, or an `onnx.ModelProto`.
@@ -105,9 +108,6 @@ class OnnxClassifier(_OnnxNetwork):
     shape : (C, H, W).
     n_classes : logits.
     config, classes : TNTConfig and names, if this package wrote the file; else None.
-
-    Holds scratch memory: one instance per thread. Copies and pickles open the network again, from the same path or
-    bytes.
 
     Raises
     ------
@@ -138,7 +138,7 @@ class OnnxRegressor(_OnnxNetwork):
     """A landmark network in an ONNX file, run by onnxruntime: raw volume (C, H, W) -> landmark (x, y).
 
     For `Processor(..., regressor=OnnxRegressor("net.regressor.onnx"))` and `TNTVolume`. The output is two numbers in
-    grid pixels, float64 or float32. Everything else is as for `OnnxClassifier`.
+    grid pixels, float64 or float32. `path_or_bytes`, `threads`, `shape` and all else are as for `OnnxClassifier`.
     """
 
     kind, answer, output_types = REGRESSOR, "a landmark (1, 2)", ("tensor(float)", "tensor(double)")

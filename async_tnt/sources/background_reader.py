@@ -137,7 +137,7 @@ class BackgroundReader:
         self.close()
 
     async def aclose(self, timeout_s: float = 1.0) -> bool:
-        """`close`, while asyncio's other tasks run."""
+        """`close`, with the same `timeout_s` in seconds, while asyncio's other tasks run."""
         self._stop()
         await asyncio.to_thread(self._thread.join, timeout_s)
         return not self._thread.is_alive()

@@ -29,6 +29,7 @@ class CameraCounts:
     packets: int
     """Those that hold events."""
     events: int
+    """Events handed on."""
     overflows: int | None
     """Gaps in the stream of events, which were not read in time."""
     dropped: int | None
@@ -44,7 +45,7 @@ class CameraCounts:
 
 
 class Camera:
-    """Events of a camera, see `open_camera`.
+    """Events of a camera. Made by `open_camera`.
 
     Iterating yields packets: structured arrays with the library's own fields, never empty, each in new memory, in a
     form that `as_events` and `Processor.push` accept. Frames, IMU samples and triggers are left out. Iterating ends
@@ -55,7 +56,6 @@ class Camera:
     Attributes
     ----------
     name : the camera's model and serial number, and the library that reads it.
-    device : the library's own object, for biases and the like; None once the camera is closed.
     """
 
     def __init__(self, device: Device, name: str) -> None:
@@ -77,14 +77,17 @@ class Camera:
 
     @property
     def device(self) -> Any:
+        """The library's own object, for biases and the like; None once the camera is closed."""
         return self._device.handle if self._is_open else None
 
     @property
     def closed(self) -> bool:
+        """Whether `close` was called, or the camera is gone."""
         return self._closing.is_set()
 
     @property
     def counts(self) -> CameraCounts:
+        """What the camera has sent up to now."""
         losses = self._losses
         return CameraCounts(
             self._packets,

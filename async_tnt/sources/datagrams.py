@@ -109,6 +109,7 @@ class Decoder:
     malformed : events left out so far, including the next two.
     off_sensor : events left out because they lie off the sensor.
     clock : the `Clock`; `clock.jumped` counts the events that it drops.
+    event_bytes : bytes of one event.
     """
 
     def __init__(
@@ -149,6 +150,7 @@ class Decoder:
         raw : uint8, the bytes.
         ends : int64, shape (at least n_datagrams,). Where each ends, in events.
         arrivals : int64, as `ends`. When each came, in microseconds.
+        n_datagrams : how many datagrams there are.
         """
         n = int(ends[n_datagrams - 1]) if n_datagrams else 0
         events = np.empty(n, EVENT_DTYPE)

@@ -49,7 +49,15 @@ FALSE_ALARMS = 0.01
 def learn_mask(
     source: Iterable[Any], sensor: tuple[int, int], *, factor: float = FACTOR, false_alarms: float = FALSE_ALARMS
 ) -> np.ndarray:
-    """Find the hot pixels of a recording, by the rule above.
+    """Find the hot pixels of a recording.
+
+    A pixel with n events is hot if both hold:
+
+        n > factor * plausible
+        n log(n / plausible) - (n - plausible) > log(pixels / false_alarms)
+
+    where a plausible number is the largest of three: the 4th largest among the 24 pixels around it, the mean of all
+    pixels, and 1. The search is repeated until no more are found.
 
     Parameters
     ----------
@@ -81,7 +89,7 @@ def learn_mask(
 
 
 def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
-    """Events of each pixel in a source of packets: int64, shape (H, W)."""
+    """Events of each pixel in a `source` of packets: int64, shape (H, W) of the `sensor` (width, height)."""
     compile_only(count_events, uint16[::1], uint16[::1], int64, int64[:, ::1])
     width, height = checked_sensor(sensor)
     decoder = EventDecoder((width, height))
@@ -93,7 +101,7 @@ def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 
 
 def hot_pixels(counts: np.ndarray, *, factor: float = FACTOR, false_alarms: float = FALSE_ALARMS) -> np.ndarray:
-    """`learn_mask` from the counts of events per pixel, int64 of shape (H, W)."""
+    """`learn_mask`, with its `factor` and `false_alarms`, from the `counts` of events: int64, shape (H, W)."""
     _check(factor, false_alarms)
     hot = np.zeros(counts.shape, bool)
     if counts.size == 0:

@@ -44,9 +44,14 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
 def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.ndarray:
     """Read a mask that `save_mask` or `async-tnt mask` wrote: bool, shape (H, W), True where events are dropped.
 
+    Parameters
+    ----------
+    path : the `.npy` file.
+    sensor : (width, height) that the mask must have; None: any.
+
     Raises
     ------
-    ValueError : damaged, or not a mask of this sensor (None: of any).
+    ValueError : damaged, or not a mask of this sensor.
     OSError : missing or not readable.
     """
     try:
@@ -57,7 +62,7 @@ def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.
 
 
 def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
-    """Write a mask as a `.npy` file, completely or not at all.
+    """Write a `mask` (bool, shape (H, W)) to `path`, a `.npy` file, completely or not at all.
 
     Raises
     ------
@@ -98,12 +103,13 @@ class PackedMask:
 
     @classmethod
     def of(cls, mask: Any, name: str = "mask") -> PackedMask:
-        """Pack a mask: a bool array of shape (H, W), or the file of one.
+        """Pack a `mask`: a bool array of shape (H, W), or the file of one. `name` is for messages about an array.
 
         Raises
         ------
         ValueError : another type or shape, or a damaged file.
-        TypeError : neither an array nor a path. OSError : the file is missing or not readable.
+        TypeError : neither an array nor a path.
+        OSError : the file is missing or not readable.
         """
         if isinstance(mask, PackedMask):
             return mask
@@ -118,7 +124,7 @@ class PackedMask:
         return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), packed, name)
 
     def pixels(self, sensor: Sensor) -> np.ndarray:
-        """The mask itself: bool, shape (H, W); a ValueError if it is not of this sensor."""
+        """The mask itself: bool, shape (H, W); a ValueError if it is not of this `sensor` (width, height)."""
         width, height = self.size
         bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
         mask = np.unpackbits(bits, count=width * height).reshape(height, width).view(np.bool_)

@@ -30,7 +30,8 @@ class PixelSelection:
     ------
     ValueError : `crop` without `roi`; an impossible region or sensor; a mask that is empty, damaged, or of another size
         than `sensor`.
-    TypeError : a mask of another type. OSError : its file is missing or not readable.
+    TypeError : a mask of another type.
+    OSError : its file is missing or not readable.
 
     Example
     -------

@@ -33,9 +33,13 @@ class QueueCounters:
     backlog: int
     """Events that wait."""
     packets_received: int
+    """Packets put in."""
     packets_handed_out: int
+    """Packets that the reader received."""
     packets_skipped: int
+    """Packets discarded."""
     packets_waiting: int
+    """Packets that wait."""
     waited_us: int
     """How long the newest packet that was handed out had waited in the queue, in microseconds."""
     longest_wait_us: int
@@ -99,7 +103,7 @@ class PacketQueue:
     # -- packets in --------------------------------------------------------------------------------------
 
     def put(self, packet: Any) -> bool:
-        """Add a packet, in any form that `async_tnt.event_forms` lists; without `latest`, wait for room first.
+        """Add a `packet`, in any form that `async_tnt.event_forms` lists; without `latest`, wait for room first.
 
         Returns
         -------

@@ -23,6 +23,11 @@ class UdpSender:
     format : one of `async_tnt.sources.EVENT_BYTES`.
     packet_events : events of one datagram, at most.
 
+    Attributes
+    ----------
+    events, datagrams, bytes : sent so far.
+    refused : datagrams that the other machine or this one refused, mostly because no program listens.
+
     Raises
     ------
     ValueError : unknown format, or more events than a datagram can hold.
@@ -41,10 +46,7 @@ class UdpSender:
         self.packet_events = whole_number("packet_events", packet_events, 1, most + 1, f"in [1, {most}] for {format}")
         port = whole_number("port", port, 1, 1 << 16)
         self.format = format
-        self.events = self.datagrams = self.bytes = 0
-        """Sent so far."""
-        self.refused = 0
-        """Datagrams that the other machine or this one refused, mostly because no program listens."""
+        self.events = self.datagrams = self.bytes = self.refused = 0
         family, where = resolve(address, port)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
@@ -54,7 +56,7 @@ class UdpSender:
             raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
 
     def send(self, events: np.ndarray) -> None:
-        """Send a structured array of events, in as many datagrams as it needs.
+        """Send `events`, a structured array, in as many datagrams as it needs.
 
         Raises
         ------

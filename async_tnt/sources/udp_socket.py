@@ -25,13 +25,17 @@ class UdpUrl(NamedTuple):
     """udp://HOST:PORT[?format=...&timeout_s=...]"""
 
     host: str
+    """Name or address of a machine."""
     port: int
+    """Number of the port."""
     format: str
+    """One of `EVENT_BYTES`."""
     timeout_s: float | None
+    """Silence, in seconds, that ends the stream; None: waits forever."""
 
 
 def parse_udp_url(url: str) -> UdpUrl:
-    """Parse a URL.
+    """Parse a `url`.
 
     Raises
     ------
