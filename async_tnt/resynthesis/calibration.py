@@ -56,6 +56,7 @@ def calibrate(
 
     Parameters
     ----------
+    reconstruction : of windows of their sensor and length.
     windows : of recordings; a hundred are enough.
     seed : of the simulation.
     known : the path of each window, where paths are shared.

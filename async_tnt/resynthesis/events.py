@@ -40,7 +40,7 @@ class SimulatedPixels:
     scale: float = 1.0
 
     def draw(self, rng: np.random.Generator) -> PixelModel:
-        """The pixels of one window: thresholds and refractory time vary from window to window."""
+        """The pixels of one window, drawn by `rng`: thresholds and refractory time vary from window to window."""
         scale = self.scale * np.exp(THRESHOLD_SPREAD * rng.standard_normal())
         spread = rng.uniform(1 - REFRACTORY_SPREAD, 1 + REFRACTORY_SPREAD)
         return PixelModel(
@@ -74,7 +74,7 @@ class MovedImage:
         self._centre = middle + (centre - middle + torus / 2) % torus - torus / 2
 
     def as_recorded(self, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
-        """Events under the motion that was recorded."""
+        """Events of simulated `pixels` under the motion that was recorded; `rng` draws."""
         return self.events(self.path.at(shares()), pixels, rng)
 
     def moved(self, length: float, pixels: SimulatedPixels, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -83,6 +83,8 @@ class MovedImage:
         Parameters
         ----------
         length : of the recorded motions, in sensor pixels.
+        pixels : of the simulated sensor.
+        rng : draws the motion, the pixels and their noise.
         """
         motion = random_motion(length, shares(), rng)
         place = random_place(self._centre, self.model.sensor, rng)
@@ -90,7 +92,7 @@ class MovedImage:
         return self.events(displacement, pixels, rng), motion - motion[0]
 
     def events(self, displacement: np.ndarray, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
-        """Events while the image moves by `displacement`, (N_PICTURES, 2), in sensor pixels.
+        """Events of `pixels` while the image moves by `displacement`, (N_PICTURES, 2), in sensor pixels; `rng` draws.
 
         Returns
         -------
@@ -111,7 +113,8 @@ class MovedImage:
         return events[events["t"] < self.model.window_us]  # the last half microsecond is rounded up
 
     def pictures(self, displacement: np.ndarray, first: int = 0, n_rows: int | None = None) -> np.ndarray:
-        """What the sensor's rows from `first` on see at each displacement, (n, n_rows, width); in thresholds."""
+        """What `n_rows` of the sensor's rows (None: all) from `first` on see at each `displacement`, (n, 2): shape
+        (n, n_rows, width), in thresholds."""
         width, height = self.model.sensor
         dx, dy = np.ascontiguousarray(displacement.T)
         pictures = np.empty((len(dx), height - first if n_rows is None else n_rows, width))

@@ -21,7 +21,12 @@ class Reconstruction:
 
     Parameters
     ----------
-    sensor : (width, height), in pixels. window_us : length of the windows.
+    sensor : (width, height), in pixels.
+    window_us : length of the windows.
+
+    Attributes
+    ----------
+    model : the windows' `MovingImage`.
     """
 
     def __init__(self, sensor: tuple[int, int], window_us: int) -> None:
@@ -29,7 +34,7 @@ class Reconstruction:
         self._finder = PathFinder(self.model)
 
     def shared_path(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> MotionPath:
-        """The path of windows that all move alike."""
+        """The path of `windows` that all move alike, with measured `pixels`."""
         band = np.concatenate([self.model.band_of(spectra) for _, spectra in self._batches(windows, pixels)])
         return self._finder.find_shared(band, [len(t) for t, _, _, _ in windows])
 
@@ -40,6 +45,8 @@ class Reconstruction:
 
         Parameters
         ----------
+        windows : t, x, y, p of each.
+        pixels : measured on recordings.
         known : the path of each window, where it is known; the others are found from the window's own events alone.
         """
         for first, spectra in self._batches(windows, pixels):
@@ -59,7 +66,7 @@ class Reconstruction:
                 yield path, MovedImage(self.model, images[i], path) if i in images else None
 
     def image(self, window: Columns, pixels: MeasuredPixels, path: MotionPath) -> MovedImage:
-        """The image of one window whose path is known."""
+        """The image of one `window` whose `path` is known, with measured `pixels`."""
         spectra = self.model.spectra(self.model.frames([window], pixels))
         return MovedImage(self.model, find_images(self.model, spectra, path.positions[None] / self.model.cell)[0], path)
 

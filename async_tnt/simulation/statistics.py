@@ -103,7 +103,8 @@ def describe(
 
 
 def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
-    """A table of several descriptions: a column for each, a row for each number; - where one is missing."""
+    """A table of several descriptions, `columns` by title: a column for each, a row for each number; - where one is
+    missing."""
     names = list(dict.fromkeys(name for description in columns.values() for name in description))
     width = max((len(title) for title in columns), default=0) + 3
     units = {name: UNITS.get(name.split(",")[0]) for name in names}

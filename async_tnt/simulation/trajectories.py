@@ -55,7 +55,7 @@ class ConstantVelocity:
     def towards(
         cls, angle_deg: float, speed: float, *, centre: tuple[float, float] = (3.0, 3.0), duration_us: int = 105_000
     ) -> ConstantVelocity:
-        """Motion at `speed` pixels per second towards `angle_deg`, passing `centre` at half time.
+        """Motion at `speed` pixels per second towards `angle_deg`, passing `centre` at half of `duration_us`.
 
         0 degrees is to the right, 90 downwards (y grows downwards).
         """
@@ -64,19 +64,21 @@ class ConstantVelocity:
         return cls((vx, vy), (centre[0] - vx * half_s, centre[1] - vy * half_s), duration_us)
 
     def position(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement (dx, dy) at the times `t_us`, in pixels; each of their shape."""
         t_s = np.asarray(t_us, np.float64) * 1e-6
         return self.start[0] + self.velocity[0] * t_s, self.start[1] + self.velocity[1] * t_s
 
     def flow(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Optical flow (vx, vy) at the times `t_us`, in pixels per second; each of their shape."""
         shape = np.shape(t_us)
         return np.full(shape, float(self.velocity[0])), np.full(shape, float(self.velocity[1]))
 
 
 @dataclass(frozen=True)
 class Saccade:
-    """One quick movement by (dx, dy) pixels from `start_us` on, with bell-shaped speed.
+    """One quick movement by (`dx`, `dy`) pixels from `start_us` on, with bell-shaped speed.
 
-    With u = (t - start_us) / duration_us, clipped to [0, 1], the path is
+    It takes `duration_us`. With u = (t - start_us) / duration_us, clipped to [0, 1], the path is
 
         s(u) = 10 u^3 - 15 u^4 + 6 u^5,    ds/du = 30 u^2 (1 - u)^2,
 
@@ -93,12 +95,12 @@ class Saccade:
         _check_duration(self.duration_us)
 
     def progress(self, t_us: ArrayLike) -> np.ndarray:
-        """s, from 0 before the saccade to 1 after it."""
+        """s at the times `t_us`, from 0 before the saccade to 1 after it."""
         u = np.clip((np.asarray(t_us, np.float64) - self.start_us) / self.duration_us, 0.0, 1.0)
         return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
 
     def speed(self, t_us: ArrayLike) -> np.ndarray:
-        """ds/dt, per second."""
+        """ds/dt at the times `t_us`, per second."""
         u = np.clip((np.asarray(t_us, np.float64) - self.start_us) / self.duration_us, 0.0, 1.0)
         return 30.0 * u**2 * (1.0 - u) ** 2 / (self.duration_us * 1e-6)
 
@@ -125,6 +127,7 @@ class Saccades:
         _check_duration(self.duration_us)
 
     def position(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement (dx, dy) at the times `t_us`, in pixels; each of their shape."""
         dx = np.full(np.shape(t_us), float(self.start[0]))
         dy = np.full(np.shape(t_us), float(self.start[1]))
         for saccade in self.saccades:
@@ -134,6 +137,7 @@ class Saccades:
         return dx, dy
 
     def flow(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Optical flow (vx, vy) at the times `t_us`, in pixels per second; each of their shape."""
         vx, vy = np.zeros(np.shape(t_us)), np.zeros(np.shape(t_us))
         for saccade in self.saccades:
             speed = saccade.speed(t_us)

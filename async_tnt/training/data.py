@@ -37,6 +37,8 @@ class TrainingData:
     Parameters
     ----------
     config : of the volumes, with the sensor of the events.
+    classes : names, one for each label.
+    training, validation : windows to learn from, and windows held out.
     record : the recordings, for the model's record.
     tests : name in the model's record -> windows, and more for that entry of the record.
     held_out : names of the recordings to validate on.
@@ -76,6 +78,7 @@ def dataset_data(
 
     Parameters
     ----------
+    folder : has a folder for each class.
     config : its sensor is replaced by that of the events.
     pixels, sensor_source, classes : as for `read_dataset`.
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
@@ -85,6 +88,7 @@ def dataset_data(
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
     store : a folder for the events, see `read_dataset`.
+    progress : makes the progress bar, which counts recordings.
     """
     dataset = read_dataset(
         folder, pixels=pixels, sensor_source=sensor_source, classes=classes, store=store, progress=progress
@@ -187,12 +191,15 @@ def nmnist_data(
 
     Parameters
     ----------
+    folder : N-MNIST, with Train and Test.
+    config : of the volumes.
     mnist, simulated : MNIST's folder, and how many of its images to simulate.
     saccades : which of the three to train and validate on.
     validation : share of N-MNIST's recordings to hold out.
     test : also read Test, with windows from 0 and from each recording's first event.
     seed : of the split and of the simulation.
     skip_damaged : leave damaged recordings out, with a warning each.
+    progress : makes the progress bars, which count recordings.
     """
 
     def read(part: str) -> Recordings:

@@ -32,9 +32,13 @@ class TrainResult:
     """The models after the last and after the best epoch, and one dict per epoch (loss, accuracies)."""
 
     last: Model
+    """After the last epoch."""
     best: Model
+    """After the best epoch."""
     best_epoch: int
+    """Its number, from 1."""
     history: list[dict[str, float]]
+    """One row per epoch."""
 
 
 def train(
@@ -63,6 +67,7 @@ def train(
     training : windows to learn from.
     validation : windows that choose the best epoch (the later of equals). May be empty: then the last epoch is the
         best, and patience has no effect.
+    settings : how long to train, and how.
     run_folder : for checkpoint and history; made if missing.
     classes : names, one for each label from 0 on.
     start : a model to continue from; None starts with random weights.

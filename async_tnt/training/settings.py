@@ -73,7 +73,7 @@ class TrainSettings:
             raise ValueError(f"`label_smoothing` must be in [0, 1), got {self.label_smoothing}")
 
     def n_steps(self, n_windows: int) -> int:
-        """Steps of an epoch. A last batch of a single window is left out: batch norm needs two."""
+        """Steps of an epoch of `n_windows`. A last batch of a single window is left out: batch norm needs two."""
         n_full, n_rest = divmod(n_windows, self.batch)
         return max(1, n_full + (n_rest > 1))
 
@@ -102,7 +102,9 @@ def settings_for(
 
     Parameters
     ----------
+    config : of the volumes, which scales the augmentation.
     n_windows, n_held_out : windows to train on, and held out.
+    epochs, batch : passes over the windows, and windows in a step; by default by their number.
     patience : 0 trains to the end, where the learning rate is 0. The default, but for other motions: a fifth of all
         epochs.
     augmentation : fields of `Augmentation` whose values differ from `Augmentation.for_sensor` and `STREAMED`; None: as
