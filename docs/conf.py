@@ -70,6 +70,8 @@ def to_restructured_text(app: Sphinx, what: str, name: str, value: object, optio
     Of a module only the first paragraph is kept. An indented block is a formula or code. `name : text` in a section
     is no type followed by its text, as napoleon would have it, since signatures have the types.
     """
+    if what == "data":  # not its own, but that of its type
+        lines.clear()
     if what == "module":
         del lines[lines.index("") :]
     text, in_section = [""], False
@@ -83,7 +85,7 @@ def to_restructured_text(app: Sphinx, what: str, name: str, value: object, optio
             text += ["::", ""]
         text.append(line)
     # As a method, since napoleon takes what precedes a colon for the type of an attribute.
-    what = "method" if what in ("attribute", "property", "data") else what
+    what = "method" if what in ("attribute", "property") else what
     lines[:] = napoleon.NumpyDocstring(text[1:], STYLE, app, what, name, value, options).lines()
 
 
