@@ -29,7 +29,6 @@ STYLE = napoleon.Config(
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
-autodoc_default_options = {"members": True}
 maximum_signature_line_length = 100
 # Types of other packages and internal ones are not documented here: only public names have to exist.
 PACKAGES = "sources|networks|training|simulation|resynthesis|evaluation|views"
@@ -70,7 +69,7 @@ def to_restructured_text(app: Sphinx, what: str, name: str, value: object, optio
     Of a module only the first paragraph is kept. An indented block is a formula or code. `name : text` in a section
     is no type followed by its text, as napoleon would have it, since signatures have the types.
     """
-    if what == "data":  # not its own, but that of its type
+    if what == "data" and lines[:1] == (value.__doc__ or "").splitlines()[:1]:  # not its own, but that of its type
         lines.clear()
     if what == "module":
         del lines[lines.index("") :]
