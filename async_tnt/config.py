@@ -132,12 +132,12 @@ class TNTConfig:
         return self.defers_landmark or self.window_events is not None
 
     def to_grid(self, x: float, y: float) -> tuple[float, float]:
-        """Sensor pixels to grid pixels, corner to corner; also displacements and flows."""
+        """Sensor pixels (`x`, `y`) to grid pixels, corner to corner; also displacements and flows."""
         gain_x, gain_y = self._gains
         return x * gain_x, y * gain_y
 
     def to_sensor(self, x: float, y: float) -> tuple[float, float]:
-        """The inverse of `to_grid`."""
+        """Grid pixels (`x`, `y`) to sensor pixels, the inverse of `to_grid`."""
         gain_x, gain_y = self._gains
         return x / gain_x, y / gain_y
 
@@ -153,7 +153,7 @@ class TNTConfig:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TNTConfig:
-        """The inverse of `to_dict`; an unknown name is an error."""
+        """The inverse of `to_dict`: a configuration of the `values` of its fields; an unknown name is a ValueError."""
         if not isinstance(values, Mapping):
             raise TypeError(f"a configuration must be a mapping of names to values, got {short(values)}")
         known = {field.name for field in fields(cls)}
@@ -164,8 +164,8 @@ class TNTConfig:
         return cls(**arguments)
 
     def replace(self, **changes: Any) -> TNTConfig:
-        """A copy with some values changed. With another representation, or with windows of another kind, the values
-        whose defaults depend on that are its defaults."""
+        """A copy with other values in the fields that `changes` names. With another representation, or with windows of
+        another kind, the values whose defaults depend on that are its defaults."""
         if changes.get("representation", self.representation) != self.representation:
             changes = dict.fromkeys(("bins", "polarity", "transform")) | changes
         if (changes.get("window_events", self.window_events) is None) != (self.window_events is None):

@@ -20,14 +20,15 @@ class Decision:
     label: str
     """Name of the likeliest class."""
     index: int
-    """Its number."""
+    """Number of that class, from 0."""
     probabilities: np.ndarray
-    """float64, shape (n_classes,): softmax of the logits."""
+    """Softmax of the logits: float64, shape (n_classes,)."""
     logits: np.ndarray
-    """float32, shape (n_classes,)."""
+    """What the classifier answered: float32, shape (n_classes,)."""
     window_start_us: int
+    """Start of the window, in microseconds."""
     time_us: int
-    """Time of the newest event in the window; the window's start if it has none."""
+    """Time of the newest event in the window, in microseconds; the window's start if it has none."""
     events: int
     """Events in the window so far."""
     complete: bool
@@ -69,7 +70,9 @@ class Counts:
     """
 
     received: int = 0
+    """Events in total."""
     kept: int = 0
+    """Added to the volume."""
     dropped_outside: int = 0
     """The transform moved it off the grid."""
     dropped_tau_zero: int = 0

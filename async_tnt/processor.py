@@ -34,6 +34,10 @@ class Processor(TriggerAttributes):
     skipped if it holds no events; one of `window_events` begins with the first event after the window before it, and is
     classified when its last event arrives. The decisions do not depend on how the stream is cut into packets.
 
+    Copies and pickles continue the stream, bit for bit.
+    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change between
+    calls. A call while another one is running, in another thread or further up in the same, is a RuntimeError.
+
     Parameters
     ----------
     model : a Model, or a TNTConfig together with `classifier`.
@@ -113,7 +117,7 @@ class Processor(TriggerAttributes):
     # -- events in ---------------------------------------------------------------------------------------
 
     def push(self, events: Any) -> list[Decision]:
-        """Process a packet of events, in any form that `async_tnt.event_forms` lists.
+        """Process a packet of `events`, in any form that `async_tnt.event_forms` lists.
 
         Returns one decision for each window that the packet closes and for each trigger that fires.
 
@@ -134,7 +138,7 @@ class Processor(TriggerAttributes):
             self._running.now = False
 
     def push_one(self, t: int, x: int, y: int, p: int) -> list[Decision]:
-        """`push` for one event: microseconds, pixels, polarity 0/1 or -1/+1."""
+        """`push` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or -1/+1."""
         running = self._running  # `begin`, whose call would take another 30 ns
         if running.now:
             raise running.overlap()

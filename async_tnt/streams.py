@@ -73,7 +73,9 @@ def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
 def astream(
     source: AsyncIterable[Any], model: Model | TNTConfig | str | Path | Processor, **settings: Unpack[Settings]
 ) -> AsyncIterator[Decision]:
-    """`stream` for an asynchronous source. The classifier runs in the event loop, for microseconds at a time.
+    """`stream` for an asynchronous `source`. The classifier runs in the event loop, for microseconds at a time.
+
+    `model` and `settings` are those of `stream`.
 
     Raises
     ------

@@ -98,7 +98,10 @@ class TNTVolume:
     # -- events in ---------------------------------------------------------------------------------------
 
     def open(self, start_us: int) -> None:
-        """Open the window `[start_us, start_us + window_us)`, empty. Later windows follow it end to end."""
+        """Open the window `[start_us, start_us + window_us)`, empty. Later windows follow it end to end.
+
+        `start_us` is in microseconds.
+        """
         start_us = checked_time("start_us", start_us)
         if self._replay is not None:
             self._replay.close(self._buffer, self._array)
@@ -129,7 +132,7 @@ class TNTVolume:
             self._replay.open(start_us)
 
     def update(self, events: Any) -> int:
-        """Add a packet of events, in any form that `async_tnt.event_forms` lists.
+        """Add a packet of `events`, in any form that `async_tnt.event_forms` lists.
 
         Returns how many windows the packet closed, not counting those without events.
 
@@ -154,7 +157,7 @@ class TNTVolume:
         return n_closed
 
     def update_one(self, t: int, x: int, y: int, p: int) -> int:
-        """`update` for one event: microseconds, pixels, polarity 0/1 or -1/+1."""
+        """`update` for one event: `t` in microseconds, `x` and `y` in pixels, polarity `p` 0/1 or -1/+1."""
         try:  # as `absorb_one`, whose call would cost another 40 ns
             if type(t | x | y | p) is int and self._is_plain and absorb_one(self._buffer, t, x, y, p * 1) == ABSORBED:
                 return 0
@@ -167,12 +170,12 @@ class TNTVolume:
             self._running.now = False
 
     def absorb_one(self, t: int, x: int, y: int, p: int) -> int:
-        """`update_one` for callers that manage windows themselves.
+        """`update_one` for callers that manage windows themselves; `t`, `x`, `y`, `p` are four Python integers.
 
         Returns
         -------
-        int : ABSORBED; AT_LIMIT if the event is valid but at or past the limit; REFUSED if the decoder has to look at
-            it, because it is invalid, or not four Python integers.
+        ABSORBED; AT_LIMIT if the event is valid but at or past the limit; REFUSED if the decoder has to look at it,
+        because it is invalid, or not four Python integers.
         """
         try:
             # `|` refuses floats; a NumPy scalar would make Numba compile for its type
@@ -184,7 +187,8 @@ class TNTVolume:
         return REFUSED
 
     def absorb(self, columns: Columns, first: int, last: int) -> int:
-        """Add checked events `first <= i < last` up to the limit; returns the first one not added."""
+        """Add the events from `first` to before `last` of checked `columns`, up to the limit; returns the first one not
+        added."""
         if self._replay is not None:
             return self._replay.store(self._buffer, columns, first, last)
         absorbed: int = absorb(self._buffer, columns.t, columns.x, columns.y, columns.p, first, last)

@@ -32,6 +32,16 @@ class CompiledClassifier:
     `refresh` computes what has changed in a volume since its last call. Both give the same logits, bit for bit.
     Holds its feature maps: one instance per thread.
 
+    Parameters
+    ----------
+    model : a Model.
+
+    Attributes
+    ----------
+    shape : (C, H, W) of the volumes.
+    n_classes : number of logits.
+    network : the arrays that compiled code reads, see `kernels.program`.
+
     Raises
     ------
     ValueError : (when called) the volume's shape is not the model's.
@@ -94,7 +104,7 @@ class CompiledClassifier:
         return list(zip(self._program.steps, self._program.computed(), strict=True))
 
     def answer(self, volume: Volume) -> tuple[int, np.ndarray, np.ndarray]:
-        """`refresh` for a volume whose shape is known to fit: class (-1 if a logit is not finite), logits, and
+        """`refresh` for a `volume` whose shape is known to fit: class (-1 if a logit is not finite), logits, and
         probabilities (float64, shape (n_classes,))."""
         logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)
         self._running.begin()
@@ -107,7 +117,8 @@ class CompiledClassifier:
     def decide_stretch(
         self, buffer: np.ndarray, columns: Columns, first: int, last: int, trigger: np.ndarray, *answers: np.ndarray
     ) -> tuple[int, int, int]:
-        """`kernels.classify.absorb_and_decide`; `answers` are its arrays for logits, probabilities and notes."""
+        """`kernels.classify.absorb_and_decide`, which describes `buffer`, `columns`, `first`, `last` and `trigger`;
+        `answers` are its arrays for logits, probabilities and notes."""
         found: tuple[int, int, int]
         found = absorb_and_decide(buffer, *columns[:4], first, last, trigger, *self.network, *answers)
         return found
@@ -119,6 +130,14 @@ class CompiledRegressor:
     Its last map is a heatmap; the landmark is the centroid of its exponential, in float64. Equal to torch to 1e-4
     pixels. For the volume alone: `TNTVolume(model.config, regressor=CompiledRegressor(model))`; `Processor(model)`
     makes its own. Holds scratch memory: one instance per thread.
+
+    Parameters
+    ----------
+    model : a Model with landmark `regressor`.
+
+    Attributes
+    ----------
+    shape : (C, H, W) of the volumes.
 
     Raises
     ------
@@ -147,8 +166,8 @@ class CompiledRegressor:
 
     @one_at_a_time
     def heatmap(self, volume: np.ndarray) -> np.ndarray:
-        """How much each pixel counts in the landmark of one raw volume, which is their centroid: float64, shape (H, W),
-        sum 1."""
+        """How much each pixel counts in the landmark of one raw `volume`, which is their centroid: float64, shape
+        (H, W), sum 1."""
         self._program.run(self._input(volume))
         exponent = self._program.output_map()[..., 0].astype(np.float64)
         heat: np.ndarray = np.exp(exponent - exponent.max())

@@ -148,7 +148,7 @@ class Model:
         return volume, ", ".join([*(f"{n} {op}" for op, n in ops.items()), f"{n_weights:,} weights"])
 
     def save(self, path: str | Path) -> Path:
-        """Write the model to a .safetensors file; returns its path.
+        """Write the model to `path`, a .safetensors file; returns the path.
 
         An existing file is replaced in one step when the new one is complete, and kept if that fails.
 

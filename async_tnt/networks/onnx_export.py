@@ -30,7 +30,7 @@ BLANK = 64 * "0"  # in place of the checksum while it is computed
 
 
 def to_onnx(model: Model) -> onnx.ModelProto:
-    """The classifier of a model: input `volume` (1, C, H, W), output `logits` (1, n_classes), float32.
+    """The classifier of a Model, `model`: input `volume` (1, C, H, W), output `logits` (1, n_classes), float32.
 
     Weights are initializers under their names in `Model.weights`. `metadata_props` hold what a model file's metadata
     holds (`format`, `config`, `classes`, `record`), and `sha256`, a hash of the whole file. A landmark network has no

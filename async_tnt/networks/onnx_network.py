@@ -29,6 +29,9 @@ class OnnxClassifier:
     Files by `to_onnx` or `async-tnt export` hold their configuration and classes:
     `Processor(net.config, classifier=net, classes=net.classes)`.
 
+    Holds scratch memory: one instance per thread. Copies and pickles open the network again, from the same path or
+    bytes.
+
     Parameters
     ----------
     path_or_bytes : an .onnx file's path, its content, or an `onnx.ModelProto`.

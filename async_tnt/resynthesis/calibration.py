@@ -55,6 +55,7 @@ def calibrate(
 
     Parameters
     ----------
+    reconstruction : of windows of their sensor and length.
     windows : of recordings; a hundred are enough.
     seed : of the simulation.
     known : the path of each window, where paths are shared.
@@ -152,7 +153,8 @@ def _ratio(part: float, whole: float) -> float:
 
 
 def side_by_side(columns: Mapping[str, Mapping[str, float]]) -> str:
-    """A table of several descriptions: a column for each, a row for each number; - where one is missing."""
+    """A table of several descriptions, `columns` by title: a column for each, a row for each number; - where one is
+    missing."""
     names = list(dict.fromkeys(name for description in columns.values() for name in description))
     width = max((len(title) for title in columns), default=0) + 3
     units = {name: UNITS.get(name.split(",")[0]) for name in names}

@@ -71,7 +71,7 @@ class MotionPath:
         return float(np.linalg.norm(places[:, None] - places, axis=2).max())
 
     def at(self, shares: np.ndarray) -> np.ndarray:
-        """Displacement at shares of the window, (n, 2), in straight lines between the positions."""
+        """Displacement at `shares` of the window, (n, 2), in straight lines between the positions."""
         places = np.arange(N_FRAMES + 1) / N_FRAMES
         positions = np.concatenate([np.zeros((1, 2)), self.positions])
         return np.stack([np.interp(shares, places, positions[:, axis]) for axis in (0, 1)], axis=1)

@@ -44,7 +44,7 @@ class MovedImage:
         self._centre = middle + (centre - middle + torus / 2) % torus - torus / 2
 
     def as_recorded(self, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
-        """Events under the motion that was recorded."""
+        """Events of simulated `pixels` under the motion that was recorded; `rng` draws."""
         return self.events(self.path.at(shares()), pixels, rng)
 
     def moved(self, length: float, pixels: SimulatedPixels, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -53,6 +53,8 @@ class MovedImage:
         Parameters
         ----------
         length : of the recorded motions, in sensor pixels.
+        pixels : of the simulated sensor.
+        rng : draws the motion, the pixels and their noise.
         """
         motion = random_motion(length, shares(), rng)
         place = random_place(self._centre, self.model.sensor, rng)
@@ -60,7 +62,7 @@ class MovedImage:
         return self.events(displacement, pixels, rng), motion - motion[0]
 
     def events(self, displacement: np.ndarray, pixels: SimulatedPixels, rng: np.random.Generator) -> np.ndarray:
-        """Events while the image moves by `displacement`, (N_PICTURES, 2), in sensor pixels.
+        """Events of `pixels` while the image moves by `displacement`, (N_PICTURES, 2), in sensor pixels; `rng` draws.
 
         Returns
         -------
@@ -81,7 +83,8 @@ class MovedImage:
         return events[events["t"] < self.model.window_us]  # the last half microsecond is rounded up
 
     def pictures(self, displacement: np.ndarray, first: int = 0, n_rows: int | None = None) -> np.ndarray:
-        """What the sensor's rows from `first` on see at each displacement, (n, n_rows, width); in thresholds."""
+        """What `n_rows` of the sensor's rows (None: all) from `first` on see at each `displacement`, (n, 2): shape
+        (n, n_rows, width), in thresholds."""
         width, height = self.model.sensor
         dx, dy = np.ascontiguousarray(displacement.T)
         pictures = np.empty((len(dx), height - first if n_rows is None else n_rows, width))
@@ -99,7 +102,12 @@ class Reconstruction:
 
     Parameters
     ----------
-    sensor : (width, height), in pixels. window_us : length of the windows.
+    sensor : (width, height), in pixels.
+    window_us : length of the windows.
+
+    Attributes
+    ----------
+    model : the windows' `MovingImage`.
     """
 
     def __init__(self, sensor: tuple[int, int], window_us: int) -> None:
@@ -107,7 +115,7 @@ class Reconstruction:
         self._finder = PathFinder(self.model)
 
     def shared_path(self, windows: Sequence[Columns], pixels: MeasuredPixels) -> MotionPath:
-        """The path of windows that all move alike."""
+        """The path of `windows` that all move alike, with measured `pixels`."""
         band = np.concatenate([self.model.band_of(spectra) for _, spectra in self._batches(windows, pixels)])
         return self._finder.find_shared(band, [len(t) for t, _, _, _ in windows])
 
@@ -118,6 +126,8 @@ class Reconstruction:
 
         Parameters
         ----------
+        windows : t, x, y, p of each.
+        pixels : measured on recordings.
         known : the path of each window, where it is known; the others are found from the window's own events alone.
         """
         for first, spectra in self._batches(windows, pixels):
@@ -137,7 +147,7 @@ class Reconstruction:
                 yield path, MovedImage(self.model, images[i], path) if i in images else None
 
     def image(self, window: Columns, pixels: MeasuredPixels, path: MotionPath) -> MovedImage:
-        """The image of one window whose path is known."""
+        """The image of one `window` whose `path` is known, with measured `pixels`."""
         spectra = self.model.spectra(self.model.frames([window], pixels))
         return MovedImage(self.model, find_images(self.model, spectra, path.positions[None] / self.model.cell)[0], path)
 

@@ -26,7 +26,7 @@ _PREFIX = {"train": "train", "test": "t10k"}
 
 
 def read_idx(path: str | os.PathLike[str]) -> np.ndarray:
-    """Read one IDX file, plain or gzipped (recognised by its first two bytes, not by its name).
+    """Read one IDX file at `path`, plain or gzipped (recognised by its first two bytes, not by its name).
 
     Returns
     -------

@@ -127,8 +127,10 @@ def write_shard(
     path : the .safetensors file.
     recordings : R structured arrays of `EVENT_DTYPE`, each in order of time, times from 0.
     labels, image : R integers each.
-    flow : shape (R, K, 2), px/s. flow_times_us : shape (K,).
-    sensor : (width, height). duration_us : events lie in [0, duration_us).
+    flow : shape (R, K, 2), px/s.
+    flow_times_us : shape (K,), the times of the flow.
+    sensor : (width, height).
+    duration_us : events lie in [0, duration_us).
     metadata : more to keep, as JSON.
 
     Raises
@@ -158,7 +160,7 @@ def write_shard(
 
 
 def open_shard(path: str | os.PathLike[str]) -> Shard:
-    """Read a shard and check every value against the format's rules.
+    """Read the shard at `path` and check every value against the format's rules.
 
     Raises
     ------

@@ -52,7 +52,7 @@ class ConstantVelocity:
     def towards(
         cls, angle_deg: float, speed: float, *, centre: tuple[float, float] = (3.0, 3.0), duration_us: int = 105_000
     ) -> ConstantVelocity:
-        """Motion at `speed` pixels per second towards `angle_deg`, passing `centre` at half time.
+        """Motion at `speed` pixels per second towards `angle_deg`, passing `centre` at half of `duration_us`.
 
         0 degrees is to the right, 90 downwards (y grows downwards).
         """
@@ -61,15 +61,16 @@ class ConstantVelocity:
         return cls((vx, vy), (centre[0] - vx * half_s, centre[1] - vy * half_s), duration_us)
 
     def position(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement (dx, dy) at the times `t_us`, in pixels; each of their shape."""
         t_s = np.asarray(t_us, np.float64) * 1e-6
         return self.start[0] + self.velocity[0] * t_s, self.start[1] + self.velocity[1] * t_s
 
 
 @dataclass(frozen=True)
 class Saccade:
-    """One quick movement by (dx, dy) pixels from `start_us` on, with bell-shaped speed.
+    """One quick movement by (`dx`, `dy`) pixels from `start_us` on, with bell-shaped speed.
 
-    With u = (t - start_us) / duration_us, clipped to [0, 1], the path is
+    It takes `duration_us`. With u = (t - start_us) / duration_us, clipped to [0, 1], the path is
 
         s(u) = 10 u^3 - 15 u^4 + 6 u^5,
 
@@ -86,7 +87,7 @@ class Saccade:
         _check_duration(self.duration_us)
 
     def progress(self, t_us: ArrayLike) -> np.ndarray:
-        """s, from 0 before the saccade to 1 after it."""
+        """s at the times `t_us`, from 0 before the saccade to 1 after it."""
         u = np.clip((np.asarray(t_us, np.float64) - self.start_us) / self.duration_us, 0.0, 1.0)
         return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
 
@@ -113,6 +114,7 @@ class Saccades:
         _check_duration(self.duration_us)
 
     def position(self, t_us: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement (dx, dy) at the times `t_us`, in pixels; each of their shape."""
         dx = np.full(np.shape(t_us), float(self.start[0]))
         dy = np.full(np.shape(t_us), float(self.start[1]))
         for saccade in self.saccades:

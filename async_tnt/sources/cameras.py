@@ -23,7 +23,7 @@ log = logging.getLogger("async_tnt.sources")
 
 
 class Camera:
-    """Events of a camera, see `open_camera`.
+    """Events of a camera. Made by `open_camera`.
 
     Iterating yields packets: structured arrays with the library's own fields, never empty, each in new memory, in a
     form that `as_events` and `Processor.push` accept. Frames, IMU samples and triggers are left out. Iterating ends
@@ -34,7 +34,6 @@ class Camera:
     Attributes
     ----------
     name : the camera's model and serial number, and the library that reads it.
-    device : the library's own object, for biases and the like; None once the camera is closed.
     """
 
     def __init__(self, device: Device, name: str) -> None:
@@ -55,10 +54,12 @@ class Camera:
 
     @property
     def device(self) -> Any:
+        """The library's own object, for biases and the like; None once the camera is closed."""
         return self._device.handle if self._is_open else None
 
     @property
     def closed(self) -> bool:
+        """Whether `close` was called, or the camera is gone."""
         return self._closing.is_set()
 
     @property

@@ -99,6 +99,7 @@ class Decoder:
         one that jumps.
     off_sensor : events left out because they lie off the sensor.
     clock : the `Clock`; `clock.jumped` counts the events that it drops.
+    event_bytes : bytes of one event.
     """
 
     def __init__(

@@ -24,7 +24,9 @@ class PixelCounts:
     """Events so far: received = kept + dropped_masked + dropped_outside."""
 
     received: int = 0
+    """Events in total."""
     kept: int = 0
+    """Handed on."""
     dropped_masked: int = 0
     """At masked pixels inside the region of interest."""
     dropped_outside: int = 0
@@ -51,6 +53,7 @@ class PixelFilter:
     Attributes
     ----------
     sensor : (width, height) of the filtered packets: the region's size with `crop`, else the camera's.
+    n_masked_pixels : pixels that the mask leaves out.
 
     Raises
     ------

@@ -82,9 +82,14 @@ def checked_mask(mask: Any, sensor: Sensor | None = None) -> np.ndarray:
 def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.ndarray:
     """Read a mask that `save_mask` or `async-tnt mask` wrote: bool, shape (H, W), True where events are dropped.
 
+    Parameters
+    ----------
+    path : the `.npy` file.
+    sensor : (width, height) that the mask must have; None: any.
+
     Raises
     ------
-    ValueError : damaged, or not a mask of this sensor (None: of any).
+    ValueError : damaged, or not a mask of this sensor.
     OSError : missing or not readable.
     """
     try:
@@ -95,7 +100,7 @@ def load_mask(path: str | os.PathLike[str], sensor: Sensor | None = None) -> np.
 
 
 def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
-    """Write a mask as a `.npy` file, completely or not at all.
+    """Write a `mask` (bool, shape (H, W)) to `path`, a `.npy` file, completely or not at all.
 
     Raises
     ------
@@ -128,12 +133,13 @@ class PackedMask:
 
     @classmethod
     def of(cls, mask: Any, name: str = "mask") -> PackedMask:
-        """Pack a mask: a bool array of shape (H, W), or the file of one.
+        """Pack a `mask`: a bool array of shape (H, W), or the file of one. `name` is for messages about an array.
 
         Raises
         ------
         ValueError : another type or shape, or a damaged file.
-        TypeError : neither an array nor a path. OSError : the file is missing or not readable.
+        TypeError : neither an array nor a path.
+        OSError : the file is missing or not readable.
         """
         if isinstance(mask, PackedMask):
             return mask
@@ -148,7 +154,7 @@ class PackedMask:
         return cls((width, height), hashlib.sha256(mask.tobytes()).hexdigest(), packed, name)
 
     def pixels(self, sensor: Sensor) -> np.ndarray:
-        """The mask itself: bool, shape (H, W); a ValueError if it is not of this sensor."""
+        """The mask itself: bool, shape (H, W); a ValueError if it is not of this `sensor` (width, height)."""
         width, height = self.size
         bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
         mask = np.unpackbits(bits, count=width * height).reshape(height, width).view(np.bool_)
@@ -161,7 +167,15 @@ class PackedMask:
 def learn_mask(
     source: Iterable[Any], sensor: tuple[int, int], *, factor: float = FACTOR, false_alarms: float = FALSE_ALARMS
 ) -> np.ndarray:
-    """Find the hot pixels of a recording, by the rule above.
+    """Find the hot pixels of a recording.
+
+    A pixel with n events is hot if both hold:
+
+        n > factor * plausible
+        n log(n / plausible) - (n - plausible) > log(pixels / false_alarms)
+
+    where a plausible number is the largest of three: the 4th largest among the 24 pixels around it, the mean of all
+    pixels, and 1. The search is repeated until no more are found.
 
     Parameters
     ----------
@@ -192,7 +206,7 @@ def learn_mask(
 
 
 def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
-    """Events of each pixel in a source of packets: int64, shape (H, W)."""
+    """Events of each pixel in a `source` of packets: int64, shape (H, W) of the `sensor` (width, height)."""
     compile_only(count_events, uint16[::1], uint16[::1], int64, int64[:, ::1])
     width, height = checked_sensor(sensor)
     decoder = EventDecoder((width, height))
@@ -204,7 +218,7 @@ def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 
 
 def hot_pixels(counts: np.ndarray, *, factor: float = FACTOR, false_alarms: float = FALSE_ALARMS) -> np.ndarray:
-    """`learn_mask` from the counts of events per pixel, int64 of shape (H, W)."""
+    """`learn_mask`, with its `factor` and `false_alarms`, from the `counts` of events: int64, shape (H, W)."""
     _check(factor, false_alarms)
     hot = np.zeros(counts.shape, bool)
     if counts.size == 0:

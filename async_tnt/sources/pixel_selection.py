@@ -34,7 +34,8 @@ class PixelSelection:
     ------
     ValueError : `crop` without `roi`; an impossible region or sensor; a mask that is empty, damaged, or of another size
         than `sensor`.
-    TypeError : a mask of another type. OSError : its file is missing or not readable.
+    TypeError : a mask of another type.
+    OSError : its file is missing or not readable.
 
     Example
     -------
@@ -142,6 +143,7 @@ class PixelSelector:
 
     def sensor_of(self, name: Any, found: Sensor | None) -> Sensor:
         """The sensor of a source's camera, before any event is dropped; `found` as the source states it, if it does.
+        `name` is for messages.
 
         Raises
         ------
@@ -164,7 +166,7 @@ class PixelSelector:
     ) -> tuple[Recording, Sensor]:
         """A recording, or its part between two times, and the sensor of its events, for `filter_of`.
 
-        `name` is for messages; by default its path.
+        `path`, `strict` and `between_us` are those of `open_recording`. `name` is for messages; by default the path.
 
         Raises
         ------
@@ -174,11 +176,12 @@ class PixelSelector:
         return recording, self.sensor_of(path if name is None else name, recording.sensor)
 
     def check_events(self, packets: Iterable[Any], name: Any, sensor: Sensor) -> None:
-        """Refuse packets of a source that does not state its sensor, if an event is off this one."""
+        """Refuse `packets` of a source that does not state its sensor, if an event is off this `sensor`; `name` is for
+        the message."""
         check_events(packets, sensor, name, self._origin, self._advice(None))
 
     def filter_of(self, name: Any, sensor: Sensor) -> Callable[[Any], Any]:
-        """The filter for packets of a source with this sensor. `name` is for messages; "" for none.
+        """The filter for packets of a source with this `sensor`. `name` is for messages; "" for none.
 
         Raises
         ------
@@ -201,7 +204,7 @@ class PixelSelector:
         return sum((pixel_filter.counts for pixel_filter in self._filters.values()), NONE_YET)
 
     def summary(self, since: PixelCounts = NONE_YET) -> str:
-        """What was dropped since these earlier `counts`, for people; "" if nothing came, or nothing can be dropped."""
+        """What was dropped after `since`, earlier `counts`, for people; "" if nothing came or could be dropped."""
         counts = self.counts - since
         parts = []
         if counts.received and self.selection.roi is not None:
@@ -211,7 +214,7 @@ class PixelSelector:
         return ", ".join(parts)
 
     def nothing_left(self, since: PixelCounts = NONE_YET) -> str:
-        """Why a model has seen no event since these earlier `counts`; "" if it has seen one, or nothing came."""
+        """Why a model has seen no event after `since`, earlier `counts`; "" if it has seen one, or nothing came."""
         dropped = self.summary(since)
         return f"no events are left: {dropped}" if dropped and self.counts.kept == since.kept else ""
 

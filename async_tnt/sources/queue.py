@@ -92,7 +92,7 @@ class PacketQueue:
     # -- packets in --------------------------------------------------------------------------------------
 
     def put(self, packet: Any) -> bool:
-        """Add a packet, in any form that `async_tnt.event_forms` lists; without `latest`, wait for room first.
+        """Add a `packet`, in any form that `async_tnt.event_forms` lists; without `latest`, wait for room first.
 
         Returns
         -------

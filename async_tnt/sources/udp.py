@@ -36,9 +36,11 @@ class NetworkCounts:
     """What a `UdpSource` has received so far."""
 
     datagrams: int
+    """Datagrams received."""
     bytes: int
+    """Bytes of these."""
     events: int
-    """Handed on."""
+    """Events handed on."""
     malformed: int
     """Left out: cut off, off the sensor, an impossible polarity or time, a time that jumps."""
     late: int
@@ -139,14 +141,17 @@ class UdpSource:
 
     @property
     def format(self) -> str:
+        """The datagrams' format, one of `async_tnt.sources.EVENT_BYTES`."""
         return self._decoder.format
 
     @property
     def sensor(self) -> tuple[int, int] | None:
+        """(width, height) in pixels; None: events of any pixel are handed on."""
         return self._decoder.sensor
 
     @property
     def closed(self) -> bool:
+        """Whether `close` was called."""
         return self._closed
 
     @property
@@ -271,7 +276,7 @@ class UdpSource:
 
 
 def open_udp(url: str, sensor: tuple[int, int] | None = None, **settings: Any) -> UdpSource:
-    """A `UdpSource` of `udp://HOST:PORT[?format=...&timeout_s=...]`; `settings` are its keyword arguments.
+    """A `UdpSource` of a `url`, udp://HOST:PORT[?format=...&timeout_s=...]; `sensor` and `settings` are its arguments.
 
     Raises
     ------

@@ -117,6 +117,9 @@ class Augmentation:
     def for_sensor(cls, config: TNTConfig, **changes: Any) -> Augmentation:
         """The defaults, which are for N-MNIST's 34x34 pixels and 105 ms, scaled to another sensor and window.
 
+        Parameters
+        ----------
+        config : has that sensor and window.
         changes : values of other fields.
         """
         larger = (min(config.sensor) - 1) / 33
@@ -129,7 +132,7 @@ class Augmentation:
         return replace(scaled, **changes)
 
     def draw(self, n: int, config: TNTConfig, rng: np.random.Generator) -> Draws:
-        """Random changes for `n` windows."""
+        """Random changes for `n` windows of this `config`, drawn by `rng`."""
 
         def spread(by: float) -> np.ndarray:
             return rng.uniform(-by, by, n)

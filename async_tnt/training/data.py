@@ -35,6 +35,8 @@ class TrainingData:
     Parameters
     ----------
     config : of the volumes, with the sensor of the events.
+    classes : names, one for each label.
+    training, validation : windows to learn from, and windows held out.
     record : the recordings, for the model's record.
     tests : name in the model's record -> windows, and more for that entry of the record.
     held_out : names of the recordings to validate on.
@@ -75,6 +77,7 @@ def dataset_data(
 
     Parameters
     ----------
+    folder : has a folder for each class.
     config : its sensor is replaced by that of the events.
     pixels, sensor_source, classes : as for `read_dataset`.
     validation : share of each class's recordings to hold out; at least one, if there are two groups.
@@ -85,6 +88,7 @@ def dataset_data(
     test : also read the recordings for `Test`, through the same pixels.
     seed : of the split.
     store : a folder for the events, see `read_dataset`.
+    progress : makes the progress bar, which counts recordings.
     """
     dataset = read_dataset(
         folder, pixels=pixels, sensor_source=sensor_source, classes=classes, store=store, progress=progress

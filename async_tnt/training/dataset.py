@@ -87,12 +87,15 @@ def read_dataset(
 
     Parameters
     ----------
+    folder : the data set.
+    part : the folder in it that is read, where there is one.
     pixels : which events to learn from; by default all. The others are removed as if they had never been recorded:
         times count from the first event that is left.
     sensor_source : where `pixels.camera` comes from, for messages.
     classes : the class names that may occur; by default the folders there are, at least two.
     known : of the part to train on: its recordings are left out here, and refused in another class. With `classes`.
     store : a folder for the events, see `RecordingsWriter`; None: in memory.
+    progress : makes the progress bar, which counts recordings.
 
     Raises
     ------

@@ -157,6 +157,8 @@ def evaluate(pipeline: Pipeline, windows: Windows, *, times_ms: tuple[float, ...
 
     Parameters
     ----------
+    pipeline : the model, see `pipeline_of`.
+    windows : what to classify.
     times_ms : milliseconds since the window's start; those from its end on are left out. A window without any event by
         then is decided from the empty volume.
     """

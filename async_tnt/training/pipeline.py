@@ -217,7 +217,7 @@ def _renamed(layer: Layer, names: Mapping[str, str]) -> Layer:
 
 
 def pipeline_of(model: Model) -> Pipeline:
-    """A model in torch, from windows to logits, ready to classify."""
+    """A Model, `model`, in torch, from windows to logits, ready to classify."""
     return Pipeline(model.config, torch_classifier(model), torch_regressor(model)).eval()
 
 

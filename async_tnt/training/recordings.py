@@ -28,7 +28,8 @@ class Recordings:
     Parameters
     ----------
     t : int32, shape (E,), microseconds since the recording's start, never decreasing within a recording.
-    x, y : uint16, shape (E,). p : uint8, shape (E,), 0 or 1.
+    x, y : uint16, shape (E,).
+    p : uint8, shape (E,), 0 or 1.
     offsets : int64, shape (R + 1,). Recording r has the events `offsets[r] <= i < offsets[r + 1]`.
     labels : int64, shape (R,).
     names : R names, such as file paths relative to their folder.
@@ -60,7 +61,8 @@ class Recordings:
     def from_events(
         cls, events: Iterable[np.ndarray], labels: Sequence[int] | np.ndarray, names: Sequence[str] | None = None
     ) -> Recordings:
-        """From structured arrays with fields t, x, y, p.
+        """From structured arrays `events` with fields t, x, y, p; `labels`, and `names` (by default numbers), have one
+        entry for each.
 
         Raises
         ------

@@ -72,7 +72,7 @@ class TrainSettings:
             raise ValueError(f"`label_smoothing` must be in [0, 1), got {self.label_smoothing}")
 
     def n_steps(self, n_windows: int) -> int:
-        """Steps of an epoch. A last batch of a single window is left out: batch norm needs two."""
+        """Steps of an epoch of `n_windows`. A last batch of a single window is left out: batch norm needs two."""
         n_full, n_rest = divmod(n_windows, self.batch)
         return max(1, n_full + (n_rest > 1))
 

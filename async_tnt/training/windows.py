@@ -15,7 +15,13 @@ from async_tnt.training.recordings import COLUMNS, Recordings
 
 @dataclass(frozen=True)
 class Windows:
-    """N windows on recordings: window i is recording `recording[i]` from `start_us[i]` on, int64, (N,)."""
+    """N windows on recordings.
+
+    Parameters
+    ----------
+    recordings : what the windows lie on.
+    recording, start_us : int64, shape (N,). Window i is recording `recording[i]` from `start_us[i]` on.
+    """
 
     recordings: Recordings
     recording: np.ndarray
@@ -34,13 +40,14 @@ class Windows:
         return labels
 
     def events(self, i: int, window_us: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """t, x, y, p of window `i`; t int64, microseconds since the window's start."""
+        """t, x, y, p of window `i`, `window_us` long; t int64, microseconds since the window's start."""
         some, recordings = self._slice(i, 0, window_us), self.recordings
         t = recordings.t[some].astype(np.int64) - self.start_us[i]
         return t, recordings.x[some], recordings.y[some], recordings.p[some]
 
     def cut(self, window_us: int, margin_us: int = 0) -> Windows:
-        """The same windows, each on a recording of its own: a copy of its events and those in a margin around it."""
+        """The same windows of `window_us`, each on a recording of its own: a copy of its events, and of those in the
+        `margin_us` around it."""
         parts = [self._slice(i, -margin_us, window_us + margin_us) for i in range(len(self))]
         columns = {}
         for name in COLUMNS:

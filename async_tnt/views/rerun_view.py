@@ -56,6 +56,10 @@ class RerunView:
     name : of this recording in the viewer's list; by default a number.
     settings : keyword arguments of `Processor`. Of overlapping windows the one that `Processor.fire` names is shown.
 
+    Attributes
+    ----------
+    processor : the Processor that classifies.
+
     Raises
     ------
     ImportError : rerun-sdk is not installed.
@@ -120,6 +124,8 @@ class RerunView:
     def start(self, name: str) -> None:
         """Start another source: windows and counts are reset, and its times follow those of the previous source.
 
+        Parameters
+        ----------
         name : of the source, for the log of decisions.
         """
         self.finish()
@@ -128,7 +134,7 @@ class RerunView:
         self.log.name = name
 
     def push(self, events: Any) -> list[Decision]:
-        """Classify a packet as `Processor.push` does, and log the pictures that are due.
+        """Classify a packet of `events` as `Processor.push` does, and log the pictures that are due.
 
         Raises
         ------

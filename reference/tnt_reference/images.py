@@ -61,6 +61,10 @@ def count_timestamp_image(
     over the events with 0 <= f_i < 1: here, as an exception, the window is half-open, as a stream's is. The time
     of a pixel without events is 0.
 
+    Parameters
+    ----------
+    t, x, y, p, start_us, window_us, sensor, dtype : as for `event_volume`.
+
     Returns
     -------
     Tensor (4, H, W) of `dtype`. All arithmetic is float64; the cast is the last step.

@@ -101,6 +101,10 @@ def fitted_flow(
     with all sums over j = 1..i. The 1, in units of squared windows, is a ridge: with few events the slope
     goes to 0 and the intercept to the running centroid, where the plain fit would be ill-posed.
 
+    Parameters
+    ----------
+    t, x, y, start_us, window_us, sensor, grid : as for `landmark`.
+
     Returns
     -------
     float64 tensor (N, 2): (x, y) in grid pixels per window. 0 for events outside the window.

@@ -19,8 +19,9 @@ class LayerNetwork(nn.Module):
 
     Parameters
     ----------
-    layers : see above. Ops: conv, dense, batch_norm, relu, leaky_relu, prelu, clip, max_pool, average_pool, sum_pool,
-        global_average_pool, add, concat, flatten, heatmap_centroid.
+    layers : mappings with `op`, `name`, `inputs` (names of earlier layers, or "volume"), the parameters of the op, and
+        `weights`: role -> name of a tensor. Ops: conv, dense, batch_norm, relu, leaky_relu, prelu, clip, max_pool,
+        average_pool, sum_pool, global_average_pool, add, concat, flatten, heatmap_centroid.
     tensors : name -> weights, parameters of this module. Means and variances of batch_norm are not trained.
 
     Raises
@@ -42,6 +43,7 @@ class LayerNetwork(nn.Module):
         self._parameters_of_layers = nn.ParameterList(self.tensors.values())
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
+        """The last layer's value for each `volume`, (N, C, H, W)."""
         values = {"volume": volume}
         for layer in self.layers:
             weights = {role: self.tensors[name] for role, name in layer.get("weights", {}).items()}
@@ -80,7 +82,8 @@ def _sum_pool(layer: Mapping[str, Any], weights: dict[str, torch.Tensor], x: tor
 
 
 def heatmap_centroid(exponent: torch.Tensor) -> torch.Tensor:
-    """l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x]): (N, 1, H, W) -> (N, 2), float64 (x, y)."""
+    """l = sum_{y,x} exp(e[y, x]) (x, y) / sum_{y,x} exp(e[y, x]): e is `exponent`, (N, 1, H, W) -> (N, 2), float64
+    (x, y)."""
     e = exponent[..., 0, :, :].double()  # (N, H, W)
     # A common factor does not change the centroid: make the largest cell 1, so that exp cannot overflow.
     h = torch.exp(e - e.detach().amax(dim=(-2, -1), keepdim=True))  # (N, H, W)

@@ -54,7 +54,7 @@ class Classifier(nn.Module):
         self.fc2 = nn.Linear(widths[2], n_classes)
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
-        """(N, C, H, W) -> (N, n_classes), or (C, H, W) -> (n_classes,)."""
+        """Logits of a `volume`: (N, C, H, W) -> (N, n_classes), or (C, H, W) -> (n_classes,)."""
         check_volume_shape(volume, self.channels, self.grid)
         a = F.avg_pool2d(F.relu(self.conv1(volume)), 2)  # (..., 16, H//2, W//2)
         a = F.avg_pool2d(F.relu(self.conv2(a)), 2)  # (..., 32, H//4, W//4)
@@ -97,7 +97,7 @@ class LandmarkRegressor(nn.Module):
         nn.init.zeros_(self.heatmap.weight)
 
     def forward(self, volume: torch.Tensor) -> torch.Tensor:
-        """(N, C, H, W) -> (N, 2), or (C, H, W) -> (2,): float64 (x, y) in grid pixels."""
+        """Landmark of a raw `volume`: (N, C, H, W) -> (N, 2), or (C, H, W) -> (2,): float64 (x, y) in grid pixels."""
         check_volume_shape(volume, self.channels, self.grid)
         a = F.relu(self.conv1(volume))  # (..., n_filters, H, W), as are the next two
         a = F.relu(self.conv2(a))
@@ -107,6 +107,8 @@ class LandmarkRegressor(nn.Module):
 
 class Pipeline(nn.Module):
     """The events of one window to logits: landmark, transform, volume, classifier.
+
+    A window is given by the columns `t`, `x`, `y`, `p` of its N events and by its start, `start_us`.
 
     Parameters
     ----------
@@ -187,7 +189,7 @@ class Pipeline(nn.Module):
                 )
 
     def duration_us(self, t: Column, start_us: int) -> int:
-        """The length of the window that starts at `start_us`."""
+        """The length, in microseconds, of the window of the times `t` that starts at `start_us`."""
         if self.window_us is None:
             return until_newest(t, start_us)
         return self.window_us
@@ -217,7 +219,7 @@ class Pipeline(nn.Module):
         )
 
     def raw_volume(self, t: Column, x: Column, y: Column, p: Column, start_us: int) -> torch.Tensor:
-        """(C, H, W): the untransformed event volume of one window, its image of times, or its histograms."""
+        """(C, H, W): the untransformed event volume of one window, or its image of times."""
         settings: dict[str, Any] = {
             "start_us": start_us,
             "window_us": self.duration_us(t, start_us),
@@ -240,7 +242,7 @@ class Pipeline(nn.Module):
         return self.batch([(t, x, y, p, start_us)])[0]
 
     def batch(self, windows: Iterable[Sequence[Column]]) -> torch.Tensor:
-        """Logits (N, n_classes) of N windows, each `(t, x, y, p, start_us)`."""
+        """Logits (N, n_classes) of N `windows`, each `(t, x, y, p, start_us)`."""
         volumes = [self.volume(*window) for window in windows]  # N of (C, H, W)
         if not volumes:
             raise ValueError("`windows` must hold at least one (t, x, y, p, start_us), got none")

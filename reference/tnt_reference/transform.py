@@ -16,9 +16,14 @@ BORDER_TOLERANCE = 1e-9  # pixels
 
 
 class TNTCoordinates(NamedTuple):
-    u: torch.Tensor  # (N,) float64, column in the transformed grid
-    v: torch.Tensor  # (N,) float64, row in the transformed grid
-    kept: torch.Tensor  # (N,) bool
+    """Where the transform puts N events."""
+
+    u: torch.Tensor
+    """float64, (N,): column in the transformed grid."""
+    v: torch.Tensor
+    """float64, (N,): row in the transformed grid."""
+    kept: torch.Tensor
+    """bool, (N,): whether the event is on the grid."""
 
 
 def tnt_coordinates(

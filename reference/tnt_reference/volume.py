@@ -92,9 +92,13 @@ def tnt_volume(
 
         V[b, y, x] = sum_i s_i k(b - b_i) k(y - v_i) k(x - u_i)      over the kept events
 
-    with (u_i, v_i) and "kept" as `tnt_coordinates` defines them; its additional parameters are `t_max`, `landmark` and
-    `remove_flow`. All others, the result and the errors are those of `event_volume`. A landmark that
-    requires a gradient gets one.
+    with (u_i, v_i) and "kept" as `tnt_coordinates` defines them. A landmark that requires a gradient gets one.
+
+    Parameters
+    ----------
+    t, x, y, p, start_us, window_us, sensor, grid, bins, polarity, dtype : as for `event_volume`, whose errors are the
+        same.
+    t_max, landmark, remove_flow : as for `tnt_coordinates`.
 
     Returns
     -------

@@ -62,7 +62,9 @@ def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[t
 
     Parameters
     ----------
-    t : (N,) integer microseconds. window_us : the longest that a window may last; None: any time.
+    t : (N,) integer microseconds.
+    n : events of a window, at least 1.
+    window_us : the longest that a window may last; None: any time.
 
     Returns
     -------
@@ -91,7 +93,7 @@ def windows_of_events(t: Column, n: int, window_us: int | None = None) -> list[t
 
 
 def until_newest(t: Column, start_us: int) -> int:
-    """The length of a window from `start_us` to its newest event: t_N - start_us, and at least 1.
+    """The length of a window of times `t` from `start_us` to its newest event: t_N - start_us, and at least 1.
 
     Example
     -------

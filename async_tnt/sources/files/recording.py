@@ -98,6 +98,15 @@ class Recording:
     Each iteration reads the file again and yields packets that the caller may change. All formats but `.bin` and `.npz`
     are read block by block, so that memory does not grow with the file.
     `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over the file, unless one was made before.
+
+    Parameters
+    ----------
+    source : reads the file's events, block by block.
+    path, sensor, packet_events, strict, unsorted, between_us : see `open_recording`; attributes, too.
+
+    Attributes
+    ----------
+    stated_sensor : (width, height) as the file or its format states it; `sensor` may come from the caller.
     """
 
     def __init__(
@@ -116,7 +125,6 @@ class Recording:
         self.packet_events = packet_events
         self.strict = strict
         self.stated_sensor = source.sensor
-        """As the file or its format states it; `sensor` may come from the caller."""
         self._source = source
         self._totals: _Totals | None = None
         self._has_warned = False
@@ -280,7 +288,7 @@ def open_recording(
 def sample_recordings() -> dict[int, Path]:
     """The bundled recordings, digit -> path: one simulated N-MNIST-like recording of each digit.
 
-    `async_tnt.simulation.write_samples` made them.
+    `python -m experiments.samples` made them, in a checkout.
     """
     folder = Path(str(files("async_tnt") / "assets" / "samples"))
     return {int(path.stem): path for path in sorted(folder.glob("[0-9].bin"))}
