@@ -132,18 +132,7 @@ def test_warmup_compiles_what_a_second_process_failed_to(cold, monkeypatch):
     assert {"absorb", "classify_cells", "absorb_and_decide"} <= set(cold)
 
 
-def test_one_core_compiles_in_one_process(cold, monkeypatch):
-    monkeypatch.setattr(compile_ahead, "available_cores", lambda: 1)
-    compile_ahead.fill_cache()
-    assert cold == []  # the Processor will
-
-
 def test_a_missing_cache_folder_is_named(cold, monkeypatch, capsys):
     monkeypatch.setattr(compile_ahead, "can_be_cached", lambda kernel: False)
     compile_ahead.fill_cache()
     assert "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR" in capsys.readouterr().err
-
-
-def test_a_full_cache_is_not_mentioned(capsys):
-    compile_ahead.fill_cache()
-    assert capsys.readouterr().err == ""

@@ -75,17 +75,6 @@ def started(process, words, *how):  # a process waits for its calls; if none eve
         os.kill(os.getpid(), NUMBER)
 Popen._execute_child = started
 """
-WHILE_AN_OBJECT_IS_DELETED = """
-from async_tnt.cli import run
-class Deleted:
-    def __del__(self):  # Python prints and drops what is raised here
-        os.kill(os.getpid(), NUMBER)
-streamed = run.main
-def delete_and_stream(args):
-    Deleted()
-    return streamed(args)
-run.main = delete_and_stream
-"""
 NONE_DONE = "interrupted: 0 of 2 recordings are done; nothing is kept without --out"
 
 
@@ -93,7 +82,6 @@ NONE_DONE = "interrupted: 0 of 2 recordings are done; nothing is kept without --
     ("patch", "number", "words", "line"),
     [
         (WHILE_KERNELS_COME_FROM_THE_CACHE, signal.SIGINT, ["run", SAMPLE], "interrupted"),
-        (WHILE_AN_OBJECT_IS_DELETED, signal.SIGINT, ["run", SAMPLE], "interrupted"),
         (WHILE_WORKERS_START, signal.SIGTERM, ["evaluate", "digits", "set", "--workers", "2"], NONE_DONE),
     ],
 )

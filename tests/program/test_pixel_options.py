@@ -110,13 +110,6 @@ def test_counts_and_report_say_what_was_left_out(sets, program):
     assert json.loads(program(*words)[1])["pixels"] == {"roi": "40,20,34,34", "crop": True, "mask": mask}
 
 
-def test_a_region_without_crop_keeps_the_coordinates(program):
-    processor = Processor(load_model("digits"))
-    expected = processor.push(PixelFilter(SIZE, roi=(0, 0, 20, 34))(EVENTS)) + processor.finish()
-    got = [json.loads(line) for line in program("run", SAMPLE, "--json", "--roi", "0,0,20,34")[1].splitlines()]
-    assert [(d["time_us"], d["label"], d["events"]) for d in got] == [(d.time_us, d.label, d.events) for d in expected]
-
-
 # -- archives ------------------------------------------------------------------------------------------------------
 
 
@@ -178,16 +171,6 @@ def test_a_recording_of_which_nothing_is_left_says_why(command, tmp_path, progra
     code, _, message = program(*words, "--roi", "0,0,20,20", "--mask", tmp_path / "mask.npy")
     name = "0/a.npz" if command == "evaluate" else path
     assert code == 2 and f"{name}: no events are left: 1 outside of the region, 2 of masked pixels\n" in message
-
-
-def test_notes_on_order_are_of_what_the_model_sees(program, tmp_path):
-    """Disorder among events that are left out is none."""
-    last = EVENTS["t"][-1]
-    stray = np.array([(last - 40_000 + k, 7, 7, 1) for k in range(10)][::-1], EVENTS.dtype)
-    save_mask(tmp_path / "mask.npy", np.fromfunction(lambda y, x: (x == 7) & (y == 7), (34, 34)))
-    path = write(tmp_path / "a.npz", np.concatenate((EVENTS, stray)), SIZE)
-    assert f"10 of {len(EVENTS) + 10} events are older than an earlier one" in program("run", path)[2]
-    assert "older" not in program("run", path, "--mask", tmp_path / "mask.npy")[2]
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,16 @@ def test_imports_point_downwards():
     assert set(LAYERS) <= {layer_of(module) for module in SOURCES}
 
 
+def test_sources_know_nothing_of_what_is_done_with_their_events():
+    known = {
+        layer_of(name)
+        for module in SOURCES
+        if layer_of(module) == "sources"
+        for name in IMPORTS[module] & SOURCES.keys()
+    }
+    assert known & set(LAYERS) <= {"sources", "kernels", "events", "event_forms", "config"}
+
+
 def test_there_is_no_circle():
     plain = {module for module, path in SOURCES.items() if path.name != "__init__.py"}
     left = {module: IMPORTS[module] & plain for module in plain}
