@@ -34,10 +34,6 @@ class Processor(TriggerAttributes):
     skipped if it holds no events; one of `window_events` begins with the first event after the window before it, and is
     classified when its last event arrives. The decisions do not depend on how the stream is cut into packets.
 
-    Copies and pickles continue the stream, bit for bit.
-    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change between
-    calls. A call while another one is running, in another thread or further up in the same, is a RuntimeError.
-
     Parameters
     ----------
     model : a Model, or a TNTConfig together with `classifier`.
