@@ -46,7 +46,7 @@ def new_state(config: TNTConfig) -> np.ndarray:
     ints[S.PLANE] = plane
     ints[S.OFF_SHIFT] = plane * config.bins if config.polarity == "split" else 0
     ints[S.LOG] = S.CELLS + n_cells
-    ints[S.BIN_LO], ints[S.BIN_HI] = S.NO_BIN, -1
+    ints[S.INTERVAL_LO], ints[S.INTERVAL_HI] = S.NO_INTERVAL, -1
     ints[S.LOG_SIZE] = log_size
     return buffer
 

@@ -18,12 +18,12 @@ Train a classifier on recordings of your own classes, and tell how good it is
 on recordings that were held out. DATASET has one folder of recordings for each
 class, from any camera and in any format that `async-tnt run` reads:
 
-  async-tnt train gestures --out gestures.safetensors  gestures/wave/*.npz, ...
-  async-tnt evaluate gestures.safetensors other        on other recordings
-  async-tnt run --model gestures.safetensors camera    use it
+  async-tnt train gestures --out gestures.safetensors   # gestures/wave/*.npz ...
+  async-tnt evaluate gestures.safetensors other         # on other recordings
+  async-tnt run --model gestures.safetensors camera     # use it
 
-Beside the model it writes gestures.json, gestures.curves.png and
-gestures.confusion.png. Stop with Ctrl-C and give the same command again: it
+Beside the model it writes gestures.json and, with the extra `plot`,
+gestures.curves.png and gestures.confusion.png. Stop with Ctrl-C and give the same command again: it
 resumes from runs/gestures, and on the same machine ends with the same weights.
 """
 FIELDS: dict[str, Callable[[str], Any]] = {
@@ -74,7 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--groups",
         metavar="PATTERN",
         help=r"a regular expression on class/file, such as 'user\d+': recordings in whose names it finds the same text "
-        "are never on both sides (default: by DATASET/groups.csv; or the last ones, where recordings are numbered)",
+        "are all trained on or all held out (default: by DATASET/groups.csv, or the last of each class by number, or "
+        "at random)",
     )
     held_out.add_argument(
         "--test", action="store_true", help="at the end, classify the folder Test; once, after all choices are made"
@@ -82,7 +83,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seen = parser.add_argument_group("what is learned from")
     add_selection(seen)
     seen.add_argument(
-        "--mirror", action="store_true", help="also mirrored from left to right, where that is no other class"
+        "--mirror",
+        action="store_true",
+        help="mirror half of the windows from left to right; only if that never changes the class",
     )
     seen.add_argument(
         "--motions",
@@ -92,7 +95,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "recorded (default: recorded)",
     )
     network = parser.add_argument_group("volume and network")
-    network.add_argument("--window-us", type=positive_int, metavar="US", help="length of a window (default: 105000)")
+    network.add_argument(
+        "--window-us",
+        type=positive_int,
+        metavar="US",
+        help="length of a window (default: 105000, or that of the longest recording)",
+    )
     network.add_argument(
         "--grid", type=size_text, metavar="WxH", help="the volume's pixels (default: at most 60 along the longer side)"
     )
@@ -101,17 +109,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_volume_text,
         metavar="NAME=VALUE,...",
         help=f"representation ({', '.join(REPRESENTATIONS)}), transform ({', '.join(TRANSFORMS)}), landmark "
-        f"({', '.join(LANDMARKS)}), polarity ({', '.join(POLARITIES)}), bins, t_max, remove_flow (default: the plain "
-        "event volume, transform=none,landmark=center,polarity=split)",
+        f"({', '.join(LANDMARKS)}), polarity ({', '.join(POLARITIES)}), bins, t_max, remove_flow=yes; landmark and "
+        "t_max need transform=tnt (default: transform=none,polarity=split,bins=9)",
     )
     network.add_argument(
         "--network",
         metavar="NAME",
-        help="residual, conv4, separable (few multiplications), thesis, or FILE.py:FUNCTION, your own: called with "
-        "channels, (width, height) and the number of classes, it returns a torch module (default: residual)",
+        help="residual, conv4, separable, thesis, or FILE.py:FUNCTION, your own: called with channels, (width, height) and "
+        "the number of classes, it returns a torch module (default: residual)",
     )
     network.add_argument(
-        "--start-from", metavar="MODEL", help="continue from a model, with its volume and network; keep --seed"
+        "--start-from",
+        metavar="MODEL",
+        help="continue from a model; with its --seed the same recordings are held out",
     )
     network.add_argument(
         "--epochs",

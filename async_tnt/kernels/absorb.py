@@ -2,7 +2,7 @@
 
 A packet is processed in blocks, each in four passes over arrays that stay in the first-level cache:
 
-    check  ->  displacement from the landmark  ->  place in the volume  ->  splat
+    count  ->  displacement from the landmark  ->  place in the volume  ->  splat
 
 The second and third run in vector registers. One event takes the same steps in scalars. Both call the same
 formulas of `landmark` and `splat`, and floating point is strict (no fastmath, no contraction), so how a
@@ -234,5 +234,5 @@ def _combine_times(buffer, ints, t, m):
 @inlined
 def _note_changed_bins(ints, grid, oldest_dt, newest_dt):
     """Note which intervals events between two times may change, for the next read."""
-    ints[S.BIN_LO] = min(ints[S.BIN_LO], np.int64(np.float64(oldest_dt) * grid.bin_scale))
-    ints[S.BIN_HI] = max(ints[S.BIN_HI], np.int64(np.float64(newest_dt) * grid.bin_scale))
+    ints[S.INTERVAL_LO] = min(ints[S.INTERVAL_LO], np.int64(np.float64(oldest_dt) * grid.bin_scale))
+    ints[S.INTERVAL_HI] = max(ints[S.INTERVAL_HI], np.int64(np.float64(newest_dt) * grid.bin_scale))

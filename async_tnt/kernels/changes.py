@@ -1,7 +1,8 @@
-"""Which places of a map have changed, a bit each, and which places of another map see them.
+"""Which places of a map have changed, a bit each, and which places of another map depend on them.
 
-A row of places is a row of whole uint64 words, so that 64 places are looked at together. A program's record of a map's
-changes: where in `bits` they lie, the first and the last row that may have any, the words in a row.
+For places, maps and programs see `program`. A row of places is a row of whole uint64 words, so that 64 places are
+looked at together. A program's record of a map's changes has four slots: where in `bits` they lie, the first and the
+last row that may have any, the words in a row.
 """
 
 import numpy as np
@@ -33,16 +34,16 @@ def forget_changes(program, record, bits):
 
 @inlined
 def note_rows(program, record, first, last):
-    """That these rows may have changes."""
+    """Note that the rows from `first` to `last`, both included, may have changes."""
     program[record + FIRST_ROW] = min(program[record + FIRST_ROW], first)
     program[record + LAST_ROW] = max(program[record + LAST_ROW], last)
 
 
 @inlined
 def note_changes(bits, row, column, changed):
-    """Neighbours in a row, from `column` on, a bit of `changed` (uint64) each; `row` is where in `bits` their row lies.
+    """Mark places of a row, from `column` on: one for each bit of `changed` (uint64).
 
-    Those that the word of the first does not hold must be in the row, too."""
+    `row` is where in `bits` the row lies; all of these places must lie in it."""
     word, shift = np.uint64(row + (column >> 6)), np.uint64(column & 63)
     bits[word] |= changed << shift
     beyond = (changed >> np.uint64(1)) >> (np.uint64(63) - shift)
@@ -52,7 +53,8 @@ def note_changes(bits, row, column, changed):
 
 @inlined
 def seen_from(bits, row, word, n_taps, stride, padding, dilation):
-    """Of the 64 columns of a word, those that see a changed one, x stride - padding + j dilation for a tap j < n_taps.
+    """Of the 64 columns of a word, those that depend on a changed one: on x stride - padding + j dilation for a
+    tap j < n_taps.
 
     Parameters
     ----------

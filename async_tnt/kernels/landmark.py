@@ -58,8 +58,8 @@ def displace_running(x, y, dt, n, sum_x, sum_y):
 
 @inlined
 def displace_line(buffer, x, y, dt, n, sum_x, sum_y, sum_t, remove_flow):
-    """From the running ridge line of x (and y) against window fraction f = dt / window_us; first
-    adds the event to the line's centred sums.
+    """From the running line: ridge regression, with penalty 1, of x (and y) on the window fraction f = dt / window_us,
+    so that a few events give nearly their centroid. First adds the event to the line's centred sums.
 
         m_x = C_xf / (C_ff + 1)         l_x = mean_x - m_x mean_f
 

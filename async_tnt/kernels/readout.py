@@ -1,4 +1,4 @@
-"""Between windows and readers: empty a volume, and round its cells to the float32 array that users see."""
+"""What happens to a volume's cells between events: emptied for a window, and rounded to the array that users read."""
 
 import numpy as np
 
@@ -50,19 +50,21 @@ def empty_volume(buffer, array, start_us, limit_us, epoch):
 
 
 @compiled
-def cells_to_float32(buffer, array, n_intervals):
+def cells_to_float32(buffer, array, n_bins):
     """Bring the array up to date:  array[b, y, x] = cells[b, y, x, 0] + cells[b - 1, y, x, 1].
+
+    The second part is left out for the first bin of each polarity.
 
     Parameters
     ----------
     buffer : float64, the volume's `state`. What has been read is noted in it.
     array : float32, shape (C, H, W). Updated in place. With C = 2 B, the OFF bins behind the ON bins.
-    n_intervals : int. B.
+    n_bins : int. B.
     """
     ints = buffer.view(np.int64)
     n_changed = ints[S.N_LOG] - ints[S.N_READ]
     if n_changed > ints[S.LOG_SIZE] or n_changed * S.NUMBERS_PER_LOGGED > array.size:
-        _copy_bins(buffer, ints, array, n_intervals)
+        _copy_bins(buffer, ints, array, n_bins)
     else:
         for k in range(ints[S.N_READ], ints[S.N_LOG]):
             _copy_around(buffer, ints, ints[ints[S.LOG] + (k & (ints[S.LOG_SIZE] - 1))], array)
@@ -78,7 +80,8 @@ def strides_of(ints):
 
 @inlined
 def cell_at(strides, corner):
-    """Bin, row and column of the cell at this index, the `corner` of an event: the inverse of `splat.place_event`."""
+    """Interval, row and column of the cell at this index, the `corner` of an event: the inverse of
+    `splat.place_event`."""
     row, plane, _ = strides
     place = corner - S.CELLS
     b = place // plane
@@ -99,7 +102,7 @@ def parts_of(strides, b, y, x):
 
 @inlined
 def cell_value(buffer, lower, upper, is_first, k):
-    """The volume k pixels right of the one whose `parts_of` these are."""
+    """The volume's number k pixels to the right of the one that `parts_of` was called for."""
     i = np.uint64(k) + np.uint64(k)
     return buffer[np.uint64(lower) + i] + (0.0 if is_first else buffer[np.uint64(upper) + i])
 
@@ -107,22 +110,22 @@ def cell_value(buffer, lower, upper, is_first, k):
 @inlined
 def _note_read(ints):
     ints[S.N_READ] = ints[S.N_LOG]
-    ints[S.BIN_LO] = S.NO_BIN
-    ints[S.BIN_HI] = -1
+    ints[S.INTERVAL_LO] = S.NO_INTERVAL
+    ints[S.INTERVAL_HI] = -1
 
 
 @compiled
-def _copy_bins(buffer, ints, array, n_intervals):
+def _copy_bins(buffer, ints, array, n_bins):
     """`cells_to_float32` for all cells of the bins that changed.
 
     Row by row of the image through all bins: a row of cells, which holds weights of two bins, then comes from memory
     once.
     """
-    n_bins, height, width = array.shape
+    n_channels, height, width = array.shape
     strides = strides_of(ints)
     for y in range(height):
-        for first in range(0, n_bins, n_intervals):  # twice with OFF bins
-            for b in range(first + ints[S.BIN_LO], min(first + ints[S.BIN_HI] + 2, first + n_intervals)):
+        for first in range(0, n_channels, n_bins):  # twice with OFF bins
+            for b in range(first + ints[S.INTERVAL_LO], min(first + ints[S.INTERVAL_HI] + 2, first + n_bins)):
                 lower, upper, _ = parts_of(strides, b, y, 0)
                 if b > first:
                     for x in range(width):
@@ -135,11 +138,11 @@ def _copy_bins(buffer, ints, array, n_intervals):
 
 @inlined
 def _copy_around(buffer, ints, corner, array):
-    """`cells_to_float32` for the eight cells of an event at this corner."""
-    n_bins, height, width = array.shape
+    """`cells_to_float32` for the eight numbers that an event at this corner changed."""
+    n_channels, height, width = array.shape
     strides = strides_of(ints)
     b0, y0, x0 = cell_at(strides, corner)
-    for b in range(b0, min(b0 + 2, n_bins)):
+    for b in range(b0, min(b0 + 2, n_channels)):
         for y in range(y0, min(y0 + 2, height)):
             lower, upper, is_first = parts_of(strides, b, y, x0)
             for k in range(min(2, width - x0)):

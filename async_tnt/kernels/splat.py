@@ -1,4 +1,4 @@
-"""From transformed coordinates to cells: which eight, and how much each gets.
+"""From transformed coordinates to the volume: which eight of its numbers an event adds to, and how much.
 
     V[b, y, x] += s k(b - b_i) k(y - v_i) k(x - u_i)        k(a) = max(0, 1 - |a|)
 
@@ -23,7 +23,7 @@ Grid.__doc__ = (
 )
 
 WEIGHT_TOLERANCE = 1e-9
-SURFACE_DECAY = 2.0  # windows per tau
+SURFACE_DECAY = 2.0  # time constants per window
 BORDER_TOLERANCE = 1e-9  # pixels; rounding must not drop an event that lies exactly on the border
 
 

@@ -6,12 +6,14 @@ ways: as `buffer`, and as `ints`, a view of the same memory as int64. Each slot 
 
     buffer = [ parameters, sums, counts | scratch of a block | cells | log ]
 
-Cells, shape (intervals, H + 1, W + 1, 2): between bins b and b + 1 an event adds to both, and the two sums
-lie side by side, cells[b, y, x] = (lower: to bin b, upper: to bin b + 1); of an image of times, see COMBINE. Time
-passes one interval after the other, so an interval's cells stay in the first-level cache while its events arrive. One
-row and one column more than the grid spare every event a test at the border: its weight there is zero. They are
-float64, because a volume is promised to 1e-6 of its largest cell even after thousands of opposite events cancelled in
-it, which float32 sums would lose; `readout.cells_to_float32` rounds to float32 once, when the volume is read.
+Cells, shape (B, H + 1, W + 1, 2), with `split` polarity twice, for ON and for OFF: an event between bins b and b + 1,
+in interval b, adds to both, and the two sums lie side by side, cells[b, y, x] = (lower: to bin b, upper: to bin b + 1).
+So a cell is a pair of numbers, and an event adds to 2 x 2 cells, which are eight numbers of the volume. The last
+interval, B - 1, holds only events at the last bin itself. (Of an image of times, see COMBINE.) Time passes one interval
+after the other, so an interval's cells stay in the first-level cache while its events arrive. One row and one column
+more than the grid spare every event a test at the border: its weight there is zero. They are float64, because a volume
+is promised to 1e-6 of its largest number even after thousands of opposite events cancelled in it, which float32 sums
+would lose; `readout.cells_to_float32` rounds to float32 once, when the volume is read.
 
 The log is a ring that holds the corners of the newest LOG_SIZE events of the window, so that reading and
 emptying a large volume cost what changed in it and not its size. Beyond that length, following
@@ -20,7 +22,7 @@ seen, and the EPOCH of the window it counted in: a number that is unique within 
 """
 
 # buffer: parameters of the volume
-WINDOW_US = 0  # length of the window; of a number of events: until its newest one
+WINDOW_US = 0  # length of the window; with `window_events`, the time from its start to its newest event
 BIN_SCALE = 1  # (B - 1) / window_us; of an image: 0
 SCALE_X = 2  # sensor pixels * microseconds -> grid pixels of the transform, see `landmark`
 SCALE_Y = 3
@@ -62,13 +64,13 @@ TAU_ZERO = 34
 EPOCH = 35  # of the open window
 N_LOG = 36  # corners logged since the window opened
 N_READ = 37  # of them already in the array that users see
-BIN_LO = 38  # intervals that changed since the array was read; BIN_HI < BIN_LO: none
-BIN_HI = 39
-# ints: parameters, too
+INTERVAL_LO = 38  # intervals that changed since the array was read; INTERVAL_HI < INTERVAL_LO: none
+INTERVAL_HI = 39
+# ints: windows that were closed before their end
+DECIDED_FROM_US = 40  # where the windows before the open one that were closed early begin; NEVER_US: there are none
+DECIDED = 41  # dropped since the volume was made: late events at or after that time
+# ints: one more parameter
 COMBINE = 42  # one of the COMBINE_ numbers
-# ints: of windows that were closed before their end
-DECIDED_FROM_US = 40  # start of the windows closed early that lead up to the open one; NEVER_US: there are none
-DECIDED = 41  # late events at or after that time, since the volume was made
 
 # scratch: intermediate numbers of a block of events, in rows of BLOCK
 BLOCK = 336  # so that all rows together (27 kB) and an interval's cells fit in the first-level cache
@@ -85,20 +87,21 @@ CELLS = CORNER + BLOCK
 
 # how an event's coordinates are made (MODE)
 MODE_RAW = 0  # no transform
-MODE_FIXED = 1  # a given landmark: the centre, the window's mean
+MODE_FIXED = 1  # a given landmark: the centre, the window's mean, a regressor's answer
 MODE_RUNNING = 2
 MODE_LINE = 3
 MODE_LINE_FLOW_REMOVED = 4
 
-# what an event does to a cell, a pair of numbers (COMBINE)
+# what an event does to a cell, a pair of numbers (COMBINE). An image is read like a volume of B bins: its bin 0 is the
+# first number of the cells of interval 0; bin 1, which only `count_time` has, is the second one.
 COMBINE_SUM = 0  # the volume, or an image of counts: add its weights to (lower, upper)
 COMBINE_NEWEST = 1  # (count, time of the newest event)
 COMBINE_MEAN = 2  # (mean time, count)
 COMBINE_SURFACE = 3  # (surface of the newest event, count)
 
-NO_BIN = 1 << 30
+NO_INTERVAL = 1 << 30
 NEVER_US = 1 << 62
 UNREAD = -(1 << 40)  # N_READ of an array that must be read whole
-# Processing one logged event, scattered in memory, costs as much as so many numbers in order:
+# Going to one logged event's cells, which lie scattered in memory, costs as much as reading this many numbers in order:
 NUMBERS_PER_LOGGED = 32  # at a read
 NUMBERS_PER_EMPTIED = 100  # when a window is emptied

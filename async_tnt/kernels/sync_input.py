@@ -14,7 +14,7 @@ from .jit import compiled, inlined
 from .readout import cell_at, cell_value, parts_of, strides_of
 from .simd import count_bits, trailing_zeros, vectorized
 
-CELLS_PER_LOGGED = 100  # one logged event, scattered in memory, costs as much as so many cells in order
+NUMBERS_PER_LOGGED = 100  # one logged event, scattered in memory, costs as much as this many numbers in order
 
 
 @compiled
@@ -23,8 +23,9 @@ def sync_input(buffer, program, maps, places):
 
         input[y, x, c] = cells[c, y, x, 0] + cells[c - 1, y, x, 1], rounded to float32 as in `readout`, and never -0
 
-    The planes (C, H, W) hold the same numbers: cells can be compared with these in vector registers. Where the input
-    does not show a window, everything is copied, and to be computed.
+    without the second part for the first bin of each polarity. The planes (C, H, W) hold the same numbers: cells can be
+    compared with these in vector registers. Where the input does not show a window, everything is copied and marked as
+    changed.
 
     Parameters
     ----------
@@ -34,9 +35,9 @@ def sync_input(buffer, program, maps, places):
     ints, bits = buffer.view(np.int64), places.view(np.uint64)
     forget_changes(program, P.INPUT_CHANGED, bits)
     n_new = ints[S.N_LOG] - program[P.N_SEEN]
-    n_cells = program[P.CHANNELS] * program[P.HEIGHT] * program[P.WIDTH]
+    n_numbers = program[P.CHANNELS] * program[P.HEIGHT] * program[P.WIDTH]
     same_window = program[P.EPOCH] == ints[S.EPOCH]
-    if same_window and n_new <= ints[S.LOG_SIZE] and n_new * CELLS_PER_LOGGED <= n_cells:
+    if same_window and n_new <= ints[S.LOG_SIZE] and n_new * NUMBERS_PER_LOGGED <= n_numbers:
         _sync_corners(buffer, ints, program, maps, bits)
     else:
         _sync_all(buffer, ints, program, maps, bits)
@@ -87,7 +88,7 @@ def _copy_row(program, maps, y):
 
 @inlined
 def _sync_corners(buffer, ints, program, maps, bits):
-    """The cells of the events since the last call, eight each."""
+    """The numbers that the events since the last call changed, eight each."""
     n_channels, height, width = program[P.CHANNELS], program[P.HEIGHT], program[P.WIDTH]
     strides = strides_of(ints)
     changed, words = program[P.INPUT_CHANGED], program[P.INPUT_CHANGED + WORDS]

@@ -46,17 +46,17 @@ def advance_triggers(trigger, buffer, t, first, last):
     fires : bool. Whether activity makes it due there.
     """
     ints = trigger.view(np.int64)
-    volume = buffer.view(np.int64)
+    volume_ints = buffer.view(np.int64)
     stop = last
     if ints[EVERY_EVENTS] > 0:
-        stop = min(stop, first + ints[EVERY_EVENTS] - volume[S.N] % ints[EVERY_EVENTS])
+        stop = min(stop, first + ints[EVERY_EVENTS] - volume_ints[S.N] % ints[EVERY_EVENTS])
     if ints[EACH_EVENT] != 0:
         stop = min(stop, first + 1)
     if trigger[THRESHOLD] < np.inf:
         for i in range(first, stop):
-            if t[i] >= volume[S.LIMIT_US]:
+            if t[i] >= volume_ints[S.LIMIT_US]:
                 return i, False
-            if t[i] < volume[S.START_US]:
+            if t[i] < volume_ints[S.START_US]:
                 continue
             passed_us = t[i] - ints[CHARGED_US]
             if passed_us > 0:

@@ -42,8 +42,8 @@ def window_volumes(buffer, scratch, columns, windows, about, landmarks, n_bins, 
         n = _select_events(ints, scratch, columns, windows, i)
         empty_volume(buffer, out[i], start_us[i], limit_us[i], 0)  # the epoch is not read
         ints[S.N_READ] = S.UNREAD  # every volume goes to another array, whole
-        ints[S.BIN_LO] = 0
-        ints[S.BIN_HI] = n_bins - 1
+        ints[S.INTERVAL_LO] = 0
+        ints[S.INTERVAL_HI] = n_bins - 1
         if about == GIVEN:
             buffer[S.FIXED_X] = landmarks[i, 0]
             buffer[S.FIXED_Y] = landmarks[i, 1]

@@ -21,7 +21,7 @@ from async_tnt.training.settings import TrainSettings
 from async_tnt.training.temperature import calibrated
 
 STARTED_FROM = ("command", "data", "epochs", "seed", "validation", "test", "started_from")
-"""Of the record of the model that a training continues, what goes into the new one's."""
+"""What the new model's record keeps of the record of the model that its training continued."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Fitted:
 
     Parameters
     ----------
-    model : calibrated; its record tells what it was trained on, how, and how well it does on what was held out.
+    model : calibrated; its record says what it was trained on, how, and how accurate it is on what was held out.
     scores : of the held-out recordings; None where nothing is held out.
     history : one dict per epoch, see `train`.
     """
@@ -59,13 +59,12 @@ def fit(
     progress: Callable[..., Bar] = no_progress,
     report: Callable[[dict[str, float]], None] = lambda row: None,
 ) -> Fitted:
-    """Train on `data.training`; choose the temperature, and tell the accuracy, by `data.validation`.
+    """Train on `data.training`; choose the temperature and measure the accuracy on `data.validation`.
 
     Parameters
     ----------
     record : more for the model's record.
-    data, settings, run_folder, start, motions, sources, progress, report : see `train`, which also tells what is
-        raised.
+    data, settings, run_folder, start, motions, sources, progress, report : see `train`, whose errors pass through.
     """
     result = train(
         data.config,
@@ -109,5 +108,5 @@ def fit(
 
 
 def moments_ms(model: Model) -> tuple[float, ...]:
-    """Each tenth of a window but its end, in milliseconds: when accuracy is told against time."""
+    """The moments at which accuracy is reported against time: each tenth of a window but its end, in milliseconds."""
     return tuple(model.config.window_us * k / 1e4 for k in range(1, 10))

@@ -17,7 +17,7 @@ from tnt_reference import LayerNetwork
 from async_tnt import CompiledClassifier, TNTConfig, TNTVolume, volume_state
 from async_tnt.kernels import program as P
 from async_tnt.kernels import state as S
-from async_tnt.kernels.sync_input import CELLS_PER_LOGGED
+from async_tnt.kernels.sync_input import NUMBERS_PER_LOGGED
 
 DUPLICATES = {"copy": copy.copy, "deepcopy": copy.deepcopy, "pickle": lambda one: pickle.loads(pickle.dumps(one))}
 
@@ -136,7 +136,7 @@ LONG_LOG = Network((34, 34), 9, (3, 5, 7), 3, polarity="split")
 def test_packets_about_as_long_as_the_log_or_as_it_pays_to_follow_it(network, more):
     """So many that they cross the ring's end several times, each time elsewhere, in one window."""
     log = int(network.volume().buffer.view(np.int64)[S.LOG_SIZE])
-    n = max(int(np.prod(network.config.shape)) // CELLS_PER_LOGGED, 1)
+    n = max(int(np.prod(network.config.shape)) // NUMBERS_PER_LOGGED, 1)
     assert n < log == (2048 if network is LONG_LOG else 512)
     long = [log + more] * 4 + [1] * 5 + [2 * log + more] * 2 + [20 * log, 1, n, 1, 2]
     for sizes in (long, [max(n + more, 1)] * (3 * log // n)):
