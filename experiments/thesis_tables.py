@@ -90,7 +90,7 @@ def unseen_motion() -> str:
         f"training). With the sign of polarity: untransformed {of['raw-translated']}, `running` "
         f"{of['running-translated']}. Without it: untransformed {of['raw-unsigned-translated']}, `running` "
         f"{of['running-unsigned-translated']}, `line` with its flow removed {of['line-unsigned-translated']}. "
-        f"A network that guesses in the other two saccades has {short(_guessed('1/all'))}. "
+        f"A network that guesses in the other two saccades would score {short(_guessed('1/all'))}. "
         f"[Re-synthesis](docs/guide.md#motions-that-were-not-recorded) of motions, untransformed, not moved and with "
         f"more steps: {of['raw-motions']}."
     )

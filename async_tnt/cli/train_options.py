@@ -99,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--window-us",
         type=positive_int,
         metavar="US",
-        help="length of a window (default: 105000, or that of the longest recording)",
+        help="length of a window (default: 105000, or the longest recording)",
     )
     network.add_argument(
         "--grid", type=size_text, metavar="WxH", help="the volume's pixels (default: at most 60 along the longer side)"
@@ -115,8 +115,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument(
         "--network",
         metavar="NAME",
-        help="residual, conv4, separable, thesis, or FILE.py:FUNCTION, your own: called with channels, (width, height) and "
-        "the number of classes, it returns a torch module (default: residual)",
+        help="residual, conv4, separable, thesis, or FILE.py:FUNCTION, which makes your own from channels, (width, "
+        "height) and number of classes (default: residual)",
     )
     network.add_argument(
         "--start-from",
