@@ -115,8 +115,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument(
         "--network",
         metavar="NAME",
-        help="residual, conv4, separable, thesis, or FILE.py:FUNCTION, which makes your own from channels, (width, "
-        "height) and number of classes (default: residual)",
+        help="residual, conv4, separable, thesis, or FILE.py:FUNCTION, your own, of channels, (width, "
+        "height), n_classes (default: residual)",
     )
     network.add_argument(
         "--start-from",
