@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.files import write_text
-from async_tnt.simulation.shards import Shard, open_shard
 from experiments.motions import Motion, motions_of
+from experiments.shards import Shard, open_shard
 
 MANIFEST = "set.json"
 FORMAT = "async_tnt.moving_mnist"

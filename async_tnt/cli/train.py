@@ -246,11 +246,11 @@ def _draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
         import matplotlib  # noqa: F401
     except ImportError:
         return
-    from async_tnt.training.motion_examples import motion_examples
+    from async_tnt.training.resynthesis import examples
     from async_tnt.views.figure_resynthesis import write_resynthesis
 
     if motions.found.any():
-        write_resynthesis(motion_examples(motions, data.config, data.classes), path)
+        write_resynthesis(examples(motions, data.classes), path)
 
 
 def _draw_confusion(out: Path, scores: Scores) -> Path:

@@ -8,11 +8,11 @@ import pytest
 from small_sets import idx_bytes
 
 from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.mnist import load_mnist
-from async_tnt.simulation.shards import open_shard
 from async_tnt.simulation.trajectories import ConstantVelocity
+from experiments.mnist import load_mnist
 from experiments.motions import motions_of
 from experiments.moving_mnist_set import build, open_set
+from experiments.shards import open_shard
 
 QUICK = {"digits": 5, "recordings_per_shard": 2, "frame_us": 5_250.0, "workers": 1}
 
