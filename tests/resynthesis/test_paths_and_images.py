@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight, together
 
-from async_tnt.resynthesis import MotionPath, Reconstruction
+from async_tnt.resynthesis import Reconstruction
 from async_tnt.resynthesis.paths import minimum_jerk
 from async_tnt.resynthesis.pixels import MeasuredPixels
 from async_tnt.simulation.simulator import PixelModel, simulate
@@ -53,13 +53,6 @@ def test_a_curved_path_is_followed(reconstruction):
     windows = [recorded(blobs(rng), curve, rng) for _ in range(8)]
     off = [np.abs(path.at(u) - curve).max() for path, _ in reconstruction(windows, PIXELS)]
     assert np.median(off) < 1.2
-
-
-def test_the_length_of_a_path_that_returns_is_how_far_it_went():
-    u = np.linspace(0, 1, 17)[1:]
-    there_and_back = MotionPath(np.stack([6 * np.sin(np.pi * u), 0 * u], 1), 0.0, 0.0, 0.0, 0)
-    assert there_and_back.length == pytest.approx(6)
-    assert MotionPath(np.outer(u, (3, -4)), 0.0, 0.0, 0.0, 0).length == pytest.approx(5)
 
 
 def test_windows_that_share_a_path_find_it_together(reconstruction):

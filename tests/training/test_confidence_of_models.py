@@ -92,12 +92,6 @@ def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
     assert fit_temperature(softened(truth, 4), labels) == pytest.approx(1 / 4, rel=0.05)
 
 
-def test_few_windows_that_are_all_right_give_no_certainty():
-    probabilities, labels = np.array([[0.7, 0.3], [0.2, 0.8]]), np.array([0, 1])
-    softer = softened(probabilities, fit_temperature(probabilities, labels))
-    assert 0.7 < softer.max(1).mean() < 0.8  # (2 + 1) of (2 + 2)
-
-
 def test_a_calibrated_model_decides_the_same(models):
     model = models[0.0]
     calibrated_model, temperature = calibrated(model, 2.5)

@@ -142,15 +142,6 @@ def test_masked_pixels_stay_silent(windows, tmp_path):
         resynthesize(windows[0][:6], windows[1][:0], CONFIG, MotionSettings(2), tmp_path / "m")
 
 
-def test_nothing_that_moves_alike_is_an_error(tmp_path):
-    rng = np.random.default_rng(0)
-    events = [np.rec.fromarrays(noise(rng, 500), EVENT_DTYPE) for _ in range(5)]
-    still = Windows(Recordings.from_events(events, np.zeros(5)), np.arange(5), np.zeros(5, np.int64))
-    for shared in (False, True):
-        with pytest.raises(ValueError, match="no motion was found in any of 5 windows"):
-            resynthesize(still, still[:0], CONFIG, MotionSettings(2, shared_path=shared), tmp_path / "still")
-
-
 def test_windows_are_cut_out_of_their_recordings():
     events = np.rec.fromarrays([np.arange(0, 1_000, 10), *np.ones((3, 100), int)], EVENT_DTYPE)
     windows = Windows(Recordings.from_events([events], [3]), np.zeros(3, np.int64), np.array([0, 300, 900]))
