@@ -36,14 +36,7 @@ COLUMNS = ("t", "x", "y", "p", "offsets", "labels", "image", "flow", "flow_times
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """Recordings of one file. Made by `open_shard`; the arrays are read-only.
-
-    Attributes
-    ----------
-    path : the file.
-    t, x, y, p, offsets, labels, image, flow, flow_times_us : the columns; see the module's docstring.
-    metadata : `sensor`, `duration_us`, `motion` and more.
-    """
+    """Recordings of one file, made by `open_shard`: its columns, read-only, and its metadata."""
 
     path: Path
     t: np.ndarray
@@ -60,12 +53,6 @@ class Shard:
     def __len__(self) -> int:
         """Recordings in the shard."""
         return len(self.labels)
-
-    @property
-    def sensor(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        width, height = self.metadata["sensor"]
-        return width, height
 
     def recording(self, i: int) -> np.ndarray:
         """Events of recording `i`: a structured array of `EVENT_DTYPE`, the caller's to change."""
@@ -85,15 +72,11 @@ def write_shard(
     duration_us: int,
     metadata: Mapping[str, Any],
 ) -> None:
-    """Write recordings to a shard; the same arguments give the same bytes.
+    """Write recordings, structured arrays of `EVENT_DTYPE`; the same arguments give the same bytes.
 
     Parameters
     ----------
-    recordings : R structured arrays of `EVENT_DTYPE`, each in order of time, times from 0.
-    labels, image : R integers each.
-    flow : shape (R, K, 2), px/s.
-    flow_times_us : shape (K,), the times of the flow.
-    duration_us : events lie in [0, duration_us).
+    labels, image, flow, flow_times_us, sensor, duration_us : see the module's docstring.
     metadata : more to keep, as JSON.
 
     Raises

@@ -28,7 +28,8 @@ def check(shard):
     recordings = [shard.recording(i) for i in range(len(shard))]
     for events in recordings:
         assert (np.diff(events["t"]) >= 0).all() and ((events["t"] >= 0) & (events["t"] < 1_000_000)).all()
-        assert (events["x"] < shard.sensor[0]).all() and (events["y"] < shard.sensor[1]).all()
+        width, height = shard.metadata["sensor"]
+        assert (events["x"] < width).all() and (events["y"] < height).all()
         assert (events["p"] <= 1).all()
     assert sum(map(len, recordings)) == len(shard.t) and np.isfinite(shard.flow).all()
 
@@ -41,7 +42,7 @@ def test_a_shard_has_what_was_written(tmp_path, sensor, pixel):
     assert [shard.t.dtype, shard.x.dtype, shard.y.dtype, shard.p.dtype] == ["i4", pixel, pixel, "u1"]
     assert shard.labels.tolist() == [0, 1, 2, 3] and shard.image.tolist() == [100, 101, 102, 103]
     assert shard.flow.tolist() == FLOW.tolist() and shard.flow_times_us.tolist() == [500]
-    assert shard.sensor == sensor and shard.metadata["seed"] == 7
+    assert shard.metadata == {"seed": 7, "sensor": list(sensor), "duration_us": 1_000}
     assert write(tmp_path / "b.safetensors", sensor=sensor).read_bytes() == shard.path.read_bytes()
 
 
