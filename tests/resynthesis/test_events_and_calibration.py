@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight, together
+from moving_scenes import SENSOR, WINDOW_US, blobs, noise, recorded, straight
 
 from async_tnt.events import EVENT_DTYPE
 from async_tnt.resynthesis import Reconstruction, calibrate
@@ -29,15 +29,6 @@ def test_pixels_are_measured(ratio):
     assert measured.step_on * measured.step_off == pytest.approx(1)
     assert measured.noise_hz == pytest.approx(0.5, rel=0.3) and measured.noise_on_share == pytest.approx(0.8, abs=0.1)
     assert 800 <= measured.refractory_us < 4_000
-
-
-def test_a_pixel_that_fires_all_the_time_is_no_noise_of_the_others():
-    rng = np.random.default_rng(0)
-    windows = [noise(rng, 60) for _ in range(20)]
-    hot = (np.arange(0, WINDOW_US, 100), *np.full((2, 1_050), 5), np.ones(1_050, int))
-    expected, measured = (measure_pixels(w, SENSOR, WINDOW_US) for w in (windows, [together(w, hot) for w in windows]))
-    assert expected.noise_hz == pytest.approx(60 / (34 * 34 * 0.105), rel=0.1)
-    assert measured.noise_hz == pytest.approx(expected.noise_hz, rel=0.1)
 
 
 def test_numbers_of_windows_by_hand():
