@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from made import events_of, random_model
+from made import events_of
 
 torch = pytest.importorskip("torch")
 
@@ -14,7 +14,7 @@ from async_tnt.training.evaluation import Evaluation, evaluate  # noqa: E402
 from async_tnt.training.loop import train  # noqa: E402
 from async_tnt.training.pipeline import pipeline_of  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
-from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
+from async_tnt.training.settings import TrainSettings  # noqa: E402
 from async_tnt.training.temperature import calibrated, fit_temperature, softened  # noqa: E402
 from async_tnt.training.windows import make_windows  # noqa: E402
 from experiments.measure_early import NOISE, made_noise  # noqa: E402
@@ -100,27 +100,3 @@ def test_a_calibrated_model_decides_the_same(models):
     for volume in volumes:
         logits, softer = (np.array(CompiledClassifier(m)(volume)) for m in (model, calibrated_model))
         np.testing.assert_allclose(softer, logits / 2.5, rtol=1e-5, atol=1e-5)
-
-
-def test_a_network_that_does_not_end_in_a_layer_with_weights_stays_as_it_is():
-    from torch import nn
-
-    from async_tnt import Model
-
-    net = nn.Sequential(nn.Conv2d(3, 2, 3), nn.AdaptiveAvgPool2d(1), nn.Flatten())
-    model = Model.from_torch(net, CONFIG, classes=("a", "b"))
-    assert calibrated(model, 3.0) == (model, 1.0)
-    assert calibrated(random_model(CONFIG), 3.0)[1] == 3.0
-    twice = nn.Linear(3, 3)
-    net = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), twice, nn.ReLU(), twice)  # scaled in the middle, too
-    model = Model.from_torch(net, CONFIG, classes=("a", "b", "c"))
-    assert calibrated(model, 3.0) == (model, 1.0)
-
-
-def test_a_data_set_is_trained_to_be_right_at_any_moment_unless_asked_otherwise():
-    config = CONFIG.replace(window_us=50_000)
-    default = settings_for(config, 1000).augmentation
-    assert (default.partial, default.nothing, default.partial_from_ms, default.mirror) == (0.9, 0.1, 2.5, False)
-    asked = settings_for(config, 1000, augmentation={"partial": 0.0, "nothing": 0.5, "mirror": True}).augmentation
-    assert (asked.partial, asked.nothing, asked.mirror) == (0.0, 0.5, True)
-    assert settings_for(config, 1000, augmentation=None).augmentation is None

@@ -180,26 +180,6 @@ def test_who_was_seen_in_training_is_not_held_out(tmp_path):
         assert how == expected and len(held_out) == 1 and not train & held_out
 
 
-def test_the_folder_test_is_of_the_same_sensor_and_classes(tmp_path):
-    write_64(tmp_path / "Train", {"upright": 4, "flat": 4}, suffixes=(".npz",))
-    write_64(tmp_path / "Test", {"upright": 3}, suffixes=(".bin", ".csv"), seed=1)  # which need not state the sensor
-
-    def read():
-        return dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, test=True)
-
-    windows, record = read().tests["test"]
-    assert len(windows.recordings) == 3 and record == {"left_out": []}
-    other = write(tmp_path / "Test" / "flat" / "other.npz", bar("flat", 9, side=60), sensor=(80, 60))
-    with pytest.raises(ValueError, match=r"of one sensor, got 64x64 \(the recordings to train on\) and 80x60 \(flat/"):
-        read()
-    other.write_bytes(b"torn")
-    data = read()
-    assert data.left_out == (f"Test/{data.tests['test'][1]['left_out'][0]}",) and data.record["left_out"] == []
-    write_64(tmp_path / "Test", {"slanted": 1})
-    with pytest.raises(ValueError, match="unknown class slanted; known are flat, upright"):
-        read()
-
-
 @pytest.mark.parametrize(
     ("files", "message"),
     [

@@ -36,14 +36,6 @@ def test_the_model_knows_the_classes_and_its_numbers_and_pictures_are_beside_it(
         assert trained.with_suffix(suffix).read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_options_give_the_sensor_and_the_window(tmp_path, train):
-    write_set(tmp_path / "set", {"upright": 4, "flat": 4}, suffixes=(".npy",))
-    code, _, out = train(tmp_path / "set", "--sensor", "240x180", "--window-us", "50000")
-    config = load_model(out).config
-    assert code == 0 and (config.sensor, config.grid, config.window_us) == ((240, 180), (34, 34), 50_000)
-    assert "--sensor 240x180" in load_model(out).record["command"]
-
-
 def test_a_run_with_other_recordings_is_refused_before_they_are_read(tmp_path, train, monkeypatch):
     folder = write_set(tmp_path / "set", {"upright": 3, "flat": 3})
     write(folder / "flat" / "silent.npz", bar("flat", 0)[:0])
@@ -149,13 +141,6 @@ def test_ctrl_c_keeps_the_finished_epochs(gestures, train, monkeypatch):
     assert code == 0 and "epoch 2/2" in err and "epoch 1/2" not in err
 
 
-def test_without_matplotlib_one_line_says_so(gestures, train, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    code, err, out = train(gestures)
-    assert code == 0 and err.count("matplotlib") == 1 and "pip install 'async_tnt[plot]'" in err
-    assert out.with_suffix(".json").exists() and not out.with_suffix(".curves.png").exists()
-
-
 def test_given_again_it_prints_the_same_result_and_other_models_continue_from_it(gestures, trained, tmp_path, program):
     before = trained.read_bytes()
     words = ("train", gestures, "--grid", "34x34", "--test", "--json")
@@ -177,23 +162,24 @@ def test_given_again_it_prints_the_same_result_and_other_models_continue_from_it
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ((), ("volume", 9, "none", "split", (60, 45))),
+        ((), ("none", "split", 9, (60, 45), 100_000)),  # as long as the longest recording
+        (("--window-us", "50000", "--grid", "20x16"), ("none", "split", 9, (20, 16), 50_000)),
         (
             ("--volume", "transform=tnt,landmark=line,remove_flow=yes,polarity=signed,bins=5,t_max=2"),
-            ("volume", 5, "tnt", "signed", (60, 45)),
+            ("tnt", "signed", 5, (60, 45), 100_000),
         ),
     ],
 )
 def test_the_volume_is_the_plain_one_unless_asked_otherwise(words, expected, tmp_path, program):
-    for kind in ("upright", "flat"):
-        for k in range(2):
-            write(tmp_path / "set" / kind / f"{k}.npz", bar(kind, k), sensor=(200, 150))
+    write_set(tmp_path / "set", {"upright": 2, "flat": 2}, suffixes=(".npy",))
     out = tmp_path / "m.safetensors"
-    assert program("train", tmp_path / "set", "--out", out, "--epochs", 1, *words)[0] == 0
+    words = ("--sensor", "200x150", "--out", out, "--epochs", 1, *words)
+    assert program("train", tmp_path / "set", *words)[0] == 0
     model = load_model(out)
     found = model.config
-    assert (found.representation, found.bins, found.transform, found.polarity, found.grid) == expected
-    assert (model.record["network"], found.window_us) == ("residual", 100_000)  # of the longest recording
+    assert (found.transform, found.polarity, found.bins, found.grid, found.window_us) == expected
+    assert (model.record["network"], found.sensor) == ("residual", (200, 150))
+    assert "--sensor 200x150" in model.record["command"]
 
 
 def test_without_torch_the_message_says_what_to_install(monkeypatch, program):

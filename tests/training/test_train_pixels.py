@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from made import events_of
 from training.gestures import bar, write
 
 from async_tnt.config import TNTConfig
@@ -29,39 +30,31 @@ def mask_of(size, pixels):
     return mask
 
 
-def recorded(kind, seed):
-    """A bar at 64x64, and with two pixels that fire all the time.
-
-    The file begins with one of their events from the middle: dropping what is older than the first event before the
-    hot pixels are removed would drop half of the bar.
-    """
-    events = bar(kind, seed, side=64, n=600, start_us=5_000)
+def recorded(seed):
+    """A bar at 64x64, and with two pixels that fire all the time. The file begins with one of their late events:
+    dropping what is older than the first event before the hot pixels are removed would drop half of the bar."""
+    events = bar("upright" if seed % 2 else "flat", seed, side=64, n=600, start_us=5_000)
     events = events[~mask_of(SIZE, HOT)[events["y"], events["x"]]]
-    hot = np.zeros(900, events.dtype)
-    hot["t"] = np.linspace(1_000, 120_000, len(hot)).astype(np.int64)
-    hot["x"], hot["y"] = HOT[np.arange(len(hot)) % 2].T
-    first, hot = hot[450:451], np.delete(hot, 450)
-    rest = np.concatenate((events, hot))
-    return events, np.concatenate((first, rest[np.argsort(rest["t"], kind="stable")]))
+    t = np.linspace(1_000, 120_000, 900).astype(int)
+    hot = events_of(t, *HOT[np.arange(900) % 2].T, np.zeros(900, int))
+    rest = np.concatenate((events, np.delete(hot, 450)))
+    return events, np.concatenate((hot[450:451], rest[np.argsort(rest["t"], kind="stable")]))
 
 
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory):
     """The same recordings without hot pixels, with them, and with them on a larger camera, parts of which move, too."""
     folder = tmp_path_factory.mktemp("sets")
-    for kind in ("upright", "flat"):
-        for k in range(10):
-            events, hot = recorded(kind, k)
-            around, large = hot[::2].copy(), hot.copy()
-            large["x"] += CORNER[0]
-            large["y"] += CORNER[1]
-            around["x"] = np.where(np.arange(len(around)) % 2, 2, 119)
-            made = {"clean": (events, SIZE), "hot": (hot, SIZE), "large": (np.concatenate((large, around)), CAMERA)}
-            for name, (all_events, sensor) in made.items():
-                if k < 5:
-                    write(folder / name / "Train" / kind / f"{k}{('.npz', '.csv')[k % 2]}", all_events, sensor=sensor)
-                else:
-                    write(folder / name / "Test" / kind / f"{k}.npy", all_events)  # which does not state it
+    for k in range(20):
+        events, hot = recorded(k)
+        large, around = hot.copy(), hot[::2].copy()
+        large["x"] += CORNER[0]
+        large["y"] += CORNER[1]
+        around["x"] = np.where(np.arange(len(around)) % 2, 2, 119)
+        made = {"clean": (events, SIZE), "hot": (hot, SIZE), "large": (np.concatenate((large, around)), CAMERA)}
+        for name, (all_events, sensor) in made.items():
+            file = f"Test/{k % 2}/{k}.npy" if k < 10 else f"Train/{k % 2}/{k}.npz"  # .npy does not state the sensor
+            write(folder / name / file, all_events, sensor=sensor)
     save_mask(folder / "hot.npy", mask_of(SIZE, HOT))
     save_mask(folder / "large.npy", mask_of(CAMERA, HOT + CORNER))
     return folder

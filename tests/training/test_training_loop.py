@@ -10,15 +10,12 @@ from made import events_of
 torch = pytest.importorskip("torch")
 
 from async_tnt.config import TNTConfig  # noqa: E402
-from async_tnt.networks.loading import load_model  # noqa: E402
-from async_tnt.networks.torch_modules import torch_classifier  # noqa: E402
 from async_tnt.progress import Bar  # noqa: E402
 from async_tnt.training import loop  # noqa: E402
 from async_tnt.training.augment import Augmentation  # noqa: E402
-from async_tnt.training.batches import BatchVolumes  # noqa: E402
 from async_tnt.training.evaluation import evaluate  # noqa: E402
 from async_tnt.training.loop import balanced_order, batches_of  # noqa: E402
-from async_tnt.training.pipeline import Pipeline, export, input_scale, new_pipeline  # noqa: E402
+from async_tnt.training.pipeline import Pipeline  # noqa: E402
 from async_tnt.training.recordings import Recordings  # noqa: E402
 from async_tnt.training.run_folder import CHECKPOINT, FORMAT, load_checkpoint, save_checkpoint  # noqa: E402
 from async_tnt.training.settings import TrainSettings, settings_for  # noqa: E402
@@ -162,22 +159,6 @@ def test_a_damaged_checkpoint_or_one_of_another_release_is_refused(tmp_path):
     save_checkpoint(tmp_path, {"identity": identity | {"format": 2}, "history": []})
     with pytest.raises(ValueError, match=r"checkpoint.pt was written by another release .* remove it to start again"):
         load_checkpoint(tmp_path, identity)
-
-
-def test_the_exported_network_takes_raw_volumes(windows, tmp_path):
-    """conv1 absorbs the scale: logits are those of the scaled input, and survive the file."""
-    volumes = BatchVolumes(CONFIG)(windows).astype(np.float64)
-    assert np.isclose(np.square(volumes * input_scale(CONFIG, windows, n=len(windows))).mean(), 1.0, rtol=1e-5)
-    pipeline = new_pipeline(CONFIG, len(CLASSES), 1, windows).eval()
-    with torch.no_grad():
-        scaled = pipeline(windows[:5])
-        export(pipeline, CLASSES, {"seed": 1}).save(tmp_path / "m.safetensors")
-        model = load_model(tmp_path / "m.safetensors")
-        raw = torch_classifier(model)(torch.from_numpy(volumes[:5]).float())
-        unscaled = pipeline.classifier(torch.from_numpy(volumes[:5]).float())
-    torch.testing.assert_close(raw, scaled, atol=1e-5, rtol=1e-4)
-    assert (scaled - unscaled).abs().max() > 1e-3
-    assert model.record == {"seed": 1}
 
 
 def test_iterations_end_the_training_within_an_epoch(windows, tmp_path):
