@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.events import EVENT_DTYPE, as_events
+from async_tnt.events import EVENT_DTYPE, EventDecoder
 from async_tnt.files import replacing
 from async_tnt.training.augment import Augmentation
-from async_tnt.training.recordings import Recordings
+from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows
 
 
@@ -123,19 +123,29 @@ def moved_recordings(files: Sequence[Path], variation: int, labels: np.ndarray, 
     ------
     ValueError : a damaged file, or not one window for each label.
     """
-    windows: list[np.ndarray] = []
+    decoder = EventDecoder(config.sensor, late="raise")
+    parts: dict[str, list[np.ndarray]] = {name: [np.empty(0, dtype)] for name, dtype in COLUMNS.items()}
+    offsets = [np.zeros(1, np.int64)]
     for path in files:
         found, events = read_arrays(path, "found", f"moved_{variation}")
+        decoder.reset()
         try:
-            events = as_events(events, config.sensor)
+            *columns, n = decoder.decode(events)
         except (ValueError, TypeError) as error:
             raise damaged(path, error) from None
-        index = events["t"] // config.window_us
-        events["t"] -= index * config.window_us
-        windows += np.split(events, np.searchsorted(index, np.arange(1, len(found))))
-    if len(windows) != len(labels):
-        raise damaged(files[0].parent, f"{len(windows)} windows, expected {len(labels)}")
-    return Recordings.from_events(windows, labels)
+        t = columns[0][:n]
+        ends = np.searchsorted(t, config.window_us * np.arange(1, len(found) + 1))
+        if ends[-1] != n:
+            raise damaged(path, f"`t` must be within {len(found)} windows, got {t[-1]}")
+        t %= config.window_us
+        for (name, dtype), column in zip(COLUMNS.items(), columns, strict=True):
+            parts[name].append(column[:n].astype(dtype))
+        offsets.append(offsets[-1][-1] + ends)
+    bounds = np.concatenate(offsets)
+    if len(bounds) != len(labels) + 1:
+        raise damaged(files[0].parent, f"{len(bounds) - 1} windows, expected {len(labels)}")
+    together = {name: np.concatenate(part) for name, part in parts.items()}
+    return Recordings(**together, offsets=bounds, labels=labels, names=tuple(map(str, range(len(labels)))))
 
 
 def damaged(path: Path, what: object) -> ValueError:
