@@ -1,5 +1,7 @@
 """A trained model's probabilities: what they say on held-out windows, and where nothing is there."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from made import events_of
@@ -79,16 +81,10 @@ def test_a_temperature_makes_nine_of_ten_right_at_nine_tenths():
     told = softened(truth, 1 / 2.5)  # far too sure
     temperature = fit_temperature(told, labels)
     assert temperature == pytest.approx(2.5, rel=0.05)
-    windows = make_windows(Recordings.from_events([events_of([5], [1], [1], [1])] * 2, [0, 1]), 100_000)
-
-    def evaluation(probabilities):
-        found = Evaluation(windows, (100.0,), probabilities[np.newaxis], probabilities)
-        object.__setattr__(found, "windows", type("Many", (), {"labels": labels}))
-        return found
-
-    assert evaluation(told).calibration_error > 0.15
-    assert evaluation(told).at_temperature(temperature).calibration_error < 0.01
-    assert evaluation(told).sure_of_nothing > evaluation(told).at_temperature(temperature).sure_of_nothing
+    found = Evaluation(SimpleNamespace(labels=labels), (100.0,), told[np.newaxis], told)
+    softer = found.at_temperature(temperature)
+    assert found.calibration_error > 0.15 and softer.calibration_error < 0.01
+    assert found.sure_of_nothing > softer.sure_of_nothing
     assert fit_temperature(softened(truth, 4), labels) == pytest.approx(1 / 4, rel=0.05)
 
 

@@ -88,8 +88,3 @@ def test_single_recordings_give_each_class_its_share_and_at_least_one(share, exp
     labels = np.array([0] * 10 + [1] * 3 + [2])
     _, held_out = hold_out_groups(labels, [str(k) for k in range(14)], share, np.random.default_rng(0))
     assert np.bincount(labels[held_out], minlength=3).tolist() == expected
-
-
-def test_a_share_of_all_is_refused():
-    with pytest.raises(ValueError, match=r"must be in \[0, 1\), got 1"):
-        hold_out_groups(np.zeros(2, int), ["a", "b"], 1, np.random.default_rng(0))
