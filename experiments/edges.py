@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from async_tnt.progress import progress
-from async_tnt.simulation.mnist import load_mnist
 from async_tnt.simulation.scene import render
 from async_tnt.simulation.trajectories import nmnist_saccades
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.bench_timing import machine
 from experiments.comparison import recordings_by_image
+from experiments.mnist import load_mnist
 from experiments.script_options import add_folder, data_folder, exit_with, script_parser, write_outputs
 
 N_RECORDINGS = 1_000

@@ -152,7 +152,7 @@ def export(made: MovingMnist, folder: Path) -> None:
                 (motion / str(label)).mkdir(parents=True, exist_ok=True)
             for i in range(len(shard)):
                 path = motion / str(int(shard.labels[i])) / f"{int(shard.image[i]) + 1:05}.bin"
-                write_nmnist(path, shard.recording(i), sensor=shard.sensor)
+                write_nmnist(path, shard.recording(i), sensor=made.sensor)
                 bar.update()
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.mnist import load_mnist
 from async_tnt.sources.files.nmnist import write_nmnist
+from experiments.mnist import load_mnist
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
 
 FIRST_SAMPLE = 2_000

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.files import write_text
-from async_tnt.simulation.shards import Shard, open_shard
 from experiments.motions import Motion, motions_of
+from experiments.shards import Shard, open_shard
 
 MANIFEST = "set.json"
 FORMAT = "async_tnt.moving_mnist"
@@ -36,14 +36,12 @@ class MovingMnist:
     shards : the files, motion by motion, and by image within each.
     motions : the motions, by index.
     parameters : everything that decides the content: split, kind, digits, seed, simulator, MNIST's checksum ...
-    missing : how many of `shards` do not exist (yet); 0 unless `open_set` allows it.
     """
 
     folder: Path
     shards: tuple[Path, ...]
     motions: tuple[Motion, ...]
     parameters: dict[str, Any]
-    missing: int = 0
 
     @property
     def sensor(self) -> tuple[int, int]:
@@ -56,22 +54,12 @@ class MovingMnist:
         return len(self.motions) * self.parameters["digits"]
 
     def __iter__(self) -> Iterator[Shard]:
-        """Open one shard after the other, skipping missing ones."""
-        return (open_shard(path) for path in self.shards if path.exists())
+        """Open one shard after the other."""
+        return map(open_shard, self.shards)
 
     def locate(self, motion: int, image: int) -> tuple[Path, int]:
-        """The shard that holds the recording of an image under a motion, and its place there.
-
-        Raises
-        ------
-        IndexError : no such motion or image in the set.
-        """
+        """The shard that holds the recording of an image under a motion, and its place there."""
         digits, step = self.parameters["digits"], self.parameters["recordings_per_shard"]
-        if not (0 <= motion < len(self.motions) and 0 <= image < digits):
-            raise IndexError(
-                f"motion must be in [0, {len(self.motions)}) and image in [0, {digits}), got "
-                f"{motion} and {image}: {self.folder}"
-            )
         return self.shards[motion * -(-digits // step) + image // step], image % step
 
 
@@ -93,6 +81,10 @@ def write_manifest(made: MovingMnist) -> None:
             if there.get(name) != made.parameters.get(name):
                 raise other_parameters(path, name, there.get(name), made.parameters.get(name))
         return
+    if any(shard.exists() for shard in made.shards):
+        raise ValueError(
+            f"{made.folder}: shards without {MANIFEST}, which says how they were made. Give another folder"
+        )
     content = {
         "format": FORMAT,
         "version": VERSION,
@@ -112,11 +104,6 @@ def read_manifest(folder: Path) -> MovingMnist:
         if (content["format"], content["version"]) != (FORMAT, VERSION):
             raise ValueError(f"expected {FORMAT} version {VERSION}, got {content['format']} {content['version']}")
         parameters = {name: content["parameters"][name] for name in PARAMETERS}
-        width, height = parameters["sensor"]
-        if type(width) is not int or type(height) is not int:
-            raise ValueError(f"`sensor` must be two whole numbers, got {parameters['sensor']}")
-        if type(parameters["simulator"]["scene"]["dark_on_bright"]) is not bool:
-            raise ValueError("`dark_on_bright` must be true or false")
         moving = motions_of(parameters["kind"])
         names = shard_names(moving, parameters["digits"], parameters["recordings_per_shard"])
         if content["motions"] != [dataclasses.asdict(motion) for motion in moving] or content["shards"] != names:

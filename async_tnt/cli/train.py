@@ -137,7 +137,7 @@ def _read(
     from async_tnt.training.dataset import file_sizes
     from async_tnt.training.groups import check_share, groups_by_pattern, groups_checksum
     from async_tnt.training.pipeline import check_network
-    from async_tnt.training.run_folder import check_run
+    from async_tnt.training.run_folder import load_checkpoint
     from async_tnt.training.settings import default_config, settings_for
 
     pixels = _pixels_of(args, start)
@@ -153,16 +153,16 @@ def _read(
     check_share(args.validation)
     groups_by_pattern((), args.groups or "")
     sources: dict[str, Any] = {
-        "recordings": file_sizes(args.dataset, "Train"),
         "validation": args.validation,
         "groups": args.groups or groups_checksum(args.dataset),
-        "pixels": pixels.about,
+        **{name: pixels.about.get(name) for name in ("roi", "crop", "mask")},
     }
+    recordings = file_sizes(args.dataset, "Train")
     fitted_to_data = () if start is not None else {"grid", "window_us"} - given.keys()
     volume = {name: value for name, value in config.to_dict().items() if name not in ("sensor", *fitted_to_data)}
     if pixels.sensor is not None and not pixels.crop:
         volume["sensor"] = pixels.sensor
-    check_run(run_folder, volume, {"seed": settings.seed, "network": settings.network}, sources)
+    load_checkpoint(run_folder, {**volume, "seed": settings.seed, "network": settings.network, **sources}, recordings)
     data = dataset_data(
         args.dataset,
         config,
@@ -180,8 +180,7 @@ def _read(
     )
     if start is None:
         check_network(settings.network, data.config)
-    sources["used"] = list(data.training.recordings.names)
-    return data, settings_for(data.config, len(data.training), **wanted), sources
+    return data, settings_for(data.config, len(data.training), **wanted), {**sources, "recordings": recordings}
 
 
 def _pixels_of(args: argparse.Namespace, start: Model | None) -> PixelSelection:
@@ -246,11 +245,11 @@ def _draw_motions(motions: Motions, data: TrainingData, path: Path) -> None:
         import matplotlib  # noqa: F401
     except ImportError:
         return
-    from async_tnt.training.motion_examples import motion_examples
+    from async_tnt.training.resynthesis import examples
     from async_tnt.views.figure_resynthesis import write_resynthesis
 
     if motions.found.any():
-        write_resynthesis(motion_examples(motions, data.config, data.classes), path)
+        write_resynthesis(examples(motions, data.classes), path)
 
 
 def _draw_confusion(out: Path, scores: Scores) -> Path:

@@ -1,12 +1,10 @@
-"""Simulate an event camera in front of a moving image: trajectories, scene, pixels, and MNIST's digits.
+"""Simulate an event camera in front of a moving image: trajectories, scene, pixels, digits.
 
 Needs no torch.
 """
 
 from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.mnist import load_mnist, read_idx
 from async_tnt.simulation.scene import Scene, render
-from async_tnt.simulation.shards import Shard, open_shard, write_shard
 from async_tnt.simulation.simulator import PixelModel, simulate
 from async_tnt.simulation.trajectories import ConstantVelocity, Saccade, Saccades, Trajectory, nmnist_saccades
 
@@ -16,14 +14,9 @@ __all__ = [
     "Saccade",
     "Saccades",
     "Scene",
-    "Shard",
     "Trajectory",
-    "load_mnist",
     "nmnist_saccades",
-    "open_shard",
-    "read_idx",
     "render",
     "simulate",
     "simulate_digit",
-    "write_shard",
 ]

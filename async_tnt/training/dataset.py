@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,8 @@ from async_tnt.sources.sensor import Sensor, format_size
 from async_tnt.training.recordings import Recordings, RecordingsWriter
 
 MAX_US = 1 << 31  # what a column of int32 holds
-MAX_WAITING = 1 << 24
-"""Events that are kept until a recording states its sensor."""
+Known = dict[bytes, tuple[int, str]]
+"""Fingerprint of a recording that has been read -> its label and name."""
 
 
 @dataclass(frozen=True)
@@ -50,20 +51,6 @@ class Dataset:
     known: Known
 
 
-@dataclass
-class Known:
-    """Recordings that have been read, so that the same one is noticed again.
-
-    Parameters
-    ----------
-    recorded : fingerprint -> label and name.
-    seen : label and fingerprint of the selected events -> fingerprint of all, and name.
-    """
-
-    recorded: dict[bytes, tuple[int, str]] = field(default_factory=dict)
-    seen: dict[tuple[int, bytes], tuple[bytes, str]] = field(default_factory=dict)
-
-
 def read_dataset(
     folder: str | os.PathLike[str],
     *,
@@ -81,9 +68,9 @@ def read_dataset(
     that cannot be read, have no events, or have an event off the sensor are left out. So are events older than their
     recording's first one, as in a stream; the others are sorted by time.
 
-    The same recording in two classes is an error: one of its labels is wrong. All events are compared, so recordings
-    that differ only outside of the region are not the same. A recording that the network could not tell from another
-    one of its class is left out: it might be learned on one side of the split and asked about on the other.
+    The same recording in two classes is an error: one of its labels is wrong. In one class, the second one is left out:
+    it might be learned on one side of the split and asked about on the other. All events are compared, also those that
+    are removed.
 
     Parameters
     ----------
@@ -110,43 +97,22 @@ def read_dataset(
     names = tuple(found) if classes is None else classes
     labelled = [(label, one) for label, name in enumerate(names) for one in found.get(name, [])]
     camera, source = pixels.camera, sensor_source
-    waiting: list[_Recording] = []  # until the sensor is known
-    n_waiting = 0  # their events
+    if camera is None:
+        camera, source = _stated_sensor([file for _, file in labelled])
+    reader = _Reader(str(folder), pixels, camera, source, {} if known is None else known)
+    left_out: list[tuple[int, str]] = []
     with RecordingsWriter(store) as writer, progress(len(labelled), "reading") as bar:
-        selection = _Selection(writer, Known() if known is None else known)
-        for label, which in labelled:
-            one = _Recording.read(which, label, pixels.camera)
-            waiting.append(one)
-            n_waiting += 0 if one.events is None else len(one.events)
-            if camera is None:
-                camera, source = one.sensor, one.name
-            elif one.sensor not in (None, camera):
-                raise ValueError(
-                    f"{folder}: all recordings must be of one sensor, got {format_size(camera)} ({source}) and "
-                    f"{format_size(one.sensor)} ({one.name})"
-                )
-            if camera is not None:
-                keep = _filter(pixels, camera)
-                for read in waiting:
-                    read.select(keep, camera)
-                    selection.add(read)
-                waiting.clear()
-                n_waiting = 0
+        for label, file in labelled:
+            try:
+                writer.add(reader.read(file, label), label, file.name)
+            except _LeftOut as error:
+                # by name, not by path: the reason goes into the model's record, which may be published
+                left_out.append((label, str(error).replace(str(file.path), file.name)))
             bar.update()
-            if n_waiting > MAX_WAITING:
-                break
-        if camera is None and any(one.events is not None for one in waiting):
-            x, y = (max(int(one.events[axis].max()) for one in waiting if one.events is not None) for axis in "xy")
-            raise ValueError(
-                f"{folder}: none of {len(waiting)} recordings states its sensor; give `sensor` (their events need "
-                f"at least {x + 1}x{y + 1})"
-            )
-        for one in waiting:
-            selection.add(one)
         recordings = writer.finish()
     empty = [name for label, name in enumerate(names) if label not in recordings.labels]
     if empty and (classes is None or not len(recordings)):  # of given classes, some may have no recordings
-        out = [line.removesuffix(".") for label, line in selection.left_out if names[label] in empty]
+        out = [line.removesuffix(".") for label, line in left_out if names[label] in empty]
         raise ValueError(
             f"{folder}: no recording of class {', '.join(empty)} is left; record some, or remove the folder "
             f"(left out: {out[0]}{f'; and {len(out) - 1} more' if len(out) > 1 else ''})"
@@ -154,12 +120,13 @@ def read_dataset(
     assert camera is not None  # as there are recordings
     left_out_events = {}
     if pixels.roi is not None:
-        left_out_events["left_out_outside"] = selection.n_outside
+        left_out_events["left_out_outside"] = reader.n_outside
     if pixels.mask is not None:
-        left_out_events["left_out_masked"] = selection.n_masked
-    left_out = tuple(line for _, line in selection.left_out)
-    region = pixels.region or camera
-    return Dataset(recordings, names, camera, region, left_out, left_out_events, selection.n_late, selection.known)
+        left_out_events["left_out_masked"] = reader.n_masked
+    reasons = tuple(line for _, line in left_out)
+    return Dataset(
+        recordings, names, camera, pixels.region or camera, reasons, left_out_events, reader.n_late, reader.known
+    )
 
 
 def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
@@ -168,128 +135,102 @@ def file_sizes(folder: Path, part: str = "Train") -> dict[str, int]:
     return {one.name: one.path.stat().st_size if one.path.exists() else -1 for one in recordings}
 
 
-@dataclass
-class _Recording:
-    """A recording on its way from its file to the network.
+def _stated_sensor(files: list[LabelledRecording]) -> tuple[Sensor | None, str]:
+    """The sensor of the first recording that states one, and its name."""
+    for file in files:
+        with contextlib.suppress(ValueError, OSError):  # told when it is read
+            stated = open_recording(file.path, strict=True, between_us=file.between_us).stated_sensor
+            if stated is not None:
+                return (int(stated[0]), int(stated[1])), file.name
+    return None, ""
+
+
+class _LeftOut(Exception):
+    """Why a recording is left out."""
+
+
+class _Reader:
+    """Reads recordings of one camera, as the network will see them, and counts the events that it removes.
 
     Parameters
     ----------
-    label : index of its class.
-    events : None if it is left out.
-    sensor : (width, height) as the file states it, or None.
-    fingerprint : of its events before any is removed.
-    left_out : why it is left out, or "".
-    n_outside, n_masked, n_late : events removed outside of the region, at masked pixels, and older than the first one.
+    camera, source : (width, height), and what states it; None if nothing does.
+    known : recordings that have been read before.
     """
 
-    file: LabelledRecording
-    label: int
-    events: np.ndarray | None = None
-    sensor: Sensor | None = None
-    fingerprint: bytes = b""
-    left_out: str = ""
-    n_outside: int = 0
-    n_masked: int = 0
-    n_late: int = 0
+    def __init__(self, folder: str, pixels: PixelSelection, camera: Sensor | None, source: str, known: Known) -> None:
+        self._folder, self._given, self._camera, self._source = folder, pixels.camera, camera, source
+        self.known = known
+        self.n_outside = self.n_masked = self.n_late = 0
+        self._filter: PixelFilter | None = None
+        if camera is not None and pixels.leaves_out:
+            mask = None if pixels.mask is None else pixels.mask.pixels(camera)
+            self._filter = PixelFilter(camera, pixels.roi, mask, crop=pixels.crop)
 
-    @classmethod
-    def read(cls, file: LabelledRecording, label: int, sensor: Sensor | None) -> _Recording:
-        """All events of a recording; `sensor` is that of a file that does not state one."""
-        one = cls(file, label)
+    def read(self, file: LabelledRecording, label: int) -> np.ndarray:
+        """The selected events, in order, with times from the first of them on.
+
+        Raises
+        ------
+        _LeftOut : it cannot be read, or is not for training.
+        ValueError : another sensor, or none; the same recording is in another class; it is too long.
+        """
         try:
-            recording = open_recording(file.path, strict=True, sensor=sensor, between_us=file.between_us)
+            recording = open_recording(file.path, strict=True, sensor=self._given, between_us=file.between_us)
             events = recording.read()
         except (ValueError, OSError) as error:
-            return one.leave_out(_message(error, file))
+            raise _LeftOut(_message(error, file)) from None
         if len(events) == 0:
-            return one.leave_out(f"{one.name}: no events")
-        if recording.stated_sensor is not None:
-            one.sensor = int(recording.stated_sensor[0]), int(recording.stated_sensor[1])
-        one.events, one.fingerprint = events, fingerprint(events)
-        return one
+            raise _LeftOut(f"{file.name}: no events")
+        self._check_sensor(file, recording.stated_sensor, events)
+        mine = label, file.name
+        first = self.known.setdefault(fingerprint(events), mine)
+        if first[0] != label:
+            raise ValueError(
+                f"{first[1]} and {file.name} hold the same events but are in two classes; remove the wrong one"
+            )
+        if first is not mine:
+            raise _LeftOut(f"{file.name}: the same events as {first[1]}")
+        return self._selected(file, events)
 
-    @property
-    def name(self) -> str:
-        return self.file.name
-
-    def leave_out(self, why: str) -> _Recording:
-        """Give the reason by name, not by path: it goes into the model's record, which may be published."""
-        self.events, self.left_out = None, why.replace(str(self.file.path), self.name)
-        return self
-
-    def select(self, keep: PixelFilter | None, sensor: Sensor) -> None:
-        """Reduce the events to those that the network will see, with times from the first of them on, in order.
-
-        Raises
-        ------
-        ValueError : it is too long.
-        """
-        if self.events is None:
-            return
-        for axis, side in zip("xy", sensor, strict=True):
-            off = np.flatnonzero(self.events[axis] >= side)
+    def _check_sensor(self, file: LabelledRecording, stated: Sensor | None, events: np.ndarray) -> None:
+        if self._camera is None:
+            width, height = (int(events[axis].max()) + 1 for axis in "xy")
+            raise ValueError(
+                f"{self._folder}: no recording states its sensor; give `sensor` ({file.name} needs at least "
+                f"{width}x{height})"
+            )
+        if stated is not None and tuple(stated) != self._camera:
+            raise ValueError(
+                f"{self._folder}: all recordings must be of one sensor, got {format_size(self._camera)} "
+                f"({self._source}) and {format_size(stated)} ({file.name})"
+            )
+        for axis, side in zip("xy", self._camera, strict=True):
+            off = np.flatnonzero(events[axis] >= side)
             if len(off):
-                got = f"{axis} = {self.events[axis][off[0]]} at event {off[0]}"
-                self.leave_out(f"{self.name}: every event must lie on the {format_size(sensor)} sensor, got {got}.")
-                return
-        seen = self.events if keep is None else keep(self.events)
+                got = f"{axis} = {events[axis][off[0]]} at event {off[0]}"
+                raise _LeftOut(
+                    f"{file.name}: every event must lie on the {format_size(self._camera)} sensor, got {got}."
+                )
+
+    def _selected(self, file: LabelledRecording, events: np.ndarray) -> np.ndarray:
+        keep, kept = self._filter, events
         if keep is not None:
-            self.n_outside, self.n_masked = keep.counts.dropped_outside, keep.counts.dropped_masked
             keep.reset()
-        self.n_late = len(seen)
-        seen = from_first_event(seen)
-        self.n_late -= len(seen)
+            kept = keep(events)
+        seen = from_first_event(kept)
         if len(seen) == 0:
-            self.leave_out(f"{self.name}: no events at the selected pixels")
-            return
+            raise _LeftOut(f"{file.name}: no events at the selected pixels")
         if seen["t"][-1] >= MAX_US:
             raise ValueError(
-                f"{self.file.path}: lasts {seen['t'][-1] / 60e6:.0f} minutes, more than the 35 that training supports; "
+                f"{file.path}: lasts {seen['t'][-1] / 60e6:.0f} minutes, more than the 35 that training supports; "
                 "cut it into shorter recordings"
             )
-        self.events = seen
-
-
-class _Selection:
-    """The recordings that are kept, and why others are not.
-
-    Left out are those that look the same to the network as an earlier one of their class; the same recording in two
-    classes is refused.
-    """
-
-    def __init__(self, writer: RecordingsWriter, known: Known) -> None:
-        self._writer = writer
-        self.known = known
-        self.left_out: list[tuple[int, str]] = []
-        """Label and reason."""
-        self.n_outside = self.n_masked = self.n_late = 0
-
-    def add(self, one: _Recording) -> None:
-        """Keep a recording, or not.
-
-        Raises
-        ------
-        ValueError : it is also in another class.
-        """
-        if one.events is not None:
-            label, name = self.known.recorded.setdefault(one.fingerprint, (one.label, one.name))
-            if label != one.label:
-                raise ValueError(
-                    f"{name} and {one.name} hold the same events but are in two classes; remove the wrong one"
-                )
-            mine = one.fingerprint, one.name
-            twin = self.known.seen.setdefault((label, fingerprint(one.events)), mine)
-            if twin is not mine:
-                where = "" if twin[0] == one.fingerprint else " at the selected pixels"
-                one.leave_out(f"{one.name}: the same events as {twin[1]}{where}")
-        if one.events is None:
-            self.left_out.append((one.label, one.left_out))
-            return
-        self._writer.add(one.events, one.label, one.name)
-        self.n_outside += one.n_outside
-        self.n_masked += one.n_masked
-        self.n_late += one.n_late
-        one.events = None  # they are in the writer
+        self.n_late += len(kept) - len(seen)
+        if keep is not None:
+            self.n_outside += keep.counts.dropped_outside
+            self.n_masked += keep.counts.dropped_masked
+        return seen
 
 
 def from_first_event(events: np.ndarray) -> np.ndarray:
@@ -310,14 +251,6 @@ def fingerprint(events: np.ndarray) -> bytes:
     for name, dtype in (("x", np.uint16), ("y", np.uint16), ("p", np.uint8)):
         hashed.update(np.ascontiguousarray(events[name], dtype).tobytes())
     return hashed.digest()
-
-
-def _filter(pixels: PixelSelection, sensor: Sensor) -> PixelFilter | None:
-    """The filter that keeps these pixels; None if it would keep all."""
-    if not pixels.leaves_out:
-        return None
-    mask = None if pixels.mask is None else pixels.mask.pixels(sensor)
-    return PixelFilter(sensor, pixels.roi, mask, crop=pixels.crop)
 
 
 def _check_classes(

@@ -64,7 +64,8 @@ def train(
     classes : names, one for each label from 0 on.
     start : a model to continue from; None starts with random weights.
     motions : other motions of the training windows, shown among these.
-    sources : kept in the checkpoint, so that `check_run` can compare it before any data is read.
+    sources : what the data comes from, for a checkpoint that is compared before any data is read: `recordings`, name ->
+        bytes, and anything that decides which of their events are seen.
     progress : makes the progress bar, which counts optimizer steps.
     report : called with the history's new row after each epoch, when its checkpoint is written.
     device : of torch; by default a GPU where torch finds one, else the CPU.
@@ -94,7 +95,12 @@ def train(
     placed: Any = pipeline  # the stubs of `to` know no memory_format
     placed.to(memory_format=torch.channels_last)  # a third faster
     optimizer = _optimizer(pipeline, settings)
-    identity = identity_of(config, settings, training, validation, start, classes, motions and motions.settings)
+    files = dict(sources or {})
+    recordings = files.pop("recordings", {})
+    identity = {
+        **files,
+        **identity_of(config, settings, training, validation, start, classes, motions and motions.settings),
+    }
     state = load_checkpoint(run_folder, identity)
     history: list[dict[str, float]] = []
     if state is not None:
@@ -148,7 +154,8 @@ def train(
                 history[-1] |= {f"motions_{name}": moved[name] for name in moved if name != "per_recording"}
             checkpoint = {
                 "identity": identity,
-                "sources": dict(sources or {}),
+                "recordings": recordings,
+                "used": list(training.recordings.names) if recordings else [],
                 "pipeline": pipeline.state_dict(),
                 "optimizer": optimizer.state_dict(),
                 "history": history,

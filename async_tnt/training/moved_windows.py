@@ -1,4 +1,12 @@
-"""Windows to train on under other motions, as an epoch shows them. `resynthesis` makes them."""
+"""Windows to train on under other motions, as an epoch shows them, and their files. `resynthesis` makes them.
+
+An .npz file has n consecutive windows:
+
+    moved_0, moved_1, ...   structured (t, x, y, p): events of all n under one random motion each, end to end: those of
+                            window i from i * window_us on
+    found                   bool, (n,): whether its path was found; without one a window has no events here
+    positions               float64, (n, K, 2): its path, see `MotionPath.positions`
+"""
 
 from __future__ import annotations
 
@@ -9,7 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.simulation.shards import open_shard
+from async_tnt.config import TNTConfig
+from async_tnt.events import EVENT_DTYPE, EventDecoder
+from async_tnt.files import replacing
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.recordings import COLUMNS, Recordings
 from async_tnt.training.windows import Windows
@@ -49,58 +59,95 @@ class Motions:
 
     Parameters
     ----------
-    shards : of each variation.
+    files : their other motions, one file after the other.
     training : as recorded.
     found : bool, (N,): which of them have other motions.
     paths : float64, (N, K, 2): how they moved, see `MotionPath.positions`.
     validation : the windows that are held out, under another motion each; those whose path was found.
-    window_us : length of the windows.
+    config : of the volumes; its sensor and the length of its windows are used.
     settings : how they were made.
     record : how many paths were found, what was measured, and how well it matches, for a model's record.
     """
 
-    shards: list[list[Path]]
+    files: list[Path]
     training: Windows
     found: np.ndarray
     paths: np.ndarray
     validation: Windows
-    window_us: int
+    config: TNTConfig
     settings: MotionSettings
     record: dict[str, Any]
 
     def show(self, epoch: int, order: np.ndarray, rng: np.random.Generator) -> Windows:
         """The windows `order` as an epoch shows them: under another motion, or as they were recorded."""
         is_moved = self.found[order] & (rng.random(len(order)) >= self.settings.recorded)
-        margin_us = max(self.window_us // 10, round(1e3 * Augmentation().start_ms))  # augmentation moves their starts
-        recorded = self.training[order[~is_moved]].cut(self.window_us, margin_us)
-        moved = read_shards(self.shards[epoch % self.settings.variations], self.training.labels)
+        window_us = self.config.window_us
+        margin_us = max(window_us // 10, round(1e3 * Augmentation().start_ms))  # augmentation moves their starts
+        recorded = self.training[order[~is_moved]].cut(window_us, margin_us)
+        variation = epoch % self.settings.variations
+        moved = moved_recordings(self.files, variation, self.training.labels, self.config)
         recording, start_us = np.zeros((2, len(order)), np.int64)
         recording[~is_moved], start_us[~is_moved] = recorded.recording, recorded.start_us
         recording[is_moved] = len(recorded.recordings) + order[is_moved]
         return Windows(recorded.recordings + moved, recording, start_us)
 
 
-def read_shards(paths: Sequence[Path], labels: np.ndarray) -> Recordings:
-    """The recordings of several shards, one after the other.
+def write_moved(
+    path: Path, moved: Sequence[Sequence[np.ndarray]], found: np.ndarray, positions: np.ndarray, window_us: int
+) -> None:
+    """Write a file: the events of each variation's windows, times from the window's start."""
+    times = np.int32 if len(found) * window_us < 1 << 31 else np.int64
+    stored = np.dtype([("t", times), *EVENT_DTYPE.descr[1:]])
+    arrays = {"found": found, "positions": positions}
+    for v, windows in enumerate(moved):
+        events = np.concatenate(windows)
+        events["t"] += np.repeat(window_us * np.arange(len(windows)), [len(one) for one in windows])
+        arrays[f"moved_{v}"] = events.astype(stored)
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
+    """Arrays of a file; a ValueError if it is damaged, which the checksums of the archive tell."""
+    try:
+        with path.open("rb") as content, np.load(content) as file:
+            return [file[name] for name in names]
+    except Exception as error:  # a damaged archive surfaces as any of a dozen types
+        raise damaged(path, type(error).__name__) from error
+
+
+def moved_recordings(files: Sequence[Path], variation: int, labels: np.ndarray, config: TNTConfig) -> Recordings:
+    """The windows of several files under one of their motions, a recording each.
 
     Raises
     ------
-    ValueError : a damaged shard, or not one recording for each label.
+    ValueError : a damaged file, or not one window for each label.
     """
-    parts, offsets = [], [np.zeros(1, np.int64)]
-    for path in paths:
+    decoder = EventDecoder(config.sensor, late="raise")
+    parts: dict[str, list[np.ndarray]] = {name: [np.empty(0, dtype)] for name, dtype in COLUMNS.items()}
+    offsets = [np.zeros(1, np.int64)]
+    for path in files:
+        found, events = read_arrays(path, "found", f"moved_{variation}")
+        decoder.reset()
         try:
-            shard = open_shard(path)
-        except ValueError as error:
-            raise ValueError(f"{error}. Remove it and give the same command again") from None
-        parts.append(shard)
-        offsets.append(offsets[-1][-1] + shard.offsets[1:])
-    if sum(map(len, parts)) != len(labels):
-        raise ValueError(f"{paths[0].parent}: its shards hold {sum(map(len, parts))} windows, expected {len(labels)}")
-    columns = {
-        name: np.concatenate([np.empty(0, dtype), *(getattr(shard, name) for shard in parts)]).astype(dtype, copy=False)
-        for name, dtype in COLUMNS.items()
-    }
-    return Recordings(
-        **columns, offsets=np.concatenate(offsets), labels=labels, names=tuple(map(str, range(len(labels))))
-    )
+            *columns, n = decoder.decode(events)
+        except (ValueError, TypeError) as error:
+            raise damaged(path, error) from None
+        t = columns[0][:n]
+        ends = np.searchsorted(t, config.window_us * np.arange(1, len(found) + 1))
+        if ends[-1] != n:
+            raise damaged(path, f"`t` must be within {len(found)} windows, got {t[-1]}")
+        t %= config.window_us
+        for (name, dtype), column in zip(COLUMNS.items(), columns, strict=True):
+            parts[name].append(column[:n].astype(dtype))
+        offsets.append(offsets[-1][-1] + ends)
+    bounds = np.concatenate(offsets)
+    if len(bounds) != len(labels) + 1:
+        raise damaged(files[0].parent, f"{len(bounds) - 1} windows, expected {len(labels)}")
+    together = {name: np.concatenate(part) for name, part in parts.items()}
+    return Recordings(**together, offsets=bounds, labels=labels, names=tuple(map(str, range(len(labels)))))
+
+
+def damaged(path: Path, what: object) -> ValueError:
+    """The error about a damaged file among these."""
+    return ValueError(f"{path}: damaged ({what}). Remove it and give the same command again")

@@ -1,10 +1,9 @@
-"""Other motions of the windows to train on: made once by several processes, kept in shards beside the run.
+"""Other motions of the windows to train on: made once by several processes, kept in files beside the run.
 
-    <folder>/motions.json                    how they were made, and how well they match the recordings
-    <folder>/training_000000_0.safetensors   windows from 0 on under one random motion each, a shard
-    <folder>/training_000000.json            their own paths; written last: these windows are done
+    <folder>/motions.json          how they were made, and how well they match the recordings
+    <folder>/training_000000.npz   windows from 0 on under other motions, see `moved_windows`
+    <folder>/held-out_000000.npz   the same of those to validate on, each under one other motion
 
-Held-out windows are moved once, for validation.
 A window whose path was not found is used as it was recorded.
 """
 
@@ -23,23 +22,33 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.evaluation.processes import run_all
-from async_tnt.events import EVENT_DTYPE
+from async_tnt.events import EVENT_DTYPE, structured
 from async_tnt.files import write_text
 from async_tnt.progress import Bar, no_progress
 from async_tnt.resynthesis import Calibration, MotionPath, Reconstruction, calibrate
-from async_tnt.resynthesis.pixels import measure_pixels
-from async_tnt.resynthesis.reconstruction import N_PICTURES
-from async_tnt.simulation.shards import write_shard
-from async_tnt.training.moved_windows import Motions, MotionSettings, read_shards
+from async_tnt.resynthesis.moving_image import N_FRAMES
+from async_tnt.resynthesis.pixels import MeasuredPixels, SimulatedPixels, measure_pixels
+from async_tnt.resynthesis.reconstruction import N_PICTURES, shares
+from async_tnt.training.moved_windows import (
+    Motions,
+    MotionSettings,
+    damaged,
+    moved_recordings,
+    read_arrays,
+    write_moved,
+)
 from async_tnt.training.run_folder import other_run, windows_checksum
 from async_tnt.training.windows import Windows
+from async_tnt.views.figure_resynthesis import ResynthesizedWindow
 
 MANIFEST = "motions.json"
 N_CALIBRATION, N_SHARED = 128, 200
 """Windows that pixels are calibrated on, and that a shared path is found from."""
 MOST_WINDOWS, MOST_EVENTS = 500, 300_000
-"""Of a shard, as recorded: their variations are in memory together."""
+"""Of a file, as recorded: their variations are in memory together."""
 PARTS = ("training", "held-out")
+N_EXAMPLES, N_OTHERS = 5, 4
+"""Windows of a picture, and other motions of each."""
 
 
 def resynthesize(
@@ -61,13 +70,13 @@ def resynthesize(
     ----------
     training, held_out : windows as recorded; the latter may be empty.
     config : of which the sensor and the window's length are used.
-    folder : for the shards; made if missing.
+    folder : for the files; made if missing.
     masked : bool, (H, W): pixels whose events are left out, of the recordings already; None: no pixel.
     workers : processes.
 
     Raises
     ------
-    ValueError : windows shorter than 104 us; the folder holds other motions, or a damaged shard; no window's motion
+    ValueError : windows shorter than 104 us; the folder holds other motions, or a damaged file; no window's motion
         was found.
     """
     if config.window_us < 2 * N_PICTURES:
@@ -82,13 +91,13 @@ def resynthesize(
         **{name: value for name, value in asdict(settings).items() if name != "recorded"},
     }
     if manifest.exists():
-        there = _entry(_read_json(manifest), "made_from", manifest)
+        there = _read_manifest(manifest)["made_from"]
         differ = [name for name, value in made_from.items() if there.get(name) != value]
         if differ:
             raise other_run(folder, f"motions ({', '.join(differ)})")
     chunks = _chunks("training", training, config, folder, settings.variations)
     chunks += _chunks("held-out", held_out, config, folder, 1)
-    missing = [chunk for chunk in chunks if not chunk.is_done]
+    missing = [chunk for chunk in chunks if not chunk.file.exists()]
     if missing or not manifest.exists():
         reconstruction = Reconstruction(config.sensor, config.window_us)
         shared = _shared_paths(training, reconstruction, settings)
@@ -101,7 +110,6 @@ def resynthesize(
             "pixels": asdict(calibration.pixels),
             "length_px": calibration.length,
             "match": calibration.match,
-            "shared_paths": {str(start): path.positions.tolist() for start, path in shared.items()},
         }
         write_text(manifest, json.dumps(content, indent=1) + "\n")
         job = partial(_move, config=config, calibration=calibration, shared=shared, masked=masked, seed=settings.seed)
@@ -128,16 +136,8 @@ class _Chunk:
     folder: Path
 
     @property
-    def paths_file(self) -> Path:
-        return self.folder / f"{self.part}_{self.first:06}.json"
-
-    @property
-    def shards(self) -> list[Path]:
-        return [self.folder / f"{self.paths_file.stem}_{v}.safetensors" for v in range(self.variations)]
-
-    @property
-    def is_done(self) -> bool:
-        return all(path.exists() for path in (*self.shards, self.paths_file))
+    def file(self) -> Path:
+        return self.folder / f"{self.part}_{self.first:06}.npz"
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process: with the events of these windows instead of all."""
@@ -145,7 +145,7 @@ class _Chunk:
 
 
 def _chunks(part: str, windows: Windows, config: TNTConfig, folder: Path, variations: int) -> list[_Chunk]:
-    """All windows of a part, those of one shard in each."""
+    """All windows of a part, those of one file in each."""
     n_events = sum(len(windows.events(i, config.window_us)[0]) for i in range(len(windows)))
     step = int(np.clip(MOST_EVENTS * len(windows) / max(1, n_events), 1, MOST_WINDOWS))
     chunks = []
@@ -178,50 +178,27 @@ def _move(
     masked: np.ndarray | None,
     seed: int,
 ) -> int:
-    """Find the paths and images of a chunk's windows, and write its shards. Returns how many windows it has."""
+    """Find the paths and images of a chunk's windows, and write its file. Returns how many windows it has."""
     windows = chunk.windows
     reconstruction = Reconstruction(config.sensor, config.window_us)
     columns = [windows.events(i, config.window_us) for i in range(len(windows))]
     known = [shared.get(int(start)) for start in chunk.starts_us]
     moved: list[list[np.ndarray]] = [[np.empty(0, EVENT_DTYPE)] * len(windows) for _ in range(chunk.variations)]
-    motions = np.zeros((chunk.variations, len(windows), N_PICTURES, 2))
     paths = []
     for i, (path, image) in enumerate(reconstruction(columns, calibration.pixels.measured, known)):
         paths.append(path)
         if image is None:
             continue
         for v in range(chunk.variations):
-            rng = generator(seed, chunk.part, chunk.first + i, v)
-            one, motions[v, i] = image.moved(calibration.length, calibration.pixels, rng)
+            rng = _generator(seed, chunk.part, chunk.first + i, v)
+            one, _ = image.moved(calibration.length, calibration.pixels, rng)
             moved[v][i] = one if masked is None else one[~masked[one["y"], one["x"]]]
-    picture_us = config.window_us / (N_PICTURES - 1)
-    for shard, events, displacement in zip(chunk.shards, moved, motions, strict=True):
-        write_shard(
-            shard,
-            events,
-            labels=np.zeros(len(windows), np.uint8),  # the windows have them; a shard holds 256 classes at most
-            image=chunk.first + np.arange(len(windows)),
-            flow=np.diff(displacement, axis=1) / (picture_us * 1e-6),
-            flow_times_us=np.rint((np.arange(N_PICTURES - 1) + 0.5) * picture_us).astype(np.int64),
-            sensor=config.sensor,
-            duration_us=config.window_us,
-        )
-    rows = [
-        {
-            "found": path.found,
-            "events": path.n_events,
-            "explained": round(path.explained, 4),
-            "margin": round(path.margin, 2),
-            "evidence": round(path.evidence, 2),
-            "positions": path.positions.round(3).tolist(),
-        }
-        for path in paths
-    ]
-    write_text(chunk.paths_file, json.dumps(rows))
+    found, positions = np.array([path.found for path in paths]), np.array([path.positions for path in paths])
+    write_moved(chunk.file, moved, found, positions, config.window_us)
     return len(windows)
 
 
-def generator(seed: int, part: str, window: int, variation: int) -> np.random.Generator:
+def _generator(seed: int, part: str, window: int, variation: int) -> np.random.Generator:
     """The source of all randomness of one window's variation."""
     return np.random.default_rng((seed, PARTS.index(part), variation, window))
 
@@ -234,59 +211,69 @@ def _open(
     chunks: list[_Chunk],
     settings: MotionSettings,
 ) -> Motions:
-    manifest = folder / MANIFEST
-    content = _read_json(manifest)
-    found = {part: _column(chunks, part, "found", bool) for part in PARTS}
-    moving = np.flatnonzero(found["held-out"])
-    moved = read_shards([chunk.shards[0] for chunk in chunks if chunk.part == "held-out"], held_out.labels)
+    content = _read_manifest(folder / MANIFEST)
+    files = {part: [chunk.file for chunk in chunks if chunk.part == part] for part in PARTS}
+    found, paths = _paths(files["training"], len(training))
+    moving = np.flatnonzero(_paths(files["held-out"], len(held_out))[0])
+    moved = moved_recordings(files["held-out"], 0, held_out.labels, config)
     record = {
         **asdict(settings),
         "windows": len(training),
-        "with_path": int(found["training"].sum()),
+        "with_path": int(found.sum()),
         "held_out_windows": len(held_out),
         "held_out_with_path": len(moving),
-        **{name: _entry(content, name, manifest) for name in ("length_px", "pixels", "match")},
+        **{name: content[name] for name in ("length_px", "pixels", "match")},
     }
-    shards = [chunk.shards for chunk in chunks if chunk.part == "training"]
-    return Motions(
-        [list(some) for some in zip(*shards, strict=True)],
-        training,
-        found["training"],
-        _column(chunks, "training", "positions", np.float64),
-        Windows(moved, moving, np.zeros(len(moving), np.int64)),
-        config.window_us,
-        settings,
-        record,
+    validation = Windows(moved, moving, np.zeros(len(moving), np.int64))
+    return Motions(files["training"], training, found, paths, validation, config, settings, record)
+
+
+def _paths(files: list[Path], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Whether the path of each of `n` windows was found, bool, (n,), and the paths, (n, K, 2)."""
+    found, paths = [np.empty(0, bool)], [np.empty((0, N_FRAMES, 2))]
+    for path in files:
+        one, positions = read_arrays(path, "found", "positions")
+        if one.dtype != bool or one.ndim != 1 or positions.shape != (len(one), N_FRAMES, 2):
+            raise damaged(path, f"`found` has shape {one.shape}, `positions` {positions.shape}")
+        found.append(one)
+        paths.append(positions)
+    return np.concatenate(found), np.concatenate(paths)
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        wanted = {name: content[name] for name in ("made_from", "length_px", "pixels", "match")}
+        return {**wanted, "made_from": dict(wanted["made_from"])}
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
+        raise damaged(path, repr(error)) from None
+
+
+def examples(motions: Motions, classes: tuple[str, ...]) -> list[ResynthesizedWindow]:
+    """Windows of different classes, as far as there are, with their first variations, made once more for a picture."""
+    found = np.flatnonzero(motions.found)
+    labels, firsts = np.unique(motions.training.labels[found], return_index=True)
+    which = found[firsts[np.unique(np.linspace(0, len(labels) - 1, N_EXAMPLES).round().astype(int))]]
+    reconstruction = Reconstruction(motions.config.sensor, motions.config.window_us)
+    return [_example(motions, reconstruction, int(i), classes) for i in which]
+
+
+def _example(motions: Motions, reconstruction: Reconstruction, i: int, classes: tuple[str, ...]) -> ResynthesizedWindow:
+    measured = MeasuredPixels(**motions.record["pixels"]["measured"])
+    pixels = SimulatedPixels(measured, motions.record["pixels"]["scale"])
+    columns = motions.training.events(i, motions.config.window_us)
+    found = MotionPath(motions.paths[i], evidence=0.0, margin=np.inf, explained=1.0, n_events=len(columns[0]))
+    image = reconstruction.image(columns, measured, found)
+    path = found.at(shares())
+    seed, n_others = motions.settings.seed, min(N_OTHERS, motions.settings.variations)
+    others = [
+        image.moved(motions.record["length_px"], pixels, _generator(seed, "training", i, v)) for v in range(n_others)
+    ]
+    return ResynthesizedWindow(
+        classes[motions.training.labels[i]],
+        structured(columns),
+        image.pictures(path[len(path) // 2 : len(path) // 2 + 1])[0],
+        image.as_recorded(pixels, np.random.default_rng(seed)),
+        [path, *(motion for _, motion in others)],
+        [events for events, _ in others],
     )
-
-
-def _column(chunks: list[_Chunk], part: str, name: str, dtype: Any) -> np.ndarray:
-    """One entry of all windows of a part."""
-    values = []
-    for chunk in chunks:
-        if chunk.part == part:
-            rows = _read_json(chunk.paths_file)
-            if not isinstance(rows, list) or len(rows) != len(chunk.windows):
-                raise _damaged(chunk.paths_file, f"expected {len(chunk.windows)} windows")
-            values += [_entry(row, name, chunk.paths_file) for row in rows]
-    try:
-        return np.array(values, dtype)
-    except (ValueError, TypeError) as error:
-        raise _damaged(chunks[0].folder / MANIFEST, f"{name}: {error}") from None
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise _damaged(path, error) from None
-
-
-def _entry(content: Any, name: str, path: Path) -> Any:
-    if not isinstance(content, dict) or name not in content:
-        raise _damaged(path, f"no {name}")
-    return content[name]
-
-
-def _damaged(path: Path, what: object) -> ValueError:
-    return ValueError(f"{path}: damaged ({what}). Remove the folder {path.parent} to start again")

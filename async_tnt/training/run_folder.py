@@ -22,7 +22,7 @@ from async_tnt.training.windows import Windows
 
 CHECKPOINT, HISTORY = "checkpoint.pt", "history.json"
 RUN_FILES = (CHECKPOINT, HISTORY)
-FORMAT = 5  # of the checkpoint
+FORMAT = 6  # of the checkpoint
 CHUNK = 1 << 24  # events that a checksum takes at once: Ctrl-C waits for it
 SHOWN = 3  # recordings that a refusal names
 
@@ -32,7 +32,7 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
 
     Parameters
     ----------
-    state : `identity` from `identity_of`, `sources` for `check_run`, `history`, and what else is needed to resume.
+    state : `identity` from `identity_of`; `recordings`, `used` and `history`, and what else is needed to resume.
     """
     import torch
 
@@ -40,7 +40,7 @@ def save_checkpoint(run_folder: Path, state: Mapping[str, Any]) -> None:
     torch.save(dict(state), content)
     with replacing(run_folder / CHECKPOINT) as part:
         part.write_bytes(content.getbuffer())
-    text = json.dumps({"settings": json.loads(state["identity"]), "history": state["history"]}, indent=1)
+    text = json.dumps({"settings": state["identity"], "history": state["history"]}, indent=1)
     write_text(run_folder / HISTORY, text)
 
 
@@ -49,20 +49,28 @@ def has_checkpoint(run_folder: Path) -> bool:
     return (run_folder / CHECKPOINT).exists()
 
 
-def load_checkpoint(run_folder: Path, identity: str) -> dict[str, Any] | None:
+def load_checkpoint(
+    run_folder: Path, known: Mapping[str, Any], recordings: Mapping[str, int] | None = None
+) -> dict[str, Any] | None:
     """The state that `save_checkpoint` wrote into the folder; None if there is none yet.
+
+    Parameters
+    ----------
+    known : of the run to be started: all of `identity_of`, or what is known of it before the data is read.
+    recordings : name -> bytes, of all files that are there now; None: they are not compared.
 
     Raises
     ------
-    ValueError : it belongs to a run of another identity or release, or is damaged.
+    ValueError : the folder holds another run, and what differs; the checkpoint is damaged, or of another release.
     """
     state = _read(run_folder / CHECKPOINT)
     if state is None:
         return None
-    found, wanted = _flat(json.loads(state["identity"])), _flat(json.loads(identity))
-    differ = [name for name in {**wanted, **found} if found.get(name) != wanted.get(name)]
+    differ = [name for name, value in _plain(known).items() if state["identity"].get(name) != value]
     if differ:
-        raise other_run(run_folder, ", ".join(differ))
+        raise other_run(run_folder, ", ".join(sorted(differ)))
+    if recordings is not None:
+        _check_recordings(run_folder, state, recordings)
     return state
 
 
@@ -74,22 +82,28 @@ def identity_of(
     start: Model | None,
     classes: tuple[str, ...],
     motions: Any = None,
-) -> str:
-    """Everything that decides the weights, as JSON: training resumes from a checkpoint only if it is the same."""
-    return json.dumps(
+) -> dict[str, Any]:
+    """Everything that decides the weights, for JSON: training resumes from a checkpoint only if it is the same."""
+    return _plain(
         {
+            **config.to_dict(),
+            **asdict(settings),
             "format": FORMAT,
-            "config": config.to_dict(),
-            "settings": asdict(settings),
             "training_windows": len(training),
             "validation_windows": len(validation),
             "data": windows_checksum(training, validation),
             "classes": classes,
-            **({} if motions is None else {"motions": asdict(motions)}),
-            **({"network_file": network_checksum(settings.network)} if ":" in settings.network else {}),
+            "motions": None if motions is None else asdict(motions),
+            "network_file": network_checksum(settings.network) if ":" in settings.network else None,
             "start": 0 if start is None else zlib.crc32(b"".join(w.tobytes() for w in start.weights.values())),
         }
     )
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """As JSON gives them back: tuples are lists."""
+    plain: dict[str, Any] = json.loads(json.dumps(dict(values)))
+    return plain
 
 
 def network_checksum(network: str) -> int:
@@ -110,50 +124,15 @@ def windows_checksum(training: Windows, validation: Windows) -> int:
     return data
 
 
-def check_run(
-    run_folder: Path, config: Mapping[str, Any], settings: Mapping[str, Any], sources: Mapping[str, Any] | None = None
-) -> None:
-    """Refuse a folder that holds a run other than the one to be started, before any data is read.
-
-    Parameters
-    ----------
-    config, settings : fields of `TNTConfig` and `TrainSettings` and their values, as far as they are known so far; {}
-        where nothing is.
-    sources : as given to `train`. `pixels`: `PixelSelection.about`; `recordings`: name -> bytes; `used`: names of
-        those that were not left out, not known yet; `validation`: the share held out; `groups`: its pattern or table.
-
-    Raises
-    ------
-    ValueError : it does, and what differs; or the checkpoint is damaged, or of another release.
-    """
-    state = _read(run_folder / CHECKPOINT)
-    if state is None:
-        return
-    found = _flat(json.loads(state["identity"]))
-    wanted = json.loads(json.dumps({**config, **settings}))
-    differ = [name for name in wanted if found.get(name) != wanted[name]]
-    then, now = state["sources"], dict(sources or {})
-    pixels_then, pixels_now = then.get("pixels", {}), now.get("pixels", {})
-    for name in {**pixels_then, **pixels_now}:
-        if (pixels_then.get(name) or None) != (pixels_now.get(name) or None):  # no crop, and no region to crop
-            differ.append(name)
-    if differ:
-        raise other_run(run_folder, ", ".join(sorted(set(differ))))
-    _check_recordings(run_folder, then, now)
-
-
-def _check_recordings(run_folder: Path, then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+def _check_recordings(run_folder: Path, state: Mapping[str, Any], present: Mapping[str, int]) -> None:
     """Compare recordings by their names and sizes. Those that were left out may be gone."""
-    before, present = then.get("recordings", {}), now.get("recordings", {})
+    before = state["recordings"]
     differ = [f"{name} is new" for name in present if name not in before]
     differ += [f"{name} has changed" for name in present if name in before and before[name] != present[name]]
-    differ += [f"{name} is gone" for name in then.get("used", ()) if name not in present]
+    differ += [f"{name} is gone" for name in state["used"] if name not in present]
     if differ:
         more = f", and {len(differ) - SHOWN} more" if len(differ) > SHOWN else ""
         raise other_run(run_folder, f"recordings ({', '.join(differ[:SHOWN])}{more})")
-    for name in ("validation", "groups"):
-        if then.get(name) != now.get(name):
-            raise other_run(run_folder, f"{name} ({then.get(name)}, now {now.get(name)})")
 
 
 def other_run(run_folder: Path, what: str) -> ValueError:
@@ -162,11 +141,6 @@ def other_run(run_folder: Path, what: str) -> ValueError:
         f"{run_folder}: the folder holds a run with other {what}; delete it to start again, or train into another "
         "file (`out`)"
     )
-
-
-def _flat(identity: dict[str, Any]) -> dict[str, Any]:
-    """Name -> value, with those in `config` and `settings` at the top level."""
-    return {**identity.pop("config"), **identity.pop("settings"), **identity}
 
 
 def _read(path: Path) -> dict[str, Any] | None:
@@ -179,7 +153,7 @@ def _read(path: Path) -> dict[str, Any] | None:
             if archive.testzip() is not None:  # torch.load does not compare checksums
                 raise zipfile.BadZipFile
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        written = json.loads(state["identity"])["format"]
+        written = state["identity"]["format"]
     except Exception as error:  # a damaged archive surfaces as any of a dozen types
         kind = type(error).__name__  # not its text: torch's advises loading the file unsafely
         raise ValueError(f"{path} is not a readable checkpoint ({kind}); remove it to start again") from error

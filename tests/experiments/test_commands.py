@@ -17,11 +17,11 @@ from small_sets import write_small_mnist
 import experiments
 from async_tnt import TNTConfig, load_model
 from async_tnt.simulation.digits import simulate_digit
-from async_tnt.simulation.mnist import load_mnist
 from async_tnt.sources.files.nmnist import write_nmnist
 from experiments import decisions, edges, memory, peers, script_options, starts, volumes
 from experiments import measure_touched as touched
 from experiments.bench_moments import bench_recordings, windows_of
+from experiments.mnist import load_mnist
 from experiments.page_parts import RESULTS
 
 DIGITS = load_model("digits")

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from async_tnt.simulation.shards import open_shard
 from async_tnt.sources.files.nmnist import read_nmnist
 from experiments.moving_mnist_set import build, open_set
+from experiments.shards import open_shard
 
 ALONG = "ON - OFF centroid, along the motion"
 

@@ -96,7 +96,7 @@ def test_snippets_run_and_print_what_the_page_shows(page, title, tmp_path, monke
     if title == "Archives":
         assert sorted(session["labels"].values()) == list("0123456789") and len(session["decisions"]) == 30
     if title == "N-MOVING-MNIST":
-        assert printed.startswith("036deg-5px 9 ") and session["total"] > len(session["t"]) > 10
+        assert printed.startswith("036deg-5px 9 ") and session["total"] > len(session["events"]) > 10
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

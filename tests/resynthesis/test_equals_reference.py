@@ -129,12 +129,3 @@ def test_pictures_move_as_the_reference_moves_an_image():
         move_periodic(frames, finer(image, factor), np.array([1.3]), np.array([-0.6]), 0, 0.0, factor)
         errors.append(np.abs(frames[0] - expected).max())
     assert errors[0] < 0.25 and errors[1] < 0.003
-    with_cells = np.empty((1, 4, 14))  # cells of two pixels, whose first has its middle at 0.5; rows from 2 on
-    move_periodic(with_cells, finer(image, 30), np.array([2.6]), np.array([-1.2]), 2, 0.5, 15.0)
-    np.testing.assert_allclose(with_cells[0, ::2, ::2][:, 1:], _halfway(expected)[1:3, 1:7], atol=0.05)
-
-
-def _halfway(image):
-    """A quarter of a place up and to the left: the upper left pixels of cells of two."""
-    quarter = [reference.shift_matrix(n, torch.tensor(0.25)).numpy() for n in image.shape]
-    return quarter[0] @ image @ quarter[1].T

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving_scenes import SENSOR, WINDOW_US, blobs, noise, pictures, recorded, straight, together
 
-from async_tnt.resynthesis import MotionPath, Reconstruction
+from async_tnt.resynthesis import Reconstruction
 from async_tnt.resynthesis.paths import minimum_jerk
 from async_tnt.resynthesis.pixels import MeasuredPixels
 from async_tnt.simulation.simulator import PixelModel, simulate
@@ -46,22 +46,6 @@ def test_paths_and_images_are_found(reconstruction, profile):
     assert np.median(likeness) > 0.9 and np.min(likeness) > 0.7
 
 
-def test_a_curved_path_is_followed(reconstruction):
-    rng = np.random.default_rng(5)
-    u = np.linspace(0, 1, 53)
-    curve = np.stack([8 * u, 4 * np.sin(np.pi * u)], 1)
-    windows = [recorded(blobs(rng), curve, rng) for _ in range(8)]
-    off = [np.abs(path.at(u) - curve).max() for path, _ in reconstruction(windows, PIXELS)]
-    assert np.median(off) < 1.2
-
-
-def test_the_length_of_a_path_that_returns_is_how_far_it_went():
-    u = np.linspace(0, 1, 17)[1:]
-    there_and_back = MotionPath(np.stack([6 * np.sin(np.pi * u), 0 * u], 1), 0.0, 0.0, 0.0, 0)
-    assert there_and_back.length == pytest.approx(6)
-    assert MotionPath(np.outer(u, (3, -4)), 0.0, 0.0, 0.0, 0).length == pytest.approx(5)
-
-
 def test_windows_that_share_a_path_find_it_together(reconstruction):
     rng = np.random.default_rng(6)
     windows = [recorded(blobs(rng), straight((5.0, -3.0)), rng) for _ in range(24)]
@@ -72,24 +56,6 @@ def test_windows_that_share_a_path_find_it_together(reconstruction):
     for path, image in reconstruction(windows, PIXELS, [shared] * 24):
         assert path.found and image is not None
         np.testing.assert_array_equal(path.positions, shared.positions)
-
-
-def test_edges_along_the_motion_are_continued_and_the_rest_stays_flat(reconstruction):
-    """A long bar that moves along itself gives events at its ends only. Between them the image is as dark as there."""
-
-    def bar(x, y):
-        along, across = np.maximum(np.abs(x - 16.5) - 7, 0), y - 16.5
-        return -1.5 * np.exp(-(along**2 + across**2) / 3)
-
-    rng = np.random.default_rng(0)
-    path = straight((6.0, 0.0))
-    ((found, image),) = reconstruction([recorded(bar, path, rng)], PIXELS)
-    assert found.found and abs(found.positions[-1, 1]) < 1
-    seen = image.pictures(found.at(np.array([0.5])))[0]
-    middle, background = seen[16:18, 18:21].mean(), np.median(seen)
-    ends = seen[16:18, 10:27].min(axis=0)
-    assert middle < background - 0.4 * (background - ends.min())
-    assert np.abs(seen[:8] - background).max() < 0.25 * (background - ends.min())
 
 
 def flicker(rng):

@@ -5,8 +5,7 @@ import pytest
 
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.simulation.scene import Scene, render, translate
-from async_tnt.simulation.simulator import PixelModel
-from async_tnt.simulation.trajectories import ConstantVelocity
+from async_tnt.simulation.trajectories import ConstantVelocity, Saccade
 
 SHARP = Scene(contrast=4.0, gamma=1.0, blur_px=0.0)
 POINT = np.zeros((3, 4))
@@ -76,28 +75,6 @@ def test_on_events_trail_a_dark_digit_and_lead_a_bright_one(angle, axis, sign, d
     assert offset < -3 if dark_on_bright else offset > 3
 
 
-BAR = np.zeros((28, 28), np.uint8)
-BAR[5:23, 12:16] = 255
-
-
-def test_the_seed_decides_the_events_which_are_in_order_on_the_sensor_and_in_time():
-    events, again, other = (simulate_digit(BAR, np.random.default_rng(seed)) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(events, again)
-    assert len(events) > 1_000 and events.tolist() != other.tolist()
-    assert (np.diff(events["t"]) >= 0).all() and events["t"][0] >= 0 and events["t"][-1] <= 308_000
-    assert events["x"].max() < 34 and events["y"].max() < 34 and set(events["p"].tolist()) == {0, 1}
-
-
-def test_events_follow_the_stated_flow():
-    # a bar at 60 px/s to the right: its events move as fast, and start from its place
-    motion = ConstantVelocity.towards(0.0, 60.0, duration_us=100_000)
-    events = simulate_digit(BAR, np.random.default_rng(0), trajectory=motion, pixels=PixelModel(noise_hz=0.0))
-    late = events[events["t"] > 30_000]  # each pixel has seen its first event by then
-    slope, start = np.polyfit(late["t"] * 1e-6, late["x"], 1)
-    assert slope == pytest.approx(60.0, rel=0.05)
-    assert start == pytest.approx(motion.start[0] + 13.5, abs=0.5)  # columns 12-15
-
-
 @pytest.mark.parametrize(
     ("image", "dx", "message"),
     [
@@ -111,3 +88,8 @@ def test_invalid_images_and_displacements_are_refused(image, dx, message):
         render(image, dx, [0.0])
     with pytest.raises(ValueError, match="`contrast` must be"):
         Scene(contrast=1.0)
+
+
+def test_saccade_by_hand():
+    progress = Saccade(10_000, 40_000, 1.0, 0.0).progress([0, 10_000, 20_000, 30_000, 50_000, 90_000])
+    np.testing.assert_allclose(progress, [0, 0, 10 / 64 - 15 / 256 + 6 / 1024, 0.5, 1, 1])  # s(1/4), then halfway

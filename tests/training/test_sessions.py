@@ -10,7 +10,7 @@ from training.gestures import bar, write
 
 from async_tnt import Model, TNTConfig
 from async_tnt.sources.files.recording import open_recording
-from async_tnt.sources.labelled_recordings import find_recordings, has_part
+from async_tnt.sources.labelled_recordings import find_recordings
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
 
@@ -90,21 +90,9 @@ def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_pat
     code, out, _ = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
     assert code == 0 and json.loads(out)["seconds"] is None  # resumed: nothing left to do
     table = sessions / "user01_lab_labels.csv"
-    before = table.read_text()
-    try:
-        table.write_text(before.replace("flat", "upright", 1))  # a corrected label is compared with
-        code, out, _ = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
-        assert code == 0 and json.loads(out)["confusion"] != reports[0]["confusion"]
-        lines = [json.loads(line) for line in (tmp_path / "sessions.jsonl").read_text().splitlines()]
-        assert [line["class"] for line in lines].count("upright") == 4
-        table.write_text(before.replace("0,", "1,", 1))  # a part that began elsewhere is another one
-        code, _, err = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
-        assert code == 0, err
-        table.write_text(before + before.splitlines()[1])
-        code, _, err = program("evaluate", model, sessions)
-        assert code == 2 and "us is there twice" in err
-    finally:
-        table.write_text(before)
+    table.write_text(table.read_text().replace("flat", "upright", 1))  # a corrected label is compared with
+    code, out, _ = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
+    assert code == 0 and json.loads(out)["confusion"] != reports[0]["confusion"]
 
 
 def test_the_files_of_dvs128_gesture(tmp_path):
@@ -124,11 +112,6 @@ def test_the_files_of_dvs128_gesture(tmp_path):
     data = dataset_data(tmp_path, TNTConfig(), pixels=PixelSelection(), validation=0, test=True)
     assert [name[:6] for name in data.training.recordings.names] == ["user01"] * 2
     assert [name[:6] for name in data.tests["test"][0].recordings.names] == ["user02"] * 2
-    parts = {part: find_recordings(tmp_path, part) for part in ("Train", "Test")}
-    for name in ("trials_to_train.txt", "trials_to_test.txt"):  # one of the lists is enough
-        (tmp_path / name).rename(tmp_path / "away")
-        assert {part: find_recordings(tmp_path, part) for part in parts} == parts and has_part(tmp_path, "Test")
-        (tmp_path / "away").rename(tmp_path / name)
     (tmp_path / "trials_to_test.txt").write_text("\ufeffuser02_lab.aedat\r\n user 07.aedat \r\n")
     with pytest.raises(
         ValueError, match=r"trials_to_test.txt names user 07.aedat, which is not there, or has no table"
@@ -165,9 +148,6 @@ def test_what_would_be_ignored_beside_sessions_is_named(tmp_path):
         ("class,begin,end\n", "expected a column start or start_us or startTime_usec, got class, begin, end"),
         ("", "expected a column class or label, got none"),
         (HEADER + "1,5,9\n1,9,5\n", "line 3: expected a class, and whole start < end in us, got 1, 9, 5"),
-        (HEADER + "1,5\n", "line 2: expected a class, .*, got 1, 5, "),
-        (HEADER + ",5,6\n", "line 2: expected a class, .*, got , 5, 6"),
-        (HEADER + "\n\n1,9,5\n", "line 4: expected a class, and whole start < end in us, got 1, 9, 5"),
         ("label, start, end\nwave, 1.5, 3\n", "line 2: expected a class, .*, got wave, 1.5, 3"),
     ],
 )

@@ -10,11 +10,10 @@ from moving_scenes import WINDOW_US, blobs, noise, recorded, straight
 pytest.importorskip("torch")
 
 from async_tnt import EVENT_DTYPE, TNTConfig, load_model
-from async_tnt.simulation.shards import open_shard
 from async_tnt.training.loop import batches_of, train
-from async_tnt.training.motion_examples import motion_examples
+from async_tnt.training.moved_windows import moved_recordings
 from async_tnt.training.recordings import Recordings
-from async_tnt.training.resynthesis import MotionSettings, resynthesize
+from async_tnt.training.resynthesis import MotionSettings, examples, resynthesize
 from async_tnt.training.settings import TrainSettings
 from async_tnt.training.windows import Windows
 
@@ -52,7 +51,7 @@ def windows():
 
 @pytest.fixture(scope="module")
 def made(windows, tmp_path_factory):
-    """In shards of five windows."""
+    """In files of five windows."""
     folder = tmp_path_factory.mktemp("motions")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("async_tnt.training.resynthesis.MOST_WINDOWS", 5)
@@ -71,10 +70,8 @@ def test_every_window_but_noise_has_other_motions(windows, made):
     assert (motions.record["held_out_windows"], motions.record["held_out_with_path"]) == (10, 8)
     np.testing.assert_allclose(motions.paths[:20:2, -1], np.tile([6, 0], (10, 1)), atol=1.6)
     np.testing.assert_allclose(motions.paths[1:20:2, -1], np.tile([0, 6], (10, 1)), atol=1.6)
-    shard = open_shard(folder / "training_000005_1.safetensors")
-    assert len(shard) == 5 and shard.image.tolist() == [5, 6, 7, 8, 9] and shard.duration_us == WINDOW_US
-    assert shard.flow.shape == (5, 51, 2)
-    assert np.diff(shard.offsets).min() > 50
+    moved = moved_recordings([folder / "training_000005.npz"], 1, np.arange(5), CONFIG)
+    assert np.diff(moved.offsets).min() > 50
 
 
 def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(windows, made, tmp_path, monkeypatch):
@@ -82,29 +79,13 @@ def test_the_same_files_for_any_number_of_workers_and_after_an_interruption(wind
     resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "two", workers=2)
     assert contents(tmp_path / "two") == contents(folder)
     shutil.copytree(folder, tmp_path / "cut")
-    for name in ("training_000010.json", "held-out_000005_0.safetensors"):
+    for name in ("training_000010.npz", "held-out_000005.npz"):
         (tmp_path / "cut" / name).unlink()
     resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "cut")
     assert contents(tmp_path / "cut") == contents(folder)
     monkeypatch.setattr("async_tnt.training.resynthesis.run_all", lambda job, missing, workers: iter(missing[:0]))
     monkeypatch.setattr("async_tnt.training.resynthesis.calibrate", lambda *_: pytest.fail("made again"))
     resynthesize(*windows, CONFIG, SETTINGS, folder)
-
-
-def test_paths_hardly_depend_on_the_other_windows(windows, made, tmp_path):
-    """By the pixels alone, which are measured on all of them."""
-    motions, _ = made
-    fewer = resynthesize(windows[0][:12], windows[1][:0], CONFIG, SETTINGS, tmp_path / "fewer")
-    np.testing.assert_allclose(fewer.paths, motions.paths[:12], atol=0.6)
-    assert len(fewer.validation) == 0 and fewer.found.all()
-
-
-def test_another_seed_gives_other_events(windows, tmp_path):
-    few = windows[0][:4]
-    for seed in (0, 1):
-        resynthesize(few, few[:0], CONFIG, MotionSettings(1, seed=seed), tmp_path / str(seed))
-    first, second = (open_shard(tmp_path / str(seed) / "training_000000_0.safetensors").t for seed in (0, 1))
-    assert not np.array_equal(first, second)
 
 
 def test_a_shared_path_is_that_of_all_windows_with_the_same_start(windows, made, tmp_path):
@@ -120,13 +101,14 @@ def test_what_an_epoch_shows(windows, made):
     for epoch, variation in ((0, 0), (1, 1), (2, 0)):
         shown = motions.show(epoch, order, np.random.default_rng(epoch))
         assert shown.labels.tolist() == windows[0].labels[order].tolist()
-        shard = open_shard(folder / f"training_000005_{variation}.safetensors")
+        moved = moved_recordings([folder / "training_000005.npz"], variation, np.arange(5), CONFIG)
+        of_7 = slice(*moved.offsets[2:4])
         is_recorded = []
         for i in np.flatnonzero(order == 7):
             events, as_recorded = shown.events(i, WINDOW_US), windows[0].events(7, WINDOW_US)
             is_recorded.append(np.array_equal(events[0], as_recorded[0]))
-            for got, expected in zip(events, as_recorded if is_recorded[-1] else shard.columns(2), strict=True):
-                np.testing.assert_array_equal(got, expected)
+            if not is_recorded[-1]:
+                np.testing.assert_array_equal(events, [getattr(moved, name)[of_7] for name in "txyp"])
         assert 0.15 < np.mean(is_recorded) < 0.35
         for i in np.flatnonzero(order >= 20)[::10]:
             np.testing.assert_array_equal(shown.events(i, WINDOW_US)[0], windows[0].events(order[i], WINDOW_US)[0])
@@ -136,10 +118,7 @@ def test_training_mixes_them_and_is_validated_on_other_motions(windows, made, tm
     motions, _ = made
     settings = TrainSettings(epochs=3, batch=8, balance=True)
     batches = [some for some, _ in batches_of(CONFIG, windows[0], settings, 0, motions)]
-    assert sum(map(len, batches)) == 22 and np.bincount(np.concatenate([b.labels for b in batches])).tolist() == [
-        11,
-        11,
-    ]
+    assert np.bincount(np.concatenate([some.labels for some in batches])).tolist() == [11, 11]
     result = train(CONFIG, *windows, settings, tmp_path / "run", classes=("a", "b"), motions=motions)
     row = result.history[-1]
     assert {"per_window", "motions_per_window", "motions_validation_loss"} <= set(row)
@@ -158,15 +137,6 @@ def test_masked_pixels_stay_silent(windows, tmp_path):
     assert not masked[recordings.y[moved], recordings.x[moved]].any() and len(recordings.t[moved]) > 1_000
     with pytest.raises(ValueError, match=r"other motions \(mask\)"):
         resynthesize(windows[0][:6], windows[1][:0], CONFIG, MotionSettings(2), tmp_path / "m")
-
-
-def test_nothing_that_moves_alike_is_an_error(tmp_path):
-    rng = np.random.default_rng(0)
-    events = [np.rec.fromarrays(noise(rng, 500), EVENT_DTYPE) for _ in range(5)]
-    still = Windows(Recordings.from_events(events, np.zeros(5)), np.arange(5), np.zeros(5, np.int64))
-    for shared in (False, True):
-        with pytest.raises(ValueError, match="no motion was found in any of 5 windows"):
-            resynthesize(still, still[:0], CONFIG, MotionSettings(2, shared_path=shared), tmp_path / "still")
 
 
 def test_windows_are_cut_out_of_their_recordings():
@@ -189,17 +159,23 @@ def test_wrong_folders_and_settings_are_refused(windows, made, tmp_path):
     with pytest.raises(ValueError, match=r"other motions \(windows\)"):
         resynthesize(windows[1], windows[1], CONFIG, SETTINGS, folder)
     shutil.copytree(folder, tmp_path / "torn")
-    shard = tmp_path / "torn" / "held-out_000000_0.safetensors"
-    shard.write_bytes(shard.read_bytes()[:-3])
-    with pytest.raises(ValueError, match=r"held-out_000000_0.*Remove it"):
-        resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
-    for name in ("motions.json", "training_000000.json"):
-        for text in ("{", "[]", "{}", "3", "[" * 10_000, json.dumps([{"found": True}] * 5)):
-            shutil.rmtree(tmp_path / "torn")
-            shutil.copytree(folder, tmp_path / "torn")
-            (tmp_path / "torn" / name).write_text(text)
-            with pytest.raises(ValueError, match=f"{name}: damaged"):
-                resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
+    path = tmp_path / "torn" / "held-out_000000.npz"
+    content = path.read_bytes()
+    for damage in (content[:-3], content[:2_000] + bytes([content[2_000] ^ 1]) + content[2_001:], b"", b"[]"):
+        path.write_bytes(damage)
+        with pytest.raises(ValueError, match=r"held-out_000000.npz: damaged .*Remove it and give the same command"):
+            resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
+    arrays = dict(np.load(folder / path.name))
+    for name, value in (("x", 34), ("p", 3), ("t", -1), ("t", 1)):
+        moved = arrays["moved_0"].copy()
+        moved[name][-1] = value
+        np.savez(path, **arrays | {"moved_0": moved})
+        with pytest.raises(ValueError, match=f"held-out_000000.npz: damaged .*`{name}` must"):
+            resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
+    for text in ("{", "[]", "{}", "3", "[" * 10_000):
+        (tmp_path / "torn" / "motions.json").write_text(text)
+        with pytest.raises(ValueError, match=r"motions\.json: damaged"):
+            resynthesize(*windows, CONFIG, SETTINGS, tmp_path / "torn")
     with pytest.raises(ValueError, match="`window_us` must be at least 104"):
         resynthesize(*windows, CONFIG.replace(window_us=100), SETTINGS, tmp_path / "short")
     for settings, message in (({"variations": 0}, "`variations` must be"), ({"recorded": 1.5}, "`recorded` must be")):
@@ -209,12 +185,12 @@ def test_wrong_folders_and_settings_are_refused(windows, made, tmp_path):
 
 def test_examples_are_those_that_were_made(windows, made):
     motions, folder = made
-    examples = motion_examples(motions, CONFIG, ("a", "b"))
-    assert [example.name for example in examples] == ["a", "b"]
-    shard = open_shard(folder / "training_000000_0.safetensors")
-    flow = np.diff(examples[0].motions[1], axis=0) / (WINDOW_US / 51 * 1e-6)
-    np.testing.assert_allclose(flow, shard.flow[0], rtol=1e-3, atol=1e-3)
-    assert len(examples[0].others) == 2 and len(examples[0].motions) == 3
+    shown = examples(motions, ("a", "b"))
+    assert [example.name for example in shown] == ["a", "b"]
+    moved = moved_recordings([folder / "training_000000.npz"], 1, np.arange(5), CONFIG)
+    for name in "txyp":
+        np.testing.assert_array_equal(shown[0].others[1][name], getattr(moved, name)[: moved.offsets[1]])
+    assert len(shown[0].others) == 2 and len(shown[0].motions) == 3
 
 
 @pytest.fixture
@@ -251,15 +227,3 @@ def test_the_command(classes, tmp_path, program):
     plain = [word for word in words if word not in ("--motions", "resynthesized")]
     code, _, err = program(*plain)
     assert code == 2 and "holds a run with other motions" in err
-
-
-def test_recordings_without_motion_are_an_error(tmp_path, program):
-    rng = np.random.default_rng(0)
-    for name in "ab":
-        (tmp_path / "data" / name).mkdir(parents=True)
-        for i in range(5):
-            t, x, y, p = noise(rng, 500)
-            np.savez(tmp_path / "data" / name / f"{i}.npz", t=t, x=x, y=y, p=p)
-    words = ["--motions", "resynthesized", "--sensor", "34x34", "--epochs", 1]
-    code, _, err = program("train", tmp_path / "data", *words, "--out", tmp_path / "m.safetensors")
-    assert code == 2 and "no motion was found in any of 8 windows" in err

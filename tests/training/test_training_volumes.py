@@ -1,7 +1,5 @@
 """Volumes of a batch of windows are those of `TNTVolume`, and augmentation changes them as stated."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from made import events_of, random_events
@@ -64,16 +62,6 @@ def test_a_batch_equals_the_streamed_volumes(changes):
 def test_windows_of_events_are_refused():
     with pytest.raises(ValueError, match="windows of a duration can be trained on, but not of 50 events"):
         BatchVolumes(TNTConfig(window_events=50))
-
-
-@pytest.mark.parametrize("representation", ["count_time", "mean_time", "time_surface"])
-def test_augmented_images_of_times_take_as_many_cells_as_the_streams(representation):
-    """Between pixels, an event would give its time to four cells instead of one."""
-    config = TNTConfig(representation=representation)
-    windows = random_windows(config)
-    draws = replace(NOTHING, shift_px=1.5).draw(len(windows), config, RNG(0))
-    moved, still = BatchVolumes(config)(windows, draws).copy(), BatchVolumes(config)(windows)
-    assert np.count_nonzero(moved) <= np.count_nonzero(still) and (moved != still).any()
 
 
 def test_an_event_at_a_windows_end_belongs_to_the_next():
@@ -158,13 +146,10 @@ def test_scattered_events_are_anywhere_and_otherwise_the_same():
     by_bin = [BatchVolumes(config)(windows)[1].sum((1, 2)), first.sum((1, 2))]
     np.testing.assert_allclose(*by_bin, rtol=1e-4)  # in time and polarity
     assert np.count_nonzero(still.sum(0)) <= 4 and not np.array_equal(first, second)
-    along_x, along_y = first.sum((0, 1)), first.sum((0, 2))
-    for along in (along_x, along_y):
-        cell = np.arange(len(along))
-        n, mean = along.sum(), (along * cell).sum() / along.sum()
-        spread = np.sqrt((along * (cell - mean) ** 2).sum() / n)
-        assert mean == pytest.approx((len(along) - 1) / 2, abs=0.3)
-        assert spread == pytest.approx(len(along) / np.sqrt(12), rel=0.03)  # of the uniform distribution
+    for along in (first.sum((0, 1)), first.sum((0, 2))):
+        middle = (along * np.arange(len(along))).sum() / along.sum()
+        assert middle == pytest.approx((len(along) - 1) / 2, abs=0.3)
+        np.testing.assert_allclose(along[1:-1] / along[1:-1].mean(), 1, atol=0.2)  # as many everywhere
 
 
 def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
@@ -174,13 +159,8 @@ def test_draws_are_the_generators_and_stay_within_the_stated_ranges():
         np.testing.assert_array_equal(getattr(draws, name), getattr(again, name))
         assert not np.array_equal(getattr(draws, name), getattr(other, name))
     assert -5_000 <= draws.start_us.min() < -4_900 and 4_900 < draws.start_us.max() <= 5_000
-    assert 0.7 <= draws.keep.min() < 0.71 and 0.99 < draws.keep.max() <= 1.0
-    assert draws.until_us.min() >= 15_000
-    assert (draws.until_us < config.window_us).mean() == pytest.approx(0.25, abs=0.03)
-    assert draws.scatter.mean() == pytest.approx(0.1, abs=0.02)
-    assert (draws.matrix[:, 0, 0] < 0).mean() == pytest.approx(0.5, abs=0.03)
-    mirrored = np.sign(draws.matrix[:, 0, 0])
-    gain = mirrored * np.linalg.det(draws.matrix[:, :, :2]) / FINE**2  # scale^2: rotation and shear keep areas
-    assert 0.81 <= gain.min() < 0.83 and 1.19 < gain.max() <= 1.21
+    assert 0.7 <= draws.keep.min() < 0.71 and draws.until_us.min() >= 15_000
+    shares = (draws.until_us < config.window_us, draws.scatter, draws.matrix[:, 0, 0] < 0)
+    assert np.mean(shares, axis=1) == pytest.approx([0.25, 0.1, 0.5], abs=0.03)
     with pytest.raises(ValueError, match=r"`drop` must be in \[0, 1.0\], got 1.5"):
         Augmentation(drop=1.5)
