@@ -20,7 +20,7 @@ from async_tnt.event_forms import Four
 from async_tnt.sources.files import in_worker
 from async_tnt.sources.files.hdf5 import read_hdf5
 from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
-from async_tnt.worker import Worker, WorkerEnded
+from async_tnt.sources.worker import Worker, WorkerEnded
 
 SILENCE_S = 60.0  # a block takes milliseconds, but a disk may sleep, and a machine be busy
 AHEAD = 8  # calls that the worker has; blocks may be small

@@ -1,4 +1,4 @@
-"""The cores of this machine, and worker processes.
+"""Worker processes.
 
 A worker calls one function after another, and may crash or hang without harm to this process.
 
@@ -22,11 +22,6 @@ from queue import SimpleQueue
 from typing import Any
 
 MAX_ANSWER_BYTES = 1 << 30  # a process that is about to crash may send anything
-
-
-def available_cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class WorkerEnded(ChildProcessError):
@@ -53,7 +48,7 @@ class Worker:
             stdin = msvcrt.open_osfhandle(stdin, 0)
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", "from async_tnt.worker import serve; serve()"],
+                [sys.executable, "-P", "-c", "from async_tnt.sources.worker import serve; serve()"],
                 stdin=stdin,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
