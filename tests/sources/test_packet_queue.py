@@ -1,7 +1,6 @@
 """The queue alone: several producers, every form of packet, asyncio, the end."""
 
 import asyncio
-import contextlib
 import itertools
 from types import SimpleNamespace
 
@@ -59,16 +58,6 @@ def test_latest_discards_the_oldest(limits):
     queue.end()
     assert all(got is packet for got, packet in zip(queue, PACKETS[16:20], strict=True))
     assert queue.counters == QueueCounters(5000, 1000, 4000, 0, queue.counters.longest_wait_us)
-
-
-def test_nothing_is_lost_of_several_producers_and_each_keeps_its_order():
-    queue, parts = PacketQueue(max_packets=3), [PACKETS[k::8] for k in range(8)]
-    with contextlib.ExitStack() as stack:
-        for part in parts:
-            stack.enter_context(meanwhile(lambda part=part: list(map(queue.put, part))))
-        got = [next(queue).tobytes() for _ in PACKETS]
-    assert sorted(got) == sorted(packet.tobytes() for packet in PACKETS)
-    assert all((np.diff([got.index(packet.tobytes()) for packet in part]) > 0).all() for part in parts)
 
 
 def test_put_waits_for_room_and_gives_up_when_closed():

@@ -207,9 +207,7 @@ class Recording:
     def _report(self, problem: str, n_read: int, newest_us: int) -> None:
         text = f"{self.path}: damaged recording: {problem}"
         if self.strict:
-            error = ValueError(f"{text}. Fetch the file again.")
-            error.add_note(f"Or pass strict=False for the {n_read} events before.")  # for Python, not for the program
-            raise error from None
+            raise ValueError(f"{text}. Fetch the file again.") from None
         if not self._has_warned:
             self._has_warned = True
             until = f", up to {newest_us} us" if n_read else ""
@@ -275,14 +273,7 @@ def open_recording(
         source: Source = ArraySource(read_nmnist(path, sensor=None), None)
     else:
         source = READERS[suffix](path)
-    return Recording(
-        path,
-        source,
-        source.sensor or sensor,
-        int(packet_events),
-        strict=strict,
-        between_us=between_us,
-    )
+    return Recording(path, source, source.sensor or sensor, packet_events, strict=strict, between_us=between_us)
 
 
 def sample_recordings() -> dict[int, Path]:
