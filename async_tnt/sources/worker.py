@@ -125,8 +125,10 @@ def _answer(call: bytes) -> bytes:
     except BaseException as error:  # a panic in Rust derives from BaseException alone
         note = traceback.format_exc()
         try:
-            pickle.loads(pickle.dumps(error))
+            is_plain = isinstance(pickle.loads(pickle.dumps(error)), Exception)
         except Exception:  # what cannot be sent would look like the worker's end
+            is_plain = False
+        if not is_plain:
             error = RuntimeError(f"{type(error).__name__}: {error}")
         error.add_note(note)
         return pickle.dumps((True, error))

@@ -20,35 +20,25 @@ Reader = Callable[[str], Iterator[Any]]
 _blocks: Iterator[Any] = iter(())  # of the file that this process reads
 
 
-def sensor_of(read: Reader, path: str) -> tuple[Any, str]:
-    """A file's sensor; and why it cannot be read, or ""."""
-    global _blocks
-    answer = start(read, path)
-    _blocks = iter(())  # closes the file: HDF5 lets nobody write one that is open
-    return answer
-
-
-def start(read: Reader, path: str) -> tuple[Any, str]:
-    """`sensor_of`, and `next_block` then reads this file from its beginning."""
+def start(read: Reader, path: str) -> Any:
+    """Start to read a file, and return its sensor; `next_block` then returns its events."""
     global _blocks
     _limit_memory()
-    try:
-        _blocks = read(path)
-        return next(_blocks), ""
-    except BaseException as error:  # a panic in Rust derives from BaseException alone
-        return None, _line(error)
+    _blocks = read(path)
+    return next(_blocks)
 
 
-def next_block() -> tuple[list[np.ndarray] | None, str]:
-    """The columns of the next events, None at the end; and why the file cannot be read on, or ""."""
-    try:
-        return next(_blocks, None), ""
-    except BaseException as error:
-        return None, _line(error)
+def sensor_of(read: Reader, path: str) -> Any:
+    """A file's sensor. The file is closed then: HDF5 lets nobody write one that is open."""
+    global _blocks
+    sensor = start(read, path)
+    _blocks = iter(())
+    return sensor
 
 
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:300] or type(error).__name__
+def next_block() -> list[np.ndarray] | None:
+    """The columns of the next events, None at the end."""
+    return next(_blocks, None)
 
 
 def _limit_memory() -> None:

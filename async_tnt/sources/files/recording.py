@@ -170,11 +170,8 @@ class Recording:
         return -(-self.n_events // self.packet_events)
 
     def __repr__(self) -> str:
-        if self._totals is None and not isinstance(self._source, ArraySource):
-            counted = "not read yet"  # a repr must not read gigabytes
-        else:
-            counted = f"{self.n_events} events, {self.duration_us} us"
-        return f"Recording({str(self.path)!r}, {counted}, sensor {self.sensor}, packets of {self.packet_events})"
+        # without counts, which may take a pass over gigabytes
+        return f"Recording({str(self.path)!r}, sensor {self.sensor}, packets of {self.packet_events})"
 
     def _counted(self) -> _Totals:
         if self._totals is None:

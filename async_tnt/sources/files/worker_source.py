@@ -16,16 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
+from async_tnt.checks import one_line
 from async_tnt.event_forms import Four
 from async_tnt.sources.files import in_worker
 from async_tnt.sources.files.hdf5 import read_hdf5
 from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
-from async_tnt.sources.worker import Worker, WorkerEnded
+from async_tnt.sources.worker import Worker
 
 SILENCE_S = 60.0  # a block takes milliseconds, but a disk may sleep, and a machine be busy
 AHEAD = 8  # calls that the worker has; blocks may be small
 READ_S = 120.0  # after which a worker ends itself, if its parent has not
-STOPPED = "the process that reads it crashed or hung"
 
 
 class WorkerSource(Source):
@@ -44,11 +44,9 @@ class WorkerSource(Source):
         with _worker() as worker:
             worker.submit(in_worker.sensor_of, read, self._absolute, limit_s=READ_S)
             try:
-                sensor, problem = worker.result(SILENCE_S)
-            except WorkerEnded:
-                problem = STOPPED
-            if problem:
-                raise ValueError(f"{path}: not a readable {format} file: {problem}")
+                sensor = worker.result(SILENCE_S)
+            except Exception as error:
+                raise ValueError(f"{path}: not a readable {format} file: {one_line(error)}") from None
         self.sensor = None if sensor is None else (sensor[0], sensor[1])
 
     def blocks(self) -> Iterator[np.ndarray]:
@@ -67,21 +65,16 @@ def _columns(worker: Worker) -> Iterator[Four]:
     """The columns of a file that the worker has started to read; it reads on while a block is used."""
     n_read = 0
     try:
-        _, problem = worker.result(SILENCE_S)  # the sensor
-        while not problem:
-            columns, problem = worker.result(SILENCE_S)
-            if columns is not None:
-                worker.submit(in_worker.next_block, limit_s=READ_S)
-                t, x, y, p = columns
-                yield t, x, y, p
-                n_read += len(t)
-            elif not problem:
-                for _ in range(AHEAD - 1):  # the answers behind the end
-                    worker.result(SILENCE_S)
-                return
-        raise CorruptData(f"after event {n_read}: {problem}")
-    except WorkerEnded:
-        raise CorruptData(f"after event {n_read}: {STOPPED}") from None
+        worker.result(SILENCE_S)  # the sensor
+        while (columns := worker.result(SILENCE_S)) is not None:
+            worker.submit(in_worker.next_block, limit_s=READ_S)
+            t, x, y, p = columns
+            yield t, x, y, p
+            n_read += len(t)
+        for _ in range(AHEAD - 1):  # the answers behind the end
+            worker.result(SILENCE_S)
+    except Exception as error:
+        raise CorruptData(f"after event {n_read}: {one_line(error)}") from None
 
 
 _idle: dict[int, Worker] = {}  # one at most, by process: a forked one must not use that of its parent
