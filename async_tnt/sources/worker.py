@@ -1,6 +1,4 @@
-"""Worker processes.
-
-A worker calls one function after another, and may crash or hang without harm to this process.
+"""Worker processes, which call one function after another and may crash or hang without harm to this process.
 
 `subprocess` starts them: a process of `multiprocessing` imports the user's script again, which then needs the line
 `if __name__ == "__main__":`, and a daemonic process, such as a worker of torch's DataLoader, may not start any.

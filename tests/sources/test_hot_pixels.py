@@ -100,16 +100,6 @@ def test_factor_and_bound_by_hand(others, n, is_hot):
     assert hot_pixels(counts).any() == is_hot
 
 
-@pytest.mark.parametrize("corner", [(0, 0), (14, 17), (32, 31)])
-def test_four_equal_neighbours_explain_a_pixel_and_three_do_not(corner):
-    top, left = corner
-    counts = np.zeros((34, 34), np.int64)
-    counts[top : top + 2, left : left + 2] = 1000
-    assert hot_pixels(counts).sum() == 4
-    counts[top, left - 1 if left > 1 else left + 2] = 1000
-    assert not hot_pixels(counts).any()
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

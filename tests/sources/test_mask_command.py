@@ -9,7 +9,7 @@ from made import events_of, random_events
 from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
-from async_tnt.sources.pixel_masks import load_mask, save_mask
+from async_tnt.sources.pixel_masks import load_mask
 
 SAMPLE = sample_recordings()[3]
 EVENTS = open_recording(SAMPLE).read()
@@ -85,7 +85,6 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("gone.npy", "gone.npy: No such file"),
         ("bad.npy", "bad.npy: not a readable NumPy file"),
         ("a.npy", "a.npy: the file does not state the camera's sensor; give --sensor WxH"),
         ("34.npz 50.npz", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
@@ -99,24 +98,3 @@ def test_an_error_is_one_line(words, message, folder, program):
     assert (code, printed) == (2, "") and error.startswith("async-tnt: ") and len(error.splitlines()) == 1
     assert message in error
     assert not (folder / "mask.npy").exists()
-
-
-def test_saved_masks_load_again_and_what_is_none_is_refused(tmp_path):
-    path, mask = tmp_path / "m.npy", np.random.default_rng(0).random((4, 6)) < 0.5
-    save_mask(path, mask)
-    assert (load_mask(path, (6, 4)) == mask).all()
-    assert [path.name for path in tmp_path.iterdir()] == ["m.npy"]
-    whole = path.read_bytes()
-    for at in (0, 9, len(whole) - 1):
-        path.write_bytes(whole[:at])
-        with pytest.raises(ValueError, match=r"m.npy: not a mask, .*: not a readable NumPy file"):
-            load_mask(path, (6, 4))
-    path.unlink()
-    rule = r"a mask must be a bool array of shape \(height, width\), sides in .1, 32768.; got "
-    for wrong in (np.zeros((3, 4)), np.zeros(4, bool), np.zeros((0, 3), bool)):
-        with pytest.raises(ValueError, match=rf"^{rule}"):
-            save_mask(path, wrong)
-        assert not path.exists()
-        np.save(tmp_path / "wrong.npy", wrong)
-        with pytest.raises(ValueError, match=rf"wrong\.npy: .*{rule}"):
-            load_mask(tmp_path / "wrong.npy")

@@ -2,18 +2,15 @@
 
 import asyncio
 import gc
-import logging
 import random
 import socket
-import sys
 import threading
-import time
 
 import numpy as np
 import pytest
 from listening import send
 from made import events_of, random_events
-from waiting import meanwhile, until
+from waiting import until
 
 from async_tnt.sources import EVENT_BYTES, Decoder, NetworkCounts, UdpSource, encode, open_udp
 from async_tnt.sources.udp import WARN_AFTER
@@ -115,23 +112,13 @@ def test_what_faery_sends_arrives(events, format):
 def test_closed_by_a_thread_at_any_moment(way):
     """No hang, no error, and the socket is closed."""
     chance = random.Random(0)
-
-    def close_after(source, delay_s):
-        end = time.perf_counter() + delay_s
-        while time.perf_counter() < end:  # `sleep` is too coarse
-            pass
-        source.close()
-
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    try:
-        for _ in range(50):
-            source = UdpSource(port=0, buffer_bytes=4096)
-            with meanwhile(close_after, source, chance.random() * 1e-3):
-                assert way(source) == []
-            assert source._socket.fileno() == -1 and source.receive(0) is None and source.closed
-    finally:
-        sys.setswitchinterval(before)
+    for _ in range(50):
+        source = UdpSource(port=0, buffer_bytes=4096)
+        closing = threading.Timer(chance.random() * 1e-3, source.close)
+        closing.start()
+        assert way(source) == []
+        closing.join()
+        assert source._socket.fileno() == -1 and source.receive(0) is None and source.closed
 
 
 def test_silence_ends_a_loop_and_a_loop_may_close_its_source():
@@ -171,38 +158,24 @@ def test_the_summary_is_one_line_of_what_was_counted():
     )
 
 
-def at_pixel(x, y, n):
-    return events_of(np.arange(n), [x] * n, [y] * n, [1] * n)
-
-
-def invalid(n):
-    events = at_pixel(3, 4, n)
-    events["p"] = 2
-    return events
-
-
-BOTH = [invalid(WARN_AFTER // 2), at_pixel(0, 20, WARN_AFTER // 2)]
-LINE = (
-    "none of the first 1000 events can be used, 500 of them lie off the sensor; does the sender use another format "
-    "than t64_x16_y16_on8 (?format=...), or a larger camera?"
-)
-
-
-@pytest.mark.parametrize(("parts", "warning"), [(BOTH * 2, LINE), ([at_pixel(33, 19, 1), *BOTH], None)])
-def test_a_stream_without_one_good_event_is_reported_once(parts, warning, caplog):
+def test_a_stream_without_one_good_event_is_reported_once(caplog):
+    events = events_of(range(WARN_AFTER), [0] * WARN_AFTER, [20] * WARN_AFTER, [1] * WARN_AFTER)
+    events["p"][::2] = 2
     with UdpSource(port=0, sensor=SENSOR) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
-        for n_sent, part in enumerate(parts, 1):
-            sender.sendto(part.tobytes(), (source.address, source.port))
+        for n_sent in (1, 2):
+            sender.sendto(events.tobytes(), (source.address, source.port))
             until(lambda n_sent=n_sent: source.receive(0) is not None or source.counts.datagrams == n_sent)
-    warnings = [r.getMessage() for r in caplog.records if r.name == "async_tnt.sources" and r.levelno > logging.INFO]
-    warnings = [line for line in warnings if "waiting datagrams" not in line]  # a system may give little room
-    assert warnings == ([f"udp://127.0.0.1:{source.port}: {warning}"] if warning else [])
+    line = (
+        "none of the first 1000 events can be used, 500 of them lie off the sensor; does the sender use another format "
+        "than t64_x16_y16_on8 (?format=...), or a larger camera?"
+    )
+    assert caplog.text.count(line) == 1
 
 
 # -- names and settings ----------------------------------------------------------------------------------
 
 
-def test_a_url_has_a_format_and_a_timeout(monkeypatch):
+def test_a_url_has_a_format_and_a_timeout():
     with open_udp("udp://127.0.0.1:0?format=spif&timeout_s=0.5", (34, 20)) as source:
         assert (source.format, source.timeout_s, source.sensor) == ("spif", 0.5, (34, 20))
         assert source.address == "127.0.0.1" and source.port > 0
@@ -210,13 +183,6 @@ def test_a_url_has_a_format_and_a_timeout(monkeypatch):
             open_udp(f"udp://127.0.0.1:{source.port}")  # taken
     with UdpSource(port=source.port) as again:  # the port is free; by default for this machine only
         assert again.address == "127.0.0.1"
-
-    def unknown(*_, **__):
-        raise socket.gaierror
-
-    monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    with pytest.raises(OSError, match="no such host or port"):
-        open_udp("udp://no.such.host.invalid:3333")
 
 
 @pytest.mark.parametrize(

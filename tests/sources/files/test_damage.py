@@ -27,7 +27,7 @@ from async_tnt.sources.files import worker_source
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import DamagedRecording
 
-CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "100"))  # of each format
+CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))  # of each format
 SEED = int(os.environ.get("ASYNC_TNT_FUZZ_SEED", "0"))
 SMALL = (34, 34)
 EVENTS = made_events(12, step_us=300, sensor=SMALL)
