@@ -107,15 +107,6 @@ def test_any_memory(stored):
     assert_decoded([stored(np.array(column)) for column in EVENTS])
 
 
-def test_other_kinds_of_record_arrays(tmp_path):
-    records(PACKED["faery"]).tofile(tmp_path / "events.raw")
-    events = np.memmap(tmp_path / "events.raw", PACKED["faery"], mode="r")
-    assert_decoded(events)
-    assert_decoded(tuple(events[name] for name in ("t", "x", "y", "on")))
-    assert_decoded(records(EVENT_DTYPE).view(np.recarray))
-    assert_decoded(np.broadcast_to(records(EVENT_DTYPE)[1], (4,)), [[column[1]] * 4 for column in EVENTS])
-
-
 def test_fields_renamed_and_polarity_written_otherwise_between_packets():
     events = np.array([(5, 1, 2, 1)], EVENT_DTYPE.descr)
     decoder = EventDecoder(SENSOR)

@@ -8,7 +8,6 @@ import pytest
 from sources.made_devices import PanicException, PlayedDevice, drivers, found, made_events, opened
 from waiting import meanwhile, until
 
-from async_tnt.kernels.clock import AGREEING_PACKETS as N
 from async_tnt.sources import DRIVERS, BackgroundReader, open_recording, sample_recordings
 
 HOUR_US = 3_600_000_000
@@ -67,13 +66,6 @@ def test_events_whose_time_jumps_are_left_out():
     came = list(islice(camera, 2))
     assert came[0]["t"].tolist() == [1] and came[1] is packets[2] and camera.counts.packets == 2
     assert camera.summary() == "2 packets, 2 events (jumps in time: 2, lost: unknown)"
-
-
-def test_a_clock_that_restarts_continues():
-    _, camera = opened(*(made_events(t) for t in [HOUR_US, *[0] * N, 900_000]))
-    assert [int(packet["t"][0]) - HOUR_US for packet in islice(camera, 3)] == [0, 0, 900_000]
-    assert (camera.counts.jumped, camera.counts.clock_restarts) == (N - 1, 1)
-    assert f"clock restarts: 1, jumps in time: {N - 1}" in camera.summary()
 
 
 # -- async-tnt run camera --------------------------------------------------------------------------------

@@ -50,16 +50,6 @@ def test_rows_may_have_other_line_ends_blanks_comments_and_floats(text):
     assert recording.sensor is None
 
 
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [("a.txt", "240 180\n"), ("a.txt", "# nothing\n"), ("a.csv", "t,x,y,p\n"), ("a.csv", "\n")],
-)
-def test_text_without_events(text, name, content):
-    recording = text(name, content)
-    assert (recording.n_events, recording.duration_us, list(recording)) == (0, 0, [])
-    assert recording.sensor == ((240, 180) if content.startswith("2") else None)
-
-
 UZH_ROWS = (
     "0.3 1 2",
     "0.3 1.5 2 1",
