@@ -20,7 +20,7 @@ NEUROMORPHIC_KINDS = {  # KIND of `camera:KIND`, by neuromorphic-drivers' names 
     "CenturyArks VGA": ("silkyevcam",),
     "Lucid Triton": ("triton",),
 }
-DV_KINDS = {  # the same by dv-processing's names
+DV_KINDS = {  # the same by dv-processing's names, which do not tell a DAVIS346 from other DAVIS
     "DVS128": ("dvs128",),
     "DAVIS": ("davis", "davis346"),
     "DAVIS_GEN2": ("davis", "davis346"),

@@ -14,10 +14,8 @@ import numpy as np
 
 from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, CameraCounts, Device, Driver, failure
 from async_tnt.sources.clock import Clock
-from async_tnt.sources.sensor import format_size
 
 MAX_JUMP_S = 1.0  # a camera's events arrive in order and soon
-DAVIS346 = (346, 260)  # dv-processing distinguishes DAVIS models only when they are open
 
 log = logging.getLogger("async_tnt.sources")
 
@@ -191,16 +189,11 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS
                 problems.append(f"{package} found {camera}, which is another camera")
                 continue
             try:
-                opened = Camera(camera.open(), f"{camera} by {package}")
+                return Camera(camera.open(), f"{camera} by {package}")
             except BaseException as error:
                 reason = failure(error)
                 problems.append(f"{package} found {camera} but cannot open it: {camera.problem or reason}")
                 was_found = True
-                continue
-            if kind != "davis346" or opened.sensor == DAVIS346:
-                return opened
-            opened.close()
-            problems.append(f"{package} found {camera}, which has {format_size(opened.sensor)} pixels")
     if n_missing == len(drivers):
         raise ImportError(f"{name}: {'; '.join(problems)}: cameras need one of them, pip install 'async_tnt[cameras]'")
     if searched:

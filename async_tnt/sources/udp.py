@@ -64,8 +64,7 @@ class UdpSource:
     address, port : where to listen; by default only this machine can send. Port 0 picks a free one: read `port`.
     format : one of `async_tnt.sources.EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
-    buffer_bytes : receive buffer to ask the system for; the log `async_tnt.sources` warns if it gives less. The
-        attribute has what it gives.
+    buffer_bytes : receive buffer to ask the system for; the attribute has what it gives.
     timeout_s : silence, in seconds, below 1e6, after which iterating ends; None waits forever.
     max_datagrams : in one packet, at most.
     max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the times of a sender that
@@ -116,7 +115,10 @@ class UdpSource:
         self._reading = threading.RLock()
         self._socket = _bound_socket(address, port)
         self.address, self.port = self._socket.getsockname()[:2]
-        self.buffer_bytes = _ask_for_buffer(self._socket, buffer_bytes)
+        with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
+        overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles what is asked for
+        self.buffer_bytes = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // overhead
         self._wake_out, self._wake_in = socket.socketpair()  # one end becomes readable when the other is closed
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
@@ -298,20 +300,3 @@ def _bound_socket(address: str, port: int) -> socket.socket:
         bound.close()
         raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
     return bound
-
-
-def _ask_for_buffer(sock: socket.socket, n_bytes: int) -> int:
-    """Ask the system for room for waiting datagrams; returns how many bytes there are, and warns if that is less."""
-    with_overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles the size asked for, and reports that
-    with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, n_bytes)
-    available = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // with_overhead
-    if available < n_bytes:
-        log.warning(
-            "the system gives %s bytes for waiting datagrams of the %s asked for; bursts may be lost "
-            "(Linux: sudo sysctl net.core.rmem_max=%s)",
-            f"{available:,}",
-            f"{n_bytes:,}",
-            n_bytes,
-        )
-    return available

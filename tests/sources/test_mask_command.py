@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from made import events_of, random_events
 
-from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_masks import load_mask
@@ -71,22 +70,18 @@ def test_recordings_of_one_camera_count_as_one(tmp_path, program):
 def folder(tmp_path, monkeypatch):
     """Recordings of every kind of trouble, in the current folder."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "bad.npy").write_bytes(b"hello")
     np.save(tmp_path / "a.npy", EVENTS)
     for side in (34, 50):
         np.savez(tmp_path / f"{side}.npz", events=random_events(9), sensor=np.array([side, side]))
     np.savez(tmp_path / "e.npz", events=random_events(0), sensor=np.array([34, 34]))
-    write_nmnist(tmp_path / "a.bin", events_of([5, 6], [200, 3], [2, 3], [0, 1]), sensor=None)
     return tmp_path
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("bad.npy", "bad.npy: not a readable NumPy file"),
         ("a.npy", "a.npy: the file does not state the camera's sensor; give --sensor WxH"),
         ("34.npz 50.npz", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
-        ("a.bin", "on the 34 x 34 sensor, got x = 200, y = 2 at event 0 (byte 0). Fetch the file again, or say"),
         ("e.npz", "e.npz: no events, no hot pixels can be found"),
         ("34.npz --out m.png", "m.png: its name must end in .npy"),
     ],

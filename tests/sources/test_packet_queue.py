@@ -87,29 +87,8 @@ def test_delay_is_the_age_of_the_packet_handed_out(monkeypatch):
 # -- asyncio ---------------------------------------------------------------------------------------------
 
 
-def in_asyncio(queue, act):
-    """The packets of `async for`, where `act` runs in a thread when the task waits; other tasks run meanwhile."""
-
-    async def run():
-        reading = asyncio.create_task(collect(queue))
-        while not queue._sleepers:
-            await asyncio.sleep(0)
-        with meanwhile(act):
-            return await reading
-
-    return asyncio.run(run())
-
-
 async def collect(queue):
     return [packet async for packet in queue]
-
-
-def test_a_packet_or_the_end_wakes_a_task_that_waits():
-    queue = PacketQueue()
-    (packet,) = in_asyncio(queue, lambda: (queue.put(PACKETS[0]), queue.end()))
-    assert packet.tobytes() == PACKETS[0].tobytes()
-    queue = PacketQueue()
-    assert in_asyncio(queue, queue.close) == []
 
 
 def test_cancelled_while_it_waits_loses_nothing():

@@ -52,14 +52,6 @@ def test_a_reader_that_hangs_dies_or_panics_is_damage_after_the_events_before(tm
         WorkerSource(path, misbehaving, "odd")
 
 
-def test_a_path_is_relative_to_the_folder_of_now(tmp_path, monkeypatch):
-    for k, name in enumerate("ab"):
-        (tmp_path / name).mkdir()
-        written(tmp_path / name / "dv.aedat4", made_events(50, seed=k))
-        monkeypatch.chdir(tmp_path / name)
-        np.testing.assert_array_equal(open_recording("dv.aedat4").read(), made_events(50, seed=k))
-
-
 def test_a_worker_reads_the_next_file_unless_there_was_damage(tmp_path):
     """And each file as often as asked, whichever was opened last."""
     paths = [
