@@ -18,8 +18,7 @@ import numpy as np
 
 from async_tnt.checks import one_line
 from async_tnt.event_forms import Four
-from async_tnt.sources.files import in_worker
-from async_tnt.sources.files.hdf5 import read_hdf5
+from async_tnt.sources.files import library_readers
 from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
 from async_tnt.sources.worker import Worker
 
@@ -33,16 +32,16 @@ class WorkerSource(Source):
 
     Parameters
     ----------
-    read : how, see `in_worker.py`.
+    read : how, see `library_readers.py`.
     format : its name, for messages.
     """
 
-    def __init__(self, path: Path, read: in_worker.Reader, format: str) -> None:
+    def __init__(self, path: Path, read: library_readers.Reader, format: str) -> None:
         self.path = path
         self._read = read
         path.open("rb").close()  # raises the OSError of a missing file
         with _worker() as worker:
-            worker.submit(in_worker.sensor_of, read, self._absolute, limit_s=READ_S)
+            worker.submit(library_readers.sensor_of, read, self._absolute, limit_s=READ_S)
             try:
                 sensor = worker.result(SILENCE_S)
             except Exception as error:
@@ -51,9 +50,9 @@ class WorkerSource(Source):
 
     def blocks(self) -> Iterator[np.ndarray]:
         with _worker() as worker:
-            worker.submit(in_worker.start, self._read, self._absolute, limit_s=READ_S)
+            worker.submit(library_readers.start, self._read, self._absolute, limit_s=READ_S)
             for _ in range(AHEAD):
-                worker.submit(in_worker.next_block, limit_s=READ_S)
+                worker.submit(library_readers.next_block, limit_s=READ_S)
             yield from valid_blocks(_columns(worker))
 
     @property
@@ -67,7 +66,7 @@ def _columns(worker: Worker) -> Iterator[Four]:
     try:
         worker.result(SILENCE_S)  # the sensor
         while (columns := worker.result(SILENCE_S)) is not None:
-            worker.submit(in_worker.next_block, limit_s=READ_S)
+            worker.submit(library_readers.next_block, limit_s=READ_S)
             t, x, y, p = columns
             yield t, x, y, p
             n_read += len(t)
@@ -105,20 +104,20 @@ def _end_idle() -> None:
 
 def open_aedat4(path: Path) -> Source:
     """Open an AEDAT4 file."""
-    return _open(path, in_worker.read_aedat4, "AEDAT4", "faery", "files")
+    return _open(path, library_readers.read_aedat4, "AEDAT4", "faery", "files")
 
 
 def open_es(path: Path) -> Source:
     """Open an Event Stream file."""
-    return _open(path, in_worker.read_es, "ES", "faery", "files")
+    return _open(path, library_readers.read_es, "ES", "faery", "files")
 
 
 def open_hdf5(path: Path) -> Source:
     """Open an HDF5 file of events."""
-    return _open(path, read_hdf5, "HDF5", "h5py", "hdf5")
+    return _open(path, library_readers.read_hdf5, "HDF5", "h5py", "hdf5")
 
 
-def _open(path: Path, read: in_worker.Reader, format: str, library: str, extra: str) -> Source:
+def _open(path: Path, read: library_readers.Reader, format: str, library: str, extra: str) -> Source:
     if find_spec(library) is None:
         raise ImportError(f"{path}: {format} is read by {library}, which is missing: pip install 'async_tnt[{extra}]'")
     return WorkerSource(path, read, format)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sources.files.written import dsec, made_events, metavision
 
-from async_tnt.sources.files import hdf5
+from async_tnt.sources.files.library_readers import read_hdf5
 from async_tnt.sources.files.recording import open_recording
 
 h5py = pytest.importorskip("h5py", reason="HDF5 needs h5py")
@@ -16,7 +16,7 @@ EVENTS = made_events(5_000)
 
 def read(path):
     """Columns t, x, y, p: what the reader yields in a worker process, here in this one."""
-    _, *blocks = hdf5.read_hdf5(str(path))
+    _, *blocks = read_hdf5(str(path))
     return np.concatenate(blocks, axis=1)
 
 
@@ -52,7 +52,7 @@ def test_another_layout_is_refused(tmp_path, values, message):
         with h5py.File(tmp_path / "a.h5", "w") as file:
             file["data"] = np.zeros(3)
     with pytest.raises(ValueError, match=message):
-        next(hdf5.read_hdf5(str(tmp_path / "a.h5")))
+        next(read_hdf5(str(tmp_path / "a.h5")))
 
 
 @pytest.mark.parametrize("offset_us", [1_000, -1_000, 1 << 61])
@@ -74,7 +74,7 @@ def test_hdf5plugins_filters_are_read_and_named_where_they_are_missing(tmp_path,
     monkeypatch.setitem(sys.modules, "hdf5plugin", None)
     monkeypatch.setattr(h5py.h5z, "filter_avail", lambda code: code < 256)
     with pytest.raises(ValueError, match=rf"\(filter {code}\), which is missing: pip install hdf5plugin"):
-        next(hdf5.read_hdf5(str(path)))
+        next(read_hdf5(str(path)))
 
 
 @pytest.mark.parametrize("chunks", [None, (1_000,)])
@@ -85,7 +85,7 @@ def test_a_header_that_claims_events_that_were_never_written_is_refused_at_once(
         for name, dtype in (("t", "u4"), ("x", "u2"), ("y", "u2"), ("p", "u1")):
             file.create_dataset(f"events/{name}", (10**12 if chunks else 10**6,), dtype, chunks=chunks)
     with pytest.raises(ValueError, match=r"/events/t claims 10*0 events, but the file holds 0 of"):
-        next(hdf5.read_hdf5(str(path)))
+        next(read_hdf5(str(path)))
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_values_in_another_file_are_refused(tmp_path, name, how):
             file.create_virtual_dataset(name, layout)
         assert name in file  # HDF5 itself would read it
     with pytest.raises(ValueError, match=r"^\S+ must be stored in the file itself, but "):
-        next(hdf5.read_hdf5(str(path)))
+        next(read_hdf5(str(path)))
 
 
 def test_a_file_that_was_only_opened_may_be_written_again(tmp_path):
