@@ -1,4 +1,4 @@
-"""The queue alone: several producers, every form of packet, asyncio, the end."""
+"""The queue alone: every form of packet, what is discarded, asyncio, the end."""
 
 import asyncio
 import itertools
