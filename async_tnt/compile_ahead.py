@@ -16,7 +16,7 @@ from async_tnt.kernels.entry_points import ENTRY_POINTS
 from async_tnt.kernels.jit import can_be_cached, compile_for_types, is_cached
 from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
-from async_tnt.worker import available_cores
+from async_tnt.package import available_cores
 
 CHILD_S = 120.0  # a second process that takes longer is not waited for
 

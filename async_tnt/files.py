@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import stat
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
@@ -25,13 +25,13 @@ def check_writable(path: Path, suffixes: Sequence[str] = ()) -> Path:
     """
     if suffixes and path.suffix.lower() not in suffixes:
         raise ValueError(f"{path}: its name must end in {', '.join(suffixes)}")
-    target = file_of(path)
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
     if not target.parent.is_dir():
         raise FileNotFoundError(f"no folder {target.parent} to write {target.name} to")
-    there = _regular(path)
-    if not os.access(target.parent, os.W_OK) or (there is not None and not os.access(target, os.W_OK)):
+    _check_regular(path)
+    if not os.access(target.parent, os.W_OK) or (target.exists() and not os.access(target, os.W_OK)):
         raise PermissionError(f"{path} cannot be written: no permission")
-    _regular(_part_of(target), follow_symlinks=False)
+    _check_regular(_part_of(target), follow_symlinks=False)
     return target
 
 
@@ -65,35 +65,24 @@ def check_folder(folder: Path, names: Sequence[str] = ()) -> None:
         check_writable(folder / name)
 
 
-def file_of(path: Path) -> Path:
-    """The file that a symbolic link points to, so that it is replaced and not the link; otherwise `path`."""
-    return Path(os.path.realpath(path)) if path.is_symlink() else path
-
-
 class Replacement:
-    """A file that replaces another when it is complete; until then it is NAME.part, empty at first.
+    """A file that replaces another, whose permissions stay, when it is complete; until then it is NAME.part.
 
-    Parameters
-    ----------
-    path : the file to replace, if there is one, or a symbolic link to it. Its permissions stay.
-
-    Raises
-    ------
-    OSError : as `check_writable`; or the part cannot be made.
+    Parameters and errors are those of `check_writable`.
     """
 
     def __init__(self, path: Path) -> None:
         self._target = check_writable(path)
         self.part = _part_of(self._target)
-        self._mode = self._target.stat().st_mode if self._target.exists() else None
-        self.part.unlink(missing_ok=True)  # left by a killed process: anything else is refused
-        # O_EXCL does not follow a link placed there meanwhile; the part is as private as the file that it replaces
-        os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666 if self._mode is None else 0o600))
+        self.part.unlink(missing_ok=True)  # left by a killed process
+        # O_EXCL does not follow a link placed there meanwhile; what replaces a private file is private from the start
+        mode = 0o600 if self._target.exists() else 0o666
+        os.close(os.open(self.part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode))
 
     def complete(self) -> None:
         """Replace the file."""
-        if self._mode is not None:
-            set_mode(self.part, self._mode)
+        with contextlib.suppress(OSError):  # nothing to replace, or a file system without permissions
+            shutil.copymode(self._target, self.part)
         self.part.replace(self._target)
 
     def discard(self) -> None:
@@ -106,16 +95,6 @@ def replacing(path: Path) -> Iterator[Path]:
     """Write the file that this yields, a `Replacement.part`: after the block it replaces `path`.
 
     If the block fails, `path` stays as it was. A killed process leaves the old or the new file, and maybe a `.part`.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     path = Path(folder, "a.txt")
-    ...     with replacing(path) as part:
-    ...         _ = part.write_text("whole")
-    ...     path.read_text(), part.exists()
-    ('whole', False)
     """
     file = Replacement(path)
     try:
@@ -146,24 +125,25 @@ def write_text(path: Path, text: str) -> None:
 def open_locked(path: Path, busy: str) -> IO[bytes]:
     """Open a file, made if missing, and lock it until it is closed or its process ends in any way.
 
-    BlockingIOError, with the text `busy`, if another process has locked it. Where the file system has no locks, nothing
-    is locked.
+    BlockingIOError, with the text `busy`, if another process has locked it, or has just replaced or deleted it. Where
+    the system has no such locks, nothing is locked.
     """
-    while True:
-        _regular(path, follow_symlinks=False)
-        with contextlib.ExitStack() as stack:
-            file = stack.enter_context(path.open("a+b"))
-            try:
-                _lock(file)
-            except (BlockingIOError, PermissionError):  # of POSIX; of Windows
-                raise BlockingIOError(busy) from None
-            except OSError:
-                pass  # no locks
-            with contextlib.suppress(FileNotFoundError):  # who had locked it has just replaced or deleted it
-                if os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                    stack.pop_all()
-                    file.seek(0)
-                    return file
+    _check_regular(path, follow_symlinks=False)
+    file = path.open("a+b")
+    try:
+        with contextlib.suppress(ImportError):  # Windows has no `fcntl`
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not os.path.samestat(os.fstat(file.fileno()), path.stat()):
+            raise BlockingIOError
+    except (BlockingIOError, FileNotFoundError):
+        file.close()
+        raise BlockingIOError(busy) from None
+    except OSError:
+        pass  # a file system without locks
+    file.seek(0)
+    return file
 
 
 @contextlib.contextmanager
@@ -179,40 +159,18 @@ def locked_folder(folder: Path, name: str) -> Iterator[None]:
         try:
             yield
         finally:
-            with contextlib.suppress(OSError):  # a folder is not empty; Windows deletes no open file
+            with contextlib.suppress(OSError):  # a folder is not empty
                 (folder / name).unlink()
                 for path in missing:
                     path.rmdir()
-
-
-def _lock(file: IO[bytes]) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        file.seek(1 << 30)  # far beyond the end: locked bytes cannot be read
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def set_mode(path: Path, mode: int) -> None:
-    """Set a file's permissions, if the file system has any."""
-    with contextlib.suppress(OSError):
-        path.chmod(stat.S_IMODE(mode))
 
 
 def _part_of(target: Path) -> Path:
     return target.with_name(f"{target.name}.part")
 
 
-def _regular(path: Path, *, follow_symlinks: bool = True) -> os.stat_result | None:
-    """The status of a file, None if nothing is there; refuses anything but a regular file."""
-    try:
-        status = os.stat(path, follow_symlinks=follow_symlinks)
-    except FileNotFoundError:
-        return None
-    if not stat.S_ISREG(status.st_mode):
-        raise FileExistsError(f"{path} is not a regular file; only those are replaced: give another name")
-    return status
+def _check_regular(path: Path, *, follow_symlinks: bool = True) -> None:
+    """Refuse anything but a regular file, or nothing at all."""
+    with contextlib.suppress(FileNotFoundError):
+        if not stat.S_ISREG(os.stat(path, follow_symlinks=follow_symlinks).st_mode):
+            raise FileExistsError(f"{path} is not a regular file; only those are replaced: give another name")

@@ -1,5 +1,5 @@
-"""What is known of the package before anything is imported: its version, and names that are imported when first used,
-so that programs start at once."""
+"""What is known of the package and the machine before anything is imported: version, cores, and names that are imported
+when first used, so that programs start at once."""
 
 __version__ = "0.1.0"
 
@@ -41,3 +41,10 @@ def lazy_names(package: "dict[str, Any]", modules: "dict[str, str]") -> "tuple[C
         return value
 
     return get, lambda: sorted({*package, *module_of})
+
+
+def available_cores() -> int:
+    """Cores this process may use."""
+    import os
+
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -16,6 +16,7 @@ import torch
 
 from async_tnt.config import TNTConfig
 from async_tnt.networks.model import Model
+from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.training.augment import Augmentation
 from async_tnt.training.data import TrainingData
@@ -23,7 +24,6 @@ from async_tnt.training.fitting import fit
 from async_tnt.training.moved_windows import MotionSettings
 from async_tnt.training.resynthesis import resynthesize
 from async_tnt.training.settings import TrainSettings
-from async_tnt.worker import available_cores
 from experiments.digits_data import digits_data
 from experiments.script_options import add_folder, data_folder, exit_with, plain_parser
 

@@ -15,9 +15,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.views.figure_style import OFF, ON, TEXT, axes_at, headline, new_figure, note
-from async_tnt.worker import available_cores
 from experiments.measure_early import measure_early, n_settings
 from experiments.script_options import exit_with, report_of, script_parser, write_outputs
 

@@ -12,11 +12,11 @@ from pathlib import Path
 from async_tnt.cli.options import positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder
+from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.resynthesis.calibration import side_by_side
 from async_tnt.simulation.scene import Scene
 from async_tnt.sources.files.nmnist import write_nmnist
-from async_tnt.worker import available_cores
 from experiments.comparison import compare, recordings_by_image
 from experiments.motions import KINDS
 from experiments.moving_mnist_set import build

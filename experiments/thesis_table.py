@@ -15,8 +15,8 @@ from async_tnt.cli.bench import machine
 from async_tnt.cli.options import command_words, positive_int, whole_number
 from async_tnt.cli.output import note, say
 from async_tnt.files import check_folder, write_text
+from async_tnt.package import available_cores
 from async_tnt.training.settings import TrainSettings
-from async_tnt.worker import available_cores
 from experiments.script_options import add_folder, add_precision, data_folder, exit_with, plain_parser
 from experiments.table_rows import GROUPS, INPUTS, ROWS, TRAINED_ON, Run, runs_of
 

@@ -18,11 +18,11 @@ from async_tnt.cli.train_options import add_arguments, volume_of
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
+from async_tnt.package import available_cores
 from async_tnt.progress import progress
 from async_tnt.sources.labelled_recordings import has_part
 from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
 from async_tnt.sources.sensor import format_size
-from async_tnt.worker import available_cores
 
 if TYPE_CHECKING:
     from async_tnt.evaluation.scores import Scores

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from async_tnt.checks import needs_extra
 from async_tnt.package import __version__
-from async_tnt.worker import Worker, WorkerEnded
+from async_tnt.sources.worker import Worker, WorkerEnded
 
 if TYPE_CHECKING:
     from async_tnt.evaluation.job import Task as RecordingTask

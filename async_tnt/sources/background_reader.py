@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import threading
-import weakref
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from async_tnt.sources.queue import PacketQueue, QueueCounters
+from async_tnt.sources.queue import PacketQueue
 
 
-class BackgroundReader:
-    """Iterates a source in a daemon thread, into a bounded queue; iterating the reader yields the packets in order.
+class BackgroundReader(PacketQueue):
+    """A `PacketQueue` that a daemon thread fills from a source; iterating it yields the packets in order.
 
     Reading starts at once. An exception of the source is raised in the reader's loop, after the packets before it; the
     loop ends where the source ends. Use it as a context manager (`with` or `async with`), or `close` it to stop the
-    thread. A forgotten reader stops when it is garbage collected.
+    thread.
 
     Parameters
     ----------
@@ -60,51 +59,14 @@ class BackgroundReader:
             if hasattr(source, "__aiter__"):
                 raise TypeError("`source` is asynchronous already: pass it to `astream` directly")
             raise TypeError(f"`source` must be an iterable of packets, got {type(source).__name__}")
-        self._queue = PacketQueue(max_packets=max_packets, latest=latest, max_events=max_events, copy=copy)
+        super().__init__(max_packets=max_packets, latest=latest, max_events=max_events, copy=copy)
         self._on_close = on_close
-        # The thread refers to the queue, not the reader, which can thus be garbage collected while the thread runs.
         self._thread = threading.Thread(
-            target=_read, args=(source, self._queue), name="async_tnt.BackgroundReader", daemon=True
+            target=self._read, args=(source,), name="async_tnt.BackgroundReader", daemon=True
         )
-        self._forgotten = weakref.finalize(self, self._queue.close)
         self._thread.start()
 
-    def __repr__(self) -> str:
-        return f"BackgroundReader({self._queue!r})"
-
-    def __iter__(self) -> Iterator[Any]:
-        return self
-
-    def __next__(self) -> Any:
-        return next(self._queue)
-
-    def __aiter__(self) -> AsyncIterator[Any]:
-        return self
-
-    async def __anext__(self) -> Any:
-        return await self._queue.__anext__()
-
-    @property
-    def backlog(self) -> int:
-        """Events that wait."""
-        return self._queue.backlog
-
-    @property
-    def n_skipped(self) -> int:
-        """Events discarded."""
-        return self._queue.n_skipped
-
-    @property
-    def delay_us(self) -> int:
-        """Age of the newest packet handed out: microseconds from its arrival until now. 0 before the first."""
-        return self._queue.delay_us
-
-    @property
-    def counters(self) -> QueueCounters:
-        """All counts, at one moment."""
-        return self._queue.counters
-
-    def close(self, timeout_s: float = 1.0) -> bool:
+    def close(self, timeout_s: float = 1.0) -> None:
         """Discard waiting packets, end the loop over this reader, and stop the thread. May be called again.
 
         A thread that waits in the source stops at the source's next packet, unless `on_close` wakes it.
@@ -112,12 +74,8 @@ class BackgroundReader:
         Parameters
         ----------
         timeout_s : how long to wait for the thread.
-
-        Returns
-        -------
-        True if the thread has stopped.
         """
-        self._queue.close()
+        super().close()
         on_close, self._on_close = self._on_close, None
         try:
             if on_close is not None:
@@ -125,7 +83,6 @@ class BackgroundReader:
         finally:
             if self._thread is not threading.current_thread():
                 self._thread.join(timeout_s)
-        return not self._thread.is_alive()
 
     def __enter__(self) -> BackgroundReader:
         return self
@@ -133,9 +90,9 @@ class BackgroundReader:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    async def aclose(self, timeout_s: float = 1.0) -> bool:
+    async def aclose(self, timeout_s: float = 1.0) -> None:
         """`close`, while asyncio's other tasks run."""
-        return await asyncio.to_thread(self.close, timeout_s)
+        await asyncio.to_thread(self.close, timeout_s)
 
     async def __aenter__(self) -> BackgroundReader:
         return self
@@ -143,19 +100,18 @@ class BackgroundReader:
     async def __aexit__(self, *error: object) -> None:
         await self.aclose()
 
-
-def _read(source: Iterable[Any], queue: PacketQueue) -> None:
-    """The thread's work."""
-    try:
-        packets = iter(source)
-        while queue.wait_for_room():  # before reading the source: it is never ahead by more than the queue holds
-            try:
-                packet = next(packets)
-            except StopIteration:
-                break
-            queue.put(packet)
-            del packet  # its memory belongs to the consumer
-    except BaseException as error:  # whatever it is, the consumer must see it
-        queue.end(error)
-    else:
-        queue.end()
+    def _read(self, source: Iterable[Any]) -> None:
+        """The thread's work."""
+        try:
+            packets = iter(source)
+            while self.wait_for_room():  # before reading the source: it is never ahead by more than the queue holds
+                try:
+                    packet = next(packets)
+                except StopIteration:
+                    break
+                self.put(packet)
+                del packet  # its memory belongs to the consumer
+        except BaseException as error:  # whatever it is, the consumer must see it
+            self.end(error)
+        else:
+            self.end()

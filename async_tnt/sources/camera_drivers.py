@@ -1,11 +1,10 @@
-"""The camera libraries behind one interface: a driver finds cameras, a device is read."""
+"""The camera libraries behind one interface: a driver finds the connected cameras, a device is read."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,7 +20,7 @@ NEUROMORPHIC_KINDS = {  # KIND of `camera:KIND`, by neuromorphic-drivers' names 
     "CenturyArks VGA": ("silkyevcam",),
     "Lucid Triton": ("triton",),
 }
-DV_KINDS = {  # the same by dv-processing's names
+DV_KINDS = {  # the same by dv-processing's names, which do not tell a DAVIS346 from other DAVIS
     "DVS128": ("dvs128",),
     "DAVIS": ("davis", "davis346"),
     "DAVIS_GEN2": ("davis", "davis346"),
@@ -44,8 +43,6 @@ class CameraCounts:
     """Gaps in the stream of events, which were not read in time."""
     dropped: int | None = None
     """Raw USB packets that the library dropped."""
-    most_waiting: int | None = None
-    """The largest number of raw USB packets that waited in the library."""
     clock_restarts: int = 0
     """How often the camera's clock moved back; times continue, see `Clock`."""
     off_sensor: int = 0
@@ -94,14 +91,8 @@ class FoundCamera:
         return self.model if not self.serial else f"{self.model} {self.serial}"
 
 
-class Driver(Protocol):
-    """A camera library."""
-
-    name: str
-    """With its version."""
-
-    def find(self) -> Sequence[FoundCamera]:
-        """The connected cameras. If it cannot search, raises what the library raises."""
+Driver = Callable[[], Sequence[FoundCamera]]
+"""Finds the connected cameras of one library. ImportError without it; if it cannot search, what the library raises."""
 
 
 def failure(error: BaseException) -> str:
@@ -131,31 +122,25 @@ def failure(error: BaseException) -> str:
     return lines[0] if lines else type(error).__name__
 
 
-class NeuromorphicDrivers:
-    """neuromorphic-drivers: Prophesee EVK3 HD and EVK4, DAVIS346, DVXplorer and others. ImportError without it.
+def neuromorphic_cameras(library: Any = None) -> list[FoundCamera]:
+    """By neuromorphic-drivers: Prophesee EVK3 HD and EVK4, DAVIS346, DVXplorer and others.
 
     Parameters
     ----------
     library : an object with `list_devices` and `open`; by default the module itself.
     """
+    if library is None:
+        import neuromorphic_drivers
 
-    def __init__(self, library: Any = None) -> None:
-        if library is None:
-            import neuromorphic_drivers
-
-            library = neuromorphic_drivers
-        self.name = f"neuromorphic-drivers {version('neuromorphic-drivers')}"
-        self._library = library
-
-    def find(self) -> list[FoundCamera]:
-        found = []
-        for listed in self._library.list_devices():
-            model = listed.name.value
-            # by its address if it is in a network and its serial number is unknown
-            which = {"serial": listed.serial} if listed.serial else {"address": listed.address}
-            open_this = partial(NeuromorphicDevice, self._library.open, which)
-            found.append(FoundCamera(model, NEUROMORPHIC_KINDS.get(model, ()), listed.serial, open_this, listed.error))
-        return found
+        library = neuromorphic_drivers
+    found = []
+    for listed in library.list_devices():
+        model = listed.name.value
+        # by its address if it is in a network and its serial number is unknown
+        which = {"serial": listed.serial} if listed.serial else {"address": listed.address}
+        open_this = partial(NeuromorphicDevice, library.open, which)
+        found.append(FoundCamera(model, NEUROMORPHIC_KINDS.get(model, ()), listed.serial, open_this, listed.error))
+    return found
 
 
 class NeuromorphicDevice:
@@ -174,7 +159,6 @@ class NeuromorphicDevice:
         status, packet = next(self.handle)
         if (ring := status.ring) is not None:  # None: nothing came within WAIT_S
             self.counts.dropped = ring.dropped_packets
-            self.counts.most_waiting = max(ring.backlog, self.counts.most_waiting or 0)
         events: np.ndarray | None = None if packet is None else packet.polarity_events
         if events is None:
             return None
@@ -187,29 +171,23 @@ class NeuromorphicDevice:
         self.handle.close()
 
 
-class DvProcessing:
-    """dv-processing, iniVation's own library: the DAVIS, DVXplorer and DVS128 families. ImportError without it.
+def dv_cameras(library: Any = None) -> list[FoundCamera]:
+    """By dv-processing, iniVation's own library: the DAVIS, DVXplorer and DVS128 families.
 
     Parameters
     ----------
     library : an object with `discover` and `open`; by default `dv_processing.io.camera`.
     """
+    if library is None:
+        import dv_processing
 
-    def __init__(self, library: Any = None) -> None:
-        if library is None:
-            import dv_processing
-
-            library = dv_processing.io.camera
-        self.name = f"dv-processing {version('dv-processing')}"
-        self._library = library
-
-    def find(self) -> list[FoundCamera]:
-        found = []
-        for descriptor in self._library.discover():
-            model = descriptor.cameraModel.name
-            open_this = partial(DvDevice, self._library.open, descriptor)
-            found.append(FoundCamera(model, DV_KINDS.get(model, ()), descriptor.serialNumber or None, open_this))
-        return found
+        library = dv_processing.io.camera
+    found = []
+    for descriptor in library.discover():
+        model = descriptor.cameraModel.name
+        open_this = partial(DvDevice, library.open, descriptor)
+        found.append(FoundCamera(model, DV_KINDS.get(model, ()), descriptor.serialNumber or None, open_this))
+    return found
 
 
 class DvDevice:
@@ -240,8 +218,5 @@ class DvDevice:
         self.handle = None  # the library has no other way
 
 
-DRIVERS: Mapping[str, Callable[[], Driver]] = {
-    "neuromorphic-drivers": NeuromorphicDrivers,
-    "dv-processing": DvProcessing,
-}
+DRIVERS: Mapping[str, Driver] = {"neuromorphic-drivers": neuromorphic_cameras, "dv-processing": dv_cameras}
 """Library -> its `Driver`, in the order in which they are tried: the first waits without polling, and counts losses."""

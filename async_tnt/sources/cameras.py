@@ -6,7 +6,7 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,10 +14,8 @@ import numpy as np
 
 from async_tnt.sources.camera_drivers import ALL_KINDS, DRIVERS, CameraCounts, Device, Driver, failure
 from async_tnt.sources.clock import Clock
-from async_tnt.sources.sensor import format_size
 
 MAX_JUMP_S = 1.0  # a camera's events arrive in order and soon
-DAVIS346 = (346, 260)  # dv-processing distinguishes DAVIS models only when they are open
 
 log = logging.getLogger("async_tnt.sources")
 
@@ -76,7 +74,6 @@ class Camera:
         numbers = {
             "gaps: {:,}": counts.overflows,
             "raw packets dropped: {:,}": counts.dropped,
-            "at most {:,} waiting": counts.most_waiting,
             "clock restarts: {:,}": counts.clock_restarts or None,
             "off the sensor: {:,}": counts.off_sensor or None,
             "jumps in time: {:,}": counts.jumped or None,
@@ -152,7 +149,7 @@ class Camera:
         self.close()
 
 
-def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driver]] = DRIVERS) -> Camera:
+def open_camera(name: str = "camera", *, drivers: Mapping[str, Driver] = DRIVERS) -> Camera:
     """Open a camera.
 
     Parameters
@@ -174,37 +171,29 @@ def open_camera(name: str = "camera", *, drivers: Mapping[str, Callable[[], Driv
     """
     kind, serial = parse_camera_name(name)
     problems, searched, n_missing, was_found = [], [], 0, False
-    for package, make_driver in drivers.items():
+    for package, find in drivers.items():
         try:
-            driver = make_driver()
-        except ImportError as error:
+            found = find()
+        except ModuleNotFoundError:
             n_missing += 1
-            absent = isinstance(error, ModuleNotFoundError)
-            problems.append(f"{package} is not installed" if absent else f"{package} does not load: {failure(error)}")
+            problems.append(f"{package} is not installed")
             continue
-        try:
-            found = driver.find()
         except BaseException as error:
-            problems.append(f"{driver.name} cannot search: {failure(error)} (no USB here?)")
+            problems.append(f"{package} cannot search: {failure(error)}")
             continue
         if not found:
-            searched.append(driver.name)
+            searched.append(package)
         for camera in found:
             # one that hides its serial number may be the right one; opening it shows why it does
             if (kind and kind not in camera.kinds) or (serial and camera.serial not in (serial, None)):
-                problems.append(f"{driver.name} found {camera}, which is another camera")
+                problems.append(f"{package} found {camera}, which is another camera")
                 continue
             try:
-                opened = Camera(camera.open(), f"{camera} by {driver.name}")
+                return Camera(camera.open(), f"{camera} by {package}")
             except BaseException as error:
                 reason = failure(error)
-                problems.append(f"{driver.name} found {camera} but cannot open it: {camera.problem or reason}")
+                problems.append(f"{package} found {camera} but cannot open it: {camera.problem or reason}")
                 was_found = True
-                continue
-            if kind != "davis346" or opened.sensor == DAVIS346:
-                return opened
-            opened.close()
-            problems.append(f"{driver.name} found {camera}, which has {format_size(opened.sensor)} pixels")
     if n_missing == len(drivers):
         raise ImportError(f"{name}: {'; '.join(problems)}: cameras need one of them, pip install 'async_tnt[cameras]'")
     if searched:

@@ -53,7 +53,6 @@ class PixelFilter:
     Attributes
     ----------
     sensor : (width, height) of the filtered packets: the region's size with `crop`, else the camera's.
-    n_masked_pixels : pixels that the mask leaves out.
 
     Raises
     ------
@@ -87,7 +86,6 @@ class PixelFilter:
             mask = checked_mask(mask, (width, height))
         self.crop = bool(crop)
         self.sensor = self.roi[2:] if crop else (width, height)
-        self.n_masked_pixels = 0 if mask is None else int(np.count_nonzero(mask))
         left, top, roi_width, roi_height = self.roi
         inside = np.s_[top : top + roi_height, left : left + roi_width]
         self._verdicts = np.full((height, width), OUTSIDE, np.uint8)
@@ -124,9 +122,7 @@ class PixelFilter:
         self._received = self._kept = self._masked = 0
 
     def __repr__(self) -> str:
-        height, width = self._verdicts.shape
-        crop = ", crop=True" if self.crop else ""
-        return f"PixelFilter(({width}, {height}), roi={self.roi}, {self.n_masked_pixels} pixels masked{crop})"
+        return f"PixelFilter(roi={self.roi}, crop={self.crop}, {self.counts})"
 
 
 def check_crop(crop: bool, roi: Any) -> None:

@@ -108,7 +108,7 @@ def save_mask(path: str | os.PathLike[str], mask: np.ndarray) -> None:
     OSError : not writable.
     """
     check_writable(Path(path), (".npy",))
-    mask = checked_mask(plain_array("mask", mask))
+    mask = checked_mask(mask)
     with replacing(Path(path)) as part, part.open("wb") as file:
         np.save(file, mask, allow_pickle=False)
 
@@ -169,13 +169,7 @@ def learn_mask(
 ) -> np.ndarray:
     """Find the hot pixels of a recording.
 
-    A pixel with n events is hot if both hold:
-
-        n > factor * plausible
-        n log(n / plausible) - (n - plausible) > log(pixels / false_alarms)
-
-    where a plausible number is the largest of three: the 4th largest among the 24 pixels around it, the mean of all
-    pixels, and 1. The search is repeated until no more are found.
+    The head of this module has the rule.
 
     Parameters
     ----------
@@ -219,7 +213,10 @@ def count_pixels(source: Iterable[Any], sensor: tuple[int, int]) -> np.ndarray:
 
 def hot_pixels(counts: np.ndarray, *, factor: float = FACTOR, false_alarms: float = FALSE_ALARMS) -> np.ndarray:
     """`learn_mask`, with its `factor` and `false_alarms`, from the `counts` of events: int64, shape (H, W)."""
-    _check(factor, false_alarms)
+    if not 1 < factor < math.inf:
+        raise ValueError(f"`factor` must be above 1, got {factor}")
+    if not 0 < false_alarms < math.inf:
+        raise ValueError(f"`false_alarms` must be above 0, got {false_alarms}")
     hot = np.zeros(counts.shape, bool)
     if counts.size == 0:
         return hot
@@ -251,10 +248,3 @@ def _neighbours(counts: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     left = np.clip(x - BLOCK // 2, 0, blocks.shape[1] - 1)
     rank = min(RANK, height * width - 1)
     return np.sort(blocks[top, left].reshape(y.size, height * width), axis=1)[:, -1 - rank]
-
-
-def _check(factor: float, false_alarms: float) -> None:
-    if not (math.isfinite(factor) and factor > 1):
-        raise ValueError(f"`factor` must be above 1, got {factor}")
-    if not (math.isfinite(false_alarms) and false_alarms > 0):
-        raise ValueError(f"`false_alarms` must be above 0, got {false_alarms}")

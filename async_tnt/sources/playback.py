@@ -10,9 +10,6 @@ import numpy as np
 
 from async_tnt.sources.files.recording import open_recording
 
-FOREVER_NS = 1 << 62
-"""146 years."""
-
 
 def replay(
     source: Iterable[np.ndarray] | np.ndarray | str | os.PathLike[str],
@@ -72,8 +69,7 @@ def _replay(source: Iterable[np.ndarray], speed: float, packet_us: int) -> Itera
         for first, end in zip([0, *cuts.tolist()], [*cuts.tolist(), len(packet)], strict=True):
             if started_ns is None:  # the clock starts when the first packet is asked for
                 started_ns = time.monotonic_ns()
-            since_ns = min((int(due_us[end - 1]) - first_us) * 1000 / speed, FOREVER_NS)
-            wait_until(started_ns + round(since_ns))
+            wait_until(started_ns + round((int(due_us[end - 1]) - first_us) * 1000 / speed))
             yield packet[first:end]
 
 

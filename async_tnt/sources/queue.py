@@ -72,7 +72,7 @@ class PacketQueue:
         self.max_events = math.inf if max_events is None else positive_int("max_events", max_events)
         self.latest = bool(latest)
         self.copy = bool(copy)
-        # One lock, re-entrant: garbage collection, which closes the queue of a forgotten reader, may run at any moment.
+        # One lock, re-entrant: a signal handler, which closes the queue, may run at any moment.
         lock = threading.RLock()
         self._came = threading.Condition(lock)  # a packet, or the end
         self._room = threading.Condition(lock)
@@ -87,7 +87,7 @@ class PacketQueue:
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else "ended" if self._ended else "open"
-        return f"PacketQueue({state}, {self._backlog} events waiting, {self._skipped} skipped)"
+        return f"{type(self).__name__}({state}, {self._backlog} events waiting, {self._skipped} skipped)"
 
     # -- packets in --------------------------------------------------------------------------------------
 

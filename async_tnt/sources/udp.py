@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import errno
 import logging
-import math
 import selectors
 import socket
 import sys
@@ -25,8 +24,7 @@ from async_tnt.sources.datagrams import Decoder
 ROOM = 1 << 16  # more than any datagram: none is ever cut off
 BATCH_BYTES = 1 << 18
 WARN_AFTER = 1000  # malformed events without a single good one, after which a warning names possible reasons
-MOST_DATAGRAMS = 1 << 14  # of one packet, as these may be empty
-LONGEST_S = 86_400.0  # of one sleep: the system takes no more than some days
+LONGEST_S = 1e6  # the system sleeps for no longer than some weeks
 
 log = logging.getLogger("async_tnt.sources")
 
@@ -52,22 +50,6 @@ class NetworkCounts:
     clock_restarts: int = 0
     """How often the sender's clock moved back; times continue, see `Clock`."""
 
-    def summary(self) -> str:
-        """One line for people.
-
-        Examples
-        --------
-        >>> NetworkCounts(12, 15_600, 1_199, malformed=1, late=0, jumped=1).summary()
-        '12 datagrams, 1,199 events (1 malformed, 1 of them time jumps, 0 out of order)'
-        """
-        of_them = f"{self.jumped:,} of them time jumps, " if self.jumped else ""
-        of_them += f"{self.off_sensor:,} of them off the sensor, " if self.off_sensor else ""
-        restarts = f", clock restarts: {self.clock_restarts:,}" if self.clock_restarts else ""
-        return (
-            f"{self.datagrams:,} datagrams, {self.events:,} events ({self.malformed:,} malformed, {of_them}"
-            f"{self.late:,} out of order{restarts})"
-        )
-
 
 class UdpSource:
     """Listens for datagrams of events.
@@ -82,9 +64,8 @@ class UdpSource:
     address, port : where to listen; by default only this machine can send. Port 0 picks a free one: read `port`.
     format : one of `async_tnt.sources.EVENT_BYTES`.
     sensor : (width, height) in pixels; events beyond it are malformed. None: all are handed on.
-    buffer_bytes : receive buffer to ask the system for; the log `async_tnt.sources` warns if it gives less. The
-        attribute has what it gives.
-    timeout_s : silence, in seconds, after which iterating ends; None waits forever.
+    buffer_bytes : receive buffer to ask the system for; the attribute has what it gives.
+    timeout_s : silence, in seconds, below 1e6, after which iterating ends; None waits forever.
     max_datagrams : in one packet, at most.
     max_jump_s : of the stream's `Clock`, which drops events whose time jumps, and continues the times of a sender that
         starts again. None: every time is trusted.
@@ -118,10 +99,11 @@ class UdpSource:
     ) -> None:
         port = whole_number("port", port, 0, 1 << 16)
         buffer_bytes = whole_number("buffer_bytes", buffer_bytes, 1, 1 << 30, "in [1, 2**30)")
-        if timeout_s is not None and not (math.isfinite(timeout_s) and timeout_s > 0):
-            raise ValueError(f"`timeout_s` must be a positive number of seconds, got {timeout_s}")
+        if timeout_s is not None and not 0 < timeout_s < LONGEST_S:
+            raise ValueError(f"`timeout_s` must be a positive number of seconds below {LONGEST_S:g}, got {timeout_s}")
         self.timeout_s = timeout_s
         self.max_datagrams = positive_int("max_datagrams", max_datagrams)
+        self.format, self.sensor = format, sensor
         self._decoder = Decoder(format, sensor, max_jump_s)
         self._memory = memoryview(bytearray(BATCH_BYTES))
         self._raw = np.frombuffer(self._memory, np.uint8)  # the decoder's view of it
@@ -133,21 +115,14 @@ class UdpSource:
         self._reading = threading.RLock()
         self._socket = _bound_socket(address, port)
         self.address, self.port = self._socket.getsockname()[:2]
-        self.buffer_bytes = _ask_for_buffer(self._socket, buffer_bytes)
+        with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
+        overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles what is asked for
+        self.buffer_bytes = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // overhead
         self._wake_out, self._wake_in = socket.socketpair()  # one end becomes readable when the other is closed
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
         self._selector.register(self._wake_out, selectors.EVENT_READ)
-
-    @property
-    def format(self) -> str:
-        """The datagrams' format, one of `async_tnt.sources.EVENT_BYTES`."""
-        return self._decoder.format
-
-    @property
-    def sensor(self) -> tuple[int, int] | None:
-        """(width, height) in pixels; None: events of any pixel are handed on."""
-        return self._decoder.sensor
 
     @property
     def closed(self) -> bool:
@@ -171,7 +146,14 @@ class UdpSource:
 
     def summary(self) -> str:
         """The counts so far, in one line for people."""
-        return self.counts.summary()
+        counts = self.counts
+        of_them = f"{counts.jumped:,} of them time jumps, " if counts.jumped else ""
+        of_them += f"{counts.off_sensor:,} of them off the sensor, " if counts.off_sensor else ""
+        restarts = f", clock restarts: {counts.clock_restarts:,}" if counts.clock_restarts else ""
+        return (
+            f"{counts.datagrams:,} datagrams, {counts.events:,} events ({counts.malformed:,} malformed, {of_them}"
+            f"{counts.late:,} out of order{restarts})"
+        )
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else "open"
@@ -182,7 +164,7 @@ class UdpSource:
     def receive(self, timeout_s: float | None = None) -> np.ndarray | None:
         """The next packet; None if none came within `timeout_s` (None: wait forever) or the source was closed."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        most = MOST_DATAGRAMS
+        most = self.max_datagrams
         with self._reading:
             while not self._closed:
                 events = self._drain(most)
@@ -192,7 +174,7 @@ class UdpSource:
                 if left is not None and left <= 0:
                     return None
                 with contextlib.suppress(OSError, ValueError):  # a signal handler closed the source
-                    self._selector.select(None if left is None else min(left, LONGEST_S))
+                    self._selector.select(left)
                 # The datagram that ended the sleep is handed over alone: asking for more takes as long as a plain
                 # `recv`, once its data have left the processor's caches. The next call reads all the others.
                 most = 1
@@ -212,9 +194,9 @@ class UdpSource:
             raise
 
     def _drain(self, most: int) -> np.ndarray | None:
-        """All waiting datagrams, up to the limits, as one packet; None if there is no event in it."""
+        """Up to `most` waiting datagrams as one packet; None if there is no event in it."""
         size = self._decoder.event_bytes
-        memory, filled, most = self._memory, 0, min(most, self.max_datagrams)
+        memory, filled = self._memory, 0
         ends: list[int] = []
         arrivals: list[int] = []
         receive_into, clock = self._socket.recv_into, time.monotonic_ns
@@ -318,20 +300,3 @@ def _bound_socket(address: str, port: int) -> socket.socket:
         bound.close()
         raise OSError(error.errno, error.strerror, f"udp://{address}:{port}") from None
     return bound
-
-
-def _ask_for_buffer(sock: socket.socket, n_bytes: int) -> int:
-    """Ask the system for room for waiting datagrams; returns how many bytes there are, and warns if that is less."""
-    with_overhead = 2 if sys.platform.startswith("linux") else 1  # Linux doubles the size asked for, and reports that
-    with contextlib.suppress(OSError):  # BSD and macOS refuse what Linux cuts down
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, n_bytes)
-    available = sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // with_overhead
-    if available < n_bytes:
-        log.warning(
-            "the system gives %s bytes for waiting datagrams of the %s asked for; bursts may be lost "
-            "(Linux: sudo sysctl net.core.rmem_max=%s)",
-            f"{available:,}",
-            f"{n_bytes:,}",
-            n_bytes,
-        )
-    return available

@@ -18,7 +18,7 @@ from waiting import until
 from async_tnt.evaluation import processes as ways
 from async_tnt.evaluation.processes import run_all, run_on_dask
 from async_tnt.evaluation.records import lost
-from async_tnt.worker import Worker, WorkerEnded
+from async_tnt.sources.worker import Worker, WorkerEnded
 
 posix = pytest.mark.skipif(os.name != "posix", reason="kill -9 of POSIX")
 replacing_workers = pytest.mark.parametrize("run", ["processes", "dask"], indirect=True)

@@ -1,5 +1,6 @@
 """The result file: one record per recording, and the same file whatever happened on the way to it."""
 
+import fcntl
 import os
 from dataclasses import replace
 from functools import partial
@@ -10,7 +11,6 @@ from full_disk import TOO_LARGE, full_after
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from async_tnt import files
 from async_tnt.evaluation.job import Job
 from async_tnt.evaluation.processes import run_all
 from async_tnt.evaluation.records import failed
@@ -214,16 +214,14 @@ def test_where_the_disk_is_full_the_error_names_the_file_and_whole_lines_stay(ta
 
 def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeypatch):
     """Opened, then locked: in between the program that had locked it may have finished."""
-    lock, path = files._lock, unfinished
-    gone = []
+    lock, before = fcntl.flock, unfinished.read_bytes()
 
-    def lock_late(file):
-        if not gone:
-            gone.append(path.rename(path.with_name("gone")))
-            path.touch()
-        lock(file)
+    def lock_late(file, how):
+        unfinished.rename(unfinished.with_name("gone"))
+        unfinished.touch()
+        lock(file, how)
 
-    monkeypatch.setattr(files, "_lock", lock_late)
-    with ResultFile(unfinished, JOB) as file:
-        assert not file.versions and path.exists()
-    assert os.name == "nt" or path.with_name("gone").stat().st_size > 0
+    monkeypatch.setattr(fcntl, "flock", lock_late)
+    with pytest.raises(BlockingIOError, match="another program is writing it"):
+        ResultFile(unfinished, JOB)
+    assert unfinished.read_bytes() == b"" and unfinished.with_name("gone").read_bytes() == before

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from async_tnt import events as events_module
 from async_tnt.events import EVENT_DTYPE, NAMES, EventDecoder, as_events
-from async_tnt.kernels.records import FINE
 
 SENSOR = (346, 260)
 T = [16_777_217, 16_777_219, 16_777_219, 16_777_218, 2_000_000_003, 2_000_000_004, 2_000_000_005]
@@ -25,8 +23,6 @@ PACKED = {
     "faery": [("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")],
     "dv": [("timestamp", "<i8"), ("x", "<i2"), ("y", "<i2"), ("polarity", "<i1")],
     "tonic, int64": [("x", "<i8"), ("y", "<i8"), ("t", "<i8"), ("p", "<i8")],
-    "tonic, int32": [("x", "<i4"), ("y", "<i4"), ("t", "<i4"), ("p", "<i4")],
-    "tonic, int16 and bool": [("x", "<i2"), ("y", "<i2"), ("t", "<i8"), ("p", "?")],
     "uint32": [("ts", "<u4"), ("x", "<u4"), ("y", "<u4"), ("pol", "<u4")],
     "ours": EVENT_DTYPE,
     "aligned, with titles": np.dtype(
@@ -103,45 +99,12 @@ def test_records_of_every_layout(layout):
     assert_decoded(SimpleNamespace(polarity_events=SimpleNamespace(numpy=lambda: events)))
 
 
-@pytest.mark.parametrize("layout", PACKED.values(), ids=PACKED)
-def test_packed_records_take_the_fast_path(layout, monkeypatch):
-    monkeypatch.delattr(events_module, "named_columns")
-    assert decoded(EventDecoder(SENSOR), STORED["unaligned"](records(layout))) == EVENTS
-
-
 @pytest.mark.parametrize("stored", STORED.values(), ids=STORED)
 def test_any_memory(stored):
     for layout in ("ours", "big-endian"):
         assert_decoded(stored(records(LAYOUTS[layout])))
     assert_decoded(tuple(stored(np.array(column, dtype)) for column, dtype in zip(EVENTS, TYPES, strict=True)))
     assert_decoded([stored(np.array(column)) for column in EVENTS])
-
-
-def test_other_kinds_of_record_arrays(tmp_path):
-    records(PACKED["faery"]).tofile(tmp_path / "events.raw")
-    events = np.memmap(tmp_path / "events.raw", PACKED["faery"], mode="r")
-    assert_decoded(events)
-    assert_decoded(tuple(events[name] for name in ("t", "x", "y", "on")))
-    assert_decoded(records(EVENT_DTYPE).view(np.recarray))
-    assert_decoded(np.broadcast_to(records(EVENT_DTYPE)[1], (4,)), [[column[1]] * 4 for column in EVENTS])
-
-
-def test_one_decoder_takes_any_form_after_any_other():
-    decoder = EventDecoder(SENSOR)
-    for layout in LAYOUTS.values():
-        for events in (records(layout), tuple(EVENTS), records(layout)):
-            assert decoded(decoder, events) == EVENTS
-        # one event whose pixels lie on the sensor with their bytes swapped, too
-        assert decoded(decoder, records(layout)[2:3]) == [column[2:3] for column in EVENTS]
-        assert decoded(decoder, None) == [[], [], [], []]
-
-
-def test_packets_of_growing_and_shrinking_size():
-    decoder = EventDecoder(SENSOR)
-    rng = np.random.default_rng(0)
-    for n in (1, 1023, 1024, 1025, 2, 5000, 0, 5001, 1):
-        columns = [rng.integers(0, 2**62, n), rng.integers(0, 346, n), rng.integers(0, 260, n), rng.integers(0, 2, n)]
-        assert decoded(decoder, records(PACKED["metavision"], columns)) == [column.tolist() for column in columns]
 
 
 def test_fields_renamed_and_polarity_written_otherwise_between_packets():
@@ -156,23 +119,6 @@ def test_fields_renamed_and_polarity_written_otherwise_between_packets():
 
 
 # -- columns ---------------------------------------------------------------------------------------------
-
-
-def test_columns_of_the_right_form_are_not_copied():
-    columns = tuple(np.array(c, dtype) for c, dtype in zip(EVENTS, TYPES, strict=True))
-    for came, went in zip(columns, EventDecoder(SENSOR).decode(columns)[:4], strict=True):
-        assert came is went
-
-
-@pytest.mark.parametrize("rows", [[], [(5, 3, 2, 1)]])
-def test_byte_order_does_not_depend_on_what_numba_takes(monkeypatch, rows):
-    decoder = EventDecoder(SENSOR)
-    monkeypatch.setattr(events_module, "check_columns", lambda *columns: FINE)  # as if all had the right form
-    for swapped in range(3):
-        columns = [np.array([row[k] for row in rows], dtype) for k, dtype in enumerate(TYPES)]
-        expected = [column.tolist() for column in columns]
-        columns[swapped] = columns[swapped].astype(columns[swapped].dtype.newbyteorder(">"))
-        assert decoded(decoder, tuple(columns)) == expected
 
 
 def test_columns_that_are_not_arrays():

@@ -54,7 +54,6 @@ def test_by_hand_in_every_form(form):
 
 def test_an_unknown_policy():
     for make in (
-        lambda: EventDecoder(SENSOR, "ignore"),
         lambda: TNTVolume(TNTConfig(), late="ignore"),
         lambda: Processor(TNTConfig(), classifier=lambda volume: [0.0], late="ignore"),
     ):

@@ -10,7 +10,6 @@ import pytest
 from full_disk import TOO_LARGE, full_after
 from made import random_events, random_model
 
-from async_tnt import files
 from async_tnt.cli import main
 from async_tnt.evaluation.job import job_of, task_of
 from async_tnt.evaluation.processes import run_all
@@ -185,9 +184,9 @@ def test_a_locked_folder_is_held_once_and_stays_only_with_files_in_it(folder, mo
         assert held.exists() == (folder / "runs").exists() == (name == "kept")
     assert os.listdir(held) == ["file"]
 
-    def refuse(file):
+    def refuse(*_):
         raise OSError(errno.ENOSYS, "no locks")
 
-    monkeypatch.setattr(files, "_lock", refuse)  # a file system without them
+    monkeypatch.setattr("fcntl.flock", refuse)  # a file system without them
     with locked_folder(folder / "runs", "lock"):
         pass

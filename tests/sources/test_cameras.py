@@ -8,18 +8,9 @@ import pytest
 from sources.made_devices import PanicException, PlayedDevice, drivers, found, made_events, opened
 from waiting import meanwhile, until
 
-from async_tnt.kernels.clock import AGREEING_PACKETS as N
 from async_tnt.sources import DRIVERS, BackgroundReader, open_recording, sample_recordings
 
 HOUR_US = 3_600_000_000
-
-
-def test_packets_come_uncopied_and_empty_ones_do_not():
-    packets = [made_events(1, 2), None, made_events(), made_events(3)]
-    _, camera = opened(*packets)
-    came = list(islice(camera, 2))
-    assert came[0] is packets[0] and came[1] is packets[3]
-    assert (camera.counts.packets, camera.counts.events) == (2, 3)
 
 
 @pytest.mark.parametrize(("pause_s", "read_s"), [(0.0, 0.005), (0.001, 0.0), (3600.0, 0.0)])
@@ -55,7 +46,7 @@ def test_unplugged_after_the_packets_before(background, error):
     device, camera = opened(made_events(1, 2), None, made_events(3), error)
     came = []
     line = (
-        r"^Prophesee EVK4 00050423 by played 1\.0: the camera is gone after 3 events \(Usb\(NoDevice\)\); "
+        r"^Prophesee EVK4 00050423 by played: the camera is gone after 3 events \(Usb\(NoDevice\)\); "
         r"check its cable and power, and open it again$"
     )
     with pytest.raises(OSError, match=line) as caught:
@@ -77,13 +68,6 @@ def test_events_whose_time_jumps_are_left_out():
     assert camera.summary() == "2 packets, 2 events (jumps in time: 2, lost: unknown)"
 
 
-def test_a_clock_that_restarts_continues():
-    _, camera = opened(*(made_events(t) for t in [HOUR_US, *[0] * N, 900_000]))
-    assert [int(packet["t"][0]) - HOUR_US for packet in islice(camera, 3)] == [0, 0, 900_000]
-    assert (camera.counts.jumped, camera.counts.clock_restarts) == (N - 1, 1)
-    assert f"clock restarts: 1, jumps in time: {N - 1}" in camera.summary()
-
-
 # -- async-tnt run camera --------------------------------------------------------------------------------
 
 UNPLUGGED = RuntimeError("Usb(NoDevice)")
@@ -95,7 +79,7 @@ def plug_in(monkeypatch):
 
     def plug(*packets, sensor=(34, 34)):
         device = PlayedDevice(*packets, sensor=sensor)
-        for name in list(DRIVERS):
+        for name in reversed(list(DRIVERS)):  # which puts them back in their order
             monkeypatch.delitem(DRIVERS, name)
         monkeypatch.setitem(DRIVERS, "played", drivers(found(device))["played"])
         return device
@@ -131,9 +115,3 @@ def test_ctrl_c_closes_the_camera(plug_in, program):
     device = plug_in(*three(), KeyboardInterrupt())
     code, out, _ = program("run", "camera", "--json")
     assert code == 130 and labels(out) == ["3", "3", "3"] and device.n_closed == 1
-
-
-def test_a_camera_of_another_size_is_refused(plug_in, program):
-    device = plug_in(*three(), sensor=(346, 260))
-    code, _, err = program("run", "camera")
-    assert code == 2 and "346x260" in err and "34x34" in err and device.n_closed == 1

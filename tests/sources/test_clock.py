@@ -83,11 +83,6 @@ MOVES = {
         [times if k % N == 0 else [] for k, times in enumerate(OLD_STREAM_NOW_AND_THEN)],
         (10 * (N - 1), 0, 0),
     ),
-    "and so does one event of it": (
-        [[MINUTE_US], *[[0]] * (N - 1), [0, MINUTE_US + 6], *[[0]] * (N - 1)],
-        [[MINUTE_US], *NOTHING, [MINUTE_US + 6], *NOTHING],
-        (2 * N - 1, 0, 0),
-    ),
     "packets that disagree": ([[MINUTE_US], *[[0], [2 * MINUTE_US]] * N], [[MINUTE_US], *[[], []] * N], (2 * N, 0, 0)),
     "the first packet's oldest event starts": ([[9, 5, 5 + JUMP_US, 6 + JUMP_US]], [[9, 5, 5 + JUMP_US]], (1, 1, 0)),
     "a start beyond 2100 does not": (
@@ -99,19 +94,10 @@ MOVES = {
 }
 
 
-def test_a_sender_that_seldom_sends_is_followed_as_well():
-    """Its packets are further apart than `max_jump`, by both clocks."""
-    steps = [3 * JUMP_US * k for k in range(N + 1)]
-    kept, counts = by_clock([[HOUR_US], *([t] for t in steps)], [0, *(MINUTE_US + t for t in steps)])
-    assert kept == [[HOUR_US], *NOTHING, [HOUR_US], [HOUR_US + 3 * JUMP_US]] and counts == (N - 1, 0, 1)
-    ahead = [[t] for t in steps]  # while the receiver's clock stands still, these are jumps
-    assert flat(by_clock([[HOUR_US], *ahead])[0]) == [HOUR_US]
-
-
 @pytest.mark.parametrize(("packets", "kept", "counts"), MOVES.values(), ids=MOVES)
-@pytest.mark.parametrize("dtype", [UNSIGNED, SIGNED], ids=["unsigned", "signed"])
-def test_a_clock_that_moves(packets, kept, counts, dtype):
-    assert by_clock(packets, dtype=dtype) == (kept, counts)
+def test_a_clock_that_moves(packets, kept, counts):
+    for dtype in (UNSIGNED, SIGNED):
+        assert by_clock(packets, dtype=dtype) == (kept, counts)
 
 
 def test_times_that_no_clock_shows_are_dropped_and_vote_for_nothing():
@@ -120,12 +106,6 @@ def test_times_that_no_clock_shows_are_dropped_and_vote_for_nothing():
     far = 2**61
     kept, _ = by_clock([[far]] * N + [[0]] * N + [[far - 1]] * N + [[far]], dtype=SIGNED)
     assert kept[N - 1 :: N] == [[far], [far], [2**62 - 1]]  # the last one would go on beyond
-
-
-@pytest.mark.parametrize("dtype", [UNSIGNED, SIGNED])
-def test_without_a_bound_times_stay_what_they_are(dtype):
-    packets = [[MINUTE_US], *[[k] for k in range(3 * N)], [30 * MINUTE_US, 5]]
-    assert by_clock(packets, max_jump_s=None, dtype=dtype) == (packets, (0, 3 * N + 1, 0))
 
 
 @given(
@@ -152,8 +132,6 @@ def test_after_anything_one_stream_is_followed_again(starts, first):
 
 
 def test_wrong_arguments():
-    with pytest.raises(TypeError, match="the field `x` must be a time of 64 bits"):
-        Clock(1)(np.zeros(3, UNSIGNED), "x", 0)
     for max_jump_s in (0, -1, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="`max_jump_s` must be a positive number of seconds, or None, got"):
             Clock(max_jump_s)

@@ -74,12 +74,6 @@ def test_what_a_format_cannot_hold_is_refused():
             call()
 
 
-@pytest.mark.parametrize("format", FORMATS)
-def test_fields_are_sent_by_their_names(format):
-    metavision = np.array([(3, 4, 1, 258)], [("x", "u2"), ("y", "u2"), ("p", "i2"), ("t", "i8")])
-    assert encode(metavision, format) == encode(events_of([258], [3], [4], [1]), format)
-
-
 @given(
     start=st.sampled_from((5, 2**32 - 50)),
     steps=st.lists(st.one_of(st.integers(-100, 100), st.integers(-(2**31) + 1, 2**31 - 1)), max_size=30),

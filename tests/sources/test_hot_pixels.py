@@ -54,7 +54,7 @@ BRIGHT = [(5, 5), (6, 5), (30, 30)]
     [
         # in the dark corner of a recording 60 events are many; on the digit's edge they would be normal
         ([RECORDINGS[0], *planted([(0, 0), (33, 0), (33, 33)], 60)], [(0, 0), (33, 0), (33, 33)]),
-        *(([random_events(20_000), *planted([at], 400)], [at]) for at in [(0, 0), (33, 33), (32, 1), (0, 16)]),
+        *(([random_events(20_000), *planted([at], 400)], [at]) for at in [(0, 0), (32, 1)]),
         ([random_events(5_000), *planted(FOUR, 500)], FOUR),
         ([random_events(5_000), *planted([(x, y) for x in range(10, 14) for y in range(10, 14)], 500)], []),  # a lamp
         (list(planted([(3, 4), (20, 30)], 300)), [(3, 4), (20, 30)]),  # alone in the dark
@@ -98,16 +98,6 @@ def test_factor_and_bound_by_hand(others, n, is_hot):
     counts = np.full((34, 34), others)
     counts[9, 9] = n
     assert hot_pixels(counts).any() == is_hot
-
-
-@pytest.mark.parametrize("corner", [(0, 0), (14, 17), (32, 31)])
-def test_four_equal_neighbours_explain_a_pixel_and_three_do_not(corner):
-    top, left = corner
-    counts = np.zeros((34, 34), np.int64)
-    counts[top : top + 2, left : left + 2] = 1000
-    assert hot_pixels(counts).sum() == 4
-    counts[top, left - 1 if left > 1 else left + 2] = 1000
-    assert not hot_pixels(counts).any()
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from made import events_of, random_events
 
-from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
-from async_tnt.sources.pixel_masks import load_mask, save_mask
+from async_tnt.sources.pixel_masks import load_mask
 
 SAMPLE = sample_recordings()[3]
 EVENTS = open_recording(SAMPLE).read()
@@ -36,13 +35,11 @@ def test_it_finds_what_was_planted(tmp_path, program):
     assert {(x, y) for y, x in np.argwhere(load_mask(out, (34, 34))).tolist()} == {(30, 2), (3, 31)}
     assert len(PixelFilter((34, 34), mask=out)(events)) == len(events) - sum(at)
 
-    picture = tmp_path / "hot.png"
-    assert program("mask", path, "--sensor", "34x34", "--out", out, "--picture", picture)[0] == 0
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    words = ("mask", path, "--sensor", "34x34", "--json", "--out", out)
+    words = ("mask", path, "--sensor", "34x34", "--json", "--out", out, "--picture", tmp_path / "hot.png")
     pixels = [{"x": 30, "y": 2, "events": at[0]}, {"x": 3, "y": 31, "events": at[1]}]
     result = {"sensor": [34, 34], "events": len(events), "out": str(out)}
     assert json.loads(program(*words)[1]) == result | {"hot_pixels": pixels, "share": sum(at) / len(events)}
+    assert (tmp_path / "hot.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads(program(*words, "--factor", "60")[1])["hot_pixels"] == pixels[:1]
 
 
@@ -73,23 +70,18 @@ def test_recordings_of_one_camera_count_as_one(tmp_path, program):
 def folder(tmp_path, monkeypatch):
     """Recordings of every kind of trouble, in the current folder."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "bad.npy").write_bytes(b"hello")
     np.save(tmp_path / "a.npy", EVENTS)
     for side in (34, 50):
         np.savez(tmp_path / f"{side}.npz", events=random_events(9), sensor=np.array([side, side]))
     np.savez(tmp_path / "e.npz", events=random_events(0), sensor=np.array([34, 34]))
-    write_nmnist(tmp_path / "a.bin", events_of([5, 6], [200, 3], [2, 3], [0, 1]), sensor=None)
     return tmp_path
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("gone.npy", "gone.npy: No such file"),
-        ("bad.npy", "bad.npy: not a readable NumPy file"),
         ("a.npy", "a.npy: the file does not state the camera's sensor; give --sensor WxH"),
         ("34.npz 50.npz", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
-        ("a.bin", "on the 34 x 34 sensor, got x = 200, y = 2 at event 0 (byte 0). Fetch the file again, or say"),
         ("e.npz", "e.npz: no events, no hot pixels can be found"),
         ("34.npz --out m.png", "m.png: its name must end in .npy"),
     ],
@@ -99,24 +91,3 @@ def test_an_error_is_one_line(words, message, folder, program):
     assert (code, printed) == (2, "") and error.startswith("async-tnt: ") and len(error.splitlines()) == 1
     assert message in error
     assert not (folder / "mask.npy").exists()
-
-
-def test_saved_masks_load_again_and_what_is_none_is_refused(tmp_path):
-    path, mask = tmp_path / "m.npy", np.random.default_rng(0).random((4, 6)) < 0.5
-    save_mask(path, mask)
-    assert (load_mask(path, (6, 4)) == mask).all()
-    assert [path.name for path in tmp_path.iterdir()] == ["m.npy"]
-    whole = path.read_bytes()
-    for at in (0, 9, len(whole) - 1):
-        path.write_bytes(whole[:at])
-        with pytest.raises(ValueError, match=r"m.npy: not a mask, .*: not a readable NumPy file"):
-            load_mask(path, (6, 4))
-    path.unlink()
-    rule = r"a mask must be a bool array of shape \(height, width\), sides in .1, 32768.; got "
-    for wrong in (np.zeros((3, 4)), np.zeros(4, bool), np.zeros((0, 3), bool)):
-        with pytest.raises(ValueError, match=rf"^{rule}"):
-            save_mask(path, wrong)
-        assert not path.exists()
-        np.save(tmp_path / "wrong.npy", wrong)
-        with pytest.raises(ValueError, match=rf"wrong\.npy: .*{rule}"):
-            load_mask(tmp_path / "wrong.npy")

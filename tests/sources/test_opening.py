@@ -4,11 +4,11 @@ import importlib.util
 import sys
 
 import pytest
-from sources.made_devices import PanicException, PlayedDevice, driver, drivers, found
+from sources.made_devices import PanicException, PlayedDevice, drivers, found
 
 from async_tnt.sources import DRIVERS, UdpSource, open_camera, open_recording, open_source, sample_recordings
 
-LIBRARIES = {"neuromorphic_drivers": "neuromorphic-drivers 0", "dv_processing": "dv-processing 2"}
+LIBRARIES = {"neuromorphic_drivers": "neuromorphic-drivers", "dv_processing": "dv-processing"}
 INSTALLED = {module for module in LIBRARIES if importlib.util.find_spec(module)}
 
 
@@ -42,24 +42,23 @@ def broken():
     raise ImportError("libusb.so.0: cannot open shared object file")
 
 
-def cannot_look(error):
-    return {"c": lambda: driver(error, "c 2")}
+def poisoned():
+    raise PanicException("poisoned")
 
 
 ALL = drivers(evk4(), evk4(serial="00050424"), davis())
-SEVERAL = {"a": missing, **drivers(name="b"), **drivers(davis(), name="c"), **drivers(evk4(), name="d")}
+SEVERAL = {"a": missing, **drivers(name="b"), **drivers(davis(), name="c")}
 BUSY = drivers(evk4(RuntimeError("already used by another program")), davis())
 
 
 @pytest.mark.parametrize(
     ("name", "table", "opened"),
     [
-        ("camera", ALL, "Prophesee EVK4 00050423 by played 1.0"),
-        ("camera:EVK4:00050424", ALL, "Prophesee EVK4 00050424 by played 1.0"),
-        ("camera:davis:00000042", ALL, "iniVation DAVIS 346 00000042 by played 1.0"),
-        ("camera", SEVERAL, "iniVation DAVIS 346 00000042 by c 1.0"),  # the first library that has one
-        ("camera:evk4", SEVERAL, "Prophesee EVK4 00050423 by d 1.0"),
-        ("camera", BUSY, "iniVation DAVIS 346 00000042 by played 1.0"),  # the first that opens
+        ("camera", ALL, "Prophesee EVK4 00050423 by played"),
+        ("camera:EVK4:00050424", ALL, "Prophesee EVK4 00050424 by played"),
+        ("camera:davis:00000042", ALL, "iniVation DAVIS 346 00000042 by played"),
+        ("camera", SEVERAL, "iniVation DAVIS 346 00000042 by c"),  # the first library that has one
+        ("camera", BUSY, "iniVation DAVIS 346 00000042 by played"),  # the first that opens
     ],
 )
 def test_a_name_selects_a_camera(name, table, opened):
@@ -80,7 +79,7 @@ UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
             r"camera: a is not installed; b is not installed: cameras need one of them, "
             r"pip install 'async_tnt\[cameras\]'$",
         ),
-        ("camera", {"a": broken, **drivers()}, OSError, r"played 1\.0 found none; a does not load: libusb[^;]*$"),
+        ("camera", {"a": broken, **drivers()}, OSError, r"played found none; a cannot search: libusb[^;]*$"),
         (
             "camera:evk4:1",
             drivers(evk4()),
@@ -93,8 +92,7 @@ UNKNOWN = r"a camera's name is camera, camera:KIND or camera:KIND:SERIAL, got '"
             OSError,
             r"^camera:evk4:00050423: cannot be opened; .* Prophesee EVK4 but cannot open it: Access denied \(insuf",
         ),
-        ("camera", drivers(evk4(PanicException("index\nat 3"))), OSError, r"cannot open it: index\. "),
-        ("camera", cannot_look(PanicException("poisoned")), OSError, r"c 2 cannot search: poisoned \(no USB here\?\)"),
+        ("camera", {"c": poisoned}, OSError, "c cannot search: poisoned"),
         ("camera", drivers(evk4(KeyboardInterrupt())), KeyboardInterrupt, "^$"),
         ("camera:evk9", {}, ValueError, "camera:evk9: no such kind of camera; known are davis, davis346, .*, evk4"),
         *((name, {}, ValueError, UNKNOWN) for name in ("camera:", "camera::1", "cameras")),
@@ -113,8 +111,6 @@ def test_the_installed_libraries_look_for_a_camera(absent, monkeypatch):
         open_source("camera:evk3:no such serial")
     line = str(caught.value)
     assert line.startswith("camera:evk3:no such serial: ") and "\n" not in line
-    present = INSTALLED - absent
-    if present:
-        assert {module for module, name in LIBRARIES.items() if name in line} == present
-    else:
-        assert caught.type is ImportError and "; dv-processing is not installed: cameras need" in line
+    lacking = set(LIBRARIES) - (INSTALLED - absent)
+    assert {module for module, name in LIBRARIES.items() if f"{name} is not installed" in line} == lacking
+    assert (caught.type is ImportError) == (lacking == set(LIBRARIES))

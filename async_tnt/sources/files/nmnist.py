@@ -55,7 +55,7 @@ def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None 
 
     Raises
     ------
-    ValueError : damage. How to read it as another camera's is in a note, which the command line does not show.
+    ValueError : damage.
     OSError : missing, a folder, or not readable.
     """
     path = Path(path)
@@ -79,12 +79,8 @@ def read_nmnist(path: str | os.PathLike[str], *, sensor: tuple[int, int] | None 
         )
     if problem is None:
         return events
-    is_off = "sensor" in problem
-    remedy = "Fetch the file again" + (", or say its sensor if it is of another camera" if is_off else "")
-    error = ValueError(f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. {remedy}.")
-    if is_off:
-        error.add_note("Pass sensor=(width, height), or None for any, if the recording is of another sensor.")
-    raise error
+    remedy = "Fetch the file again" + (", or say its sensor if it is of another camera" if "sensor" in problem else "")
+    raise ValueError(f"{path}: damaged N-MNIST recording of {len(raw)} bytes: {problem}. {remedy}.")
 
 
 def write_nmnist(path: str | os.PathLike[str], events: Any, *, sensor: tuple[int, int] | None = SENSOR) -> None:

@@ -104,9 +104,6 @@ class NpySource(Source):
 
 def open_npy(path: Path) -> Source:
     """Open a `.npy` recording; its header is checked."""
-    with path.open("rb") as file:
-        if file.read(4) == b"PK\x03\x04":
-            raise ValueError(f"{path}: a .npy file must hold one array, got a zip archive; rename it to .npz")
     try:
         return NpySource(path)
     except (TypeError, ValueError) as error:
@@ -115,12 +112,10 @@ def open_npy(path: Path) -> Source:
 
 def open_npz(path: Path) -> Source:
     """Open a `.npz` recording; all of it is read and checked."""
-    with path.open("rb") as file:
-        if file.read(len(MAGIC)) == MAGIC:
-            raise ValueError(f"{path}: a .npz file must be a zip archive of arrays, got a single .npy array")
+    path.open("rb").close()  # raises the OSError of a missing file
     try:
         with zipfile.ZipFile(path) as archive:
-            members = _members(archive)
+            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
             sensor = _sensor(_read(archive, members.pop("sensor"))) if "sensor" in members else None
             t, x, y, p = columns = _columns(*(_read(archive, info) for info in _event_members(members)))
         sizes = [len(column) for column in columns]
@@ -150,17 +145,6 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     if len(data) != claimed.nbytes:
         raise ValueError(f"{name} ends before its array does")
     return np.frombuffer(data, claimed.dtype).reshape(claimed.shape, order="F" if is_fortran else "C")
-
-
-def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """The archive's directory, by the names of its arrays."""
-    members: dict[str, zipfile.ZipInfo] = {}
-    for info in archive.infolist():
-        name = info.filename.removesuffix(".npy")
-        if name in members:
-            raise ValueError(f"the archive holds `{name[:80]}` twice")
-        members[name] = info
-    return members
 
 
 def _event_members(members: dict[str, zipfile.ZipInfo]) -> list[zipfile.ZipInfo]:

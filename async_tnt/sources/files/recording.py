@@ -34,7 +34,6 @@ BY_FIRST_BYTES: dict[bytes, Callable[[Path], Source]] = {
     b"#!AER-DAT3.1": Aedat3Source,
     b"Event Stream": open_es,
 }
-COMPRESSED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar")
 
 
 def _open_bin(path: Path) -> Source:
@@ -78,18 +77,15 @@ class _Totals:
     """What one pass over the file has counted."""
 
     n_events: int = 0
-    n_unsorted: int = 0
-    earliest_us: int | None = None
-    newest_us: int = -1
+    earliest_us: int = 0
+    newest_us: int = 0
 
     def add(self, t_us: np.ndarray) -> None:
         """Count a block of events, by their times."""
-        newest = np.maximum.accumulate(np.concatenate(([self.newest_us], t_us)))
-        self.n_unsorted += int(np.count_nonzero(t_us < newest[:-1]))
+        first, last = int(t_us.min()), int(t_us.max())
+        self.earliest_us = min(self.earliest_us, first) if self.n_events else first
+        self.newest_us = max(self.newest_us, last)
         self.n_events += len(t_us)
-        self.newest_us = int(newest[-1])
-        earliest = int(t_us.min())
-        self.earliest_us = earliest if self.earliest_us is None else min(self.earliest_us, earliest)
 
 
 class Recording:
@@ -97,7 +93,7 @@ class Recording:
 
     Each iteration reads the file again and yields packets that the caller may change. All formats but `.bin` and `.npz`
     are read block by block, so that memory does not grow with the file.
-    `n_events`, `n_unsorted`, `duration_us` and `len` take a pass over the file, unless one was made before.
+    `n_events`, `duration_us` and `len` take a pass over the file, unless one was made before.
 
     Parameters
     ----------
@@ -135,15 +131,10 @@ class Recording:
         return self._counted().n_events
 
     @property
-    def n_unsorted(self) -> int:
-        """Events older than one before them in the file."""
-        return self._counted().n_unsorted
-
-    @property
     def duration_us(self) -> int:
         """Time from the earliest to the latest event, in microseconds; 0 for fewer than two events."""
         totals = self._counted()
-        return 0 if totals.earliest_us is None else totals.newest_us - totals.earliest_us
+        return totals.newest_us - totals.earliest_us
 
     def read(self) -> np.ndarray:
         """All events at once: a new structured array of `EVENT_DTYPE`."""
@@ -170,11 +161,8 @@ class Recording:
         return -(-self.n_events // self.packet_events)
 
     def __repr__(self) -> str:
-        if self._totals is None and not isinstance(self._source, ArraySource):
-            counted = "not read yet"  # a repr must not read gigabytes
-        else:
-            counted = f"{self.n_events} events, {self.duration_us} us"
-        return f"Recording({str(self.path)!r}, {counted}, sensor {self.sensor}, packets of {self.packet_events})"
+        # without counts, which may take a pass over gigabytes
+        return f"Recording({str(self.path)!r}, sensor {self.sensor}, packets of {self.packet_events})"
 
     def _counted(self) -> _Totals:
         if self._totals is None:
@@ -207,9 +195,7 @@ class Recording:
     def _report(self, problem: str, n_read: int, newest_us: int) -> None:
         text = f"{self.path}: damaged recording: {problem}"
         if self.strict:
-            error = ValueError(f"{text}. Fetch the file again.")
-            error.add_note(f"Or pass strict=False for the {n_read} events before.")  # for Python, not for the program
-            raise error from None
+            raise ValueError(f"{text}. Fetch the file again.") from None
         if not self._has_warned:
             self._has_warned = True
             until = f", up to {newest_us} us" if n_read else ""
@@ -240,7 +226,7 @@ def open_recording(
 
     Returns
     -------
-    `Recording`: iterable of packets, with `sensor`, `duration_us`, `path`, `n_events`, `n_unsorted` and `read()`.
+    `Recording`: iterable of packets, with `sensor`, `duration_us`, `path`, `n_events` and `read()`.
 
     Raises
     ------
@@ -267,22 +253,14 @@ def open_recording(
             f"`async-tnt run` streams all recordings in it to a file of results"
         )
     if suffix not in READERS:
-        hint = "; decompress it first" if suffix in COMPRESSED else ""
-        raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}{hint}")
+        raise ValueError(f"{path}: unknown suffix {path.suffix!r}, expected one of {', '.join(sorted(READERS))}")
     if path.exists() and not path.is_file():  # opening a pipe without a writer waits forever
         raise ValueError(f"{path}: a recording must be a file that can be read more than once, got a pipe or a device")
     if suffix == ".bin" and sensor not in (None, NMNIST_SENSOR):
         source: Source = ArraySource(read_nmnist(path, sensor=None), None)
     else:
         source = READERS[suffix](path)
-    return Recording(
-        path,
-        source,
-        source.sensor or sensor,
-        int(packet_events),
-        strict=strict,
-        between_us=between_us,
-    )
+    return Recording(path, source, source.sensor or sensor, packet_events, strict=strict, between_us=between_us)
 
 
 def sample_recordings() -> dict[int, Path]:

@@ -16,16 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
+from async_tnt.checks import one_line
 from async_tnt.event_forms import Four
-from async_tnt.sources.files import in_worker
-from async_tnt.sources.files.hdf5 import read_hdf5
+from async_tnt.sources.files import library_readers
 from async_tnt.sources.files.source import CorruptData, Source, valid_blocks
-from async_tnt.worker import Worker, WorkerEnded
+from async_tnt.sources.worker import Worker
 
 SILENCE_S = 60.0  # a block takes milliseconds, but a disk may sleep, and a machine be busy
 AHEAD = 8  # calls that the worker has; blocks may be small
 READ_S = 120.0  # after which a worker ends itself, if its parent has not
-STOPPED = "the process that reads it crashed or hung"
 
 
 class WorkerSource(Source):
@@ -33,29 +32,27 @@ class WorkerSource(Source):
 
     Parameters
     ----------
-    read : how, see `in_worker.py`.
+    read : how, see `library_readers.py`.
     format : its name, for messages.
     """
 
-    def __init__(self, path: Path, read: in_worker.Reader, format: str) -> None:
+    def __init__(self, path: Path, read: library_readers.Reader, format: str) -> None:
         self.path = path
         self._read = read
         path.open("rb").close()  # raises the OSError of a missing file
         with _worker() as worker:
-            worker.submit(in_worker.sensor_of, read, self._absolute, limit_s=READ_S)
+            worker.submit(library_readers.sensor_of, read, self._absolute, limit_s=READ_S)
             try:
-                sensor, problem = worker.result(SILENCE_S)
-            except WorkerEnded:
-                problem = STOPPED
-            if problem:
-                raise ValueError(f"{path}: not a readable {format} file: {problem}")
+                sensor = worker.result(SILENCE_S)
+            except Exception as error:
+                raise ValueError(f"{path}: not a readable {format} file: {one_line(error)}") from None
         self.sensor = None if sensor is None else (sensor[0], sensor[1])
 
     def blocks(self) -> Iterator[np.ndarray]:
         with _worker() as worker:
-            worker.submit(in_worker.start, self._read, self._absolute, limit_s=READ_S)
+            worker.submit(library_readers.start, self._read, self._absolute, limit_s=READ_S)
             for _ in range(AHEAD):
-                worker.submit(in_worker.next_block, limit_s=READ_S)
+                worker.submit(library_readers.next_block, limit_s=READ_S)
             yield from valid_blocks(_columns(worker))
 
     @property
@@ -67,21 +64,16 @@ def _columns(worker: Worker) -> Iterator[Four]:
     """The columns of a file that the worker has started to read; it reads on while a block is used."""
     n_read = 0
     try:
-        _, problem = worker.result(SILENCE_S)  # the sensor
-        while not problem:
-            columns, problem = worker.result(SILENCE_S)
-            if columns is not None:
-                worker.submit(in_worker.next_block, limit_s=READ_S)
-                t, x, y, p = columns
-                yield t, x, y, p
-                n_read += len(t)
-            elif not problem:
-                for _ in range(AHEAD - 1):  # the answers behind the end
-                    worker.result(SILENCE_S)
-                return
-        raise CorruptData(f"after event {n_read}: {problem}")
-    except WorkerEnded:
-        raise CorruptData(f"after event {n_read}: {STOPPED}") from None
+        worker.result(SILENCE_S)  # the sensor
+        while (columns := worker.result(SILENCE_S)) is not None:
+            worker.submit(library_readers.next_block, limit_s=READ_S)
+            t, x, y, p = columns
+            yield t, x, y, p
+            n_read += len(t)
+        for _ in range(AHEAD - 1):  # the answers behind the end
+            worker.result(SILENCE_S)
+    except Exception as error:
+        raise CorruptData(f"after event {n_read}: {one_line(error)}") from None
 
 
 _idle: dict[int, Worker] = {}  # one at most, by process: a forked one must not use that of its parent
@@ -112,20 +104,20 @@ def _end_idle() -> None:
 
 def open_aedat4(path: Path) -> Source:
     """Open an AEDAT4 file."""
-    return _open(path, in_worker.read_aedat4, "AEDAT4", "faery", "files")
+    return _open(path, library_readers.read_aedat4, "AEDAT4", "faery", "files")
 
 
 def open_es(path: Path) -> Source:
     """Open an Event Stream file."""
-    return _open(path, in_worker.read_es, "ES", "faery", "files")
+    return _open(path, library_readers.read_es, "ES", "faery", "files")
 
 
 def open_hdf5(path: Path) -> Source:
     """Open an HDF5 file of events."""
-    return _open(path, read_hdf5, "HDF5", "h5py", "hdf5")
+    return _open(path, library_readers.read_hdf5, "HDF5", "h5py", "hdf5")
 
 
-def _open(path: Path, read: in_worker.Reader, format: str, library: str, extra: str) -> Source:
+def _open(path: Path, read: library_readers.Reader, format: str, library: str, extra: str) -> Source:
     if find_spec(library) is None:
         raise ImportError(f"{path}: {format} is read by {library}, which is missing: pip install 'async_tnt[{extra}]'")
     return WorkerSource(path, read, format)

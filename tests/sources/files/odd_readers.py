@@ -23,15 +23,3 @@ def misbehave(how):
         os._exit(3)
     if how == "panic":
         raise BaseException("its message\nin two lines")
-
-
-def invalid(path):
-    """Three blocks of three events; the file names row and value of the sixth one."""
-    with open(path) as file:
-        row, value = map(int, file.read().split())
-    yield None
-    for k in range(3):
-        columns = np.array([[10, 11, 12], [1, 1, 1], [2, 2, 2], [0, 1, 0]])
-        if k == 1:
-            columns[row, 2] = value
-        yield list(columns)

@@ -15,7 +15,6 @@ from sources.files.written import (
     aedat2,
     aedat3,
     dat,
-    es,
     evt2,
     evt3,
     evt_header,
@@ -28,7 +27,7 @@ from async_tnt.sources.files import worker_source
 from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.files.source import DamagedRecording
 
-CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "100"))  # of each format
+CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "60"))  # of each format
 SEED = int(os.environ.get("ASYNC_TNT_FUZZ_SEED", "0"))
 SMALL = (34, 34)
 EVENTS = made_events(12, step_us=300, sensor=SMALL)
@@ -120,26 +119,15 @@ def test_random_damage_never_crashes(tmp_path, name, monkeypatch):
         ("a.raw", b"% evt 4.0\n", r"`% evt` 2.0, 2.1 or 3.0, or `% format` EVT2, EVT21 or EVT3; got '4.0'"),
         ("a.raw", b"% evt 3.0\n% geometry 12", "the file ends inside its header, in '% geometry 12'"),
         ("a.raw", b"% evt 3.0\n% geometry 0x12\n", "must be two sizes in pixels, got '0x12'"),
-        ("a.raw", b"% format EVT21;endianness=big\n", "`endianness` must be little or legacy, got 'big'"),
         ("a.dat", b"% some table\n1 2 3\n4 5 6\n", "after the header there must be a type of events, 0 or 12"),
         ("a.dat", b"% Version 7\n\x0c\x08", "the header's Version must be 1 or 2, got '7'"),
-        ("a.es", b"Event Stream\x01\x00\x00\x01\x22\x00\x22\x00", "not a readable ES file: .*got 1.0.0"),
         ("a.es", b"Event Stream\x02\x00\x00\x00", "not a readable ES file: expected DVS or ATIS events, got generic"),
-        (
-            "a.es",
-            b"Event Stream\x02\x00\x00\x01\x00\x00\x22\x00",
-            "a sensor must have at least one pixel a side, got 0 x 34",
-        ),
         ("a.txt", b"hello", "expected `t x y p`, t in seconds, or first `width height`, got 'hello'"),
         ("a.txt", b"12 1 2 1\n13 1 2 1\n", r"must be seconds with decimals, got whole numbers \(12, 13, ...\)"),
         ("a.txt", b"240 18", "the file ends in its first line, '240 18'"),
         ("a.csv", b"t x y p\n", "at least four columns with commas, semicolons or tabs .* got 't x y p' at line 1"),
         ("a.csv", b"t,x,y,q\n", r"the header must name t\|ts\|timestamp, x, y, p\|on\|polarity\|pol; got 't,x,y,q'"),
         ("a.csv", b"1,2,3,0,5\n", "without a header there must be four columns t, x, y, p, got 5"),
-        ("a.csv", b"t,x,y,p,TS\n", "events need one field `t`, got t and ts in the header; leave"),
-        ("a.npy", b"PK\x03\x04", "rename it to .npz"),
-        ("a.npz", b"\x93NUMPY", "got a single .npy array"),
-        ("a.h5", b"\x89HDF\r\n\x1a\n" + bytes(100), "not a readable HDF5 file: "),
         ("a.aedat", b"#!AER-DAT1.0\r\n", "AEDAT 2.0, 3.1 or 4, ES or HDF5; got b'#!AER-DAT1.0"),
         ("a.aedat", b"#!AER-DAT2.0\r\n# AEChip: ini.Foo7\r\n", "the camera must be one of DVS128, .*, got 'ini.Foo7'"),
         ("a.aedat", b"#!AER-DAT3.1\r\n#Source 1: DVS128\r\n", "the header must end within 4096 lines by #!END-HEADER"),
@@ -153,7 +141,6 @@ def test_a_file_that_cannot_be_understood_is_refused_in_one_line(tmp_path, name,
     assert str(tmp_path / name) in str(raised.value) and "\n" not in str(raised.value)
 
 
-VECTOR = np.array([0x8001, 0x6005, 0x0009, 0x3000 | 2040, 0x4001, 0x4FFF], "<u2").tobytes()
 NEGATIVE = struct.pack("<hhiiiiiiII", 1, 1, 8, 4, 0, 1, 1, 1, 1, 1 << 31)  # AEDAT 3.1, a time before 0
 ROWS = b"\n".join(b"%d.5 1 2 1" % i if i != 150_000 else b"what" for i in range(160_000))
 OFF = EVENTS.copy()
@@ -164,13 +151,6 @@ OFF["x"][9] = 34
     ("name", "data", "message", "n_events"),
     [
         ("a.raw", evt_header("3.0") + b"\x01\x00\x02\x20", "1 words of events have no time or no row", 0),
-        (
-            "a.raw",
-            evt_header("3.0") + b"\x01\x80\x05\x60\x05\x20",
-            "1 words of events have no time or no row",
-            0,
-        ),
-        ("a.raw", b"% evt 3.0\n" + VECTOR, "byte 20: a vector of events reaches beyond x = 2047", 1),
         ("a.raw", evt2(EVENTS)[:-1], "the file ends at byte .*, 3 bytes into a word of 4", 11),
         ("a.dat", dat(EVENTS)[:-3], "the file ends 5 bytes into event 11, which has 8", 11),
         ("a.dat", dat(EVENTS)[:-1] + b"\x70", r"event 11 \(byte .*\): t = .*, p = 7 is not a valid event", 11),
@@ -182,12 +162,9 @@ OFF["x"][9] = 34
             12,
         ),
         ("a.aedat", aedat3(EVENTS)[:-45], "the file ends within a packet, which has 2 more events", 11),
-        ("a.aedat", aedat3(EVENTS)[:-8], "the file ends 0 bytes into a packet, which has 8", 12),
-        ("a.aedat", aedat3(EVENTS)[:-9], "the file ends 27 bytes into the header of a packet, which has 28", 12),
         ("a.aedat", aedat3(EVENTS) + b"\1\0" * 14, "has no valid header: type 1, 65537 events of 65537 bytes", 12),
         ("a.aedat", aedat3(EVENTS) + NEGATIVE, "in the packet around byte .*: t = -1, x = 0, y = 0, p = 0 is not", 12),
         ("a.txt", ROWS, "line 150001: .* got 'what'", 150_000),
-        ("a.txt", b"0.5 1 2 1\n" + b"7" * 3_000_000, "line 2: expected", 1),
         ("a.txt", b"0.5 1 2 1\n#" + b" " * 3_000_000 + b"\n0.6 1 2 1\n", "line 2: expected .* more than 65,536 b", 1),
         # without its line end, `1234` may have been 123456
         ("a.csv", b"x,y,p,t\n1,2,1,1233\n1,2,1,1234", "line 3: .* got '1,2,1,1234', and the file ends there", 1),
@@ -195,7 +172,6 @@ OFF["x"][9] = 34
             (f"a{suffix}", make(OFF, SMALL), "event 9 at x = 34, y = .* is off the 34 x 34 sensor", 9)
             for suffix, make in ((".txt", uzh_text), (".raw", evt3), (".dat", dat))
         ),
-        ("a.es", es(OFF, SMALL), "after event 0: x overflow", 0),
     ],
 )
 def test_a_file_is_read_up_to_the_damage_with_one_warning(tmp_path, name, data, message, n_events):
@@ -207,6 +183,5 @@ def test_a_file_is_read_up_to_the_damage_with_one_warning(tmp_path, name, data, 
     assert len(caught) == 1
     until = f", up to {events['t'][-1]} us" if n_events else ""
     assert str(caught[0].message).endswith(f"Keeping the {n_events} events before{until}.")
-    note = f"\nOr pass strict=False for the {n_events} events before."  # for Python, not for the program
-    with pytest.raises(ValueError, match=rf"{message}.*\. Fetch the file again\.{note}$"):
+    with pytest.raises(ValueError, match=rf"{message}.*\. Fetch the file again\.$"):
         open_recording(tmp_path / name, strict=True).read()

@@ -27,10 +27,8 @@ def test_a_camera_may_be_as_large_as_a_byte_addresses_and_larger(tmp_path):
     for sensor in (None, (304, 256)):
         write_nmnist(tmp_path / "a.bin", events, sensor=sensor)
         np.testing.assert_array_equal(read_nmnist(tmp_path / "a.bin", sensor=sensor), events)
-    with pytest.raises(ValueError, match=r"34 x 34 sensor, got x = 255, y = 239 at event 0 .*another camera") as raised:
+    with pytest.raises(ValueError, match=r"34 x 34 sensor, got x = 255, y = 239 at event 0 .*another camera"):
         read_nmnist(tmp_path / "a.bin")
-    (note,) = raised.value.__notes__  # what to pass is for Python, and not for the program, which shows no notes
-    assert note.startswith("Pass sensor=(width, height), or None")
 
 
 def test_overflow_rows_add_8192_us_to_all_that_follows_and_vanish(tmp_path):
@@ -62,7 +60,6 @@ def test_damage_names_its_place(tmp_path, data, message):
     ("row", "sensor", "message"),
     [
         ((0, 34, 0, 0), (34, 34), r"`x` must be in \[0, 34\), got 34 at event 1"),
-        ((0, 0, 0, 2), (34, 34), "`p` must be 0 or 1, or -1 or \\+1, got 2 at event 1"),
         ((1 << 23, 0, 0, 0), (34, 34), r"`t` must be in \[0, 8388608\), got 8388608 at event 1"),
         ((4, 0, 0, 0), (34, 34), r"`t` must never decrease, got 4 at event 1"),
         ((9, 256, 0, 0), (304, 240), r"`x` must be in \[0, 256\), got 256 at event 1"),

@@ -33,26 +33,6 @@ def saved(path, arrays):
     return path
 
 
-def with_names(dtype):
-    """EVENTS with other names, orders and types of fields."""
-    other = np.empty(3, dtype)
-    for name in other.dtype.names:
-        other[name] = EVENTS[{"on": "p", "timestamp": "t", "ts": "t"}.get(name, name)]
-    return other
-
-
-@pytest.mark.parametrize(
-    "array",
-    [
-        with_names([("on", "?"), ("x", "i4"), ("timestamp", "u4"), ("y", "u1")]),
-        with_names([("on", "i8"), ("x", ">u2"), ("ts", "i8"), ("y", "i1")]),
-        table_of(EVENTS) * [1, 1, 1, 2] - [0, 0, 0, 1],  # polarity -1/+1
-    ],
-)
-def test_npy_with_other_names_orders_and_types(tmp_path, array):
-    np.testing.assert_array_equal(open_recording(saved(tmp_path / "a.npy", array)).read(), EVENTS)
-
-
 @pytest.mark.parametrize("off", [0, -1])
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(tmp_path, monkeypatch, off, order):
@@ -72,18 +52,12 @@ def test_a_npy_is_read_up_to_an_event_that_is_invalid_or_of_another_polarity(tmp
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_npz_in_every_form(tmp_path, monkeypatch, form):
-    """With and without a sensor; and nothing else in the archive is unpacked."""
+def test_npz_in_every_form_with_and_without_a_sensor(tmp_path, form):
     unknown = open_recording(saved(tmp_path / "a.npz", FORMS[form]))
-    frames = {"frames": np.zeros(10**6)} if form != "another name" else {}
-    np.savez_compressed(tmp_path / "b.npz", **FORMS[form], sensor=SENSOR, **frames)
-    unpacked, unpack = set(), zipfile.ZipFile.open
-    monkeypatch.setattr(zipfile.ZipFile, "open", lambda zip, info: unpacked.add(info.filename) or unpack(zip, info))
-    known = open_recording(tmp_path / "b.npz")
+    known = open_recording(saved(tmp_path / "b.npz", FORMS[form] | {"sensor": SENSOR}))
     assert unknown.sensor is None and known.sensor == (320, 240)
     for recording in (unknown, known, known):
         np.testing.assert_array_equal(recording.read(), MANY)
-    assert unpacked == {f"{name}.npy" for name in ("sensor", *FORMS[form])}
 
 
 @pytest.mark.parametrize(
@@ -91,16 +65,10 @@ def test_npz_in_every_form(tmp_path, monkeypatch, form):
     [
         (COLUMNS | {"t": np.array([1.0, 2.0, 3.0])}, "`t` must be integer microseconds, got float64"),
         (COLUMNS | {"x": np.array([1, -1, 3])}, "event 1: t = 20, x = -1, y = 4, p = 0 is not a valid event"),
-        (COLUMNS | {"y": np.array([1, 2, 65536])}, "event 2: t = 20, x = 5, y = 65536, p = 1 is not a valid event"),
         (COLUMNS | {"t": np.array([1, 2])}, "must have equal lengths, got 2, 3, 3, 3"),
-        (
-            COLUMNS | {"t": np.array([1, 2, 1 << 63], np.uint64)},
-            "event 2: t = 9223372036854775808, x = 5, y = 6, p = 1",
-        ),
         (COLUMNS | {"sensor": np.array([300, 260])}, "event 1 at x = 300, y = 4 is off the 300 x 260 sensor"),
         (COLUMNS | {"sensor": np.array([0, 260])}, "`sensor` must be two positive integers"),
         ({"t": EVENTS["t"], "x": EVENTS["x"]}, r"`events`, or t, x, y and p; got \['t', 'x'\]"),
-        (COLUMNS | {"ts": EVENTS["t"]}, "events need one field `t`, got t and ts in the archive; leave out all but"),
         (np.zeros((3, 5), int), r"an \(N, 4\) array of those columns, got shape \(3, 5\) of int64"),
         (EVENTS[["t", "x", "y"]], "need a field `p` .one of p, on, polarity, pol., got a structured array with fields"),
     ],
@@ -121,11 +89,9 @@ IMPOSSIBLE = {
     "a long header": npy((1,), padding=20_000),
     "a header of 4 GiB": npy((1,))[:8] + b"\xff" * 4 + npy((1,))[12:],
     "more bytes than numbers": npy((1,)) + b"more",
-    "a million million numbers": npy((10**12,)),
     "2**62 numbers": npy((2**62,)),
     "sides whose product overflows to the right size": npy((2**32, 2**32, 1)),
     "beyond what Python prints": npy(f"({'9' * 4000}, {'9' * 4000})"),
-    "negative sides": npy((-1, -1)),
     "records of nothing": npy((2**62,), "'V0'"),
     "Python objects": npy((1,), "'O'"),
     "no literal": npy("(1,) if 1else (2,)"),
@@ -158,14 +124,6 @@ def test_an_impossible_header_takes_no_memory_and_is_refused_in_one_line_of_ours
     assert "\n" not in text and "allow_pickle" not in text
 
 
-def test_a_name_that_is_there_twice_is_refused(tmp_path):
-    path = saved(tmp_path / "a.npz", {"events": EVENTS})
-    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
-        archive.writestr("events.npy", b"")
-    with pytest.raises(ValueError, match="the archive holds `events` twice"):
-        open_recording(path)
-
-
 def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path):
     path = tmp_path / "a.npz"
     data = npy((10**8,), EVENT_DTYPE.descr)
@@ -177,17 +135,3 @@ def test_an_archive_that_overstates_its_sizes_takes_no_memory(tmp_path):
     path.write_bytes(archive)
     with pytest.raises(ValueError, match=r"a\.npz: not a readable NumPy file: events\.npy ends before its array does$"):
         open_recording(path)
-
-
-def test_an_array_that_is_too_large_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(numpy_files, "MAX_NPZ_BYTES", 10**6)
-    np.savez_compressed(tmp_path / "a.npz", events=np.zeros((10**5, 4), int))
-    tracemalloc.start()
-    try:
-        with pytest.raises(
-            ValueError, match=r"events\.npy takes 3,200,128 bytes; more than 1,000,000 can be read from"
-        ):
-            open_recording(tmp_path / "a.npz")
-        assert tracemalloc.get_traced_memory()[1] < 1e6
-    finally:
-        tracemalloc.stop()

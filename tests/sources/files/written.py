@@ -80,34 +80,20 @@ def evt3(events, sensor=SENSOR):
     return evt_header("3.0", sensor) + struct.pack(f"<{len(out)}H", *out)
 
 
-def dat(events, sensor=SENSOR, version=2):
-    header = f"% Data file\n% Version {version}\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
-    y_bit, p_bit = {2: (14, 28), 1: (9, 17)}[version]
-    body = (struct.pack("<II", t & 0xFFFFFFFF, p << p_bit | y << y_bit | x) for t, x, y, p in events.tolist())
-    return header + (b"\x0c\x08" if version == 2 else b"\x00\x08") + b"".join(body)
+def dat(events, sensor=SENSOR):
+    header = f"% Data file\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
+    body = (struct.pack("<II", t & 0xFFFFFFFF, p << 28 | y << 14 | x) for t, x, y, p in events.tolist())
+    return header + b"\x0c\x08" + b"".join(body)
 
 
 def es(events, sensor=SENSOR):
     out = [b"Event Stream\x02\x00\x00\x01", struct.pack("<HH", *sensor)]
+    pytest.importorskip("faery", reason="ES needs faery")
     before = 0
     for t, x, y, p in events.tolist():
         passed = t - before
         out.append(b"\xff" * (passed // 127))
         out.append(struct.pack("<BHH", passed % 127 << 1 | p, x, sensor[1] - 1 - y))
-        before = t
-    return b"".join(out)
-
-
-def atis(events, sensor=SENSOR):
-    """Six bits of time, bytes that add up to 3 x 63 us to it; after every third event an exposure."""
-    out = [b"Event Stream\x02\x00\x00\x02", struct.pack("<HH", *sensor)]
-    before = 0
-    for i, (t, x, y, p) in enumerate(events.tolist()):
-        passed = t - before
-        out += [b"\xff" * (passed // 189), *([bytes([0xFC + passed % 189 // 63])] if passed % 189 >= 63 else [])]
-        out.append(struct.pack("<BHH", passed % 63 << 2 | 2 * p, x, sensor[1] - 1 - y))
-        if i % 3 == 0:
-            out.append(struct.pack("<BHH", 1, x, sensor[1] - 1 - y))
         before = t
     return b"".join(out)
 
@@ -200,14 +186,6 @@ def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True, linear=True):
     return Format(write, largest, states_sensor, make if linear else None)
 
 
-def _read_by_faery(make):
-    def write(path, events, sensor=SENSOR):
-        pytest.importorskip("faery", reason="ES needs faery")
-        path.write_bytes(make(events, sensor))
-
-    return Format(write, (65535, 65535), of_bytes=make)
-
-
 FORMATS = {
     "uzh.txt": _bytes(uzh_text),
     "plain.csv": _bytes(csv, states_sensor=False),
@@ -216,15 +194,12 @@ FORMATS = {
     "legacy.raw": _bytes(lambda events, sensor: evt21(events, sensor, "legacy"), (2048, 2048)),
     "evt3.raw": _bytes(evt3, (2048, 2048)),
     "v2.dat": _bytes(dat, (1 << 14, 1 << 14)),
-    "v1.dat": _bytes(lambda events, sensor: dat(events, sensor, 1), (512, 256)),
-    "dvs.es": _read_by_faery(es),
-    "atis.es": _read_by_faery(atis),
+    "dvs.es": _bytes(es, (65535, 65535)),
     "dvs128.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, ""), (128, 128), states_sensor=False),
     "davis.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, "DAViS240C"), (240, 180)),
     "caer.aedat": _bytes(aedat3, (240, 180)),
     "plain.bin": _bytes(nmnist, (34, 34), linear=False),  # damage anywhere refuses the whole file
     "records.npy": Format(lambda path, events, sensor: np.save(path, events), states_sensor=False),
-    "table.npy": Format(lambda path, events, sensor: np.save(path, table_of(events)), states_sensor=False),
     "packed.npz": Format(lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=sensor)),
     "plain.npz": Format(lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False),
     "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed

@@ -1,9 +1,15 @@
-"""Reads HDF5 files of events (`.h5`, `.hdf5`) with h5py, in a worker process (`in_worker.py`).
+"""AEDAT4 and ES files, read by faery, and HDF5 files, read by h5py, all in a worker process (`worker_source.py`).
+
+This module is what the worker imports: nothing that takes time. A reader is a function of a path. It yields the sensor,
+(width, height) or None, then blocks of events, each as a list of four columns of integers: t, x, y, p. It raises an
+exception where the file cannot be read on.
+
+HDF5 files of two layouts are read:
 
 DSEC         events/t, x, y, p: a data set each; t_offset: microseconds to add to t. `ms_to_idx` is not needed here.
 Metavision   CD/events: records of x, y, p, t; the sensor as an attribute, `geometry` = "1280x720".
 
-HDF5 does not include the filters that compress two of them: DSEC's by Blosc (`pip install hdf5plugin`), Metavision's by
+HDF5 does not include the filters that compress these two: DSEC's by Blosc (`pip install hdf5plugin`), Metavision's by
 ECF (the plugin of Prophesee's hdf5_ecf, which HDF5_PLUGIN_PATH has to name).
 
 References
@@ -15,19 +21,92 @@ Prophesee, Metavision documentation: HDF5 event file format.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
+MAX_BYTES = 4 << 30  # of addresses; a block takes megabytes, but a damaged file may ask for anything
 BLOCK_EVENTS = 1 << 16
 CACHE_BYTES = 1 << 26  # of each data set: a chunk that does not fit is decompressed again for every block
 COLUMNS = ("t", "x", "y", "p")
 ECF = 0x8ECF
 ECF_HINT = "Prophesee's ECF: install its plugin, hdf5_ecf, and let HDF5_PLUGIN_PATH name its folder"
 PLUGIN_HINT = "pip install hdf5plugin, or let HDF5_PLUGIN_PATH name the plugin's folder"
+
+Reader = Callable[[str], Iterator[Any]]
+
+_blocks: Iterator[Any] = iter(())  # of the file that this process reads
+
+
+def start(read: Reader, path: str) -> Any:
+    """Start to read a file, and return its sensor; `next_block` then returns its events."""
+    global _blocks
+    _limit_memory()
+    _blocks = read(path)
+    return next(_blocks)
+
+
+def sensor_of(read: Reader, path: str) -> Any:
+    """A file's sensor. The file is closed then: HDF5 lets nobody write one that is open."""
+    global _blocks
+    sensor = start(read, path)
+    _blocks = iter(())
+    return sensor
+
+
+def next_block() -> list[np.ndarray] | None:
+    """The columns of the next events, None at the end."""
+    return next(_blocks, None)
+
+
+def _limit_memory() -> None:
+    with suppress(ImportError, OSError, ValueError):  # no POSIX, or a lower limit already
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
+
+
+# -- readers ---------------------------------------------------------------------------------------------
+
+
+def read_aedat4(path: str) -> Iterator[Any]:
+    """AEDAT4 files (`.aedat4`) of DV: their first stream of events."""
+    from faery.extension import aedat
+
+    decoder = aedat.Decoder(path)
+    tracks = decoder.tracks()
+    track = next((track for track in tracks if track.data_type == "events"), None)
+    if track is None:
+        kinds = ", ".join(track.data_type for track in tracks) or "none"
+        raise ValueError(f"it must have a stream of events; its streams are: {kinds}")
+    yield None if track.dimensions is None else [int(side) for side in track.dimensions]
+    for found, packet in decoder:
+        if found.id == track.id and found.data_type == "events" and len(packet):
+            yield [packet[name] for name in ("t", "x", "y", "on")]
+
+
+def read_es(path: str) -> Iterator[Any]:
+    """Event Stream files (`.es`): DVS events, or ATIS events; of the latter, those of changing light.
+
+    faery drops the packet in which it finds damage, and says nothing of a file that ends within an event.
+    """
+    from faery.extension import es
+
+    decoder = es.Decoder(path, 0)
+    if decoder.event_type not in ("dvs", "atis"):
+        raise ValueError(f"expected DVS or ATIS events, got {decoder.event_type}")
+    width, height = decoder.dimensions
+    if not width * height:
+        raise ValueError(f"a sensor must have at least one pixel a side, got {width} x {height}")
+    yield width, height
+    for packet in decoder:
+        if decoder.event_type == "atis":
+            packet = packet[~packet["exposure"]]
+        y = height - 1 - packet["y"].astype(np.int64)  # the format counts from the bottom; below it: an invalid event
+        yield [packet["t"], packet["x"], y, packet["p"]]
 
 
 def read_hdf5(path: str) -> Iterator[Any]:
@@ -65,11 +144,7 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
             raise ValueError(f"{what} and `t_offset` must be data sets, but {data.name} is a {type(data).__name__}")
         if data.is_virtual or data.id.get_create_plist().get_external_count():
             raise ValueError(f"{data.name} must be stored in the file itself, but its values are kept in other files")
-    if offset is not None and offset.size != 1:
-        raise ValueError(f"`t_offset` must be one number, got shape {offset.shape}")
-    offset_us = 0 if offset is None else int(offset[()].item())
-    if not abs(offset_us) < 1 << 62:
-        raise ValueError(f"`t_offset` must be below 2**62 microseconds, got {offset_us}")
+    offset_us = 0 if offset is None else _offset_us(offset)
     shapes = {data.shape for data in sets}
     if len(shapes) != 1 or any(len(shape) != 1 for shape in shapes):
         raise ValueError(f"{what} must have one dimension and equal lengths, got {sorted(shapes)}")
@@ -84,6 +159,15 @@ def _layout(h5py: Any, file: Any) -> tuple[list[Any], int]:
         _check_filters(h5py, data)
         _check_complete(data)
     return sets, offset_us
+
+
+def _offset_us(offset: Any) -> int:
+    if offset.size != 1:
+        raise ValueError(f"`t_offset` must be one number, got shape {offset.shape}")
+    offset_us = int(offset[()].item())
+    if not abs(offset_us) < 1 << 62:
+        raise ValueError(f"`t_offset` must be below 2**62 microseconds, got {offset_us}")
+    return offset_us
 
 
 def _find(h5py: Any, file: Any, path: str) -> Any:

@@ -1,6 +1,4 @@
-"""The cores of this machine, and worker processes.
-
-A worker calls one function after another, and may crash or hang without harm to this process.
+"""Worker processes, which call one function after another and may crash or hang without harm to this process.
 
 `subprocess` starts them: a process of `multiprocessing` imports the user's script again, which then needs the line
 `if __name__ == "__main__":`, and a daemonic process, such as a worker of torch's DataLoader, may not start any.
@@ -22,11 +20,6 @@ from queue import SimpleQueue
 from typing import Any
 
 MAX_ANSWER_BYTES = 1 << 30  # a process that is about to crash may send anything
-
-
-def available_cores() -> int:
-    """Cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class WorkerEnded(ChildProcessError):
@@ -53,7 +46,7 @@ class Worker:
             stdin = msvcrt.open_osfhandle(stdin, 0)
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", "from async_tnt.worker import serve; serve()"],
+                [sys.executable, "-P", "-c", "from async_tnt.sources.worker import serve; serve()"],
                 stdin=stdin,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
@@ -130,8 +123,10 @@ def _answer(call: bytes) -> bytes:
     except BaseException as error:  # a panic in Rust derives from BaseException alone
         note = traceback.format_exc()
         try:
-            pickle.loads(pickle.dumps(error))
+            is_plain = isinstance(pickle.loads(pickle.dumps(error)), Exception)
         except Exception:  # what cannot be sent would look like the worker's end
+            is_plain = False
+        if not is_plain:
             error = RuntimeError(f"{type(error).__name__}: {error}")
         error.add_note(note)
         return pickle.dumps((True, error))
