@@ -21,8 +21,8 @@ from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
-from async_tnt.replay_buffer import Regressor
 from async_tnt.triggers import LeakyIntegrator, TriggerAttributes, Triggers, TriggerSettings
+from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
 
@@ -33,10 +33,6 @@ class Processor(TriggerAttributes):
     Windows lie end to end, from `start_us` or else from the first event. A window is classified when it closes, and
     skipped if it holds no events; one of `window_events` begins with the first event after the window before it, and is
     classified when its last event arrives. The decisions do not depend on how the stream is cut into packets.
-
-    Copies and pickles continue the stream, bit for bit.
-    The four triggers, from `every_us` to `activity`, and `classifier` are attributes, too, and may change between
-    calls. A call while another one is running, in another thread or further up in the same, is a RuntimeError.
 
     Parameters
     ----------

@@ -14,8 +14,7 @@ from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
-from async_tnt.replay_buffer import Regressor, ReplayBuffer, check_regressor
-from async_tnt.volume_state import new_state, next_epoch
+from async_tnt.volume_state import Regressor, ReplayBuffer, check_regressor, new_state, next_epoch
 
 UNOPENED = -1  # LIMIT_US before the first window, so that every time is at or after it
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,11 +64,6 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
     model = Model(config, weights, tuple(classes), exported.record if exported else {}, {CLASSIFIER: layers})
     try:
         _compare_with_onnxruntime(path, proto, model)
-    except ImportError:
-        warnings.warn(
-            f"{path}: its layers were not compared with the network itself, as onnxruntime is not installed",
-            stacklevel=3,  # the caller of `load_model`
-        )
     except ValueError as error:
         raise NotImplementedError(f"{path} cannot be read as layers: {error}{WAY_OUT}") from None
     return model

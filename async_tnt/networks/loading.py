@@ -41,10 +41,10 @@ def load_model(
     Raises
     ------
     FileNotFoundError : no such file and no such bundled model; the message lists the bundled names.
-    ImportError : an .onnx network, and onnx is not installed.
+    ImportError : an .onnx network, and onnx or onnxruntime is not installed.
     TypeError : `config` or `classes` for a model that has its own, or no `config` for a network that has none.
     NotImplementedError : names the first node of an .onnx network that has no compiled form; or its layers compute
-        other numbers than onnxruntime (where that is not installed, a warning says that nothing was compared).
+        other numbers than onnxruntime.
     ValueError : the file is damaged, needs a network that this release cannot run, or is not a model of this package.
     """
     if str(name_or_path) in bundled_models():
@@ -59,8 +59,7 @@ def load_model(
     if config is not None or classes is not None:
         raise TypeError(f"`config` and `classes` are for .onnx networks; {path} has its own")
     try:
-        with path.open("rb") as file:
-            weights, metadata = read_tensors(file, FORMAT)
+        weights, metadata = read_tensors(path, FORMAT)
     except ValueError as error:
         raise ValueError(f"{path} is not a model that this release can read: {one_line(error)}") from None
     except (SafetensorError, OSError) as error:

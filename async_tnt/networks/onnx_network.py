@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import onnxruntime
 
 Shape = tuple[int, int, int]
-DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # by onnxruntime's names
 
 
 class OnnxClassifier:
@@ -44,9 +43,6 @@ class OnnxClassifier:
     shape : (C, H, W).
     n_classes : logits.
     config, classes : TNTConfig and names, if this package wrote the file; else None.
-
-    Holds scratch memory: one instance per thread. Copies and pickles open the network again, from the same path or
-    bytes.
 
     Raises
     ------
@@ -195,7 +191,7 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
     (volume,) = inputs
     if volume.type != "tensor(float)":
         raise ValueError(
-            f"the network's input must be float32, as volumes are, got {_type_name(volume.type)} for {volume.name!r}"
+            f"the network's input must be tensor(float), as volumes are, got {volume.type} for {volume.name!r}"
         )
     sides = tuple(volume.shape)
     if len(sides) != 4:
@@ -224,7 +220,7 @@ def check_output(outputs: list[Any]) -> None:
             f"the network must have one output, logits (1, n_classes), got {len(outputs)}{_listed(outputs)}"
         )
     if outputs[0].type != "tensor(float)":
-        raise ValueError(f"the network's output must be float32, got {_type_name(outputs[0].type)}")
+        raise ValueError(f"the network's output must be tensor(float), got {outputs[0].type}")
 
 
 def _listed(nodes: list[Any]) -> str:
@@ -234,8 +230,3 @@ def _listed(nodes: list[Any]) -> str:
 def _spelled(sides: Sequence[Any]) -> str:
     """(1, 9, height, ?): a side is a number, a name or unknown."""
     return "(" + ", ".join("?" if side is None else str(side) for side in sides) + ")"
-
-
-def _type_name(name: str) -> str:
-    """In NumPy's words: float16 and int64 have one name here and there."""
-    return np.dtype(DTYPES[name]).name if name in DTYPES else name.removeprefix("tensor(").removesuffix(")")

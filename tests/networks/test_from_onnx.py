@@ -94,26 +94,14 @@ def of_vector(op, inputs, opset=13, **more):
 FORMS = {
     "no padding": of_map("Conv", "x w b", w=numbers(4, 2, 2, 3), b=numbers(4), auto_pad="VALID"),
     "more after": of_map("Conv", "x w", w=numbers(4, 2, 2, 4), auto_pad="SAME_UPPER"),
-    "more before": of_map("Conv", "x w", w=numbers(4, 2, 2, 4), auto_pad="SAME_LOWER"),
     "in groups": of_map("Conv", "x w", w=numbers(4, 1, 3, 2), group=2, pads=[1, 0, 2, 1], strides=[2, 1]),
-    "apart": of_map("Conv", "x w", w=numbers(4, 2, 2, 2), dilations=[2, 3]),
-    "batch norm": of_map("BatchNormalization", "x w w w w", 9, w=numbers(2), epsilon=0.1),
     "limits as attributes": of_map("Clip", "x", 9, min=-0.1, max=0.5),
     "an upper limit": of_map("Clip", "x - high", high=np.float32(0.5)),
     "slopes": of_map("PRelu", "x w", w=numbers(2, 1, 1)),
-    "one slope": of_map("LeakyRelu", "x"),
-    "dropout, old": of_map("Dropout", "x", 9, ratio=0.5),
     "dropout": of_map("Dropout", "x half no", half=np.float32(0.5), no=np.bool_(False)),
-    "maximum": of_map("MaxPool", "x", kernel_shape=[2, 3], pads=[1, 2, 0, 1], strides=[1, 2]),
-    "mean": of_map("AveragePool", "x", kernel_shape=[2, 3], pads=[1, 2, 0, 1], count_include_pad=1),
-    "channels": of_map("Concat", "x x", axis=-3),
-    "a sum": of_map("Sum", "x x x"),
     "a factor": of_map("Mul", "w x", w=numbers(1, 2, 1, 1)),
     "mean of axes": ([node("ReduceMean", axes=[3, -2], keepdims=0)], {}, 13),
-    "mean of given axes": ([node("ReduceMean", "x at", keepdims=0)], {"at": np.int64([-1, 2])}, 18),
-    "a matrix": of_vector("MatMul", "f w", w=numbers(60, 3)),
     "transposed": of_vector("Gemm", "f w b", w=numbers(3, 60), b=numbers(1, 3), transB=1),
-    "one bias": of_vector("Gemm", "f w b", w=numbers(60, 3), b=np.float32(0.5)),
     "reshaped": ([node("Reshape", "x to", "f"), node("MatMul", "f w")], {"to": [0, -1], "w": numbers(60, 3)}, 13),
     "a constant node": (
         [
@@ -141,24 +129,15 @@ def test_a_form_of_an_operation_is_read_as_it_is(form, tmp_path):
 
 
 ONES, KERNEL = np.ones(2, np.float32), np.ones((1, 2, 3, 3), np.float32)
-TRAINING = node("BatchNormalization", "x w w w w", "y m v sm sv")  # before opset 14 told by the number of outputs
 REFUSED = [  # nodes, constants, message, opset
     ([node("Sigmoid")], {}, "(Sigmoid) has no compiled form; OnnxClassifier(path) runs any network, whole", 13),
     ([node("Mul", "x x")], {}, "(Mul): a product of two maps has no compiled form", 13),
-    ([node("Softmax"), node("Flatten", "y", "z")], {}, "(Softmax) has no compiled form", 13),
-    (
-        [node("Flatten", "x", "f"), node("Softmax", "f", axis=0)],
-        {},
-        "(Softmax): a softmax over axis 0, not over the classes (1), has no compiled form",
-        13,
-    ),
     (
         [node("Add", "x w")],
         {"w": np.ones((1, 2, 6, 5), np.float32)},
         "(Add): a constant of shape (1, 2, 6, 5) here has no compiled form",
         13,
     ),
-    ([node("Add", "w w")], {"w": ONES}, "(Add): a sum other than of one map and a constant, or of maps, has no", 13),
     ([node("Concat", "x x", axis=2)], {}, "(Concat): axis 2, not channels (1), has no compiled form", 13),
     (
         [node("AveragePool", kernel_shape=[3, 3], pads=[1] * 4)],
@@ -166,8 +145,6 @@ REFUSED = [  # nodes, constants, message, opset
         "(AveragePool): padding without count_include_pad has no compiled form",
         13,
     ),
-    ([node("PRelu", "x w")], {"w": numbers(5)}, "(PRelu): a slope of shape (5,) has no compiled form", 13),
-    ([TRAINING], {"w": ONES}, "(BatchNormalization): a batch norm in training mode, or of each place,", 13),
     (
         [node("BatchNormalization", "x w w w w", training_mode=1)],
         {"w": ONES},
@@ -187,12 +164,6 @@ REFUSED = [  # nodes, constants, message, opset
         "(Conv): auto_pad VALID beside pads has no compiled form",
         13,
     ),
-    (
-        [node("Conv", "x w", kernel_shape=[3, 2])],
-        {"w": KERNEL},
-        "(Conv): a kernel_shape other than that of the weights has no compiled form",
-        13,
-    ),
     *(
         (
             [node("Conv", "x w")],
@@ -202,7 +173,6 @@ REFUSED = [  # nodes, constants, message, opset
         )
         for dtype in (bool, np.complex64)
     ),
-    ([node("Clip", "x w")], {"w": ONES}, "(Clip): a min other than one number has no compiled form", 13),
     (
         [node("Reshape", "x to")],
         {"to": np.int64([2, -1])},
@@ -222,15 +192,12 @@ def test_a_node_without_a_compiled_form_is_refused_by_name(tmp_path, nodes, cons
 
 
 def test_a_file_is_compared_with_onnxruntime(tmp_path, monkeypatch):
-    """Here with a rule that is wrong: ReLU read as nothing. Where onnxruntime is missing, a warning says so."""
+    """Here with a rule that is wrong: ReLU read as nothing."""
     nodes = [node("Flatten", "x", "f"), node("MatMul", "f w", "d"), node("Relu", "d", "r"), node("Flatten", "r")]
     path = write_onnx(tmp_path / "m.onnx", nodes, {"w": numbers(60, 3) - np.float32(0.6)})
     load_model(path, config=SMALL)
     monkeypatch.setitem(RULES, "Relu", RULES["Identity"])
     with pytest.raises(NotImplementedError, match=r"cannot be read as layers: its layers compute other numbers \(by"):
-        load_model(path, config=SMALL)
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.warns(UserWarning, match=r"m.onnx: its layers were not compared with the network itself, as onnxrun"):
         load_model(path, config=SMALL)
 
 
@@ -277,11 +244,7 @@ def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):
     ):
         with pytest.raises(error, match=message):
             load_model(name, **settings)
-    content = bytearray(ours.read_bytes())
-    content[5000] ^= 1
-    ours.write_bytes(content)
-    with pytest.raises(ValueError, match=r"is damaged|is not a readable"):
-        load_model(ours)
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(ImportError, match=r"^ONNX networks are read by onnx: pip install 'async_tnt\[onnx\]' \(.*\)$"):
-        load_model(path, config=SMALL)
+    for missing in ("onnxruntime", "onnx"):
+        monkeypatch.setitem(sys.modules, missing, None)
+        with pytest.raises(ImportError, match=r"^ONNX networks are .*: pip install 'async_tnt\[onnx\]' \("):
+            load_model(ours)

@@ -8,7 +8,7 @@ from deciding import key
 from hypothesis import given
 from hypothesis import strategies as st
 from made import nasty_streams, random_events
-from networks.cases import DIGITS, NETWORKS, WINDOW_US, of_all, of_some
+from networks.cases import DIGITS, NETWORKS, WINDOW_US, of_all
 from oracles import Oracle, as_values
 
 from async_tnt import CompiledRegressor, Processor
@@ -42,46 +42,12 @@ def test_after_every_event(network):
         assert [as_values(d) for d in decide(Processor(network.model(), every_events=1), events, size)] == expected
 
 
-@of_some
-@pytest.mark.parametrize("every", [2, 257])
-def test_after_every_so_many_events(network, every):
-    """A compiled call makes 256 decisions at most: there are packets with more."""
-    events = random_events(1300, seed=3, duration_us=2 * WINDOW_US + 900, sensor=network.config.sensor)
-    expected = plain(network, events, every)
-    for size in (7, 1300):
-        assert [as_values(d) for d in decide(Processor(network.model(), every_events=every), events, size)] == expected
-
-
 @given(st.sampled_from(NETWORKS), st.data(), st.sampled_from([1, 1, 2, 5]), st.sampled_from([0, 1, 2, 7, 99]))
 def test_nasty_streams(network, data, every, size):
     """Ties, bursts, borders, times that run backwards, also into windows that are closed."""
     events = data.draw(nasty_streams(network.config.sensor, 3 * WINDOW_US, 77))
     decisions = decide(Processor(network.model(), every_events=every), events, size)
     assert [as_values(d) for d in decisions] == plain(network, events, every)
-
-
-@pytest.mark.parametrize("hop_us", [None, 1500])
-def test_one_classifier_for_two_processors(hop_us):
-    """Two cameras, one network, alternating."""
-    shared, settings = DIGITS.classifier(), {"every_events": 2, "hop_us": hop_us}
-    streams = [random_events(280, seed=seed, duration_us=2 * WINDOW_US) for seed in (4, 5)]
-    both, decisions = [Processor(DIGITS.config, classifier=shared, **settings) for _ in streams], ([], [])
-    for first in range(0, 280, 7):
-        for processor, events, made in zip(both, streams, decisions, strict=True):
-            made += processor.push(events[first : first + 7])
-            assert processor.fire().logits.tobytes() == DIGITS.dense()(processor.volume()).tobytes()
-    for events, made in zip(streams, decisions, strict=True):
-        expected = Processor(DIGITS.model(), **settings).push(events)
-        assert [as_values(d) for d in made] == [as_values(d) for d in expected] and len(expected) > 100
-
-
-def test_arrays_of_a_decision_are_its_own():
-    """Those of one packet share one piece of memory: none may reach into another."""
-    decisions = Processor(DIGITS.model(), every_events=1).push(random_events(20, seed=6, duration_us=3000))
-    before = [key(d) for d in decisions]
-    decisions[4].logits[:] = 0
-    decisions[4].probabilities[:] = 0
-    assert [key(d) for d in decisions[:4] + decisions[5:]] == before[:4] + before[5:]
 
 
 @pytest.mark.parametrize("settings", [{"every_events": 1}, {"confidence": 0.9}], ids=str)

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import nasty_streams, random_events
-from networks.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network, of_all
+from networks.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network
 from networks.random_networks import CONFIG, random_models
 from tnt_reference import LayerNetwork
 
@@ -143,21 +143,6 @@ def test_packets_about_as_long_as_the_log_or_as_it_pays_to_follow_it(network, mo
         sensor = network.config.sensor
         events = random_events(sum(sizes), seed=7, duration_us=WINDOW_US - 1, sensor=sensor, start_us=1)
         logits_after_packets(network, events, sizes)
-
-
-# -- as a callable -----------------------------------------------------------------------------------------------
-
-
-@of_all
-def test_any_float_array_of_the_right_shape_will_do_and_logits_are_the_callers(network):
-    array = np.random.default_rng(0).normal(size=network.config.shape).astype(np.float32)
-    classifier = network.classifier()
-    first = classifier(array)
-    kept = first.tobytes()
-    first[:] = 7
-    for volume in (array, array.astype(np.float64), np.asfortranarray(array)):
-        assert classifier(volume).tobytes() == kept
-    assert (first == 7).all()
 
 
 def test_a_volume_of_another_shape_is_refused():

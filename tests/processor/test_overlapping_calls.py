@@ -106,7 +106,7 @@ def test_a_classifier_that_calls_its_own_processor_is_refused(call):
     "network, names",
     [
         (CompiledClassifier(MODEL), ["refresh", "__call__", "push"]),
-        (CompiledRegressor(random_regressor_model()), ["__call__", "heatmap"]),
+        (CompiledRegressor(random_regressor_model()), ["__call__"]),
         (OnnxClassifier(to_onnx(MODEL)), ["__call__"]),
     ],
     ids=lambda value: type(value).__name__,
@@ -117,7 +117,6 @@ def test_a_network_shared_by_two_threads_refuses_the_second_call(network, names)
     calls = {
         "refresh": lambda: network.refresh(volume),
         "__call__": lambda: network(held.values),
-        "heatmap": lambda: network.heatmap(held.values),
         "push": lambda: Processor(CONFIG, classifier=network, every_events=1).push(at([5, 6])),
     }
     expected = network(held.values)
