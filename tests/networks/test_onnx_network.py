@@ -85,10 +85,7 @@ WRONG = {
         network(inputs=[("image", (8, 2, 6, 5))], outputs=[("scores", (8, 3))]),
         "must take one volume at a time, or any number, got input (8, 2, 6, 5)",
     ),
-    "float64": (
-        network(dtype=TensorProto.DOUBLE),
-        "input must be tensor(float), as volumes are, got tensor(double)",
-    ),
+    "float64": (network(dtype=TensorProto.DOUBLE), "input must be tensor(float), as volumes are, got tensor(double)"),
     "a map": (
         network(RELU, outputs=[("scores", MAPS)]),
         "must give logits (1, n_classes) of a volume, got shape (1, 2, 6, 5)",

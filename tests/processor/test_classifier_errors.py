@@ -84,3 +84,19 @@ def test_a_classifier_that_does_not_fit_is_refused_at_once():
     with pytest.raises(TypeError, match=r"^`classifier` must be callable, got int$"):
         processor.classifier = 5
     assert processor.classifier is before and len(processor.push(at([0, 1]))) == 2
+
+
+@pytest.mark.parametrize("retry", [lambda p: p.push([]), lambda p: p.finish(), lambda p: p.push(at([9]))])
+def test_a_window_of_events_whose_decision_failed_is_made_up_for(retry):
+    answers = iter([ValueError("not now"), [1.0, 0.0], [1.0, 0.0]])
+
+    def classify(volume):
+        answer = next(answers)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    processor = Processor(CONFIG.replace(window_events=3), classifier=classify)
+    with pytest.raises(ValueError, match="not now"):
+        processor.push(at([1, 2, 3]))
+    assert summary(retry(processor)) == [("window", 1, 3, 3)]

@@ -15,8 +15,7 @@ MODEL = random_regressor_model(CONFIG, widths=(3, 4, 5), regressor_widths=(9, 5,
 
 
 @pytest.mark.parametrize(
-    "settings, polarity",
-    [({"every_events": 37}, "signed"), ({"hop_us": 300, "every_us": 170}, "split")],
+    "settings, polarity", [({"every_events": 37}, "signed"), ({"hop_us": 300, "every_us": 170}, "split")]
 )
 def test_decisions_equal_the_torch_pipeline(settings, polarity):
     config = CONFIG.replace(polarity=polarity, sensor=(40, 34), grid=(34, 30), bins=5)

@@ -107,6 +107,24 @@ def test_a_larger_sensor_maps_corner_to_corner():
     assert nonzero(array) == {(0, 33, 33): 1.0, (0, 0, 0): 1.0, (0, 0, 16): 0.5, (0, 0, 17): 0.5}
 
 
+def test_times_in_a_window_of_events_are_scaled_by_the_newest():
+    """At TNT time 1 an event stays where it is, at 2 it is at half its distance from the centre; the last bin is the
+    newest event's."""
+    volume = TNTVolume(TNTConfig(sensor=(5, 3), grid=(5, 3), bins=3, t_max=2.0, landmark="center", window_events=3))
+    volume.update(([100, 150], [4, 4], [1, 1], [1, 1]))
+    expected = np.zeros((3, 3, 5))
+    expected[2, 1, 3] = 1  # tau = 2; the first event, at tau = 0, is dropped
+    assert np.array_equal(volume.array, expected)
+    volume.update_one(200, 2, 1, 0)
+    expected[:] = 0
+    expected[1, 1, 4] = 1  # now tau = 1, in the middle bin
+    expected[2, 1, 2] = -1
+    assert np.array_equal(volume.array, expected)
+    assert volume.counts.dropped_tau_zero == 1
+    volume.update_one(201, 0, 0, 1)  # the next window: one event, no duration
+    assert not volume.array.any() and (volume.start_us, volume.n_events) == (201, 1)
+
+
 @pytest.mark.parametrize("start_us", [0, 1_700_000_000_000_000, (1 << 62) - 801])
 def test_epoch_sized_times_lose_nothing(start_us):
     array = volume_of(RAW, (start_us + 225, 5, 7, 1), start_us=start_us).array
