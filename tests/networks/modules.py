@@ -52,16 +52,6 @@ class Functions(nn.Module):
         return self.head(torch.flatten(F.adaptive_avg_pool2d(x, 1), 1))
 
 
-class Flat(nn.Module):
-    def __init__(self, shape):
-        super().__init__()
-        self.conv, self.head, self.shape = nn.Conv2d(3, 5, 3, stride=8), nn.Linear(shape[-1], 4), shape
-
-    def forward(self, x):
-        x = self.conv(x)
-        return self.head(torch.flatten(input=x, start_dim=1) if self.shape == (30,) else x.view(self.shape))
-
-
 def head(first, kind=nn.Sequential):
     return kind(first, nn.AdaptiveAvgPool2d((1, 1)), nn.Flatten())
 

@@ -6,7 +6,7 @@ Also with changes in place, hooks, own classes, and functions that depend on mor
 import numpy as np
 import pytest
 import torch
-from networks.modules import CONFIG, EVEN_KERNEL, MODULES, VOLUMES, Flat, head, logits_of, module_of
+from networks.modules import CONFIG, EVEN_KERNEL, MODULES, VOLUMES, head, logits_of, module_of
 from networks.small import assert_same
 from tnt_reference import LayerNetwork
 from torch import nn
@@ -59,7 +59,6 @@ class Written(nn.Module):
         torch.manual_seed(1)
         self.body, self.conv, self.relu = body, nn.Conv2d(3, 3, 3, padding=1), nn.ReLU(inplace=True)
         self.norm, self.head, self.dense = nn.BatchNorm2d(3), nn.Conv2d(3, 4, 1), nn.Linear(3 * 18 * 20, 4)
-        self.factor = nn.Parameter(torch.ones(1))
 
     def forward(self, x):
         return self.body(self, x)
@@ -68,39 +67,14 @@ class Written(nn.Module):
         return self.head(x).mean((2, 3))
 
 
-def clamps_the_volume(m, x):
-    torch.clamp_(x, -1, 1)
-    return m.logits(m.conv(x))
-
-
 def preactivated(m, x):
     h = m.conv(x)
     return m.logits(m.relu(h) + h)
 
 
-def adds_to_another_name(m, x):
-    h = m.conv(x)
-    g = h
-    g += x
-    return m.logits(h)
-
-
-def clamps_into_another(m, x):
-    h, g = m.conv(x), m.norm(x)
-    torch.clamp(h, -0.1, 0.1, out=g)
-    return m.logits(h + g)
-
-
 def changes_through_a_view(m, x):
     h = m.conv(x)
     return m.dense(h.flatten(1).relu_()) + m.logits(h)
-
-
-def changes_what_a_view_shows(m, x):
-    h = m.conv(x)
-    flat = h.flatten(1)
-    h.relu_()
-    return m.dense(flat) + m.logits(h)
 
 
 def leaves_results_unread(m, x):
@@ -116,10 +90,8 @@ def flattens(*shape):
 @pytest.mark.parametrize(
     "module",
     [
-        *(Flat(shape) for shape in ((30,), (-1, 30), (1, 30))),
-        *(Written(flattens(n, -1)) for n in (lambda x: x.size(0), lambda x: x.size()[0], lambda x: x.shape[0])),
-        *map(Written, (clamps_the_volume, preactivated, adds_to_another_name, clamps_into_another)),
-        *map(Written, (changes_through_a_view, changes_what_a_view_shows, leaves_results_unread)),
+        *(Written(flattens(n, -1)) for n in (1, lambda x: x.size(0), lambda x: x.size()[0], lambda x: x.shape[0])),
+        *map(Written, (preactivated, changes_through_a_view, leaves_results_unread)),
         head(nn.Conv2d(3, 4, 3), InEvaluation),
     ],
 )
@@ -141,25 +113,14 @@ def multiplies_another_name(m, x):
     return m.logits(h)
 
 
-def own_function_in_place(m, x):
-    h = m.conv(x)
-    halve(h)
-    return m.logits(h)
-
-
 def own_function_named_relu(m, x):
     return m.logits(relu(m.conv(x)))
-
-
-def halve(x):
-    return x.mul_(0.5)
 
 
 def relu(x):
     return torch.tanh(x)
 
 
-torch.fx.wrap("halve")
 torch.fx.wrap("relu")
 
 
@@ -215,15 +176,9 @@ FORM, HOOKS = "has no compiled form", "has hooks, which a trace does not show: r
 REFUSED = [  # what makes it, the beginning of the message
     (of_layer(nn.Conv2d(3, 4, 3), nn.GELU()), f"layer '1' (GELU) {FORM}"),
     (
-        of_layer(nn.Sequential(nn.Conv2d(3, 4, 3, padding=1, padding_mode="reflect"))),
-        f"layer '0.0' (Conv2d): padding_mode 'reflect' {FORM}",
-    ),
-    (of_layer(nn.MaxPool2d(2, ceil_mode=True)), f"layer '0' (MaxPool2d): ceil_mode {FORM}"),
-    (
         of_layer(nn.AvgPool2d(3, padding=1, count_include_pad=False)),
         f"layer '0' (AvgPool2d): padding with count_include_pad=False {FORM}",
     ),
-    (of_body(lambda m, x: torch.relu(x * m.factor)), f"operation 'factor' (factor) {FORM}"),
     (Two, "the module must take one volume, got 2 arguments"),
     (Loop, "torch.fx cannot trace this module: symbolically traced variables cannot be used as inputs to control fl"),
     (of_body(divides_the_volume), "layer 'conv' (Conv2d): the value x is changed in place by operation 'div_' (div_)"),
@@ -231,7 +186,6 @@ REFUSED = [  # what makes it, the beginning of the message
         of_body(multiplies_another_name),
         "layer 'head' (Conv2d): the value conv is changed in place by operation 'imul' (imul)",
     ),
-    (of_body(own_function_in_place), "layer 'head' (Conv2d): the value conv is changed in place by operation 'halve'"),
     (of_body(own_function_named_relu), f"operation 'relu' (relu) {FORM}"),
     (of_layer(nn.Conv2d(3, 4, 3), ReLU()), f"operation 'pow_1' (pow) {FORM}"),
     (hooked, f"layer '0' (Conv2d) {HOOKS}"),
@@ -241,9 +195,7 @@ REFUSED = [  # what makes it, the beginning of the message
         of_body(lambda m, x: x.mean((2, 3), dtype=torch.float64)),
         f"operation 'mean' (mean): the argument 'dtype' {FORM}",
     ),
-    (of_body(lambda m, x: [m.logits(x)]), "the module must return one tensor of logits"),
     (of_body(flattens(2, -1)), "operation 'reshape' (reshape): a view other than (n, -1)"),
-    (lambda: head(nn.Conv2d(3, 4, 3, dtype=torch.complex64)), "layer '0' (Conv2d): a weight of type torch.complex64"),
     (
         lambda: torch.jit.trace(head(nn.Conv2d(3, 4, 3)), torch.zeros(1, 3, 18, 20)),
         "the module is compiled by torch.jit",

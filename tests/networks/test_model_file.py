@@ -17,7 +17,7 @@ from networks.small import CLASSES, SMALL, WITH_REGRESSOR, assert_same, changed,
 from safetensors import safe_open
 from safetensors.numpy import load_file
 
-from async_tnt import CompiledClassifier, CompiledRegressor, Model, bundled_models, load_model
+from async_tnt import CompiledClassifier, Model, bundled_models, load_model
 from async_tnt.networks import OnnxClassifier, to_onnx
 
 
@@ -30,12 +30,6 @@ def test_a_saved_network_is_the_same(tmp_path_factory, model):
         assert list(loaded.weights) == sorted(model.weights)  # as what is made of them depends on their order
         assert loaded.layers == model.layers
         assert CompiledClassifier(loaded)(volume).tobytes() == CompiledClassifier(model)(volume).tobytes()
-
-
-def test_a_saved_regressor_is_the_same(tmp_path):
-    model = small_model(config=WITH_REGRESSOR)
-    volume = np.random.default_rng(0).normal(size=model.config.shape).astype(np.float32)
-    assert CompiledRegressor(load_model(model.save(tmp_path / "m")))(volume) == CompiledRegressor(model)(volume)
 
 
 def test_extreme_weights_names_and_records_come_back(tmp_path):
