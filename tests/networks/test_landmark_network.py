@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from made import random_events, random_model, random_regressor_model
+from made import random_events, random_regressor_model
 
 from async_tnt import CompiledRegressor, Model, TNTConfig, TNTVolume
 from async_tnt.kernels.heatmap import centroid
@@ -76,10 +76,3 @@ def test_large_exponents_and_those_that_overflowed_give_what_torch_gives(heatmap
     h = torch.softmax(torch.tensor(exponent).double(), 0).numpy()
     in_rows = np.array([*exponent[:2], 7, 7, *exponent[2:]], np.float32)
     assert centroid(in_rows, 4, 2, 2) == pytest.approx((h[1] + h[3], h[2] + h[3]), abs=1e-15, nan_ok=True)
-
-
-def test_what_is_refused():
-    with pytest.raises(ValueError, match=r'^the model has no regressor: that needs landmark="regressor" and trans'):
-        CompiledRegressor(random_model())
-    with pytest.raises(ValueError, match=r"^`volume` must have shape \(9, 34, 34\), got \(9, 34, 33\)$"):
-        CompiledRegressor(random_regressor_model())(np.zeros((9, 34, 33)))
