@@ -72,10 +72,7 @@ class TNTVolume:
         self._running = Running("TNTVolume")
         self._replay = None
         if config.needs_replay:
-            regressor_and_raw = None
-            if regressor is not None:
-                regressor_and_raw = regressor, TNTVolume(config.replace(transform="none", landmark="center"))
-            self._replay = ReplayBuffer(config, replay_events, regressor_and_raw)
+            self._replay = ReplayBuffer(config, replay_events, regressor)
         self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
         self.reset()
 
@@ -128,7 +125,7 @@ class TNTVolume:
     def _empty(self, start_us: int, limit_us: int) -> None:
         empty_volume(self._buffer, self._array, start_us, limit_us, next_epoch())
         if self._replay is not None:
-            self._replay.open(start_us)
+            self._replay.open()
 
     def update(self, events: Any) -> int:
         """Add a packet of `events`, in any form that `async_tnt.event_forms` lists.

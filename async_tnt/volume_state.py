@@ -3,7 +3,7 @@
 Events are stored, and replayed when the volume is read, where only then is known
 
 landmark `window`      the centroid of all the window's events so far, including those that could not be stored
-landmark `regressor`   a network's estimate from the raw volume, which is kept up to date in O(1) per event
+landmark `regressor`   a network's estimate from the raw volume of the same events
 `window_events`        the time of the window's newest event, by which times are scaled
 """
 
@@ -13,7 +13,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from async_tnt.config import TNTConfig
 from async_tnt.events import Columns, empty_columns
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import absorb, store_events
-from async_tnt.kernels.readout import empty_volume
+from async_tnt.kernels.readout import cells_to_float32, empty_volume
 
 MAX_EVENTS = 1 << 53  # 28 years at 10 million events a second; sums stay far from the end of int64
 Regressor = Callable[[np.ndarray], Any]
@@ -89,23 +89,6 @@ class ReplayBufferFull(UserWarning):
     """A window held more events than the replay buffer; the others are missing from its volume."""
 
 
-class RawVolume(Protocol):
-    """What a regressor sees: a `TNTVolume` without the transform."""
-
-    @property
-    def array(self) -> np.ndarray:
-        """The open window's volume: float32, shape (C, H, W)."""
-        ...
-
-    def open(self, start_us: int) -> None:
-        """Open an empty window that starts at `start_us`."""
-        ...
-
-    def absorb(self, columns: Columns, first: int, last: int) -> int:
-        """Add checked events `first <= i < last`; returns the first one not added."""
-        ...
-
-
 class ReplayBuffer:
     """The events of one window, and their replay, about the landmark and with the duration that are known by then.
 
@@ -114,19 +97,17 @@ class ReplayBuffer:
     config : of the volume that they are replayed into.
     capacity : how many events are stored at most; memory grows up to that as needed. A window of a given number of
         events is always stored whole.
-    regressor : the callable of landmark `regressor` and the raw volume that it sees; None: another landmark. The raw
-        volume holds the stored events only, as the replay does, so that both see the same events, as in the batch
-        reference.
+    regressor : the callable of landmark `regressor`; None: another landmark.
     """
 
-    def __init__(self, config: TNTConfig, capacity: int, regressor: tuple[Regressor, RawVolume] | None) -> None:
+    def __init__(self, config: TNTConfig, capacity: int, regressor: Regressor | None) -> None:
         capacity = positive_int("replay_events", capacity)
         self.capacity = config.window_events or capacity
         self._n_most = config.window_events or MAX_EVENTS
         self._config = config
-        self._regressor: Regressor | None
-        self._raw: RawVolume | None
-        self._regressor, self._raw = regressor or (None, None)
+        self._regressor = regressor
+        self._raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
+        self._raw = None if regressor is None else new_state(self._raw_config)
         self._columns = empty_columns(min(FIRST_CAPACITY, self.capacity))
         self._running = Running("Processor or TNTVolume")
         self.reset()
@@ -138,14 +119,12 @@ class ReplayBuffer:
         self._closed_tau_zero = 0
         self._warning_due = False
 
-    def open(self, start_us: int) -> None:
+    def open(self) -> None:
         """Begin a window, without events."""
         self.n = 0
         self._landmark: tuple[float, float] | None = None  # as of the newest event, once it is known
         self._is_replayed = True
         self._warned = False
-        if self._raw is not None:
-            self._raw.open(start_us)
 
     @one_at_a_time
     def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
@@ -157,7 +136,6 @@ class ReplayBuffer:
         first, self.n = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self.n, self._n_most)
         n_new = _n_events(buffer) - n_in_window
         if n_new:
-            self._show_raw(n_before)
             self._landmark = None
             self._is_replayed = False
         n_missing = n_new - (self.n - n_before)
@@ -189,10 +167,23 @@ class ReplayBuffer:
         return self._landmark
 
     def _estimate(self, buffer: np.ndarray) -> tuple[float, float]:
-        if self._regressor is not None and self._raw is not None:
-            return checked_landmark(self._regressor(self._raw.array))
+        if self._regressor is not None:
+            return checked_landmark(self._regressor(self._raw_volume(buffer)))
         ints, n = buffer.view(np.int64), _n_events(buffer)
         return self._config.to_grid(int(ints[S.SUM_X]) / n, int(ints[S.SUM_Y]) / n)
+
+    def _raw_volume(self, buffer: np.ndarray) -> np.ndarray:
+        """The volume of the stored events without the transform, read-only."""
+        raw, config, ints = self._raw, self._raw_config, buffer.view(np.int64)
+        assert raw is not None
+        array = np.zeros(config.shape, np.float32)
+        if config.window_events is not None:
+            set_duration(raw, config, _duration_us(buffer))
+        empty_volume(raw, array, int(ints[S.START_US]), int(ints[S.LIMIT_US]), next_epoch())
+        absorb(raw, *self._columns[:4], 0, self.n)
+        cells_to_float32(raw, array, config.bins)
+        array.flags.writeable = False
+        return array
 
     def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
         """Replay the stored events, if needed: the volume's cells and counts are then up to date.
@@ -209,7 +200,7 @@ class ReplayBuffer:
             self._landmark = self._landmark or self._estimate(buffer)
             buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*self._landmark)
         if config.window_events is not None:
-            set_duration(buffer, config, max(1, int(ints[S.NEWEST_US] - ints[S.START_US])))
+            set_duration(buffer, config, _duration_us(buffer))
         saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
         empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US], next_epoch())
         ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
@@ -224,11 +215,6 @@ class ReplayBuffer:
         ints = buffer.view(np.int64)
         self._closed_kept = int(ints[S.KEPT])
         self._closed_tau_zero = int(ints[S.TAU_ZERO])
-
-    def _show_raw(self, first: int) -> None:
-        """Add the stored events from `first` on to the raw volume."""
-        if self._raw is not None:
-            self._raw.absorb(self._columns, first, self.n)
 
     def _grow(self, n: int) -> None:
         n = min(n, self.capacity)
@@ -267,3 +253,9 @@ def check_regressor(config: TNTConfig, regressor: Any) -> None:
 
 def _n_events(buffer: np.ndarray) -> int:
     return int(buffer.view(np.int64)[S.N])
+
+
+def _duration_us(buffer: np.ndarray) -> int:
+    """From the window's start to its newest event."""
+    ints = buffer.view(np.int64)
+    return max(1, int(ints[S.NEWEST_US] - ints[S.START_US]))

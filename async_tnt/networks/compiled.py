@@ -57,11 +57,6 @@ class CompiledClassifier:
         self.network = self._program.arrays
         self._input = VolumeInput(self.shape)
 
-    def __repr__(self) -> str:
-        shape, steps = "x".join(map(str, self.shape)), self._program.steps
-        n_products = sum(step.places * step.products for step in steps)
-        return f"CompiledClassifier({shape} -> {self.n_classes} logits, {len(steps)} steps, {n_products:,} products)"
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self.network.program[EPOCH] = 0  # in another process, another window may have this number

@@ -81,9 +81,6 @@ class OnnxClassifier:
     def __reduce__(self) -> Any:  # a session cannot be copied, only opened again
         return functools.partial(type(self), self._source, threads=self.threads, shape=self.shape), ()
 
-    def __repr__(self) -> str:
-        return f"OnnxClassifier(volumes of {self.shape}, {self.n_classes} outputs, {self.threads} threads)"
-
     def _bind(self, input_name: str, output: Any) -> tuple[np.ndarray, np.ndarray, Any]:
         """Memory that the network reads from and writes to, bound once.
 
