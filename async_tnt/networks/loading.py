@@ -13,7 +13,7 @@ from safetensors import SafetensorError
 from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
 from async_tnt.networks.from_onnx import load_onnx
-from async_tnt.networks.model import FORMAT, Model, checksum_of, read_tensors
+from async_tnt.networks.model import FORMAT, Model, checksum_of, read_description, read_tensors
 
 
 def bundled_models() -> tuple[str, ...]:
@@ -74,13 +74,10 @@ def load_model(
 
 def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> Model:
     """The model in a file, checked; raises NotImplementedError for a network that this release cannot run."""
-    missing = [name for name in ("config", "classes", "record", "network", "sha256") if name not in metadata]
-    if missing:
-        raise ValueError(f"no {' and no '.join(missing)} in its metadata")
-    if metadata["sha256"] != checksum_of(weights, metadata):
+    if metadata.get("sha256") not in (None, checksum_of(weights, metadata)):
         raise ValueError("its checksum differs; copy or download it again")
+    config, classes, record = read_description(metadata, "network")
     for name, values in weights.items():
         if values.dtype != np.float32:
             raise ValueError(f"`{name}` must be float32, got {values.dtype}")
-    classes, record, network = (json.loads(metadata[name]) for name in ("classes", "record", "network"))
-    return Model(TNTConfig.from_dict(json.loads(metadata["config"])), weights, classes, record, network)
+    return Model(config, weights, classes, record, json.loads(metadata["network"]))

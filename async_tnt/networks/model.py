@@ -135,6 +135,12 @@ class Model:
         network = [*(f"{n} {op}" for op, n in ops.items()), f"{sum(w.size for w in self.weights.values()):,} weights"]
         return f"Model({len(self.classes)} classes, {', '.join([volume, *network])})"
 
+    def description(self) -> dict[str, str]:
+        """Format, configuration, classes and record as JSON, for the metadata of a file; a TypeError if the record
+        holds something that JSON cannot represent."""
+        values = {"config": self.config.to_dict(), "classes": self.classes, "record": self.record}
+        return {"format": FORMAT} | {name: json.dumps(value) for name, value in values.items()}
+
     def save(self, path: str | Path) -> Path:
         """Write the model to `path`, a .safetensors file; returns the path.
 
@@ -146,13 +152,7 @@ class Model:
         TypeError : the record holds something that JSON cannot represent.
         """
         path = Path(path)
-        metadata = {
-            "format": FORMAT,
-            "config": json.dumps(self.config.to_dict()),
-            "classes": json.dumps(self.classes),
-            "record": json.dumps(self.record),
-            "network": json.dumps(self.network),
-        }
+        metadata = self.description() | {"network": json.dumps(self.network)}
         metadata["sha256"] = checksum_of(self.weights, metadata)
         content = tensor_bytes(self.weights, metadata)
         with replacing(path) as part:
@@ -199,6 +199,15 @@ def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict
             return {name: file.get_tensor(name) for name in sorted(file.keys())}, metadata
         except (KeyError, TypeError, AttributeError) as error:
             raise SafetensorError(f"NumPy lacks the type of a tensor: {one_line(error)}") from None
+
+
+def read_description(metadata: Mapping[str, str], *more: str) -> tuple[TNTConfig, Any, Any]:
+    """Configuration, classes and record of `Model.description`; a ValueError if they, or `more` names, are missing."""
+    missing = [name for name in ("config", "classes", "record", *more, "sha256") if name not in metadata]
+    if missing:
+        raise ValueError(f"no {' and no '.join(missing)} in its metadata")
+    config, classes, record = (json.loads(metadata[name]) for name in ("config", "classes", "record"))
+    return TNTConfig.from_dict(config), classes, record
 
 
 def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:

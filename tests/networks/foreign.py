@@ -33,9 +33,8 @@ def network(
         [info(name, dtype if output_dtype is None else output_dtype, shape) for name, shape in outputs],
         [onnx.numpy_helper.from_array(np.asarray(w), name) for name, w in (weights or {}).items()],
     )
-    made = onnx.helper.make_model(
-        graph, opset_imports=[onnx.helper.make_opsetid("", opset), onnx.helper.make_opsetid("my", 1)], ir_version=7
-    )
+    opsets = [onnx.helper.make_opsetid("", opset), onnx.helper.make_opsetid("my", 1)]
+    made = onnx.helper.make_model(graph, opset_imports=opsets, ir_version=7)
     onnx.helper.set_model_props(made, metadata or {})
     return made.SerializeToString()
 

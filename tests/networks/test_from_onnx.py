@@ -1,5 +1,6 @@
 """ONNX files of this and of other programs compute what they computed there, or are refused by name."""
 
+import re
 import sys
 
 import numpy as np
@@ -89,48 +90,17 @@ def test_a_form_of_an_operation_is_read_as_it_is(form, tmp_path):
 
 
 ONES, KERNEL = np.ones(2, np.float32), np.ones((1, 2, 3, 3), np.float32)
+HALF, YES = np.float32(0.5), np.bool_(True)
 REFUSED = [  # nodes, constants, message, opset
     ([node("Sigmoid")], {}, "(Sigmoid) has no compiled form; OnnxClassifier(path) runs any network, whole", 13),
+    ([node("Relu", domain="my")], {}, "(Relu) is of the domain 'my', not ONNX's own; OnnxClassifier(path) runs", 13),
     ([node("Mul", "x x")], {}, "(Mul): a product of two maps has no compiled form", 13),
-    (
-        [node("AveragePool", kernel_shape=[3, 3], pads=[1] * 4)],
-        {},
-        "(AveragePool): padding without count_include_pad has no compiled form",
-        13,
-    ),
-    (
-        [node("BatchNormalization", "x w w w w", training_mode=1)],
-        {"w": ONES},
-        "(BatchNormalization): a batch norm in training mode, or of each place, has no compiled form",
-        14,
-    ),
-    (
-        [node("Dropout", "x half yes")],
-        {"half": np.float32(0.5), "yes": np.bool_(True)},
-        "(Dropout): a dropout in training mode has no compiled form",
-        13,
-    ),
-    (
-        [node("Conv", "x w", auto_pad="VALID", pads=[1] * 4)],
-        {"w": KERNEL},
-        "(Conv): auto_pad VALID beside pads has no compiled form",
-        13,
-    ),
-    *(
-        (
-            [node("Conv", "x w")],
-            {"w": KERNEL.astype(dtype)},
-            f"(Conv): 'w' of type {np.dtype(dtype)} beside an input of float32 has no compiled form",
-            13,
-        )
-        for dtype in (bool, np.complex64)
-    ),
-    (
-        [node("Reshape", "x to")],
-        {"to": np.int64([2, -1])},
-        "(Reshape): a reshape to [2, -1], not (n, -1), one row a volume, has no compiled form",
-        13,
-    ),
+    ([node("AveragePool", kernel_shape=[3, 3], pads=[1] * 4)], {}, "(AveragePool): padding without count_inc", 13),
+    ([node("BatchNormalization", "x w w w w", training_mode=1)], {"w": ONES}, "(BatchNormalization): a batch", 14),
+    ([node("Dropout", "x half yes")], {"half": HALF, "yes": YES}, "(Dropout): a dropout in training mode has", 13),
+    ([node("Conv", "x w", auto_pad="VALID", pads=[1] * 4)], {"w": KERNEL}, "(Conv): auto_pad VALID beside pads", 13),
+    ([node("Conv", "x w")], {"w": KERNEL > 0}, "(Conv): 'w' of type bool beside an input of float32 has no", 13),
+    ([node("Reshape", "x to")], {"to": np.int64([2, -1])}, "(Reshape): a reshape to [2, -1], not (n, -1), one", 13),
     ([node("Flatten")], {}, "the network must be of opset 7 or later, got [6]", 6),
 ]
 
@@ -138,9 +108,9 @@ REFUSED = [  # nodes, constants, message, opset
 @pytest.mark.parametrize("nodes, constants, message, opset", REFUSED, ids=[row[2][:40] for row in REFUSED])
 def test_a_node_without_a_compiled_form_is_refused_by_name(tmp_path, nodes, constants, message, opset):
     path = write_onnx(tmp_path / "m.onnx", nodes, constants, nodes[-1].output[0], opset)
-    with pytest.raises(NotImplementedError) as raised:
+    begin = f"{path}: node 'y' " if message.startswith("(") else f"{path}: "
+    with pytest.raises(NotImplementedError, match=f"^{re.escape(begin + message)}"):
         load_model(path, config=SMALL)
-    assert str(raised.value).startswith(f"{path}: {f'node {chr(39)}y{chr(39)} ' * message.startswith('(')}{message}")
 
 
 def test_a_file_is_compared_with_onnxruntime(tmp_path, monkeypatch):
@@ -169,29 +139,15 @@ def test_weights_in_a_file_beside_are_read_there(tmp_path, monkeypatch):
 
 
 def test_what_load_model_refuses_of_onnx(tmp_path, monkeypatch):
-    path, ours, nothing = (
-        write_onnx(tmp_path / "m.onnx", [node("Flatten")]),
-        tmp_path / "ours.onnx",
-        tmp_path / "no.onnx",
-    )
+    path, ours = write_onnx(tmp_path / "m.onnx", [node("Flatten")]), tmp_path / "ours.onnx"
     ours.write_bytes(to_onnx(load_model("digits")).SerializeToString())
-    nothing.write_bytes(b"nothing")
+    (tmp_path / "no.onnx").write_bytes(b"nothing")
     for name, settings, error, message in (
         (path, {}, TypeError, r"does not say how events become its volume: load_model\(path, config=TNTConf"),
-        (
-            ours,
-            {"config": SMALL},
-            TypeError,
-            r"^`config` and `classes` are for networks of other programs; .* its own$",
-        ),
+        (ours, {"config": SMALL}, TypeError, "^`config` and `classes` are for networks of other programs; .* its own$"),
         ("digits", {"config": SMALL}, TypeError, r"^`config` and `classes` are for \.onnx networks; .* has its own$"),
-        (
-            path,
-            {"config": TNTConfig()},
-            ValueError,
-            r"input must be the volume, N x \(9, 34, 34\), got N x \(2, 6, 5\)",
-        ),
-        (nothing, {"config": SMALL}, ValueError, "is not a readable ONNX network"),
+        (path, {"config": TNTConfig()}, ValueError, r"must be the volume, N x \(9, 34, 34\), got N x \(2, 6, 5\)"),
+        (tmp_path / "no.onnx", {"config": SMALL}, ValueError, "is not a readable ONNX network"),
     ):
         with pytest.raises(error, match=message):
             load_model(name, **settings)

@@ -5,10 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from deciding import key
-from hypothesis import given
-from hypothesis import strategies as st
-from made import nasty_streams, random_events
-from networks.cases import DIGITS, NETWORKS, WINDOW_US, of_all
+from made import random_events
+from networks.cases import DIGITS, WINDOW_US, of_all
 from oracles import Oracle, as_values
 
 from async_tnt import CompiledRegressor, Processor
@@ -40,14 +38,6 @@ def test_after_every_event(network):
     assert len(expected) == 300 + 3  # two closed windows and the end
     for size in (0, 7, 300):
         assert [as_values(d) for d in decide(Processor(network.model(), every_events=1), events, size)] == expected
-
-
-@given(st.sampled_from(NETWORKS), st.data(), st.sampled_from([1, 1, 2, 5]), st.sampled_from([0, 1, 2, 7, 99]))
-def test_nasty_streams(network, data, every, size):
-    """Ties, bursts, borders, times that run backwards, also into windows that are closed."""
-    events = data.draw(nasty_streams(network.config.sensor, 3 * WINDOW_US, 77))
-    decisions = decide(Processor(network.model(), every_events=every), events, size)
-    assert [as_values(d) for d in decisions] == plain(network, events, every)
 
 
 @pytest.mark.parametrize("settings", [{"every_events": 1}, {"confidence": 0.9}], ids=str)

@@ -62,6 +62,7 @@ DAMAGED = [
     (update(1, inputs=["conv7"]), "layer 'relu1' (relu): no earlier layer is named 'conv7'"),
     (insert(4, op="add", name="sum", inputs=["conv2", "pool1"]), "layer 'sum' (add): its inputs must have one shape, "),
     (lambda layers: layers[0].pop("stride"), "layer 'conv1' (conv): must have stride"),
+    (update(0, stride=[0, 1]), "layer 'conv1' (conv): `stride` must be a list of 2 whole numbers from 1 on, got [0, 1"),
     (update(0, kernel=[9, 9]), "layer 'conv1' (conv): its kernel reaches over 9 places, its input has 8 with the padd"),
     (update(0, kernel=[1, 1]), "layer 'conv1' (conv): its weight must have shape (2, 2, 1, 1) here, got (2, 2, 3, 3)"),
     (update(0, groups=3), "layer 'conv1' (conv): 3 groups must divide its 2 channels and 2 filters"),
@@ -92,28 +93,16 @@ def test_what_does_not_fit_is_one_error_that_names_the_layer(tmp_path, edit, mes
         load_model(path)
 
 
-def flat_map(*layers):
-    """A map of 3 x 2 places, flattened, and what follows."""
-    return [
-        {"op": "max_pool", "name": "p", "inputs": ["volume"], **window(2, 0, 2)},
-        {"op": "flatten", "name": "f", "inputs": ["p"]},
-        *layers,
-    ]
-
-
-@pytest.mark.parametrize(
-    "layers, message",
-    [
-        (flat_map(), "layer 'f' is the output, and a flattened map: a dense layer belongs behind it"),
-        (
-            flat_map({"op": "add", "name": "s", "inputs": ["f", "f"]}),
-            "layer 's' (add): 'f' is a flattened map: a dense layer belongs between",
-        ),
-    ],
-)
-def test_only_a_dense_layer_knows_the_order_of_a_flattened_map(layers, message):
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
-        Model(SMALL, {}, list("abcdefghijkl"), network={"classifier": layers})
+def test_only_a_dense_layer_knows_the_order_of_a_flattened_map():
+    """Here of 3 x 2 places."""
+    flat = chain(("max_pool", window(2, 0, 2)), ("flatten", {}))
+    twice = {"op": "add", "name": "s", "inputs": ["flatten 1", "flatten 1"]}
+    for layers, message in (
+        (flat, "layer 'flatten 1' is the output, and a flattened map: a dense layer belongs behind it"),
+        ([*flat, twice], "layer 's' (add): 'flatten 1' is a flattened map: a dense layer belongs between"),
+    ):
+        with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+            Model(SMALL, {}, list("abcdefghijkl"), network={"classifier": layers})
 
 
 @pytest.mark.parametrize("network, error", [({}, ValueError), ({"classifier": 3}, TypeError), ([], TypeError)])

@@ -62,7 +62,7 @@ def test_a_module_that_is_accepted_is_right():
 
 
 def test_a_file_that_is_accepted_is_right(tmp_path):
-    """Within 1e-4 of the largest number, after a softmax if there is one. Every operation that has a rule is read somewhere."""
+    """Within 1e-4 of the largest number, after a softmax if there is one. Every operation is read somewhere."""
     onnxruntime = pytest.importorskip("onnxruntime", reason="needs onnxruntime: pip install 'async_tnt[onnx]'")
     from networks import random_onnx
 
