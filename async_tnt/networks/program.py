@@ -171,17 +171,7 @@ def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
             if step.output not in needed:
                 continue
             step.rows, step.columns = needed[step.output]
-        rows, columns = (
-            (side - 1) * stride + (kernel - 1) * dilation - padding + 1
-            for side, stride, kernel, dilation, padding in zip(
-                (step.rows, step.columns),
-                step.stride,
-                step.kernel,
-                step.dilation,
-                step.padding,
-                strict=True,
-            )
-        )
+        rows, columns = step.reads
         for part in step.inputs:
             before = needed.get(part, (0, 0))
             needed[part] = min(max(before[0], rows, 1), part.rows), min(max(before[1], columns, 1), part.columns)
@@ -193,20 +183,8 @@ def _frame(steps: list[Step]) -> None:
     """Give each map the frame that its readers need; the maps that a step adds get the same one."""
     for step in steps:
         for part in step.inputs:
-            sides = (part.rows, part.columns)
-            after = [
-                max(0, (out - 1) * stride + (kernel - 1) * dilation - padding - (side - 1))
-                for out, stride, kernel, dilation, padding, side in zip(
-                    (step.rows, step.columns),
-                    step.stride,
-                    step.kernel,
-                    step.dilation,
-                    step.padding,
-                    sides,
-                    strict=True,
-                )
-            ]
-            _widen(part, (*step.padding, *after))
+            rows, columns = step.reads
+            _widen(part, (*step.padding, max(0, rows - part.rows), max(0, columns - part.columns)))
     while any([_widen(part, other.frame) for step in steps for part in step.inputs for other in step.inputs]):
         pass
 
