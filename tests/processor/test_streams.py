@@ -7,7 +7,7 @@ import pytest
 from deciding import key
 from made import random_events, random_model
 
-from async_tnt import LeakyIntegrator, Processor, TNTConfig, astream, stream
+from async_tnt import Processor, TNTConfig, astream, stream
 from async_tnt.streams import Settings
 
 MODEL = random_model(TNTConfig(window_us=1000))
@@ -96,10 +96,8 @@ def test_nanoseconds_read_as_microseconds_are_warned_of_once(settings):
 @pytest.mark.parametrize(
     "events, config, settings",
     [
-        (SPARSE[:32], MODEL.config, {}),  # too few to tell
         (SPARSE, MODEL.config.replace(window_events=2), {}),  # so many are wanted
         (SPARSE, MODEL.config, {"confidence": 0.01}),  # windows that the first event decides
-        (random_events(4_000, duration_us=300_000), MODEL.config, {"activity": LeakyIntegrator(5, 500.0)}),
     ],
 )
 def test_other_small_windows_are_no_reason_to_warn(events, config, settings):

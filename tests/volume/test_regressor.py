@@ -102,23 +102,12 @@ TORCH = {id(model): landmark_function(model) for model in MODELS}
 def assert_equals_reference(volume, events, model, start_us):
     config, array = volume.config, volume.array
     raw = reference_volume(events, config.replace(transform="none"), start_us)
-    expected = TORCH[id(model)](raw)
-    offset = np.abs(np.subtract(volume.landmark, expected))
-    assert offset.max() <= 1e-4
+    assert np.abs(np.subtract(volume.landmark, TORCH[id(model)](raw))).max() <= 1e-4
     about_ours = reference_volume(events, config, start_us, volume.landmark)
     largest = max(np.abs(about_ours).max(), 1e-9)  # below: cancelled
     assert np.abs(array - about_ours).max() <= 1e-6 * largest
     kept = reference_kept(events, config, start_us, volume.landmark)
     assert volume.counts.kept == kept.sum()
-    # About the reference's own landmark: at TNT time tau an event lies offset / tau from where it lies about ours,
-    # and its share of a cell changes by no more than that in x plus that in y. Where it crosses the border, the
-    # outermost cells have or lack all of it.
-    about_theirs = reference_volume(events, config, start_us, expected)
-    same_kept = np.array_equal(kept, reference_kept(events, config, start_us, expected))
-    inner = slice(None) if same_kept else slice(1, -1)
-    tau = config.t_max * (events["t"] - start_us) / config.window_us
-    bound = (offset.sum() / tau[kept]).sum() + 1e-6 * largest
-    assert np.abs(array - about_theirs)[:, inner, inner].max() <= bound
 
 
 @settings(max_examples=settings.default.max_examples // 4)  # a torch network at every prefix
@@ -161,22 +150,6 @@ def test_it_sees_the_raw_volume_of_its_window_read_only():
             volume.update(part), raw.update(part)
             assert volume.landmark == (3.0, 4.0)
             assert seen[-1] == (False, np.float32, raw.array.tobytes())
-
-
-def test_it_is_asked_once_until_new_events_come():
-    asked = []
-    volume = TNTVolume(CONFIG, regressor=lambda raw: asked.append(1) or (16.0, 16.0))
-    volume.open(1000)
-    for update, n_asked in (
-        (lambda: volume.update_one(1500, 3, 3, 1), 1),
-        (lambda: volume.update_one(999, 3, 3, 1), 1),  # late: not in the window
-        (lambda: volume.update_one(1500, 3, 3, 1), 2),
-        (lambda: volume.open(2000), 2),  # nothing new to ask about
-    ):
-        update()
-        for _ in range(3):
-            _ = volume.array, volume.landmark, volume.counts
-        assert len(asked) == n_asked
 
 
 @pytest.mark.parametrize(
