@@ -110,17 +110,20 @@ class Model:
         >>> CompiledClassifier(model).n_classes
         2
         """
-        from async_tnt.networks.from_torch import check_torch_layers, layers_from_torch
+        from async_tnt.networks.from_torch import WAY_OUT, check_torch_layers, layers_from_torch
 
         parts = {CLASSIFIER: module, **({} if regressor is None else {REGRESSOR: regressor})}
         network: dict[str, Any] = {}
         weights: dict[str, np.ndarray] = {}
-        for name, part in parts.items():
-            network[name], tensors = layers_from_torch(part, prefix="" if name == CLASSIFIER else f"{name}.")
-            weights |= tensors
-        model = cls(config, weights, tuple(classes), record or {}, network)
-        for name, part in parts.items():
-            check_torch_layers(part, network[name], weights, config.shape)
+        try:
+            for name, part in parts.items():
+                network[name], tensors = layers_from_torch(part, prefix="" if name == CLASSIFIER else f"{name}.")
+                weights |= tensors
+            model = cls(config, weights, tuple(classes), record or {}, network)
+            for name, part in parts.items():
+                check_torch_layers(part, network[name], weights, config.shape)
+        except NotImplementedError as error:
+            raise NotImplementedError(f"{error}{WAY_OUT}") from None
         return model
 
     @property

@@ -183,18 +183,13 @@ def open_session(
 
 def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
     """The shape (C, H, W) of a network's volumes; `shape` where it leaves sides open."""
-    if len(inputs) != 1:
-        raise ValueError(f"the network must have one input, a volume, got {len(inputs)}{_listed(inputs)}")
-    (volume,) = inputs
-    if volume.type != "tensor(float)":
+    sides = tuple(inputs[0].shape) if inputs else ()
+    one_volume = len(sides) == 4 and (sides[0] == 1 or not isinstance(sides[0], int))
+    if len(inputs) != 1 or inputs[0].type != "tensor(float)" or not one_volume:
         raise ValueError(
-            f"the network's input must be tensor(float), as volumes are, got {volume.type} for {volume.name!r}"
+            "the network must have one input, a volume, tensor(float) of shape (1, C, H, W), or of any number of them; "
+            f"got {_listed(inputs)}"
         )
-    sides = tuple(volume.shape)
-    if len(sides) != 4:
-        raise ValueError(f"the network's input must have shape (1, C, H, W), got {_spelled(sides)} for {volume.name!r}")
-    if isinstance(sides[0], int) and sides[0] != 1:
-        raise ValueError(f"the network must take one volume at a time, or any number, got input {_spelled(sides)}")
     if shape is None:
         if not all(isinstance(side, int) for side in sides[1:]):
             raise ValueError(f"the network's input {_spelled(sides)} leaves sides open: `shape` must be (C, H, W)")
@@ -212,16 +207,14 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
 
 def check_output(outputs: list[Any]) -> None:
     """Refuse a network that does not have one output, float32."""
-    if len(outputs) != 1:
+    if len(outputs) != 1 or outputs[0].type != "tensor(float)":
         raise ValueError(
-            f"the network must have one output, logits (1, n_classes), got {len(outputs)}{_listed(outputs)}"
+            f"the network must have one output, logits (1, n_classes), tensor(float); got {_listed(outputs)}"
         )
-    if outputs[0].type != "tensor(float)":
-        raise ValueError(f"the network's output must be tensor(float), got {outputs[0].type}")
 
 
-def _listed(nodes: list[Any]) -> str:
-    return ": " + ", ".join(f"{node.name!r} {_spelled(node.shape)}" for node in nodes) if nodes else ""
+def _listed(values: list[Any]) -> str:
+    return ", ".join(f"{value.name!r} {value.type} {_spelled(value.shape)}" for value in values) or "none"
 
 
 def _spelled(sides: Sequence[Any]) -> str:

@@ -87,17 +87,18 @@ MAPS = (1, 2, 6, 5)
 WRONG = {
     "two inputs": (
         network(TWO_INPUTS, inputs=[("a", MAPS), ("b", MAPS)], outputs=[("scores", (1, 60))]),
-        "must have one input, a volume, got 2: 'a' (1, 2, 6, 5), 'b' (1, 2, 6, 5)",
+        "must have one input, a volume, tensor(float) of shape (1, C, H, W), or of any number of them; "
+        "got 'a' tensor(float) (1, 2, 6, 5), 'b' tensor(float) (1, 2, 6, 5)",
     ),
     "two outputs": (
         network(TWO_OUTPUTS, outputs=[("one", MAPS), ("two", MAPS)]),
-        "must have one output, logits (1, n_classes), got 2: 'one' (1, 2, 6, 5), 'two' (1, 2, 6, 5)",
+        "must have one output, logits (1, n_classes), tensor(float); got 'one' tensor(float) (1, 2, 6, 5), 'two' ",
     ),
     "a batch of 8": (
         network(inputs=[("image", (8, 2, 6, 5))], outputs=[("scores", (8, 3))]),
-        "must take one volume at a time, or any number, got input (8, 2, 6, 5)",
+        "got 'image' tensor(float) (8, 2, 6, 5)",
     ),
-    "float64": (network(dtype=TensorProto.DOUBLE), "input must be tensor(float), as volumes are, got tensor(double)"),
+    "float64": (network(dtype=TensorProto.DOUBLE), "got 'image' tensor(double) (1, 2, 6, 5)"),
     "a map": (
         network(RELU, outputs=[("scores", MAPS)]),
         "must give logits (1, n_classes) of a volume, got shape (1, 2, 6, 5)",
