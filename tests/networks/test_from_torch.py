@@ -77,6 +77,13 @@ def changes_through_a_view(m, x):
     return m.dense(h.flatten(1).relu_()) + m.logits(h)
 
 
+def changes_what_a_view_shows(m, x):
+    h = m.conv(x)
+    flat = h.flatten(1)
+    h.relu_()
+    return m.dense(flat) + m.logits(h)
+
+
 def leaves_results_unread(m, x):
     h = m.conv(x)
     x.exp(), h * 3, F.gelu(h), h.sigmoid(), x.div_(10)
@@ -91,7 +98,7 @@ def flattens(*shape):
     "module",
     [
         *(Written(flattens(n, -1)) for n in (1, lambda x: x.size(0), lambda x: x.size()[0], lambda x: x.shape[0])),
-        *map(Written, (preactivated, changes_through_a_view, leaves_results_unread)),
+        *map(Written, (preactivated, changes_through_a_view, changes_what_a_view_shows, leaves_results_unread)),
         head(nn.Conv2d(3, 4, 3), InEvaluation),
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 from deciding import total_and_size
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import nasty_streams, random_events, random_regressor_model
+from made import nasty_streams, random_events, random_model, random_regressor_model
 
 from async_tnt import CompiledRegressor, Counts, Processor, TNTConfig, TNTVolume, stream
 from async_tnt.checking.reference import reference_kept, reference_pipeline, reference_volume
@@ -33,6 +33,8 @@ def test_regressor_and_landmark_go_together(config, regressor, error, message):
     for make in (TNTVolume, lambda config, **settings: Processor(config, classifier=total_and_size, **settings)):
         with pytest.raises(error, match=f"^{re.escape(message)}"):
             make(config, regressor=regressor)
+    with pytest.raises(ValueError, match=r'^the model has no regressor: that needs landmark="regressor" and trans'):
+        CompiledRegressor(random_model())
 
 
 @pytest.mark.parametrize(
