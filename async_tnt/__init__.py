@@ -21,7 +21,6 @@ if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.networks.loading import bundled_models, load_model
     from async_tnt.networks.model import Model
     from async_tnt.processor import Processor
-    from async_tnt.replay_buffer import ReplayBufferFull
     from async_tnt.sources.background_reader import BackgroundReader
     from async_tnt.sources.files.recording import open_recording
     from async_tnt.sources.pixel_filter import PixelFilter
@@ -30,6 +29,7 @@ if TYPE_CHECKING:  # for type checkers and editors
     from async_tnt.streams import astream, stream
     from async_tnt.triggers import LeakyIntegrator
     from async_tnt.volume import TNTVolume
+    from async_tnt.volume_state import ReplayBufferFull
 else:  # type checkers use the imports above; __getattr__ would let every name pass
     from async_tnt.package import lazy_names
 
@@ -39,7 +39,6 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "compile_ahead": "warmup",
             "config": "TNTConfig",
             "decision": "Counts Decision",
-            "replay_buffer": "ReplayBufferFull",
             "events": "EVENT_DTYPE",
             "networks.compiled": "CompiledClassifier CompiledRegressor",
             "networks.loading": "bundled_models load_model",
@@ -53,6 +52,7 @@ else:  # type checkers use the imports above; __getattr__ would let every name p
             "streams": "astream stream",
             "triggers": "LeakyIntegrator",
             "volume": "TNTVolume",
+            "volume_state": "ReplayBufferFull",
         },
     )
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from typing import Any, Literal
 
 import numpy as np
 
 Trigger = Literal["window", "every_us", "every_events", "activity", "confidence", "fire", "end"]
-LONGEST_TEXT = 300  # of a cell in a notebook, such as a list of names
 
 
 @dataclass(frozen=True, slots=True, eq=False)  # arrays have no truth value to compare by
@@ -41,11 +38,6 @@ class Decision:
     def probability(self) -> float:
         """Probability of the likeliest class."""
         return float(self.probabilities[self.index])
-
-    def _repr_html_(self) -> str:
-        rows: dict[str, str | float] = {self.label: self.probability}
-        rows["time"] = f"{self.time_us / 1e3:,.3f} ms, window from {self.window_start_us / 1e3:,.3f} ms on"
-        return html_table(rows | {"events": f"{self.events:,}", "trigger": self.trigger})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON; probabilities to six decimals, no logits."""
@@ -97,15 +89,3 @@ class Counts:
 
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(getattr(self, f) + getattr(other, f) for f in self.__dataclass_fields__))
-
-
-def html_table(rows: Mapping[str, str | float]) -> str:
-    """What notebooks show of an object: a row for each name, with its text as it is or a bar for a number in [0, 1]."""
-    cells = [f"<tr><th>{escape(name[:LONGEST_TEXT])}</th><td>{_cell(value)}</td></tr>" for name, value in rows.items()]
-    return f"<table>{''.join(cells)}</table>"
-
-
-def _cell(value: str | float) -> str:
-    if isinstance(value, float):
-        return f'<meter value="{value:.4f}"></meter> {value:.1%}'
-    return escape(value[:LONGEST_TEXT])

@@ -21,8 +21,8 @@ from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels.absorb import ABSORBED, AT_LIMIT, REFUSED
 from async_tnt.kernels.trigger import NOT_DUE, advance_triggers, why_due
 from async_tnt.networks.model import Model
-from async_tnt.replay_buffer import Regressor
 from async_tnt.triggers import LeakyIntegrator, TriggerAttributes, Triggers, TriggerSettings
+from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import TRIGGER_NAMES, Classifier, WindowClassifier, networks_of
 from async_tnt.windows import WindowScheduler
 

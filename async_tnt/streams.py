@@ -12,8 +12,8 @@ from async_tnt.events import Late
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
-from async_tnt.replay_buffer import Regressor
 from async_tnt.triggers import LeakyIntegrator
+from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import Classifier
 from async_tnt.windows import FirstWindows
 

@@ -14,8 +14,7 @@ from async_tnt.events import LARGER_CAMERA, Columns, EventDecoder, Late
 from async_tnt.kernels import state as S
 from async_tnt.kernels.absorb import ABSORBED, REFUSED, absorb, absorb_one
 from async_tnt.kernels.readout import cells_to_float32, empty_volume
-from async_tnt.replay_buffer import Regressor, ReplayBuffer, check_regressor
-from async_tnt.volume_state import new_state, next_epoch
+from async_tnt.volume_state import Regressor, ReplayBuffer, check_regressor, new_state, next_epoch
 
 UNOPENED = -1  # LIMIT_US before the first window, so that every time is at or after it
 
@@ -73,10 +72,7 @@ class TNTVolume:
         self._running = Running("TNTVolume")
         self._replay = None
         if config.needs_replay:
-            regressor_and_raw = None
-            if regressor is not None:
-                regressor_and_raw = regressor, TNTVolume(config.replace(transform="none", landmark="center"))
-            self._replay = ReplayBuffer(config, replay_events, regressor_and_raw)
+            self._replay = ReplayBuffer(config, replay_events, regressor)
         self._is_plain = late == "accept" and self._replay is None  # one event may go straight to the kernel
         self.reset()
 
@@ -129,7 +125,7 @@ class TNTVolume:
     def _empty(self, start_us: int, limit_us: int) -> None:
         empty_volume(self._buffer, self._array, start_us, limit_us, next_epoch())
         if self._replay is not None:
-            self._replay.open(start_us)
+            self._replay.open()
 
     def update(self, events: Any) -> int:
         """Add a packet of `events`, in any form that `async_tnt.event_forms` lists.

@@ -1,15 +1,36 @@
-"""A volume's flat buffer (`kernels.state`), made for a configuration."""
+"""What a volume keeps: its flat buffer, which the kernels work on, and the events of volumes that are made at the read.
+
+Events are stored, and replayed when the volume is read, where only then is known
+
+landmark `window`      the centroid of all the window's events so far, including those that could not be stored
+landmark `regressor`   a network's estimate from the raw volume of the same events
+`window_events`        the time of the window's newest event, by which times are scaled
+"""
 
 from __future__ import annotations
 
 import itertools
+import math
+import warnings
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from async_tnt.checks import Running, one_at_a_time, positive_int, short
 from async_tnt.config import TNTConfig
+from async_tnt.events import Columns, empty_columns
 from async_tnt.kernels import state as S
+from async_tnt.kernels.absorb import absorb, store_events
+from async_tnt.kernels.readout import cells_to_float32, empty_volume
 
 MAX_EVENTS = 1 << 53  # 28 years at 10 million events a second; sums stay far from the end of int64
+Regressor = Callable[[np.ndarray], Any]
+FIRST_CAPACITY = 4096
+UNCHANGED_BY_REPLAY = (
+    *(S.N, S.SUM_X, S.SUM_Y, S.NEWEST_US, S.START_US, S.LIMIT_US),
+    *(S.RECEIVED, S.LATE, S.DECIDED, S.DECIDED_FROM_US),
+)
 _epochs = itertools.count(1)
 
 
@@ -59,3 +80,182 @@ def set_duration(buffer: np.ndarray, config: TNTConfig, window_us: int) -> None:
     buffer[S.BIN_SCALE] = (config.bins - 1) / window_us if config.representation == "volume" else 0.0
     buffer[S.SCALE_X] = gain_x * per_tau_us
     buffer[S.SCALE_Y] = gain_y * per_tau_us
+
+
+# -- events that are stored until the read ------------------------------------------------------------------
+
+
+class ReplayBufferFull(UserWarning):
+    """A window held more events than the replay buffer; the others are missing from its volume."""
+
+
+class ReplayBuffer:
+    """The events of one window, and their replay, about the landmark and with the duration that are known by then.
+
+    Parameters
+    ----------
+    config : of the volume that they are replayed into.
+    capacity : how many events are stored at most; memory grows up to that as needed. A window of a given number of
+        events is always stored whole.
+    regressor : the callable of landmark `regressor`; None: another landmark.
+    """
+
+    def __init__(self, config: TNTConfig, capacity: int, regressor: Regressor | None) -> None:
+        capacity = positive_int("replay_events", capacity)
+        self.capacity = config.window_events or capacity
+        self._n_most = config.window_events or MAX_EVENTS
+        self._config = config
+        self._regressor = regressor
+        self._raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
+        self._raw = None if regressor is None else new_state(self._raw_config)
+        self._columns = empty_columns(min(FIRST_CAPACITY, self.capacity))
+        self._running = Running("Processor or TNTVolume")
+        self.reset()
+
+    def reset(self) -> None:
+        """All counts zero, no window open."""
+        self.n_unstored = 0
+        self._closed_kept = 0  # counts of closed windows; the open window's change with every replay
+        self._closed_tau_zero = 0
+        self._warning_due = False
+
+    def open(self) -> None:
+        """Begin a window, without events."""
+        self.n = 0
+        self._landmark: tuple[float, float] | None = None  # as of the newest event, once it is known
+        self._is_replayed = True
+        self._warned = False
+
+    @one_at_a_time
+    def store(self, buffer: np.ndarray, columns: Columns, first: int, last: int) -> int:
+        """Absorb events up to the volume's limit; returns the first one not absorbed."""
+        if min(self.n + last - first, self.capacity) > self._columns.t.size:
+            before_limit = columns.t[first:last] < buffer.view(np.int64)[S.LIMIT_US]
+            self._grow(self.n + int(np.count_nonzero(before_limit)))
+        n_in_window, n_before = _n_events(buffer), self.n
+        first, self.n = store_events(buffer, *columns[:4], first, last, *self._columns[:4], self.n, self._n_most)
+        n_new = _n_events(buffer) - n_in_window
+        if n_new:
+            self._landmark = None
+            self._is_replayed = False
+        n_missing = n_new - (self.n - n_before)
+        if n_missing:
+            self.n_unstored += n_missing
+            self._warning_due = self._warning_due or not self._warned
+            self._warned = True
+        return first
+
+    def warn(self) -> None:
+        """Warn once a window that the buffer is full; after the packet, because a warning may be raised as an error."""
+        if self._warning_due:
+            self._warning_due = False
+            warnings.warn(
+                f"the replay buffer of {self.capacity} events is full; further events are missing from the window's "
+                "volume and counted as dropped_unstored (raise replay_events, or shorten window_us)",
+                ReplayBufferFull,
+                stacklevel=5,
+            )
+
+    def landmark(self, buffer: np.ndarray) -> tuple[float, float]:
+        """The landmark (x, y) in grid pixels of a window with events, where it is deferred; computed once, until new
+        events arrive."""
+        return self._landmark or self._find_landmark(buffer)
+
+    @one_at_a_time
+    def _find_landmark(self, buffer: np.ndarray) -> tuple[float, float]:
+        self._landmark = self._estimate(buffer)
+        return self._landmark
+
+    def _estimate(self, buffer: np.ndarray) -> tuple[float, float]:
+        if self._regressor is not None:
+            return checked_landmark(self._regressor(self._raw_volume(buffer)))
+        ints, n = buffer.view(np.int64), _n_events(buffer)
+        return self._config.to_grid(int(ints[S.SUM_X]) / n, int(ints[S.SUM_Y]) / n)
+
+    def _raw_volume(self, buffer: np.ndarray) -> np.ndarray:
+        """The volume of the stored events without the transform, read-only."""
+        raw, config, ints = self._raw, self._raw_config, buffer.view(np.int64)
+        assert raw is not None
+        array = np.zeros(config.shape, np.float32)
+        if config.window_events is not None:
+            set_duration(raw, config, _duration_us(buffer))
+        empty_volume(raw, array, int(ints[S.START_US]), int(ints[S.LIMIT_US]), next_epoch())
+        absorb(raw, *self._columns[:4], 0, self.n)
+        cells_to_float32(raw, array, config.bins)
+        array.flags.writeable = False
+        return array
+
+    def run(self, buffer: np.ndarray, array: np.ndarray) -> None:
+        """Replay the stored events, if needed: the volume's cells and counts are then up to date.
+
+        buffer, array : the volume's, see `kernels.readout.empty_volume`.
+        """
+        if not self._is_replayed:
+            self._replay(buffer, array)
+
+    @one_at_a_time
+    def _replay(self, buffer: np.ndarray, array: np.ndarray) -> None:
+        config, ints = self._config, buffer.view(np.int64)
+        if config.defers_landmark:
+            self._landmark = self._landmark or self._estimate(buffer)
+            buffer[S.FIXED_X], buffer[S.FIXED_Y] = config.to_sensor(*self._landmark)
+        if config.window_events is not None:
+            set_duration(buffer, config, _duration_us(buffer))
+        saved = {slot: int(ints[slot]) for slot in UNCHANGED_BY_REPLAY}
+        empty_volume(buffer, array, saved[S.START_US], saved[S.LIMIT_US], next_epoch())
+        ints[S.KEPT], ints[S.TAU_ZERO] = self._closed_kept, self._closed_tau_zero
+        absorb(buffer, *self._columns[:4], 0, self.n)
+        for slot, value in saved.items():
+            ints[slot] = value
+        self._is_replayed = True
+
+    def close(self, buffer: np.ndarray, array: np.ndarray) -> None:
+        """End the window, and keep its final counts."""
+        self.run(buffer, array)
+        ints = buffer.view(np.int64)
+        self._closed_kept = int(ints[S.KEPT])
+        self._closed_tau_zero = int(ints[S.TAU_ZERO])
+
+    def _grow(self, n: int) -> None:
+        n = min(n, self.capacity)
+        if n > self._columns.t.size:
+            larger = empty_columns(min(self.capacity, max(n, 2 * self._columns.t.size)))
+            for old, new in zip(self._columns[:4], larger[:4], strict=True):
+                new[: self.n] = old[: self.n]
+            self._columns = larger
+
+
+def checked_landmark(answer: Any) -> tuple[float, float]:
+    """A regressor's answer as two floats; a ValueError if it is something else, or not finite."""
+    try:
+        x, y = (float(value) for value in answer)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"`regressor` must return two numbers (x, y) in grid pixels, got {short(answer)}") from None
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ValueError(f"`regressor` must return a finite landmark, got {(x, y)}")
+    return x, y
+
+
+def check_regressor(config: TNTConfig, regressor: Any) -> None:
+    """Raise unless there is a regressor if and only if the configuration needs one."""
+    here = f"landmark={config.landmark!r}, transform={config.transform!r}"
+    if regressor is None:
+        if config.needs_regressor:
+            raise ValueError(
+                f"`regressor` is missing: {here} needs a callable from a raw volume to (x, y); "
+                "a Model brings its own, CompiledRegressor(model)"
+            )
+    elif not callable(regressor):
+        raise TypeError(f"`regressor` must be callable, got {type(regressor).__name__}")
+    elif not config.needs_regressor:
+        raise ValueError(f'`regressor` needs landmark="regressor" and transform="tnt", got {here}')
+
+
+def _n_events(buffer: np.ndarray) -> int:
+    return int(buffer.view(np.int64)[S.N])
+
+
+def _duration_us(buffer: np.ndarray) -> int:
+    """From the window's start to its newest event."""
+    ints = buffer.view(np.int64)
+    return max(1, int(ints[S.NEWEST_US] - ints[S.START_US]))

@@ -15,9 +15,8 @@ from async_tnt.checks import positive_int, short
 from async_tnt.config import TNTConfig
 from async_tnt.decision import Counts, Decision
 from async_tnt.events import Columns
-from async_tnt.replay_buffer import Regressor
 from async_tnt.volume import TNTVolume
-from async_tnt.volume_state import MAX_EVENTS
+from async_tnt.volume_state import MAX_EVENTS, Regressor
 
 MAX_OPEN_WINDOWS = 256
 FIRST, FEW = 32, 2  # the windows by which a stream is judged, and the events that are too few for one

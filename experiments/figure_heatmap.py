@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
+from async_tnt.networks.model import Model
 from async_tnt.views.figure_style import (
     GREY,
     LARGE,
@@ -40,6 +41,17 @@ N_MOMENTS = 5
 LEFT, GAP, HEAD, TALLEST = 0.75, 0.12, 0.85, 3.0  # inches
 
 
+def heatmap_of(model: Model, raw: np.ndarray) -> np.ndarray:
+    """How much each pixel counts in the landmark of a raw volume: (H, W), sum 1."""
+    import torch
+    from tnt_reference import LayerNetwork
+
+    *layers, _ = model.layers["regressor"]  # the last one is the centroid
+    with torch.inference_mode():
+        exponent = LayerNetwork(layers, model.weights)(torch.tensor(raw)[None])[0, 0].double()
+    return exponent.flatten().softmax(0).reshape(exponent.shape).numpy()
+
+
 def draw_heatmap(window: Window) -> Figure:
     """One window's raw events, and below them the heatmap of the model's landmark network, at fifths of the window.
 
@@ -48,8 +60,8 @@ def draw_heatmap(window: Window) -> Figure:
     ValueError : the model has no landmark network.
     """
     subject = window.subject
-    regressor, config = subject.regressor(), subject.config
-    if regressor is None:
+    model, config = subject.model, subject.config
+    if model is None or not config.needs_regressor:
         raise ValueError(
             f'a heatmap needs a model with landmark="regressor", but model {subject.model_name} has '
             f"landmark={config.landmark!r}"
@@ -62,7 +74,7 @@ def draw_heatmap(window: Window) -> Figure:
         until_us = window.start_us + config.window_us * k // N_MOMENTS
         raw = _volume_of(window, subject.raw_config, until_us)
         mean = _volume_of(window, config.replace(landmark="running"), until_us).landmark
-        seen, heat = raw.array.sum(0), regressor.heatmap(raw.array)
+        seen, heat = raw.array.sum(0), heatmap_of(model, raw.array)
         left = LEFT + (k - 1) * (width + GAP)
         above = axes_at(figure, left, HEAD, width, height)
         colours = "signed" if config.polarity == "signed" else "unsigned"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from async_tnt import Processor, TNTConfig
+from async_tnt import TNTConfig
 
 CONFIG = TNTConfig(window_us=1000, landmark="running", t_max=2.0)
 
@@ -39,12 +39,3 @@ def at(times):
 
 def summary(decisions):
     return [(d.trigger, d.window_start_us, d.time_us, d.events) for d in decisions]
-
-
-def run(events, size=0, config=CONFIG, **settings):
-    processor = Processor(config, classifier=total_and_size, **settings)
-    size = size or max(1, len(events))
-    decisions = []
-    for first in range(0, len(events), size):
-        decisions += processor.push(events[first : first + size])
-    return decisions + processor.finish(), processor

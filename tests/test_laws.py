@@ -199,9 +199,7 @@ def test_after_a_reset_it_is_as_new(make, few):
 
 @pytest.mark.parametrize(
     ("make", "duplicate"),
-    [
-        *itertools.product(ALL.values(), (copy.copy, copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream)))),
-    ],
+    [*itertools.product(ALL.values(), (copy.copy, copy.deepcopy, lambda stream: pickle.loads(pickle.dumps(stream))))],
 )
 def test_a_copy_continues_like_the_original_and_shares_nothing(make, duplicate):
     original, alone, events = make(), make(), events_of(make)

@@ -32,8 +32,8 @@ from async_tnt.networks.compiled import CompiledClassifier, CompiledRegressor
 from async_tnt.networks.model import Model
 from async_tnt.networks.torch_modules import landmark_function
 from async_tnt.processor import Processor
-from async_tnt.replay_buffer import Regressor
 from async_tnt.volume import TNTVolume
+from async_tnt.volume_state import Regressor
 
 PACKET_SIZES = (1, 2, 7, 100, 0)  # 0: everything at once
 VOLUME_BOUND = 1e-6  # of the largest cell

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from async_tnt.checks import Running, one_at_a_time
-from async_tnt.config import TNTConfig
 from async_tnt.events import Columns
 from async_tnt.kernels.classify import absorb_and_decide, classify_cells
 from async_tnt.kernels.heatmap import centroid
@@ -15,14 +14,7 @@ from async_tnt.kernels.program import EPOCH, OUTPUT_DY
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR
 from async_tnt.networks.model import Model
 from async_tnt.networks.program import StepWork, VolumeInput, make_program
-
-
-class Volume(Protocol):
-    """What a classifier reads of a `TNTVolume`."""
-
-    config: TNTConfig
-
-    def state(self) -> np.ndarray: ...
+from async_tnt.volume import TNTVolume
 
 
 class CompiledClassifier:
@@ -65,11 +57,6 @@ class CompiledClassifier:
         self.network = self._program.arrays
         self._input = VolumeInput(self.shape)
 
-    def __repr__(self) -> str:
-        shape, steps = "x".join(map(str, self.shape)), self._program.steps
-        n_products = sum(step.places * step.products for step in steps)
-        return f"CompiledClassifier({shape} -> {self.n_classes} logits, {len(steps)} steps, {n_products:,} products)"
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self.network.program[EPOCH] = 0  # in another process, another window may have this number
@@ -79,7 +66,7 @@ class CompiledClassifier:
         """Logits of one volume: float32, shape (n_classes,), a new array."""
         return self._program.run(self._input(volume))[: self.n_classes].copy()
 
-    def refresh(self, volume: Volume) -> np.ndarray:
+    def refresh(self, volume: TNTVolume) -> np.ndarray:
         """Logits of a volume's open window, a new array; quick where little has changed since the last call.
 
         Parameters
@@ -103,7 +90,7 @@ class CompiledClassifier:
         """The network's steps, and how many places of each the last call computed."""
         return list(zip(self._program.steps, self._program.computed(), strict=True))
 
-    def answer(self, volume: Volume) -> tuple[int, np.ndarray, np.ndarray]:
+    def answer(self, volume: TNTVolume) -> tuple[int, np.ndarray, np.ndarray]:
         """`refresh` for a `volume` whose shape is known to fit: class (-1 if a logit is not finite), logits, and
         probabilities (float64, shape (n_classes,))."""
         logits, probabilities = np.empty(self.n_classes, np.float32), np.empty(self.n_classes)
@@ -163,13 +150,3 @@ class CompiledRegressor:
         exponent, (_, height, width) = self._program.run(self._input(volume)), self.shape
         x, y = centroid(exponent, int(self._program.arrays.program[OUTPUT_DY]), width, height)
         return x, y
-
-    @one_at_a_time
-    def heatmap(self, volume: np.ndarray) -> np.ndarray:
-        """How much each pixel counts in the landmark of one raw `volume`, which is their centroid: float64, shape
-        (H, W), sum 1."""
-        self._program.run(self._input(volume))
-        exponent = self._program.output_map()[..., 0].astype(np.float64)
-        heat: np.ndarray = np.exp(exponent - exponent.max())
-        shares: np.ndarray = heat / heat.sum()
-        return shares

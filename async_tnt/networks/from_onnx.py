@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,19 +56,16 @@ def load_onnx(path: Path, config: TNTConfig | None, classes: Sequence[str] | Non
         )
     try:
         layers, weights = layers_from_onnx(proto, config.shape)
-    except (NotImplementedError, ValueError) as error:
-        raise type(error)(f"{path}: {error}") from None
+    except NotImplementedError as error:
+        raise NotImplementedError(f"{path}: {error}{WAY_OUT}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     if classes is None:
         shapes = layer_shapes(layers, config.shape, {name: w.shape for name, w in weights.items()})
         classes = [str(k) for k in range(list(shapes.values())[-1][0])]
     model = Model(config, weights, tuple(classes), exported.record if exported else {}, {CLASSIFIER: layers})
     try:
         _compare_with_onnxruntime(path, proto, model)
-    except ImportError:
-        warnings.warn(
-            f"{path}: its layers were not compared with the network itself, as onnxruntime is not installed",
-            stacklevel=3,  # the caller of `load_model`
-        )
     except ValueError as error:
         raise NotImplementedError(f"{path} cannot be read as layers: {error}{WAY_OUT}") from None
     return model
@@ -118,7 +114,7 @@ def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tup
     inputs = _inputs(model)
     if len(inputs) != 1 or len(graph.output) != 1:
         raise NotImplementedError(
-            f"the network must have one input and one output, got {len(inputs)} and {len(graph.output)}{WAY_OUT}"
+            f"the network must have one input and one output, got {len(inputs)} and {len(graph.output)}"
         )
     sides = [side.dim_value for side in inputs[0].type.tensor_type.shape.dim][1:]  # 0: not fixed
     if sides and (len(sides) != 3 or any(side not in (0, own) for side, own in zip(sides, shape, strict=True))):
@@ -129,13 +125,13 @@ def layers_from_onnx(model: onnx.ModelProto, shape: tuple[int, int, int]) -> tup
     for node in map(Node, graph.node):
         rule = RULES.get(node.op)
         if rule is None or (node.op == "Softmax" and node.outputs[0] != output):
-            raise NotImplementedError(f"{node.where} has no compiled form{WAY_OUT}")
+            raise NotImplementedError(f"{node.where} has no compiled form")
         try:
             rule(made, node)
         except NotImplementedError as error:
-            raise NotImplementedError(f"{node.where}: {error}{WAY_OUT}") from None
+            raise NotImplementedError(f"{node.where}: {error}") from None
     if not made.layers or made.names.get(output) != made.layers[-1]["name"]:
-        raise NotImplementedError(f"the network's last layer must compute its output{WAY_OUT}")
+        raise NotImplementedError("the network's last layer must compute its output")
     return made.layers, made.tensors
 
 
@@ -161,7 +157,7 @@ def input_type(model: onnx.ModelProto) -> np.dtype:
     }
     given = _inputs(model)[0].type.tensor_type.elem_type
     if given not in types:
-        raise NotImplementedError(f"the network's input must be floating point, got type {given} of ONNX{WAY_OUT}")
+        raise NotImplementedError(f"the network's input must be floating point, got type {given} of ONNX")
     return np.dtype(types[given])
 
 
@@ -170,11 +166,11 @@ def _check_meanings(model: onnx.ModelProto) -> int:
     theirs = [node for node in model.graph.node if node.domain not in STANDARD]
     if theirs:
         where = Node(theirs[0]).where
-        raise NotImplementedError(f"{where} is of the domain {theirs[0].domain!r}, not ONNX's own{WAY_OUT}")
+        raise NotImplementedError(f"{where} is of the domain {theirs[0].domain!r}, not ONNX's own")
     if any(function.domain in STANDARD for function in model.functions):
-        raise NotImplementedError(f"the network redefines operations of ONNX{WAY_OUT}")
+        raise NotImplementedError("the network redefines operations of ONNX")
     versions = [entry.version for entry in model.opset_import if entry.domain in STANDARD]
     if not versions or min(versions) < FIRST_OPSET:
-        raise NotImplementedError(f"the network must be of opset {FIRST_OPSET} or later, got {versions}{WAY_OUT}")
+        raise NotImplementedError(f"the network must be of opset {FIRST_OPSET} or later, got {versions}")
     newest: int = max(versions)
     return newest

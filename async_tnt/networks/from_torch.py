@@ -58,7 +58,7 @@ def layers_from_torch(module: nn.Module, prefix: str = "") -> tuple[Layers, dict
     try:
         graph = _Tracer().trace(module)
     except Exception as error:  # whatever the module's own code raises
-        raise NotImplementedError(f"torch.fx cannot trace this module: {one_line(error)}{WAY_OUT}") from None
+        raise NotImplementedError(f"torch.fx cannot trace this module: {one_line(error)}") from None
     return _Conversion(module, prefix).run(graph)
 
 
@@ -89,7 +89,7 @@ def check_torch_layers(
     try:
         compare(function_of(own_copy(module)), function_of(LayerNetwork(layers, weights).eval()), shape)
     except ValueError as error:
-        raise NotImplementedError(f"the module cannot be read as layers: {error}{WAY_OUT}") from None
+        raise NotImplementedError(f"the module cannot be read as layers: {error}") from None
 
 
 def own_copy(module: nn.Module) -> nn.Module:
@@ -102,17 +102,17 @@ def own_copy(module: nn.Module) -> nn.Module:
     for name, part in module.named_modules():
         where = f"layer {name!r} ({type(part).__name__})" if name else "the module"
         if isinstance(part, torch.jit.ScriptModule):
-            raise NotImplementedError(f"{where} is compiled by torch.jit: take what it was made from{WAY_OUT}")
+            raise NotImplementedError(f"{where} is compiled by torch.jit: take what it was made from")
         if isinstance(part, nn.modules.lazy.LazyModuleMixin):
-            raise NotImplementedError(f"{where} has no weights yet: call the module once{WAY_OUT}")
+            raise NotImplementedError(f"{where} has no weights yet: call the module once")
         if part._forward_hooks or part._forward_pre_hooks:  # torch has no public way to ask
-            raise NotImplementedError(f"{where} has hooks, which a trace does not show: remove them{WAY_OUT}")
+            raise NotImplementedError(f"{where} has hooks, which a trace does not show: remove them")
         if "forward" in vars(part) and not isinstance(part, fx.GraphModule):
-            raise NotImplementedError(f"{where} has a `forward` that is not of its class{WAY_OUT}")
+            raise NotImplementedError(f"{where} has a `forward` that is not of its class")
     try:
         return copy.deepcopy(module).eval()
     except Exception as error:  # of many types
-        raise NotImplementedError(f"the module cannot be copied: {one_line(error)}{WAY_OUT}") from None
+        raise NotImplementedError(f"the module cannot be copied: {one_line(error)}") from None
 
 
 class _Proxy(fx.Proxy):
@@ -151,18 +151,18 @@ class _Conversion:
     def run(self, graph: fx.Graph) -> tuple[Layers, dict[str, np.ndarray]]:
         inputs = [node for node in graph.nodes if node.op == "placeholder"]
         if len(inputs) != 1:
-            raise NotImplementedError(f"the module must take one volume, got {len(inputs)} arguments{WAY_OUT}")
+            raise NotImplementedError(f"the module must take one volume, got {len(inputs)} arguments")
         self._made.names[inputs[0]] = VOLUME
         for node in graph.nodes:
             if node.op not in ("placeholder", "output") and not self._is_size(node):
                 self._read(node)
         (output,) = (node.args[0] for node in graph.nodes if node.op == "output")
         if not isinstance(output, fx.Node):
-            raise NotImplementedError(f"the module must return one tensor of logits{WAY_OUT}")
+            raise NotImplementedError("the module must return one tensor of logits")
         try:
             return self._made.needed_for(output)
         except NotImplementedError as error:
-            raise NotImplementedError(f"the module's output: {error}{WAY_OUT}") from None
+            raise NotImplementedError(f"the module's output: {error}") from None
 
     def _is_size(self, node: fx.Node) -> bool:
         """x.size(...), x.shape, and numbers taken from them: known to `_view`, unknown to all other rules."""
@@ -178,7 +178,7 @@ class _Conversion:
         kind, module, operation = self._operation(node)
         where = f"layer {node.target!r} ({kind})" if module is not None else f"operation {node.name!r} ({kind})"
         if operation is None and node.users:
-            raise NotImplementedError(f"{where} has no compiled form{WAY_OUT}")
+            raise NotImplementedError(f"{where} has no compiled form")
         nothing_to_read = not node.users and not self._made.overwritten.keys().isdisjoint(node.all_input_nodes)
         try:
             if operation is None or nothing_to_read:
@@ -189,7 +189,7 @@ class _Conversion:
             if node.users or call.written is not None:
                 self._add(call, operation, where)
         except NotImplementedError as error:
-            raise NotImplementedError(f"{where}: {error}{WAY_OUT}") from None
+            raise NotImplementedError(f"{where}: {error}") from None
 
     def _add(self, call: Call, operation: Operation, where: str) -> None:
         made, written = self._made, call.written

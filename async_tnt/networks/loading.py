@@ -13,7 +13,7 @@ from safetensors import SafetensorError
 from async_tnt.checks import one_line
 from async_tnt.config import TNTConfig
 from async_tnt.networks.from_onnx import load_onnx
-from async_tnt.networks.model import FORMAT, Model, checksum_of, read_tensors
+from async_tnt.networks.model import FORMAT, Model, checksum_of, read_description, read_tensors
 
 
 def bundled_models() -> tuple[str, ...]:
@@ -41,10 +41,10 @@ def load_model(
     Raises
     ------
     FileNotFoundError : no such file and no such bundled model; the message lists the bundled names.
-    ImportError : an .onnx network, and onnx is not installed.
+    ImportError : an .onnx network, and onnx or onnxruntime is not installed.
     TypeError : `config` or `classes` for a model that has its own, or no `config` for a network that has none.
     NotImplementedError : names the first node of an .onnx network that has no compiled form; or its layers compute
-        other numbers than onnxruntime (where that is not installed, a warning says that nothing was compared).
+        other numbers than onnxruntime.
     ValueError : the file is damaged, needs a network that this release cannot run, or is not a model of this package.
     """
     if str(name_or_path) in bundled_models():
@@ -59,8 +59,7 @@ def load_model(
     if config is not None or classes is not None:
         raise TypeError(f"`config` and `classes` are for .onnx networks; {path} has its own")
     try:
-        with path.open("rb") as file:
-            weights, metadata = read_tensors(file, FORMAT)
+        weights, metadata = read_tensors(path, FORMAT)
     except ValueError as error:
         raise ValueError(f"{path} is not a model that this release can read: {one_line(error)}") from None
     except (SafetensorError, OSError) as error:
@@ -75,13 +74,10 @@ def load_model(
 
 def _model_of(weights: Mapping[str, np.ndarray], metadata: Mapping[str, str]) -> Model:
     """The model in a file, checked; raises NotImplementedError for a network that this release cannot run."""
-    missing = [name for name in ("config", "classes", "record", "network", "sha256") if name not in metadata]
-    if missing:
-        raise ValueError(f"no {' and no '.join(missing)} in its metadata")
-    if metadata["sha256"] != checksum_of(weights, metadata):
+    if metadata.get("sha256") not in (None, checksum_of(weights, metadata)):
         raise ValueError("its checksum differs; copy or download it again")
+    config, classes, record = read_description(metadata, "network")
     for name, values in weights.items():
         if values.dtype != np.float32:
             raise ValueError(f"`{name}` must be float32, got {values.dtype}")
-    classes, record, network = (json.loads(metadata[name]) for name in ("classes", "record", "network"))
-    return Model(TNTConfig.from_dict(json.loads(metadata["config"])), weights, classes, record, network)
+    return Model(config, weights, classes, record, json.loads(metadata["network"]))

@@ -8,15 +8,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load, save
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
 
-from async_tnt.checks import plain_array, short
+from async_tnt.checks import one_line, plain_array, short
 from async_tnt.config import TNTConfig
-from async_tnt.decision import html_table
 from async_tnt.files import replacing
 from async_tnt.networks.graph import CLASSIFIER, REGRESSOR, VOLUME, Network, layer_shapes, tensors_of
 
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 FORMAT = "async_tnt 2"
 CENTROID = "heatmap_centroid"
 ALIGNMENT = 8
-MAX_HEADER = 100_000_000  # bytes; safetensors' own limit
 LayerRow = tuple[str, str, dict[str, Any]]  # name, op, parameters
 
 
@@ -112,17 +110,20 @@ class Model:
         >>> CompiledClassifier(model).n_classes
         2
         """
-        from async_tnt.networks.from_torch import check_torch_layers, layers_from_torch
+        from async_tnt.networks.from_torch import WAY_OUT, check_torch_layers, layers_from_torch
 
         parts = {CLASSIFIER: module, **({} if regressor is None else {REGRESSOR: regressor})}
         network: dict[str, Any] = {}
         weights: dict[str, np.ndarray] = {}
-        for name, part in parts.items():
-            network[name], tensors = layers_from_torch(part, prefix="" if name == CLASSIFIER else f"{name}.")
-            weights |= tensors
-        model = cls(config, weights, tuple(classes), record or {}, network)
-        for name, part in parts.items():
-            check_torch_layers(part, network[name], weights, config.shape)
+        try:
+            for name, part in parts.items():
+                network[name], tensors = layers_from_torch(part, prefix="" if name == CLASSIFIER else f"{name}.")
+                weights |= tensors
+            model = cls(config, weights, tuple(classes), record or {}, network)
+            for name, part in parts.items():
+                check_torch_layers(part, network[name], weights, config.shape)
+        except NotImplementedError as error:
+            raise NotImplementedError(f"{error}{WAY_OUT}") from None
         return model
 
     @property
@@ -132,20 +133,16 @@ class Model:
         return self.network
 
     def __repr__(self) -> str:
-        return f"Model({len(self.classes)} classes, {', '.join(self._in_short())})"
-
-    def _repr_html_(self) -> str:
-        volume, network = self._in_short()
-        return html_table(
-            {"Model": volume, "network": network, f"{len(self.classes)} classes": ", ".join(self.classes)}
-        )
-
-    def _in_short(self) -> tuple[str, str]:
-        """What becomes a volume of which shape; the network: its layers with weights."""
         ops = Counter(layer["op"] for layers in self.layers.values() for layer in layers if layer.get("weights"))
         volume = f"{'x'.join(map(str, self.config.sensor))} -> {'x'.join(map(str, self.config.shape))}"
-        n_weights = sum(w.size for w in self.weights.values())
-        return volume, ", ".join([*(f"{n} {op}" for op, n in ops.items()), f"{n_weights:,} weights"])
+        network = [*(f"{n} {op}" for op, n in ops.items()), f"{sum(w.size for w in self.weights.values()):,} weights"]
+        return f"Model({len(self.classes)} classes, {', '.join([volume, *network])})"
+
+    def description(self) -> dict[str, str]:
+        """Format, configuration, classes and record as JSON, for the metadata of a file; a TypeError if the record
+        holds something that JSON cannot represent."""
+        values = {"config": self.config.to_dict(), "classes": self.classes, "record": self.record}
+        return {"format": FORMAT} | {name: json.dumps(value) for name, value in values.items()}
 
     def save(self, path: str | Path) -> Path:
         """Write the model to `path`, a .safetensors file; returns the path.
@@ -158,13 +155,7 @@ class Model:
         TypeError : the record holds something that JSON cannot represent.
         """
         path = Path(path)
-        metadata = {
-            "format": FORMAT,
-            "config": json.dumps(self.config.to_dict()),
-            "classes": json.dumps(self.classes),
-            "record": json.dumps(self.record),
-            "network": json.dumps(self.network),
-        }
+        metadata = self.description() | {"network": json.dumps(self.network)}
         metadata["sha256"] = checksum_of(self.weights, metadata)
         content = tensor_bytes(self.weights, metadata)
         with replacing(path) as part:
@@ -194,8 +185,8 @@ def tensor_bytes(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str])
     return len(text).to_bytes(8, "little") + text + content[end:]
 
 
-def read_tensors(file: BinaryIO, expected: str) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Tensors and metadata of an open file, which is read once.
+def read_tensors(path: Path, expected: str) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Tensors and metadata of a file.
 
     Raises
     ------
@@ -203,23 +194,23 @@ def read_tensors(file: BinaryIO, expected: str) -> tuple[dict[str, np.ndarray], 
     ValueError : `format` in its metadata is not the expected one. Only the header has been read then, as tensors of
         other programs may be huge.
     """
-    size = file.read(8)
-    n_bytes = int.from_bytes(size, "little")
-    if len(size) < 8 or n_bytes > MAX_HEADER:
-        raise SafetensorError("it does not begin with the length of a header")
-    text = file.read(n_bytes)
-    try:
-        metadata = json.loads(text).get("__metadata__") or {}
-        written = metadata.get("format")
-    except (AttributeError, ValueError, RecursionError):
-        raise SafetensorError("its header is not a JSON object") from None
-    if written != expected:
-        raise ValueError(f"`format` must be {expected!r}, got {written!r}")
-    try:
-        tensors = load(size + text + file.read())
-    except KeyError as error:
-        raise SafetensorError(f"NumPy has no type {error.args[0]}") from None
-    return dict(sorted(tensors.items())), metadata  # `load` returns them in a different order each time
+    with safe_open(path, "numpy") as file:
+        metadata = file.metadata() or {}
+        if metadata.get("format") != expected:
+            raise ValueError(f"`format` must be {expected!r}, got {metadata.get('format')!r}")
+        try:
+            return {name: file.get_tensor(name) for name in sorted(file.keys())}, metadata
+        except (KeyError, TypeError, AttributeError) as error:
+            raise SafetensorError(f"NumPy lacks the type of a tensor: {one_line(error)}") from None
+
+
+def read_description(metadata: Mapping[str, str], *more: str) -> tuple[TNTConfig, Any, Any]:
+    """Configuration, classes and record of `Model.description`; a ValueError if they, or `more` names, are missing."""
+    missing = [name for name in ("config", "classes", "record", *more, "sha256") if name not in metadata]
+    if missing:
+        raise ValueError(f"no {' and no '.join(missing)} in its metadata")
+    config, classes, record = (json.loads(metadata[name]) for name in ("config", "classes", "record"))
+    return TNTConfig.from_dict(config), classes, record
 
 
 def checksum(tensors: Mapping[str, np.ndarray], text: str) -> str:

@@ -6,7 +6,6 @@ Opset 13 and IR version 7, those of ONNX 1.8 (2020): nothing here needs more, an
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ import numpy as np
 from async_tnt.checks import needs_extra
 from async_tnt.config import TNTConfig
 from async_tnt.networks.graph import CLASSIFIER, VOLUME, Layer, layer_shapes, tensors_of
-from async_tnt.networks.model import FORMAT, Model
+from async_tnt.networks.model import FORMAT, Model, read_description
 from async_tnt.package import __version__
 
 if TYPE_CHECKING:
@@ -64,7 +63,7 @@ def to_onnx(model: Model) -> onnx.ModelProto:
         producer_name="async_tnt",
         producer_version=__version__,
     )
-    make.set_model_props(made, metadata_of(model))
+    make.set_model_props(made, model.description() | {"sha256": BLANK})
     seal(made)
     onnx.checker.check_model(made, full_check=True)
     return made
@@ -171,22 +170,6 @@ class Exported:
     record: Mapping[str, Any]
 
 
-def metadata_of(model: Model) -> dict[str, str]:
-    """What `read_metadata` reads, as strings, which ONNX requires.
-
-    Raises
-    ------
-    TypeError : the record holds something that JSON cannot represent.
-    """
-    return {
-        "format": FORMAT,
-        "config": json.dumps(model.config.to_dict()),
-        "classes": json.dumps(model.classes),
-        "record": json.dumps(model.record),
-        "sha256": BLANK,
-    }
-
-
 def seal(made: onnx.ModelProto) -> None:
     """Write the checksum of all of a file's bytes into its metadata."""
     (entry,) = (entry for entry in made.metadata_props if entry.key == "sha256")
@@ -215,13 +198,8 @@ def read_metadata(metadata: Mapping[str, str]) -> Exported | None:
         return None
     if written != FORMAT:
         raise ValueError(f"metadata `format` must be {FORMAT!r}, got {written!r}")
-    needed = ("config", "classes", "record", "sha256")
-    missing = [name for name in needed if name not in metadata]
-    if missing:
-        raise ValueError(f"no {' and no '.join(missing)} in its metadata")
     try:
-        config = TNTConfig.from_dict(json.loads(metadata["config"]))
-        classes, record = json.loads(metadata["classes"]), json.loads(metadata["record"])
+        config, classes, record = read_description(metadata)
     except (TypeError, RecursionError) as error:  # the last: JSON nested too deep
         raise ValueError(str(error)) from None
     if not (isinstance(classes, list) and classes and all(isinstance(name, str) for name in classes)):

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import onnxruntime
 
 Shape = tuple[int, int, int]
-DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}  # by onnxruntime's names
 
 
 class OnnxClassifier:
@@ -44,9 +43,6 @@ class OnnxClassifier:
     shape : (C, H, W).
     n_classes : logits.
     config, classes : TNTConfig and names, if this package wrote the file; else None.
-
-    Holds scratch memory: one instance per thread. Copies and pickles open the network again, from the same path or
-    bytes.
 
     Raises
     ------
@@ -84,9 +80,6 @@ class OnnxClassifier:
 
     def __reduce__(self) -> Any:  # a session cannot be copied, only opened again
         return functools.partial(type(self), self._source, threads=self.threads, shape=self.shape), ()
-
-    def __repr__(self) -> str:
-        return f"OnnxClassifier(volumes of {self.shape}, {self.n_classes} outputs, {self.threads} threads)"
 
     def _bind(self, input_name: str, output: Any) -> tuple[np.ndarray, np.ndarray, Any]:
         """Memory that the network reads from and writes to, bound once.
@@ -190,18 +183,13 @@ def open_session(
 
 def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
     """The shape (C, H, W) of a network's volumes; `shape` where it leaves sides open."""
-    if len(inputs) != 1:
-        raise ValueError(f"the network must have one input, a volume, got {len(inputs)}{_listed(inputs)}")
-    (volume,) = inputs
-    if volume.type != "tensor(float)":
+    sides = tuple(inputs[0].shape) if inputs else ()
+    one_volume = len(sides) == 4 and (sides[0] == 1 or not isinstance(sides[0], int))
+    if len(inputs) != 1 or inputs[0].type != "tensor(float)" or not one_volume:
         raise ValueError(
-            f"the network's input must be float32, as volumes are, got {_type_name(volume.type)} for {volume.name!r}"
+            "the network must have one input, a volume, tensor(float) of shape (1, C, H, W), or of any number of them; "
+            f"got {_listed(inputs)}"
         )
-    sides = tuple(volume.shape)
-    if len(sides) != 4:
-        raise ValueError(f"the network's input must have shape (1, C, H, W), got {_spelled(sides)} for {volume.name!r}")
-    if isinstance(sides[0], int) and sides[0] != 1:
-        raise ValueError(f"the network must take one volume at a time, or any number, got input {_spelled(sides)}")
     if shape is None:
         if not all(isinstance(side, int) for side in sides[1:]):
             raise ValueError(f"the network's input {_spelled(sides)} leaves sides open: `shape` must be (C, H, W)")
@@ -219,23 +207,16 @@ def check_input(inputs: list[Any], shape: Sequence[int] | None) -> Shape:
 
 def check_output(outputs: list[Any]) -> None:
     """Refuse a network that does not have one output, float32."""
-    if len(outputs) != 1:
+    if len(outputs) != 1 or outputs[0].type != "tensor(float)":
         raise ValueError(
-            f"the network must have one output, logits (1, n_classes), got {len(outputs)}{_listed(outputs)}"
+            f"the network must have one output, logits (1, n_classes), tensor(float); got {_listed(outputs)}"
         )
-    if outputs[0].type != "tensor(float)":
-        raise ValueError(f"the network's output must be float32, got {_type_name(outputs[0].type)}")
 
 
-def _listed(nodes: list[Any]) -> str:
-    return ": " + ", ".join(f"{node.name!r} {_spelled(node.shape)}" for node in nodes) if nodes else ""
+def _listed(values: list[Any]) -> str:
+    return ", ".join(f"{value.name!r} {value.type} {_spelled(value.shape)}" for value in values) or "none"
 
 
 def _spelled(sides: Sequence[Any]) -> str:
     """(1, 9, height, ?): a side is a number, a name or unknown."""
     return "(" + ", ".join("?" if side is None else str(side) for side in sides) + ")"
-
-
-def _type_name(name: str) -> str:
-    """In NumPy's words: float16 and int64 have one name here and there."""
-    return np.dtype(DTYPES[name]).name if name in DTYPES else name.removeprefix("tensor(").removesuffix(")")

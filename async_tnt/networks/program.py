@@ -42,12 +42,10 @@ class Program:
     """A network for the compiled interpreter; its input is zero, and nothing has been computed.
 
     arrays : ProgramArrays.
-    output : rows, columns and channels of its last map.
     steps : in order.
     """
 
     arrays: ProgramArrays
-    output: tuple[int, int, int]
     steps: list[StepWork]
 
     def run(self, volume: np.ndarray) -> np.ndarray:
@@ -56,12 +54,6 @@ class Program:
         set_input(volume, self.arrays.program, self.arrays.maps)
         forward(*self.arrays)
         return self.arrays.maps[self.arrays.program[P.OUTPUT] :]
-
-    def output_map(self) -> np.ndarray:
-        """The last map: (rows, columns, channels), a view."""
-        program, maps = self.arrays.program, self.arrays.maps
-        strides = 4 * int(program[P.OUTPUT_DY]), 4 * self.output[2], 4
-        return np.lib.stride_tricks.as_strided(maps[program[P.OUTPUT] :], self.output, strides, writeable=False)
 
     def computed(self) -> list[int]:
         """How many places of each step's map were computed in the last call."""
@@ -137,7 +129,7 @@ def make_program(layers: Sequence[Layer], shape: tuple[int, int, int], tensors: 
         np.concatenate([program, np.array(tables, np.int64)]), packed_weights, values, np.zeros(places.size, np.uint32)
     )
     work = [StepWork(step.name, step.rows * step.columns, step.products) for step in steps]
-    return Program(arrays, (output.rows, output.columns, output.channels), work)
+    return Program(arrays, work)
 
 
 def aligned(n: int, dtype: type) -> np.ndarray:
@@ -179,17 +171,7 @@ def _without_unused(steps: list[Step], keep: Sequence[Map]) -> list[Step]:
             if step.output not in needed:
                 continue
             step.rows, step.columns = needed[step.output]
-        rows, columns = (
-            (side - 1) * stride + (kernel - 1) * dilation - padding + 1
-            for side, stride, kernel, dilation, padding in zip(
-                (step.rows, step.columns),
-                step.stride,
-                step.kernel,
-                step.dilation,
-                step.padding,
-                strict=True,
-            )
-        )
+        rows, columns = step.reads
         for part in step.inputs:
             before = needed.get(part, (0, 0))
             needed[part] = min(max(before[0], rows, 1), part.rows), min(max(before[1], columns, 1), part.columns)
@@ -201,20 +183,8 @@ def _frame(steps: list[Step]) -> None:
     """Give each map the frame that its readers need; the maps that a step adds get the same one."""
     for step in steps:
         for part in step.inputs:
-            sides = (part.rows, part.columns)
-            after = [
-                max(0, (out - 1) * stride + (kernel - 1) * dilation - padding - (side - 1))
-                for out, stride, kernel, dilation, padding, side in zip(
-                    (step.rows, step.columns),
-                    step.stride,
-                    step.kernel,
-                    step.dilation,
-                    step.padding,
-                    sides,
-                    strict=True,
-                )
-            ]
-            _widen(part, (*step.padding, *after))
+            rows, columns = step.reads
+            _widen(part, (*step.padding, max(0, rows - part.rows), max(0, columns - part.columns)))
     while any([_widen(part, other.frame) for step in steps for part in step.inputs for other in step.inputs]):
         pass
 

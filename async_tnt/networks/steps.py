@@ -79,6 +79,15 @@ class Step:
         return bool((self.slopes != 1).any()) or self.low != -np.inf or self.high != np.inf
 
     @property
+    def reads(self) -> tuple[int, int]:
+        """How many rows and columns of its inputs it reads, from their first ones on: frame after them included."""
+        rows, columns = (
+            (out - 1) * self.stride[k] + (self.kernel[k] - 1) * self.dilation[k] - self.padding[k] + 1
+            for k, out in enumerate((self.rows, self.columns))
+        )
+        return rows, columns
+
+    @property
     def products(self) -> int:
         """Multiplications of one place; none of a plain sum or mean."""
         if self.kind != MIX and (self.weights == self.weights.flat[:1]).all():

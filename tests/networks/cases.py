@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-import pytest
 import torch
 from made import random_model
 
@@ -99,6 +98,3 @@ NETWORKS = [
 ]
 LARGE = Network((346, 260), 9, (16, 32, 64), 10)
 SMALL, DIGITS = NETWORKS[1], NETWORKS[7]
-
-of_all = pytest.mark.parametrize("network", NETWORKS, ids=str)
-of_some = pytest.mark.parametrize("network", [NETWORKS[k] for k in (2, 3, 5, 7)], ids=str)

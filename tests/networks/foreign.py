@@ -19,6 +19,7 @@ def network(
     output_dtype=None,
     weights=None,
     metadata=None,
+    opset=13,
 ):
     """Flatten and Gemm, unless `nodes` are given."""
     if nodes is None:
@@ -30,9 +31,10 @@ def network(
         "foreign",
         [info(name, dtype, shape) for name, shape in inputs],
         [info(name, dtype if output_dtype is None else output_dtype, shape) for name, shape in outputs],
-        [onnx.numpy_helper.from_array(w, name) for name, w in (weights or {}).items()],
+        [onnx.numpy_helper.from_array(np.asarray(w), name) for name, w in (weights or {}).items()],
     )
-    made = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 13)], ir_version=7)
+    opsets = [onnx.helper.make_opsetid("", opset), onnx.helper.make_opsetid("my", 1)]
+    made = onnx.helper.make_model(graph, opset_imports=opsets, ir_version=7)
     onnx.helper.set_model_props(made, metadata or {})
     return made.SerializeToString()
 

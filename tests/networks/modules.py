@@ -40,35 +40,12 @@ class Branches(nn.Module):
         return self.head(x.view(x.size(0), -1))
 
 
-class Functions(nn.Module):
-    def __init__(self):
-        super().__init__()
-        self.conv, self.head = nn.Conv2d(3, 5, 3, dilation=2, bias=False), nn.Linear(5, 4, bias=False)
-
-    def forward(self, x):
-        x = F.hardtanh(self.conv(x), -0.5, 2.0).relu()
-        x = F.avg_pool2d(x, (2, 3), stride=1, padding=1)
-        x += F.relu6(x)
-        return self.head(torch.flatten(F.adaptive_avg_pool2d(x, 1), 1))
-
-
-class Flat(nn.Module):
-    def __init__(self, shape):
-        super().__init__()
-        self.conv, self.head, self.shape = nn.Conv2d(3, 5, 3, stride=8), nn.Linear(shape[-1], 4), shape
-
-    def forward(self, x):
-        x = self.conv(x)
-        return self.head(torch.flatten(input=x, start_dim=1) if self.shape == (30,) else x.view(self.shape))
-
-
 def head(first, kind=nn.Sequential):
     return kind(first, nn.AdaptiveAvgPool2d((1, 1)), nn.Flatten())
 
 
 MODULES = {
     "branches": Branches,
-    "functions": Functions,
     "sequential": lambda: nn.Sequential(
         nn.BatchNorm2d(3),
         nn.Conv2d(3, 4, 3, groups=1),

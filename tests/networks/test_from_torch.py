@@ -6,7 +6,7 @@ Also with changes in place, hooks, own classes, and functions that depend on mor
 import numpy as np
 import pytest
 import torch
-from networks.modules import CONFIG, EVEN_KERNEL, MODULES, VOLUMES, Flat, head, logits_of, module_of
+from networks.modules import CONFIG, EVEN_KERNEL, MODULES, VOLUMES, head, logits_of, module_of
 from networks.small import assert_same
 from tnt_reference import LayerNetwork
 from torch import nn
@@ -21,13 +21,6 @@ WAY_OUT = (
 
 def model_of(module):
     return Model.from_torch(module, CONFIG, list("abcd"))
-
-
-def assert_right(module):
-    """The model computes what the module does."""
-    found = [CompiledClassifier(model_of(module))(volume) for volume in VOLUMES]
-    expected = np.concatenate([logits_of(module, VOLUMES[k : k + 1].copy()) for k in range(len(VOLUMES))])
-    assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
 
 
 @EVEN_KERNEL
@@ -66,7 +59,6 @@ class Written(nn.Module):
         torch.manual_seed(1)
         self.body, self.conv, self.relu = body, nn.Conv2d(3, 3, 3, padding=1), nn.ReLU(inplace=True)
         self.norm, self.head, self.dense = nn.BatchNorm2d(3), nn.Conv2d(3, 4, 1), nn.Linear(3 * 18 * 20, 4)
-        self.factor = nn.Parameter(torch.ones(1))
 
     def forward(self, x):
         return self.body(self, x)
@@ -75,27 +67,9 @@ class Written(nn.Module):
         return self.head(x).mean((2, 3))
 
 
-def clamps_the_volume(m, x):
-    torch.clamp_(x, -1, 1)
-    return m.logits(m.conv(x))
-
-
 def preactivated(m, x):
     h = m.conv(x)
     return m.logits(m.relu(h) + h)
-
-
-def adds_to_another_name(m, x):
-    h = m.conv(x)
-    g = h
-    g += x
-    return m.logits(h)
-
-
-def clamps_into_another(m, x):
-    h, g = m.conv(x), m.norm(x)
-    torch.clamp(h, -0.1, 0.1, out=g)
-    return m.logits(h + g)
 
 
 def changes_through_a_view(m, x):
@@ -123,15 +97,15 @@ def flattens(*shape):
 @pytest.mark.parametrize(
     "module",
     [
-        *(Flat(shape) for shape in ((30,), (-1, 30), (1, 30))),
-        *(Written(flattens(n, -1)) for n in (lambda x: x.size(0), lambda x: x.size()[0], lambda x: x.shape[0])),
-        *map(Written, (clamps_the_volume, preactivated, adds_to_another_name, clamps_into_another)),
-        *map(Written, (changes_through_a_view, changes_what_a_view_shows, leaves_results_unread)),
+        *(Written(flattens(n, -1)) for n in (1, lambda x: x.size(0), lambda x: x.size()[0], lambda x: x.shape[0])),
+        *map(Written, (preactivated, changes_through_a_view, changes_what_a_view_shows, leaves_results_unread)),
         head(nn.Conv2d(3, 4, 3), InEvaluation),
     ],
 )
 def test_sizes_and_changes_in_place_are_read_as_they_are(module):
-    assert_right(module)
+    found = [CompiledClassifier(model_of(module))(volume) for volume in VOLUMES]
+    expected = np.concatenate([logits_of(module, VOLUMES[k : k + 1].copy()) for k in range(len(VOLUMES))])
+    assert np.abs(found - expected).max() <= 1e-5 and np.ptp(expected) > 0.01
 
 
 def divides_the_volume(m, x):
@@ -146,30 +120,14 @@ def multiplies_another_name(m, x):
     return m.logits(h)
 
 
-def own_function_in_place(m, x):
-    h = m.conv(x)
-    halve(h)
-    return m.logits(h)
-
-
 def own_function_named_relu(m, x):
     return m.logits(relu(m.conv(x)))
-
-
-def changes_its_statistics(m, x):
-    m.norm.running_mean.mul_(0.5)
-    return m.logits(m.norm(m.conv(x)))
-
-
-def halve(x):
-    return x.mul_(0.5)
 
 
 def relu(x):
     return torch.tanh(x)
 
 
-torch.fx.wrap("halve")
 torch.fx.wrap("relu")
 
 
@@ -201,9 +159,9 @@ class Two(nn.Module):
         return x + y
 
 
-def hooked(register):
+def hooked():
     module = head(nn.Conv2d(3, 4, 3))
-    getattr(module[0], register)(lambda *arguments: None)
+    module[0].register_forward_pre_hook(lambda *arguments: None)
     return module
 
 
@@ -224,56 +182,19 @@ def of_body(body):
 FORM, HOOKS = "has no compiled form", "has hooks, which a trace does not show: remove them"
 REFUSED = [  # what makes it, the beginning of the message
     (of_layer(nn.Conv2d(3, 4, 3), nn.GELU()), f"layer '1' (GELU) {FORM}"),
-    (
-        of_layer(nn.Sequential(nn.Conv2d(3, 4, 3, padding=1, padding_mode="reflect"))),
-        f"layer '0.0' (Conv2d): padding_mode 'reflect' {FORM}",
-    ),
-    (of_layer(nn.MaxPool2d(2, ceil_mode=True)), f"layer '0' (MaxPool2d): ceil_mode {FORM}"),
-    (of_layer(nn.MaxPool2d(2, dilation=2)), f"layer '0' (MaxPool2d): dilation {FORM}"),
-    (
-        of_layer(nn.AvgPool2d(3, padding=1, count_include_pad=False)),
-        f"layer '0' (AvgPool2d): padding with count_include_pad=False {FORM}",
-    ),
-    (of_layer(nn.AdaptiveAvgPool2d(2)), f"layer '0' (AdaptiveAvgPool2d): an output size of 2, not 1, {FORM}"),
-    (of_layer(nn.Flatten(2)), f"layer '0' (Flatten): a flatten from axis 2 to -1, not from 1 to -1, {FORM}"),
-    (of_body(lambda m, x: torch.relu(x * m.factor)), f"operation 'factor' (factor) {FORM}"),
+    (of_layer(nn.AvgPool2d(3, 2, 1, count_include_pad=False)), "layer '0' (AvgPool2d): padding with count_include_pad"),
     (Two, "the module must take one volume, got 2 arguments"),
     (Loop, "torch.fx cannot trace this module: symbolically traced variables cannot be used as inputs to control fl"),
-    (of_body(lambda m, x: m.unknown(x)), "torch.fx cannot trace this module: "),
     (of_body(divides_the_volume), "layer 'conv' (Conv2d): the value x is changed in place by operation 'div_' (div_)"),
-    (
-        of_body(multiplies_another_name),
-        "layer 'head' (Conv2d): the value conv is changed in place by operation 'imul' (imul)",
-    ),
-    (of_body(own_function_in_place), "layer 'head' (Conv2d): the value conv is changed in place by operation 'halve'"),
+    (of_body(multiplies_another_name), "layer 'head' (Conv2d): the value conv is changed in place by operation 'imul'"),
     (of_body(own_function_named_relu), f"operation 'relu' (relu) {FORM}"),
-    (of_body(changes_its_statistics), "operation 'norm_running_mean' (norm.running_mean) has no"),
     (of_layer(nn.Conv2d(3, 4, 3), ReLU()), f"operation 'pow_1' (pow) {FORM}"),
-    (lambda: hooked("register_forward_hook"), f"layer '0' (Conv2d) {HOOKS}"),
-    (lambda: hooked("register_forward_pre_hook"), f"layer '0' (Conv2d) {HOOKS}"),
+    (hooked, f"layer '0' (Conv2d) {HOOKS}"),
     (with_own_forward, "layer '0' (Conv2d) has a `forward` that is not of its class"),
     (Counting, "the module cannot be read as layers: its layers compute other numbers (by "),
-    (
-        of_body(lambda m, x: m.logits(F.dropout(x))),
-        "operation 'dropout' (dropout): a dropout in training mode, also in",
-    ),
-    (of_body(lambda m, x: m.logits(torch.add(x, x, alpha=2))), f"operation 'add' (add): a factor alpha {FORM}"),
-    (
-        of_body(lambda m, x: x.mean((2, 3), dtype=torch.float64)),
-        f"operation 'mean' (mean): the argument 'dtype' {FORM}",
-    ),
-    (of_body(lambda m, x: [m.logits(x)]), "the module must return one tensor of logits"),
+    (of_body(lambda m, x: x.mean((2, 3), dtype=torch.float64)), "operation 'mean' (mean): the argument 'dtype' has"),
     (of_body(flattens(2, -1)), "operation 'reshape' (reshape): a view other than (n, -1)"),
-    (of_body(flattens(lambda x: x.shape[1], -1)), "operation 'reshape' (reshape): a view other than (n, -1)"),
-    (
-        of_layer(nn.Flatten(), nn.Linear(1080, 4), nn.BatchNorm2d(4)),
-        "the module cannot be read as layers: it fails on a volume of shape (3, 18, 20): expected 4D input",
-    ),
-    (lambda: head(nn.Conv2d(3, 4, 3, dtype=torch.complex64)), "layer '0' (Conv2d): a weight of type torch.complex64"),
-    (
-        lambda: torch.jit.trace(head(nn.Conv2d(3, 4, 3)), torch.zeros(1, 3, 18, 20)),
-        "the module is compiled by torch.jit",
-    ),
+    (lambda: torch.jit.trace(nn.Conv2d(3, 4, 3), torch.zeros(1, 3, 18, 20)), "the module is compiled by torch.jit"),
 ]
 
 

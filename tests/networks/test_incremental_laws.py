@@ -3,18 +3,22 @@
 import copy
 import itertools
 import pickle
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import torch
+from deciding import key
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made import nasty_streams, random_events
-from networks.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network, of_all
+from networks.cases import DIGITS, LARGE, NETWORKS, SMALL, WINDOW_US, Network
 from networks.random_networks import CONFIG, random_models
+from oracles import Oracle, as_values
 from tnt_reference import LayerNetwork
 
-from async_tnt import CompiledClassifier, TNTConfig, TNTVolume, volume_state
+from async_tnt import CompiledClassifier, CompiledRegressor, Processor, TNTConfig, TNTVolume, volume_state
 from async_tnt.kernels import program as P
 from async_tnt.kernels import state as S
 from async_tnt.kernels.sync_input import NUMBERS_PER_LOGGED
@@ -145,21 +149,6 @@ def test_packets_about_as_long_as_the_log_or_as_it_pays_to_follow_it(network, mo
         logits_after_packets(network, events, sizes)
 
 
-# -- as a callable -----------------------------------------------------------------------------------------------
-
-
-@of_all
-def test_any_float_array_of_the_right_shape_will_do_and_logits_are_the_callers(network):
-    array = np.random.default_rng(0).normal(size=network.config.shape).astype(np.float32)
-    classifier = network.classifier()
-    first = classifier(array)
-    kept = first.tobytes()
-    first[:] = 7
-    for volume in (array, array.astype(np.float64), np.asfortranarray(array)):
-        assert classifier(volume).tobytes() == kept
-    assert (first == 7).all()
-
-
 def test_a_volume_of_another_shape_is_refused():
     volume = TNTVolume(TNTConfig(polarity="split"))
     for call, argument in ((DIGITS.dense().refresh, volume), (DIGITS.dense(), volume.array)):
@@ -182,3 +171,44 @@ def test_at_every_packet(model, seed, sizes):
         with torch.no_grad():
             expected = reference(torch.tensor(volume.array.copy())[None].double()).flatten().numpy()
         assert np.abs(logits - expected).max() <= 1e-4 * max(1, np.abs(expected).max())
+
+
+# -- in a Processor, on its compiled and its general path ---------------------------------------------------------
+
+
+def decide(processor, events, size):
+    """size : events in a packet; 0: one by one, by `push_one`."""
+    if size == 0:
+        decisions = [d for event in events.tolist() for d in processor.push_one(*event)]
+    else:
+        decisions = [d for k in range(0, len(events), size) for d in processor.push(events[k : k + size])]
+    return decisions + processor.finish()
+
+
+@pytest.mark.parametrize("network", NETWORKS, ids=str)
+def test_decisions_after_every_event_are_those_of_a_plain_loop(network):
+    """One event at a time, and the whole network each time."""
+    events = random_events(300, seed=1, duration_us=2 * WINDOW_US + 900, sensor=network.config.sensor)
+    regressor = CompiledRegressor(network.model()) if network.config.needs_regressor else None
+    oracle = Oracle(network.config, network.dense(), regressor=regressor, every_events=1)
+    expected = oracle.push_all(events) + oracle.finish()
+    assert len(expected) == 300 + 3  # two closed windows and the end
+    for size in (0, 7, 300):
+        assert [as_values(d) for d in decide(Processor(network.model(), every_events=1), events, size)] == expected
+
+
+@pytest.mark.parametrize("settings", [{"every_events": 1}, {"confidence": 0.9}], ids=str)
+def test_processors_in_threads_decide_as_one_after_the_other(settings):
+    n_threads = 4
+    together = threading.Barrier(n_threads)
+
+    def work(seed, wait=lambda: None):
+        processor = Processor(DIGITS.model(seed), **settings)
+        events = random_events(700, seed=seed, duration_us=10_000)
+        wait()
+        return [key(d) for d in decide(processor, events, 300)]
+
+    expected = [work(seed) for seed in range(n_threads)]
+    with ThreadPoolExecutor(n_threads) as threads:
+        assert list(threads.map(lambda seed: work(seed, together.wait), range(n_threads))) == expected
+    assert len({str(decisions) for decisions in expected}) == n_threads  # none has another one's

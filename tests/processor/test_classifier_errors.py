@@ -61,18 +61,6 @@ def test_a_decision_that_an_event_made_due_is_missed_where_it_fails():
     assert summary(processor.push(at([1])))[0][2:] == (1, 4)
 
 
-def test_another_classifier_may_take_over_after_an_error():
-    """One with another number of classes than those named is refused; the right one continues with the same window."""
-    wrong, right = (CompiledClassifier(random_model(CONFIG, classes=n)) for n in (3, 2))
-    processor = Processor(CONFIG, classifier=wrong, classes=["a", "b"], every_us=100)
-    processor.push(at([0, 10]))
-    for _ in range(2):
-        with pytest.raises(ValueError, match=r"^`classifier` must return 2 logits, one for each class, got 3$"):
-            processor.push(at([150]))
-    processor.classifier = right
-    assert summary(processor.push(at([150]))) == [("every_us", 0, 10, 2)]
-
-
 def test_a_classifier_that_does_not_fit_is_refused_at_once():
     processor = Processor(random_model(CONFIG), every_events=1)
     other = CompiledClassifier(random_model(CONFIG.replace(bins=3)))
@@ -84,3 +72,19 @@ def test_a_classifier_that_does_not_fit_is_refused_at_once():
     with pytest.raises(TypeError, match=r"^`classifier` must be callable, got int$"):
         processor.classifier = 5
     assert processor.classifier is before and len(processor.push(at([0, 1]))) == 2
+
+
+@pytest.mark.parametrize("retry", [lambda p: p.push([]), lambda p: p.finish(), lambda p: p.push(at([9]))])
+def test_a_window_of_events_whose_decision_failed_is_made_up_for(retry):
+    answers = iter([ValueError("not now"), [1.0, 0.0], [1.0, 0.0]])
+
+    def classify(volume):
+        answer = next(answers)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    processor = Processor(CONFIG.replace(window_events=3), classifier=classify)
+    with pytest.raises(ValueError, match="not now"):
+        processor.push(at([1, 2, 3]))
+    assert summary(retry(processor)) == [("window", 1, 3, 3)]

@@ -1,7 +1,6 @@
 """Two calls on one object at the same time, by mistake: a RuntimeError, never a wrong result or a crash."""
 
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import numpy as np
@@ -106,7 +105,7 @@ def test_a_classifier_that_calls_its_own_processor_is_refused(call):
     "network, names",
     [
         (CompiledClassifier(MODEL), ["refresh", "__call__", "push"]),
-        (CompiledRegressor(random_regressor_model()), ["__call__", "heatmap"]),
+        (CompiledRegressor(random_regressor_model()), ["__call__"]),
         (OnnxClassifier(to_onnx(MODEL)), ["__call__"]),
     ],
     ids=lambda value: type(value).__name__,
@@ -117,7 +116,6 @@ def test_a_network_shared_by_two_threads_refuses_the_second_call(network, names)
     calls = {
         "refresh": lambda: network.refresh(volume),
         "__call__": lambda: network(held.values),
-        "heatmap": lambda: network.heatmap(held.values),
         "push": lambda: Processor(CONFIG, classifier=network, every_events=1).push(at([5, 6])),
     }
     expected = network(held.values)
@@ -141,26 +139,3 @@ def test_a_volume_and_a_filter_refuse_events_while_they_read_others():
                 with pytest.raises(RuntimeError, match=REFUSED.format(name)):
                     other()
     assert volume.counts.received == chosen.counts.received == 40
-
-
-def test_under_many_threads_every_answer_is_right_or_refused():
-    """A refused packet is not absorbed: the events that arrived are those of the packets that were not refused."""
-    network, volumes = CompiledClassifier(MODEL), [np.full(CONFIG.shape, k, np.float32) for k in range(4)]
-    expected = [network(volume).tobytes() for volume in volumes]
-    processor = Processor(MODEL, every_events=1, start_us=0)
-    packet, n_absorbed = at([7] * 5), []
-
-    def work(k):
-        for _ in range(200):
-            try:
-                assert network(volumes[k]).tobytes() == expected[k]
-            except RuntimeError as error:
-                assert "was called while another call" in str(error)
-            try:
-                n_absorbed.append(len(processor.push(packet)))
-            except RuntimeError as error:
-                assert "was called while another call" in str(error)
-
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(work, range(4)))
-    assert set(n_absorbed) == {5} and processor.counts.received == 5 * len(n_absorbed)

@@ -59,10 +59,6 @@ def test_a_full_replay_buffer_warns_after_the_packet_is_processed():
         ({"classes": "cat"}, "`classes` must be a sequence of names, got the single string 'cat'"),
         ({"late": "later"}, "`late` must be one of accept, drop, raise, got 'later'"),
         (
-            {"start_us": -(10**5000)},
-            r"`start_us` must be in \[0, 2\*\*62\), got -10\*\*5000 or so$",
-        ),  # Python prints none
-        (
             {"hop_us": 5, "model": CONFIG.replace(window_events=3)},
             "`hop_us` must not be given with window_events=3, got 5",
         ),
@@ -104,9 +100,11 @@ def test_bad_triggers_are_refused_and_change_nothing(name, value, error, message
         processor.every_ms = 5
 
 
-@pytest.mark.parametrize("place, name", [(0, "threshold"), (1, "leak_us"), (2, "charge")])
-def test_bad_integrators(place, name):
-    for value, error in ((0, ValueError), (math.nan, ValueError), ("3", TypeError)):
-        with pytest.raises(error, match=f"^`{name}` must be a .*number, got {value!r}$"):
-            LeakyIntegrator(*[value if k == place else 3.0 for k in range(3)])
-    assert LeakyIntegrator(np.float32(3), 10**5000).leak_us == math.inf  # beyond float
+def test_bad_integrators():
+    for arguments, message in (
+        ((0, 3.0), "`threshold` must be a positive number, got 0"),
+        ((3.0, math.nan), "`leak_us` must be a positive number, got nan"),
+        ((3.0, 3.0, "3"), "`charge` must be a number, got '3'"),
+    ):
+        with pytest.raises((ValueError, TypeError), match=f"^{message}$"):
+            LeakyIntegrator(*arguments)

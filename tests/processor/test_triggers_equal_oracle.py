@@ -4,12 +4,10 @@ import copy
 import itertools
 from functools import cache
 
-import numpy as np
-import pytest
 from deciding import uneven
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
-from made import events_of, nasty_streams, random_events, random_model
+from made import nasty_streams, random_events, random_model
 from oracles import Oracle, as_values
 
 from async_tnt import CompiledClassifier, LeakyIntegrator, Processor, TNTConfig
@@ -144,16 +142,3 @@ def test_long_streams(seed, way, hop_us, triggers, size):
     oracle, processor = pair(*way, hop_us=hop_us, **triggers)
     decisions = [d for first in range(0, 1300, size) for d in processor.push(events[first : first + size])]
     assert_equal(oracle, processor, decisions, oracle.push_all(events))
-
-
-def asked(oracle: Oracle, events: np.ndarray) -> list:
-    return [decision for event in events.tolist() for decision in oracle.push(event)]
-
-
-@pytest.mark.parametrize("way", ["callable", "compiled"])
-def test_gaps_of_years_cost_nothing(way):
-    events = events_of([5, 6, 10**9, 10**15, 10**15 + 3, 10**15 + 2000], [1, 2, 3, 4, 5, 6], [1] * 6, [1] * 6)
-    oracle, processor = pair(CONFIG, way, every_us=1)
-    decisions = processor.push(events)
-    assert_equal(oracle, processor, decisions, asked(oracle, events))
-    assert len(decisions) < 12

@@ -1,8 +1,7 @@
 """Images of counts and times: by hand, and those of a stream against the torch reference."""
 
 import numpy as np
-from hypothesis import given
-from made import events_of, nasty_streams
+from made import events_of
 from tnt_reference import count_image, count_timestamp_image
 
 from async_tnt import TNTConfig, TNTVolume
@@ -61,14 +60,3 @@ def test_on_a_larger_grid_an_event_is_shared_by_the_cells_around_it():
     n_on, t_on, *_ = image_of(events, representation="count_time", **settings)
     assert n_on[0].tolist() == [1, 0.5, 0.5, 0] and t_on[0].tolist() == [0.5, 0.25, 0.25, 0]
     assert image_of(events, representation="mean_time", **settings)[0, 0].tolist() == [0.5, 0.25, 0.25, 0]
-
-
-@given(nasty_streams((12, 9), 1000, 50))
-def test_a_volume_holds_what_the_reference_counts(events):
-    config = TNTConfig(sensor=(12, 9), grid=(12, 9), window_us=1000, transform="none", polarity="split")
-    counted, timed = (TNTVolume(config.replace(representation=of, bins=None)) for of in ("count", "count_time"))
-    counted.open(50), timed.open(50)
-    counted.update(events), timed.update(events)
-    assert np.array_equal(counted.array, count_image(*columns(events), sensor=(12, 9)))
-    expected = count_timestamp_image(*columns(events), start_us=50, window_us=1000, sensor=(12, 9))
-    assert np.array_equal(timed.array, expected[[0, 2, 1, 3]])

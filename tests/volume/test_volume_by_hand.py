@@ -21,13 +21,58 @@ def nonzero(array):
     return {tuple(map(int, place)): float(array[tuple(place)]) for place in np.argwhere(array)}
 
 
-def test_first_event_of_a_raw_window_is_in_bin_0():
-    assert nonzero(volume_of(RAW, (0, 5, 7, 1)).array) == {(0, 7, 5): 1.0}
-    assert nonzero(volume_of(RAW, (0, 3, 4, -1)).array) == {(0, 4, 3): -1.0}  # polarity -1 is OFF
+def cells(b, y, x, value=0.25):
+    return {(b, v, u): value for v in y for u in x}
 
 
-def test_event_between_two_bins_is_shared_by_its_distance():
-    assert nonzero(volume_of(RAW, (225, 5, 7, 0)).array) == {(2, 7, 5): -0.75, (3, 7, 5): -0.25}
+TWO = [(100, 10, 16, 1), (200, 14, 16, 1)]
+BY_HAND = {  # configuration, events after the window's start, cells; kept, dropped outside, dropped at TNT time zero
+    "the first event of a raw window is in bin 0": (RAW, [(0, 5, 7, 1)], {(0, 7, 5): 1.0}),
+    "polarity -1 is OFF": (RAW, [(0, 3, 4, -1)], {(0, 4, 3): -1.0}),
+    "between two bins by its distance": (RAW, [(225, 5, 7, 0)], {(2, 7, 5): -0.75, (3, 7, 5): -0.25}),
+    "OFF bins follow all ON bins": (
+        RAW.replace(polarity="split"),
+        [(100, 3, 4, 1), (225, 5, 7, 0)],
+        {(1, 4, 3): 1.0, (9 + 2, 7, 5): 0.75, (9 + 3, 7, 5): 0.25},
+    ),
+    "a larger sensor is mapped corner to corner": (
+        RAW.replace(sensor=(67, 67)),
+        [(0, 66, 66, 1), (0, 0, 0, 1), (0, 33, 0, 1)],
+        {(0, 33, 33): 1.0, (0, 0, 0): 1.0, (0, 0, 16): 0.5, (0, 0, 17): 0.5},
+    ),
+    # tau = 2: u = (20 - 16.5) / 2 + 16.5 = 18.25, v = (12 - 16.5) / 2 + 16.5 = 14.25
+    "the transform divides the distance from the landmark by TNT time": (
+        TNT,
+        [(200, 20, 12, 1)],
+        {(2, 14, 18): 9 / 16, (2, 14, 19): 3 / 16, (2, 15, 18): 3 / 16, (2, 15, 19): 1 / 16},
+    ),
+    # tau = 1: u = x; x = 33 lies on the border u = W - 1. A microsecond earlier it is past it.
+    "the border itself is inside": (TNT, [(100, 33, 0, 1), (99, 33, 16, 1)], {(1, 0, 33): 1.0}, (1, 1, 0)),
+    "TNT time zero is dropped": (TNT, [(0, 16, 16, 1)], {}, (0, 0, 1)),
+    # Event 1 on itself: the centre. Event 2 (tau 2): centroid 12, u = (14 - 12) / 2 + 16.5 = 17.5.
+    "running centres each event on the centroid so far": (
+        TNT.replace(landmark="running", polarity="unsigned"),
+        TWO,
+        cells(1, (16, 17), (16, 17)) | cells(2, (16, 17), (17, 18)),
+    ),
+    # centroid (12, 16): event 1 at tau 1: u = 14.5; event 2 at tau 2: u = 17.5
+    "window centres all events on the centroid at the read": (
+        TNT.replace(landmark="window", polarity="unsigned"),
+        TWO,
+        cells(1, (16, 17), (14, 15)) | cells(2, (16, 17), (17, 18)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BY_HAND)
+@pytest.mark.parametrize("start_us", [0, 1_700_000_000_000_000, (1 << 62) - 801])
+def test_cells(name, start_us):
+    """The same ones whenever the window starts: no microsecond is lost."""
+    config, events, expected, *counted = BY_HAND[name]
+    volume = volume_of(config, *((start_us + t, x, y, p) for t, x, y, p in events), start_us=start_us)
+    assert nonzero(volume.array) == expected
+    counts = volume.counts
+    assert (counts.kept, counts.dropped_outside, counts.dropped_tau_zero) == (counted or [(len(events), 0, 0)])[0]
 
 
 def test_last_microsecond_goes_almost_whole_to_the_last_bin():
@@ -35,40 +80,11 @@ def test_last_microsecond_goes_almost_whole_to_the_last_bin():
     assert array[8, 33, 33] == np.float32(0.99) and array[7, 33, 33] == pytest.approx(0.01, abs=1e-7)
 
 
-def test_transform_divides_the_distance_from_the_landmark_by_tnt_time():
-    # tau = 2 at dt = 200: u = (20 - 16.5) / 2 + 16.5 = 18.25, v = (12 - 16.5) / 2 + 16.5 = 14.25
-    array = volume_of(TNT, (200, 20, 12, 1)).array
-    weights = {14: 0.75, 15: 0.25}, {18: 0.75, 19: 0.25}
-    assert nonzero(array) == {(2, v, u): weights[0][v] * weights[1][u] for v in (14, 15) for u in (18, 19)}
-
-
-def test_the_transformed_border_itself_is_inside():
-    # tau = 1: u = x; x = 33 lies on the border u = W - 1. A microsecond earlier it is past it.
-    volume = volume_of(TNT, (100, 33, 0, 1), (99, 33, 16, 1))
-    assert nonzero(volume.array) == {(1, 0, 33): 1.0}
-    assert (volume.counts.kept, volume.counts.dropped_outside) == (1, 1)
-
-
 def test_a_ten_millionth_of_a_pixel_past_the_border_is_outside():
     """Only rounding is forgiven: tau = 1 - 1e-8 puts u at 33 + 1.65e-7."""
     config = TNT.replace(window_us=800_000_000)
     assert volume_of(config, (99_999_999, 33, 16, 1)).counts.dropped_outside == 1
     assert volume_of(config, (100_000_000, 33, 16, 1)).counts.kept == 1
-
-
-def test_tnt_time_zero_is_dropped_and_counted():
-    volume = volume_of(TNT, (0, 16, 16, 1))
-    assert not volume.array.any()
-    assert volume.counts.dropped_tau_zero == 1 and volume.counts.kept == 0
-
-
-def test_running_landmark_centres_each_event_on_the_centroid_so_far():
-    # Event 1 on itself: the centre. Event 2 (tau 2): centroid 12, u = (14 - 12) / 2 + 16.5 = 17.5.
-    volume = volume_of(TNT.replace(landmark="running", polarity="unsigned"), (100, 10, 16, 1), (200, 14, 16, 1))
-    assert volume.landmark == (12.0, 16.0)
-    array = volume.array
-    assert array[1].sum() == 1.0 and array[1, 16, 16] == 0.25
-    assert nonzero(array[2]) == {(16, 17): 0.25, (16, 18): 0.25, (17, 17): 0.25, (17, 18): 0.25}
 
 
 def test_line_landmark_is_the_ridge_line_at_the_windows_start():
@@ -88,29 +104,22 @@ def test_remove_flow_displaces_an_event_from_the_line_itself():
     assert (array[3].T * np.arange(34)).sum() == pytest.approx(16.5 - 32 / 33, abs=1e-5)
 
 
-def test_window_landmark_centres_all_events_on_the_centroid_at_the_read():
-    # centroid (12, 16): event 1 at tau 1: u = 14.5; event 2 at tau 2: u = 17.5
-    volume = volume_of(TNT.replace(landmark="window", polarity="unsigned"), (100, 10, 16, 1), (200, 14, 16, 1))
-    array = volume.array
-    assert nonzero(array[1]) == {(v, u): 0.25 for v in (16, 17) for u in (14, 15)}
-    assert nonzero(array[2]) == {(v, u): 0.25 for v in (16, 17) for u in (17, 18)}
-
-
-def test_split_polarity_puts_off_bins_behind_on_bins():
-    array = volume_of(RAW.replace(polarity="split"), (100, 3, 4, 1), (225, 5, 7, 0)).array
-    assert nonzero(array) == {(1, 4, 3): 1.0, (9 + 2, 7, 5): 0.75, (9 + 3, 7, 5): 0.25}
-
-
-def test_a_larger_sensor_maps_corner_to_corner():
-    config = TNTConfig(sensor=(67, 67), grid=(34, 34), transform="none", window_us=800)
-    array = volume_of(config, (0, 66, 66, 1), (0, 0, 0, 1), (0, 33, 0, 1)).array
-    assert nonzero(array) == {(0, 33, 33): 1.0, (0, 0, 0): 1.0, (0, 0, 16): 0.5, (0, 0, 17): 0.5}
-
-
-@pytest.mark.parametrize("start_us", [0, 1_700_000_000_000_000, (1 << 62) - 801])
-def test_epoch_sized_times_lose_nothing(start_us):
-    array = volume_of(RAW, (start_us + 225, 5, 7, 1), start_us=start_us).array
-    assert nonzero(array) == {(2, 7, 5): 0.75, (3, 7, 5): 0.25}
+def test_times_in_a_window_of_events_are_scaled_by_the_newest():
+    """At TNT time 1 an event stays where it is, at 2 it is at half its distance from the centre; the last bin is the
+    newest event's."""
+    volume = TNTVolume(TNTConfig(sensor=(5, 3), grid=(5, 3), bins=3, t_max=2.0, landmark="center", window_events=3))
+    volume.update(([100, 150], [4, 4], [1, 1], [1, 1]))
+    expected = np.zeros((3, 3, 5))
+    expected[2, 1, 3] = 1  # tau = 2; the first event, at tau = 0, is dropped
+    assert np.array_equal(volume.array, expected)
+    volume.update_one(200, 2, 1, 0)
+    expected[:] = 0
+    expected[1, 1, 4] = 1  # now tau = 1, in the middle bin
+    expected[2, 1, 2] = -1
+    assert np.array_equal(volume.array, expected)
+    assert volume.counts.dropped_tau_zero == 1
+    volume.update_one(201, 0, 0, 1)  # the next window: one event, no duration
+    assert not volume.array.any() and (volume.start_us, volume.n_events) == (201, 1)
 
 
 @pytest.mark.parametrize(("v", "w"), [(8, -16), (-24, 8)])

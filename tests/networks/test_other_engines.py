@@ -1,0 +1,197 @@
+"""OnnxClassifier and TorchClassifier: the networks of other programs, wrong ones, threads, copies."""
+
+import copy
+import pickle
+import re
+
+import numpy as np
+import pytest
+import torch
+from made import random_events, random_model
+from networks.foreign import WEIGHTS, TensorProto, linear, network, node, onnx
+
+from async_tnt import Processor, TNTConfig
+from async_tnt.networks import OnnxClassifier, TorchClassifier, to_onnx
+
+VOLUME = np.random.default_rng(1).normal(size=(2, 6, 5)).astype(np.float32)
+CONFIG = TNTConfig(sensor=(5, 6), grid=(5, 6), bins=2, window_us=1000, landmark="center", t_max=1.0)
+LINEAR = torch.nn.Linear(60, 3)
+LINEAR.load_state_dict({"weight": torch.tensor(WEIGHTS["w"].T), "bias": torch.tensor(WEIGHTS["b"])})
+MODULE = torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Dropout(0.5), LINEAR).eval()
+
+
+@pytest.fixture(autouse=True)
+def _one_thread():
+    yield
+    torch.set_num_threads(1)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_any_form_of_a_network_takes_any_float_volume_and_its_answers_share_no_memory(tmp_path):
+    content, path, proto = network(), tmp_path / "net.onnx", onnx.ModelProto()
+    path.write_bytes(content)
+    proto.ParseFromString(content)
+    of_any_batch = network(inputs=[("x:0", ("batch", 2, 6, 5))], outputs=[("y", ("batch", 3))])
+    example = torch.zeros(1, 2, 6, 5)
+    program, scripted = torch.export.export(MODULE, (example,)), torch.jit.trace(MODULE, example)
+    modules = (MODULE, scripted, program, program.module(), copy.deepcopy(MODULE).double(), lambda v: MODULE(v)[0])
+    read_only = VOLUME.copy()
+    read_only.flags.writeable = False
+    strided = np.repeat(VOLUME, 2, 2)[:, :, ::2]
+    for net in (
+        *map(OnnxClassifier, (content, bytearray(content), path, str(path), proto, of_any_batch)),
+        *map(TorchClassifier, modules),
+    ):
+        first = net(VOLUME)
+        kept = first.copy()
+        assert type(first) is np.ndarray and first.dtype == np.float32 and first.shape == (3,)
+        assert np.allclose(first, linear(VOLUME), atol=1e-5)
+        for volume in (read_only, np.asfortranarray(VOLUME), VOLUME.astype(np.float64), strided):
+            assert np.array_equal(net(volume), kept) and np.array_equal(volume, VOLUME)
+        assert not np.array_equal(net(2 * VOLUME), kept) and np.array_equal(first, kept)
+
+
+# -- ONNX -------------------------------------------------------------------------------------------------
+
+
+def test_what_is_no_network_or_no_volume_of_it(tmp_path):
+    with pytest.raises(TypeError, match=r"`path_or_bytes` must be a path, bytes or an onnx\.ModelProto, got int"):
+        OnnxClassifier(5)
+    with pytest.raises(FileNotFoundError, match=r"^no file .*nothing\.onnx$"):
+        OnnxClassifier(tmp_path / "nothing.onnx")
+    with pytest.raises(ValueError, match=f"^{re.escape(str(tmp_path))} is not a readable ONNX network: "):
+        OnnxClassifier(tmp_path)
+    with pytest.raises(ValueError, match=r"^`volume` must have shape \(2, 6, 5\), got \(1, 2, 6, 5\)$"):
+        OnnxClassifier(network())(VOLUME[None])
+
+
+def test_sides_left_open_need_a_shape():
+    pool = [node("GlobalAveragePool", ["image"], ["scores"])]
+    content = network(pool, inputs=[("image", (1, 2, "height", "width"))], outputs=[("scores", (1, 2, 1, 1))])
+    net = OnnxClassifier(content, shape=(2, 6, 5))
+    assert np.allclose(net(VOLUME), VOLUME.mean((1, 2)), atol=1e-6)
+    assert np.array_equal(copy.deepcopy(net)(VOLUME), net(VOLUME))
+    for shape, message in [
+        (None, r"input \(1, 2, height, width\) leaves sides open: `shape` must be \(C, H, W\)"),
+        ((3, 6, 5), r"`shape` must fit the network's input \(1, 2, height, width\), got \(3, 6, 5\)"),
+        ((2, 1 << 20, 1 << 20), r"must have at most 268_435_456 cells"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            OnnxClassifier(content, shape=shape)
+
+
+RELU = [node("Relu", ["image"], ["scores"])]
+TWO_INPUTS = [node("Flatten", ["a"], ["fa"]), node("Flatten", ["b"], ["fb"]), node("Add", ["fa", "fb"], ["scores"])]
+TWO_OUTPUTS = [node("Relu", ["image"], ["one"]), node("Abs", ["image"], ["two"])]
+MAPS = (1, 2, 6, 5)
+WRONG = {
+    "two inputs": (
+        network(TWO_INPUTS, inputs=[("a", MAPS), ("b", MAPS)], outputs=[("scores", (1, 60))]),
+        "must have one input, a volume, tensor(float) of shape (1, C, H, W), or of any number of them; "
+        "got 'a' tensor(float) (1, 2, 6, 5), 'b' tensor(float) (1, 2, 6, 5)",
+    ),
+    "two outputs": (
+        network(TWO_OUTPUTS, outputs=[("one", MAPS), ("two", MAPS)]),
+        "must have one output, logits (1, n_classes), tensor(float); got 'one' tensor(float) (1, 2, 6, 5), 'two' ",
+    ),
+    "a batch of 8": (
+        network(inputs=[("image", (8, 2, 6, 5))], outputs=[("scores", (8, 3))]),
+        "got 'image' tensor(float) (8, 2, 6, 5)",
+    ),
+    "float64": (network(dtype=TensorProto.DOUBLE), "got 'image' tensor(double) (1, 2, 6, 5)"),
+    "a map": (
+        network(RELU, outputs=[("scores", MAPS)]),
+        "must give logits (1, n_classes) of a volume, got shape (1, 2, 6, 5)",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_network_that_is_not_a_classifier_of_volumes(what, tmp_path, capfd):
+    content, message = WRONG[what]
+    path = tmp_path / "{what} 100%.onnx"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=rf"^{re.escape(str(path))}: the network('s)? .*{re.escape(message)}"):
+        OnnxClassifier(path)
+    with pytest.raises(ValueError, match=r"^the ONNX network of [\d_]+ bytes: "):
+        OnnxClassifier(content)
+    assert capfd.readouterr() == ("", "")  # onnxruntime prints nothing by itself
+
+
+def test_threads_reach_onnxruntime():
+    options = OnnxClassifier(network(), threads=3)._session.get_session_options()
+    assert (options.intra_op_num_threads, options.inter_op_num_threads) == (3, 3)
+    assert options.get_session_config_entry("session.intra_op.allow_spinning") == "0"
+
+
+def test_copies_and_pickles_open_the_network_again(tmp_path):
+    path = tmp_path / "net.onnx"
+    path.write_bytes(to_onnx(random_model(CONFIG, classes=3, widths=(2, 2, 2))).SerializeToString())
+    for source in (path, path.read_bytes()):
+        net = OnnxClassifier(source, threads=2)
+        for duplicate in (copy.copy(net), copy.deepcopy(net), pickle.loads(pickle.dumps(net))):
+            assert duplicate is not net and np.array_equal(duplicate(VOLUME), net(VOLUME))
+            assert (duplicate.threads, duplicate.config, duplicate.classes) == (2, net.config, net.classes)
+
+
+# -- torch ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_bare_module_as_a_classifier_says_how_it_is_passed():
+    """One that takes arrays is fine as it is."""
+
+    class OfArrays(torch.nn.Module):
+        def forward(self, volume):
+            return MODULE(torch.tensor(volume)[None]).detach()
+
+    for bare in (MODULE, torch.jit.trace(MODULE, torch.zeros(1, 2, 6, 5))):
+        message = r"a torch module is wrapped, TorchClassifier\(module\), or compiled"
+        with pytest.raises(TypeError, match=message) as raised:
+            Processor(CONFIG, classifier=bare).fire()
+        assert raised.value.__cause__ is not None and "\n" not in str(raised.value)
+    assert Processor(CONFIG, classifier=OfArrays()).fire().logits.shape == (3,)
+
+
+def test_eval_and_inference_mode():
+    seen = []
+
+    class Watching(torch.nn.Module):
+        def forward(self, volume):
+            seen.append((self.training, torch.is_inference_mode_enabled(), tuple(volume.shape), volume.dtype))
+            return volume.sum().reshape(1, 1)
+
+    net = torch.nn.Sequential(Watching(), torch.nn.Dropout(0.9)).train()
+    assert np.isclose(TorchClassifier(net)(VOLUME), VOLUME.sum(), atol=1e-4).all()
+    assert seen == [(False, True, (1, 2, 6, 5), torch.float32)] and not net.training
+    assert not torch.is_inference_mode_enabled()
+
+
+def test_a_module_that_works_in_place_or_keeps_its_input_does_not_touch_the_window():
+    kept = []
+
+    def greedy(volume):
+        kept.append(volume)
+        return volume.mul_(-1).flatten(1)[:, :3]
+
+    processor = Processor(CONFIG, classifier=TorchClassifier(greedy))
+    processor.push(random_events(300, sensor=(5, 6), duration_us=900))
+    before = processor.volume().copy()
+    processor.fire()
+    assert before.any() and np.array_equal(processor.volume(), before)
+    first = kept[0].clone()
+    processor.push(random_events(300, sensor=(5, 6), duration_us=900, start_us=90, seed=1))
+    processor.fire()
+    assert torch.equal(kept[0], first) and not torch.equal(kept[1], first)
+
+
+def test_wrong_answers_and_settings():
+    for call, error, message in (
+        (lambda: TorchClassifier(lambda v: v)(VOLUME), ValueError, r"must return logits \(1, n_classes\), got shape"),
+        (lambda: TorchClassifier(lambda v: (v, 1))(VOLUME), TypeError, "must return a tensor of logits, got tuple"),
+        (lambda: TorchClassifier(len, threads=0), ValueError, r"^`threads` must be at least 1, got 0$"),
+        (lambda: OnnxClassifier(network(), threads=0), ValueError, r"^`threads` must be at least 1, got 0$"),
+        (lambda: TorchClassifier(5), TypeError, r"^`module` must be callable, got int$"),
+    ):
+        with pytest.raises(error, match=message):
+            call()

@@ -1,0 +1,90 @@
+"""Random torch modules and ONNX files: what is accepted computes what torch or onnxruntime does, for any volume.
+
+ASYNC_TNT_FUZZ_CASES makes it a long run: it was 20,000 modules and 5,000 files once.
+"""
+
+import copy
+import os
+
+import numpy as np
+import pytest
+import torch
+from networks import random_modules
+
+from async_tnt import CompiledClassifier, Model, TNTConfig, TNTVolume, load_model, open_recording
+from async_tnt.networks.onnx_operations import RULES
+from async_tnt.sources import sample_recordings
+
+CASES = int(os.environ.get("ASYNC_TNT_FUZZ_CASES", "300"))
+OF_MODULES = TNTConfig(sensor=(11, 12), grid=(11, 12), bins=3)
+OF_FILES = TNTConfig(sensor=(8, 9), grid=(8, 9), bins=2)
+
+
+def volumes_of(config: TNTConfig, seed: int) -> list[np.ndarray]:
+    """Sparse counts, these times 100, only negative ones, zeros, and recorded events."""
+    rng = np.random.default_rng(seed)
+    sparse = rng.poisson(0.1, config.shape) * rng.choice([-1.0, 1.0], config.shape)
+    recorded = TNTVolume(TNTConfig(sensor=(34, 34), grid=config.grid, bins=config.bins, t_max=2.0))
+    events = open_recording(sample_recordings()[seed % 10]).read()
+    recorded.open(int(events["t"][0]))
+    recorded.update(events[:1000])
+    volumes = sparse, 100 * sparse, -np.abs(sparse) - 1, np.zeros(config.shape), recorded.array
+    return [volume.astype(np.float32) for volume in volumes]
+
+
+def compiled_logits(model: Model, volumes: list[np.ndarray]) -> np.ndarray:
+    return np.stack([CompiledClassifier(model)(volume) for volume in volumes]).astype(np.float64)
+
+
+def torch_logits(module: torch.nn.Module, volumes: list[np.ndarray], dtype: torch.dtype) -> np.ndarray:
+    module = copy.deepcopy(module).to(dtype).eval()
+    with torch.no_grad():
+        return np.stack([module(torch.tensor(v, dtype=dtype)[None]).numpy().reshape(-1) for v in volumes])
+
+
+@pytest.mark.filterwarnings("ignore:Using padding='same' with even kernel")
+def test_a_module_that_is_accepted_is_right():
+    """Within 1e-4 of the largest logit of the module in float64, or four times torch's own error in float32."""
+    assert OF_MODULES.shape == random_modules.SHAPE
+    accepted, classes = 0, [str(k) for k in range(random_modules.N_CLASSES)]
+    for seed in range(CASES):
+        module = random_modules.random_module(seed).module
+        before = copy.deepcopy(module)
+        try:
+            model = Model.from_torch(module, OF_MODULES, classes)
+        except (NotImplementedError, ValueError):
+            continue
+        accepted, volumes = accepted + 1, volumes_of(OF_MODULES, seed)
+        expected, rounded = (torch_logits(before, volumes, dtype) for dtype in (torch.float64, torch.float32))
+        bound = max(1e-4 * np.abs(expected).max(), 4 * np.abs(rounded - expected).max())
+        assert np.abs(compiled_logits(model, volumes) - expected).max() <= bound, seed
+    assert accepted > CASES // 3
+
+
+def test_a_file_that_is_accepted_is_right(tmp_path):
+    """Within 1e-4 of the largest number, after a softmax if there is one. Every operation is read somewhere."""
+    onnxruntime = pytest.importorskip("onnxruntime", reason="needs onnxruntime: pip install 'async_tnt[onnx]'")
+    from networks import random_onnx
+
+    assert OF_FILES.shape == random_onnx.SHAPE
+    accepted, path, operations = 0, tmp_path / "net.onnx", set()
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level, options.intra_op_num_threads = 4, 1
+    for seed in range(CASES):
+        proto = random_onnx.random_onnx(seed)
+        path.write_bytes(proto.SerializeToString())
+        try:
+            model = load_model(path, config=OF_FILES)
+        except (NotImplementedError, ValueError):
+            continue
+        accepted, volumes = accepted + 1, volumes_of(OF_FILES, seed)
+        session = onnxruntime.InferenceSession(path, options)
+        expected = np.stack([session.run(None, {"x": volume[None]})[0].reshape(-1) for volume in volumes])
+        found, found_in = compiled_logits(model, volumes), {node.op_type for node in proto.graph.node}
+        if "Softmax" in found_in:
+            odds = np.exp(found - found.max(axis=1, keepdims=True))
+            found = odds / odds.sum(axis=1, keepdims=True)
+        assert found.shape == expected.shape
+        assert np.abs(found - expected).max() <= 1e-4 * np.abs(expected).max(), seed
+        operations |= found_in
+    assert accepted > 0.4 * CASES and operations == set(RULES)

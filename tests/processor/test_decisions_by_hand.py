@@ -1,0 +1,325 @@
+"""Which decisions fall when, by hand, for every trigger. For any stream: test_triggers_equal_oracle.py.
+
+The classifier's two logits are the events' number and 0, so that after n events the first class has probability
+1 / (1 + exp(-n)): .731, .881, .953, .982, .993 ...
+"""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from deciding import summary
+from made import random_model
+
+from async_tnt import CompiledClassifier, Counts, LeakyIntegrator, Model, Processor, TNTConfig
+
+CONFIG = TNTConfig(sensor=(8, 8), grid=(8, 8), bins=1, window_us=1000, transform="none", polarity="unsigned")
+
+
+def number_of_events(volume):
+    return [float(volume.sum()), 0.0]
+
+
+@cache
+def compiled_number_of_events() -> CompiledClassifier:
+    """The same, compiled: the network's two poolings take a mean, 16 times it is the sum over a quarter."""
+    weights = {name: np.zeros_like(w) for name, w in random_model(CONFIG, classes=2, widths=(1, 1, 1)).weights.items()}
+    weights["conv1.weight"][0, 0, 1, 1] = weights["conv2.weight"][0, 0, 1, 1] = 1
+    weights["fc1.weight"][:] = 16
+    weights["fc2.weight"][0] = 1
+    return CompiledClassifier(Model(CONFIG, weights, ("many", "few")))
+
+
+@pytest.fixture(params=["callable", "compiled"])
+def classifier(request):
+    return number_of_events if request.param == "callable" else compiled_number_of_events()
+
+
+def at(*times):
+    n = len(times)
+    return list(times), [k % 8 for k in range(n)], [k % 5 for k in range(n)], [1] * n
+
+
+SURE, BY_3 = {"confidence": 0.95}, {"config": {"window_events": 3}}
+BY_HAND = {  # settings, times of events, all decisions, events counted as dropped_decided and dropped_late if any
+    # -- windows
+    "windows start where asked, and earlier events are late": (
+        {"start_us": 7000},
+        (5, 7000, 7001, 6, 7999, 7, 8000, 9500, 8),
+        [("window", 7000, 7999, 3), ("window", 8000, 8000, 1), ("end", 9000, 9500, 1)],
+        (0, 4),
+    ),
+    "empty windows are skipped, however many": (
+        {},
+        (0, 10**14 + 1),
+        [("window", 0, 0, 1), ("end", 10**14, 10**14 + 1, 1)],
+    ),
+    "an event exactly at the end of an empty window skips it": (
+        {"start_us": 0},
+        (0, 2000),
+        [("window", 0, 0, 1), ("end", 2000, 2000, 1)],
+    ),
+    "overlapping windows each hold their own events": (
+        {"hop_us": 500},
+        (0, 400, 700, 1000, 1500, 2400),
+        [
+            ("window", 0, 700, 3),
+            ("window", 500, 1000, 2),
+            ("window", 1000, 1500, 2),
+            ("end", 1500, 2400, 2),
+            ("end", 2000, 2400, 1),
+        ],
+    ),
+    # -- every_us, every_events
+    "every_us counts from the window's start": (
+        {"every_us": 200},
+        (100, 150, 350, 360, 900, 1250),
+        [
+            ("every_us", 100, 150, 2),  # at 300
+            ("every_us", 100, 360, 4),  # at 500; at 700 nothing new
+            ("window", 100, 900, 5),  # at 900 the fifth event is new, but shows up at 1100 with the window's end
+            ("end", 1100, 1250, 1),
+        ],
+    ),
+    "every_us decides without the event that shows the time": (
+        {"every_us": 200},
+        (0, 199, 200),
+        [("every_us", 0, 199, 2), ("end", 0, 200, 3)],
+    ),
+    "a moment at the window's end is the window's end": (
+        {"every_us": 500},
+        (0, 600, 1000),
+        [("every_us", 0, 0, 1), ("window", 0, 600, 2), ("end", 1000, 1000, 1)],
+    ),
+    "every_us decides nothing twice, and nothing of an empty window": (
+        {"every_us": 5, "every_events": 2, "start_us": 0},
+        (7, 8, 13),
+        [("every_events", 0, 8, 2), ("end", 0, 13, 3)],
+    ),
+    "every_events counts within the window": (
+        {"every_events": 2},
+        (0, 1, 2, 3, 4, 1000, 1001),
+        [
+            ("every_events", 0, 1, 2),
+            ("every_events", 0, 3, 4),
+            ("window", 0, 4, 5),
+            ("every_events", 1000, 1001, 2),
+            ("end", 1000, 1001, 2),
+        ],
+    ),
+    "late events make nothing due": (
+        {"every_events": 2, "every_us": 300, "start_us": 1000},
+        (1000, 5, 6, 7, 1001, 5, 6, 7, 8, 1500, 1700),
+        [
+            ("every_events", 1000, 1001, 2),
+            ("every_us", 1000, 1500, 3),
+            ("every_events", 1000, 1700, 4),
+            ("end", 1000, 1700, 4),
+        ],
+        (0, 7),
+    ),
+    # -- confidence
+    "the event that reaches the level ends the window": (SURE, (0, 10, 20, 30, 40), [("confidence", 0, 20, 3)], (2, 0)),
+    "the next windows lie on the same grid": (
+        SURE | {"start_us": 100},
+        (150, 160, 170, 180, 1099, 1100, 1101, 1102, 1103, 5500, 5501),
+        [("confidence", 100, 170, 3), ("confidence", 1100, 1102, 3), ("end", 5100, 5501, 2)],
+        (3, 0),
+    ),
+    "a window that does not reach it ends as usual": (
+        SURE,
+        (0, 900, 1000, 1001, 1002),
+        [("window", 0, 900, 2), ("confidence", 1000, 1002, 3)],
+    ),
+    "events before the window that was closed are late": (
+        SURE | {"start_us": 1000},
+        (1500, 1501, 1502, 1503, 999, 1000, 1999, 5),
+        [("confidence", 1000, 1502, 3)],
+        (3, 2),
+    ),
+    "events before a window that was closed at its end are late": (
+        SURE | {"start_us": 0},
+        (0, 1, 2, 3, 1000, 2000, 2001, 2002, 5, 2003),
+        [("confidence", 0, 2, 3), ("window", 1000, 1000, 1), ("confidence", 2000, 2002, 3)],
+        (2, 1),
+    ),
+    "of two windows closed in a row the first is remembered, too": (
+        SURE | {"start_us": 0},
+        (0, 1, 2, 1000, 1001, 1002, 3),
+        [("confidence", 0, 2, 3), ("confidence", 1000, 1002, 3)],
+        (1, 0),
+    ),
+    "with every_us it is checked only there": (
+        SURE | {"every_us": 100},
+        (0, 50, 150, 160, 170, 180, 290, 1000),
+        [("every_us", 0, 50, 2), ("confidence", 0, 180, 6), ("end", 1000, 1000, 1)],
+        (1, 0),  # the one at 290 shows that it is 200
+    ),
+    "at a window's end it is not checked: the window is complete anyhow": (
+        SURE | {"every_us": 5000},
+        (0, 1, 2, 3, 4, 1000),
+        [("window", 0, 4, 5), ("end", 1000, 1000, 1)],
+    ),
+    "overlapping windows continue by themselves": (
+        SURE | {"every_events": 1, "hop_us": 400},
+        (0, 410, 420, 430, 900, 1500),
+        [
+            ("every_events", 0, 0, 1),
+            ("every_events", 0, 410, 2),
+            ("confidence", 0, 420, 3),
+            ("confidence", 400, 430, 3),  # it holds 410 and 420, too, but is the oldest only at 430
+            ("every_events", 800, 900, 1),
+            ("every_events", 800, 1500, 2),
+            ("end", 800, 1500, 2),
+            ("end", 1200, 1500, 1),
+        ],
+    ),
+    "the next window's moments count from its own start": (  # the first would be due at 900, the next one at 500 + 300
+        SURE | {"every_events": 3, "every_us": 300, "hop_us": 500},
+        (0, 510, 650, 850),
+        [
+            ("every_us", 0, 0, 1),
+            ("every_us", 0, 510, 2),
+            ("confidence", 0, 650, 3),
+            ("every_us", 500, 650, 2),
+            ("confidence", 500, 850, 3),
+        ],
+    ),
+    # -- activity
+    "activity fires where it reaches the threshold": (  # 1, 1 + 1/e = 1.368, 1 + 1.368/e = 1.503; then from 0 again
+        {"activity": LeakyIntegrator(1.37, 10.0)},
+        range(0, 90, 10),
+        [("activity", 0, 20, 3), ("activity", 0, 50, 6), ("activity", 0, 80, 9), ("end", 0, 80, 9)],
+    ),
+    "activity counts across windows": (
+        {"activity": LeakyIntegrator(4.0, math.inf)},
+        (0, 1, 2, 3, 4, 1000, 1001, 5000, 5001, 5002, 5003, 9000, 9001),
+        [
+            ("activity", 0, 3, 4),
+            ("window", 0, 4, 5),
+            ("window", 1000, 1001, 2),
+            ("activity", 5000, 5000, 1),
+            ("window", 5000, 5003, 4),
+            ("activity", 9000, 9000, 1),
+            ("end", 9000, 9001, 2),
+        ],
+    ),
+    "late events do not charge": (
+        {"activity": LeakyIntegrator(2.0, 1e9), "start_us": 5000},
+        (5000, 4000, 3000, 2000, 5001),
+        [("end", 5000, 5001, 2)],
+        (0, 3),
+    ),
+    "events older than the newest do not charge where they are dropped": (
+        {"activity": LeakyIntegrator(2.0, 1e9), "late": "drop"},
+        (5000, 4999, 4999, 5000),
+        [("activity", 5000, 5000, 2), ("end", 5000, 5000, 2)],
+        (0, 2),
+    ),
+    "events of a window that was closed early do not charge": (
+        {"activity": LeakyIntegrator(2.0, 1e9), "confidence": 0.85},
+        (0, 0, 1, 2, 3, 4, 1000, 1000),
+        [("confidence", 0, 0, 2), ("confidence", 1000, 1000, 2)],
+        (4, 0),
+    ),
+    # -- windows of a number of events
+    "a window of events is decided with its last one, and the next begins with the one after": (
+        BY_3,
+        (5, 7, 20, 900, 950, 1000, 1001),
+        [("window", 5, 20, 3), ("window", 900, 1000, 3), ("end", 1001, 1001, 1)],
+    ),
+    "a late event is not one of them, and a long pause ends a window": (
+        {"config": {"window_events": 3, "window_us": 100}},
+        (50, 40, 60, 149, 30, 130, 260),
+        [("window", 50, 149, 3), ("window", 30, 30, 1), ("window", 130, 130, 1), ("end", 260, 260, 1)],
+        (0, 1),
+    ),
+    "the other triggers decide within them": (
+        BY_3 | {"every_events": 2},
+        (1, 2, 3, 4, 5),
+        [("every_events", 1, 2, 2), ("window", 1, 3, 3), ("every_events", 4, 5, 2), ("end", 4, 5, 2)],
+    ),
+    "a confident one begins the next": (
+        SURE | {"config": {"window_events": 9}},
+        (1, 2, 3, 4, 5, 6, 7, 8),
+        [("confidence", 1, 3, 3), ("confidence", 4, 6, 3), ("end", 7, 8, 2)],
+    ),
+    "equal times make windows that begin at the same moment": (
+        BY_3,
+        (7, 7, 7, 7, 7, 7, 8),
+        [("window", 7, 7, 3), ("window", 7, 7, 3), ("end", 8, 8, 1)],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BY_HAND)
+@pytest.mark.parametrize("single", [False, True])
+def test_by_hand(classifier, name, single):
+    settings, times, expected, *dropped = BY_HAND[name]
+    settings = dict(settings)
+    processor = Processor(CONFIG.replace(**settings.pop("config", {})), classifier=classifier, **settings)
+    decisions = [d for t in times for d in processor.push(at(t))] if single else processor.push(at(*times))
+    decisions += processor.finish()
+    assert summary(decisions) == expected
+    counts = processor.counts
+    assert [(counts.dropped_decided, counts.dropped_late)] == (dropped or [(0, 0)])
+    for decision in decisions:
+        assert decision.complete == (decision.trigger in ("window", "confidence"))
+        assert decision.probability == pytest.approx(1 / (1 + np.exp(-float(decision.events))))
+
+
+def test_switched_off_after_it_closed_a_window(classifier):
+    """Events that still arrive for that window are dropped, on the path without triggers, too."""
+    processor = Processor(CONFIG, classifier=classifier, confidence=0.95)
+    processor.push(at(0, 1, 2))
+    processor.confidence = None
+    for t in (3, 4, 999):
+        assert processor.push_one(t, 1, 1, 1) == []
+    assert processor.counts == Counts(received=6, kept=3, dropped_decided=3)
+    assert processor.push(at(1000)) == []
+    assert summary(processor.finish()) == [("end", 1000, 1000, 1)]
+
+
+@pytest.mark.parametrize("way", ["callable", "compiled"])
+@pytest.mark.parametrize("n_classes, probability", [(1, 1.0), (2, 0.5), (4, 0.25)])
+def test_a_level_that_is_just_reached(way, n_classes, probability):
+    """Classes that are all alike: exactly 1 / n each."""
+    model = random_model(CONFIG, classes=n_classes, widths=(1, 1, 1))
+    alike = {name: np.zeros_like(w) for name, w in model.weights.items()}
+    compiled = CompiledClassifier(Model(CONFIG, alike, model.classes))
+    classifier = compiled if way == "compiled" else lambda volume: [0.0] * n_classes
+    for confidence, closes in ((probability, True), (min(1.0, np.nextafter(probability, 2)), n_classes == 1)):
+        for push in (lambda p: p.push_one(0, 1, 1, 1), lambda p: p.push(at(0))):
+            processor = Processor(CONFIG, classifier=classifier, confidence=confidence)
+            assert summary(push(processor)) == ([("confidence", 0, 0, 1)] if closes else [])
+
+
+@pytest.mark.parametrize(("last", "fires"), [(10, True), (11, False)])
+def test_another_activity_begins_as_on_a_new_stream(classifier, last, fires):
+    """Earlier events count neither as charge nor as time: 0.4 at 9 us, then 0.4/e + 0.4 = 0.547 or 0.4/e^2 + 0.4."""
+    processor = Processor(CONFIG, classifier=classifier, activity=LeakyIntegrator(1.5, 1.0), start_us=0)
+    assert processor.push(at(10)) == []
+    processor.activity = LeakyIntegrator(0.5, 1.0, 0.4)
+    assert processor.push(at(9)) == []  # older than the newest, and accepted
+    assert bool(processor.push(at(last))) == fires
+
+
+def test_no_events_no_decisions(classifier):
+    """Time passes with events only."""
+    triggers = {"every_us": 1, "every_events": 1, "confidence": 0.01, "activity": LeakyIntegrator(0.1, 1.0)}
+    processor = Processor(CONFIG, classifier=classifier, start_us=0, **triggers)
+    for empty in (None, [], at()):
+        assert processor.push(empty) == []
+    assert processor.finish() == [] and processor.counts.received == 0
+
+
+def test_a_stream_may_continue_after_finish(classifier):
+    processor = Processor(CONFIG, classifier=classifier)
+    processor.push(at(0, 10))
+    assert summary(processor.finish()) == [("end", 0, 10, 2)]
+    assert processor.finish() == []
+    assert processor.fire().events == 0 and not processor.volume().any() and processor.counts.received == 2
+    assert processor.push_one(500, 3, 3, 1) == [] and processor.counts.dropped_late == 1
+    assert processor.push_one(1500, 3, 3, 1) == []
+    assert summary(processor.finish()) == [("end", 1000, 1500, 1)]
