@@ -29,7 +29,7 @@ class Decision:
     events: int
     """Events in the window so far."""
     complete: bool
-    """Whether the window is closed: this is its last decision."""
+    """Whether this decision closes the window: at its end, or early by `confidence`; not at the end of the stream."""
     trigger: Trigger
     """What caused it: `window` (which closed), `every_us`, `every_events`, `activity`, `confidence` (which closed the
     window), `fire` (on demand), `end` (of the stream)."""

@@ -2,7 +2,7 @@
 
 A packet:    push -> EventDecoder.decode -> WindowScheduler.absorb -> TNTVolume.absorb -> kernels.absorb
 A decision:  time passes (`_advance`), or an event makes one due (`_absorb_until_decision`) -> WindowClassifier.decide
-             or, for the compiled classifier, many in one compiled call -> WindowClassifier.decide_stretch
+Both:        with triggers that look at each event, in one compiled call -> WindowClassifier.decide_stretch
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class Processor(TriggerAttributes):
         windows = self._windows
         decisions: list[Decision] = []
         first, n = 0, columns.n
-        while first < n or windows.is_full:  # full already: its decision failed
+        while first < n or windows.is_full:  # a window that was full before: the classifier raised an error
             if not len(windows):
                 self._open_windows(int(columns.t[first]))
             if self._by_event:
@@ -181,9 +181,9 @@ class Processor(TriggerAttributes):
         """Add events until one makes a decision due (compiled code may add more); returns the first one not added."""
         windows, oldest, state = self._windows, self._windows.oldest, self._triggers.state
         if self._classifier.decides_in_stretches:
-            before = oldest.n_late, oldest.n_decided
+            before = oldest.n_late, oldest.n_dropped_decided
             absorbed, new, error = self._classifier.decide_stretch(oldest, state, columns, first, columns.n)
-            windows.count_absorbed(columns, first, absorbed, before)
+            windows.absorb_into_younger(columns, first, absorbed, before)
             if error is not None:
                 raise error
         else:
@@ -213,7 +213,7 @@ class Processor(TriggerAttributes):
             oldest, end_us = windows.oldest, windows.oldest_end_us
             if triggers.next_due_us <= t_us and triggers.next_due_us < end_us:
                 new = []
-                if oldest.n_events > triggers.n_decided:
+                if oldest.n_events > triggers.n_at_decision:
                     new.append(self._classifier.decide(oldest, "every_us", confidence=triggers.settings.confidence))
                 triggers.schedule(min(t_us, end_us), oldest.start_us)
                 self._accept(new, t_us, decisions)
@@ -240,7 +240,7 @@ class Processor(TriggerAttributes):
         """Append decisions about the oldest window; a complete one closes it early."""
         if new:
             decisions += new
-            self._triggers.n_decided = new[-1].events
+            self._triggers.n_at_decision = new[-1].events
         if new and new[-1].complete:
             self._windows.close_oldest(early=True)
             self._begin_oldest(now_us)
@@ -253,7 +253,7 @@ class Processor(TriggerAttributes):
     # -- results, and the state of the stream ----------------------------------------------------------
 
     def fire(self) -> Decision:
-        """Classify the open window as it is now: an empty one before the first event. Changes nothing."""
+        """Classify the open window as it is now; before the first event, an empty volume. Changes nothing."""
         self._running.begin()
         try:
             return self._classifier.decide(self._windows.oldest, "fire")
@@ -331,7 +331,7 @@ class Processor(TriggerAttributes):
         self._windows.set_limit(self._triggers.next_due_us)
 
     def _compile(self, regressor: Regressor | None) -> None:
-        """Now, so that no event has to wait for it."""
+        """Compile what these settings call, so that no event has to wait for it."""
         by_event = self._triggers.settings.by_event
         compile_for(self.config, self.classifier, regressor, drops_late=self.late != "accept", by_event=by_event)
 

@@ -15,7 +15,7 @@ from async_tnt.processor import Processor
 from async_tnt.triggers import LeakyIntegrator
 from async_tnt.volume_state import Regressor
 from async_tnt.window_classifier import Classifier
-from async_tnt.windows import FirstWindows
+from async_tnt.windows import TimeUnitCheck
 
 
 class Settings(TypedDict, total=False):
@@ -64,7 +64,7 @@ def stream(
 
 
 def _stream(source: Iterable[Any], processor: Processor) -> Iterator[Decision]:
-    first = FirstWindows(processor.config)
+    first = TimeUnitCheck(processor.config)
     for events in source:
         yield from first.watch(processor.push(events))
     yield from processor.finish()
@@ -89,7 +89,7 @@ def astream(
 
 
 async def _astream(source: AsyncIterable[Any], processor: Processor) -> AsyncIterator[Decision]:
-    first = FirstWindows(processor.config)
+    first = TimeUnitCheck(processor.config)
     async for events in source:
         for decision in first.watch(processor.push(events)):
             yield decision

@@ -84,7 +84,7 @@ class Triggers:
     settings : TriggerSettings.
     state : float64, the settings and the potential of `activity` as kernels read them, see `kernels.trigger`.
     next_due_us : next moment of `every_us` in the oldest window.
-    n_decided : events of the oldest window at its last triggered decision.
+    n_at_decision : events of the oldest window at its last triggered decision.
     """
 
     def __init__(self, settings: TriggerSettings) -> None:
@@ -123,7 +123,7 @@ class Triggers:
 
     def begin_window(self, now_us: int, start_us: int | None) -> None:
         """The window that starts at `start_us` has become the oldest one; None: no window is open."""
-        self.n_decided = 0
+        self.n_at_decision = 0
         self.next_due_us = NEVER_US
         if start_us is not None:
             self.schedule(now_us, start_us)

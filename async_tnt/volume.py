@@ -170,8 +170,8 @@ class TNTVolume:
 
         Returns
         -------
-        ABSORBED; AT_LIMIT if the event is valid but at or past the limit; REFUSED if the decoder has to look at it,
-        because it is invalid, or not four Python integers.
+        ABSORBED; AT_LIMIT if the event is valid but at or past the limit; REFUSED if the decoder has to look at it: it
+        is invalid, or not four Python integers, or this volume drops late events or stores events for a replay.
         """
         try:
             # `|` refuses floats; a NumPy scalar would make Numba compile for its type
@@ -274,7 +274,7 @@ class TNTVolume:
             unstored = self._replay.n_unstored
         received, kept, late, tau_zero = (int(self._ints[slot]) for slot in (S.RECEIVED, S.KEPT, S.LATE, S.TAU_ZERO))
         dropped = self._decoder.n_dropped
-        decided = self.n_decided
+        decided = self.n_dropped_decided
         outside = received - kept - late - tau_zero - unstored - decided
         return Counts(
             received=received + dropped,
@@ -297,7 +297,7 @@ class TNTVolume:
         return int(self._ints[S.LATE])
 
     @property
-    def n_decided(self) -> int:
+    def n_dropped_decided(self) -> int:
         """Events dropped because their window had been closed early."""
         return int(self._ints[S.DECIDED])
 

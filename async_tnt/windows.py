@@ -1,6 +1,7 @@
-"""Which windows of a stream are open: one after the other, or overlapping, each with its own volume.
+"""Which windows of a stream are open, each with its own volume; and whether its times are likely in microseconds.
 
-Windows of a duration lie end to end. One of `window_events` begins with the first event after the window before it.
+Windows of a duration lie end to end, or overlap with `hop_us`. One of `window_events` begins with the first event after
+the window before it.
 """
 
 from __future__ import annotations
@@ -19,34 +20,7 @@ from async_tnt.volume import TNTVolume
 from async_tnt.volume_state import MAX_EVENTS, Regressor
 
 MAX_OPEN_WINDOWS = 256
-FIRST, FEW = 32, 2  # the windows by which a stream is judged, and the events that are too few for one
-
-
-class FirstWindows:
-    """Warns once if most of a stream's first windows hold next to nothing: its times may be in another unit."""
-
-    def __init__(self, config: TNTConfig) -> None:
-        self._window_us = config.window_us
-        self._left = FIRST if config.window_events is None else 0
-        self._n_small = 0
-
-    def watch(self, decisions: list[Decision]) -> list[Decision]:
-        """Returns these next decisions of the stream, and looks at the windows that they closed at their ends."""
-        for decision in decisions if self._left > 0 else ():
-            if decision.trigger == "window":
-                self.add(decision.events)
-        return decisions
-
-    def add(self, n_events: int) -> None:
-        """The next window holds so many events."""
-        self._left -= 1
-        self._n_small += n_events <= FEW
-        if self._left == 0 and 2 * self._n_small > FIRST:
-            warnings.warn(
-                f"{self._n_small} of the first {FIRST} windows hold {FEW} events or fewer: times are read as "
-                f"microseconds, divide nanoseconds by 1000; or windows of {self._window_us} us are too short",
-                stacklevel=4,
-            )
+N_JUDGED, FEW_EVENTS = 32, 2  # the windows by which a stream is judged, and the events that are too few for one
 
 
 class WindowScheduler:
@@ -98,7 +72,7 @@ class WindowScheduler:
         self._decided_from_us: int | None = None
         self._n_received = 0
         self._n_late = 0
-        self._n_decided = 0
+        self._n_dropped_decided = 0
 
     def __len__(self) -> int:
         return len(self._open)
@@ -131,19 +105,19 @@ class WindowScheduler:
     def absorb(self, columns: Columns, first: int, last: int) -> int:
         """Add events to all open windows, up to the limit; returns the first one not added."""
         oldest = self._open[0]
-        before = oldest.n_late, oldest.n_decided
+        before = oldest.n_late, oldest.n_dropped_decided
         absorbed = oldest.absorb(columns, first, last)
-        self.count_absorbed(columns, first, absorbed, before)
+        self.absorb_into_younger(columns, first, absorbed, before)
         return absorbed
 
-    def count_absorbed(self, columns: Columns, first: int, absorbed: int, before: tuple[int, int]) -> None:
+    def absorb_into_younger(self, columns: Columns, first: int, absorbed: int, before: tuple[int, int]) -> None:
         """Where windows overlap, add the events `first <= i < absorbed`, which the oldest has absorbed, to the others,
-        and count them once. `before`: the oldest window's `n_late` and `n_decided` before that."""
+        and count them once. `before`: the oldest window's `n_late` and `n_dropped_decided` before that."""
         if not self.overlap:
             return
         oldest = self._open[0]
         self._n_late += oldest.n_late - before[0]
-        self._n_decided += oldest.n_decided - before[1]
+        self._n_dropped_decided += oldest.n_dropped_decided - before[1]
         self._n_received += absorbed - first
         for volume in islice(self._open, 1, None):
             volume.absorb(columns, first, absorbed)
@@ -208,6 +182,33 @@ class WindowScheduler:
         """See `Processor.counts`. `n_dropped` : late events that the decoder has dropped."""
         total = sum((volume.counts for volume in self.volumes), Counts())
         if self.overlap:
-            once = {"received": self._n_received, "dropped_late": self._n_late, "dropped_decided": self._n_decided}
-            total = replace(total, **once)
+            decided = self._n_dropped_decided
+            total = replace(total, received=self._n_received, dropped_late=self._n_late, dropped_decided=decided)
         return total + Counts(received=n_dropped, dropped_late=n_dropped)
+
+
+class TimeUnitCheck:
+    """Warns once if most of a stream's first windows hold next to nothing: its times may be in another unit."""
+
+    def __init__(self, config: TNTConfig) -> None:
+        self._window_us = config.window_us
+        self._left = N_JUDGED if config.window_events is None else 0
+        self._n_small = 0
+
+    def watch(self, decisions: list[Decision]) -> list[Decision]:
+        """Returns these next decisions of the stream, and looks at the windows that they closed at their ends."""
+        for decision in decisions if self._left > 0 else ():
+            if decision.trigger == "window":
+                self.add(decision.events)
+        return decisions
+
+    def add(self, n_events: int) -> None:
+        """The next window holds so many events."""
+        self._left -= 1
+        self._n_small += n_events <= FEW_EVENTS
+        if self._left == 0 and 2 * self._n_small > N_JUDGED:
+            warnings.warn(
+                f"{self._n_small} of the first {N_JUDGED} windows hold {FEW_EVENTS} events or fewer: times are read as "
+                f"microseconds, divide nanoseconds by 1000; or windows of {self._window_us} us are too short",
+                stacklevel=4,
+            )

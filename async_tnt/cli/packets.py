@@ -17,7 +17,7 @@ from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.opening import open_source
 from async_tnt.sources.pixel_selection import PixelSelector
-from async_tnt.windows import FirstWindows
+from async_tnt.windows import TimeUnitCheck
 
 if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
@@ -105,7 +105,7 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
 
 def timed_packets(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[list[Decision], float]]:
     """The decisions of each packet, and the microseconds that they took."""
-    first = FirstWindows(processor.config)
+    first = TimeUnitCheck(processor.config)
     for packet in packets:
         handed_over = time.perf_counter_ns()
         decisions = processor.push(packet)

@@ -32,7 +32,7 @@ from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selection import PixelSelector
 from async_tnt.sources.playback import replay
-from async_tnt.windows import FirstWindows
+from async_tnt.windows import TimeUnitCheck
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: its time and window, the
 label and its probability, and the microseconds from the last event to the decision. After each recording a line names
@@ -207,7 +207,7 @@ def print_decisions(
 
 def timed_decisions(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[Decision, float]]:
     """Each decision, and its latency in microseconds, from the call with the event that caused it."""
-    clock, first = time.perf_counter_ns, FirstWindows(processor.config)
+    clock, first = time.perf_counter_ns, TimeUnitCheck(processor.config)
     for packet in packets:
         for t, x, y, p in zip(*(packet[field].tolist() for field in ("t", "x", "y", "p")), strict=True):
             handed_over = clock()

@@ -25,7 +25,7 @@ from async_tnt.training.groups import (
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.settings import default_grid
 from async_tnt.training.windows import Windows, make_windows
-from async_tnt.windows import FIRST, FirstWindows
+from async_tnt.windows import N_JUDGED, TimeUnitCheck
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ def dataset_data(
     def windows_of(of: Dataset, which: np.ndarray | None = None) -> Windows:
         return make_windows(of.recordings, config.window_us, which=which, first_event=True, duration_us=None)
 
-    training, first = windows_of(dataset, learned), FirstWindows(config)
-    for i in range(len(training[:FIRST])):
+    training, first = windows_of(dataset, learned), TimeUnitCheck(config)
+    for i in range(len(training[:N_JUDGED])):
         first.add(len(training.events(i, config.window_us)[0]))
     counts = {name: int((labels == k).sum()) for k, name in enumerate(dataset.classes)}
     record: dict[str, Any] = {
