@@ -75,7 +75,6 @@ def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_p
     assert script.main(["3", "--picture", str(again)]) == 0
     kept, drawn = (in_squares(image.imread(path)) for path in (IMAGES / f"{name}.png", again))
     assert kept.shape == drawn.shape and np.abs(kept - drawn).max() < 0.2
-    assert (IMAGES / f"{name}.png").stat().st_size < 200_000
 
 
 @pytest.mark.parametrize(
