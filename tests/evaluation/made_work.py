@@ -42,7 +42,6 @@ def record_of(task):
         "late": 0,
         "decisions": [decision] * (1 + len(text) % 3),
         "error": None,
-        "seconds": time.monotonic(),
     }
 
 
