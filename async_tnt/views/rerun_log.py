@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.decision import Decision
+from async_tnt.decision import Counts, Decision
 from async_tnt.processor import Processor
 
 TIMELINE = "time"
 """The recording's own microseconds, as a duration."""
 EVENTS, LANDMARK = "events/image", "events/landmark"
 RAW, TNT = "volumes/raw", "volumes/tnt"
-PROBABILITIES, DECISIONS = "probabilities", "decisions"
+PROBABILITIES, RATES = "probabilities", "rates"
+CLASS, DECISIONS = "class", "decisions"
 
 # Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is dark
 ON_COLOUR, OFF_COLOUR = (230, 159, 0), (86, 180, 233)
@@ -26,7 +27,9 @@ NOTHING, OFF, ON = 0, 1, 2
 """Cells of an event image."""
 MOST_LINES = 20  # decisions written between two pictures, the newest
 MOST_SERIES = 64  # with more classes, only the probability of the likeliest is drawn
+MOST_NAMED = 12  # classes in the text, the likeliest
 MOST_SHEET_PIXELS = 1 << 17
+LIVE_SECONDS = 10  # of the plots, where a stream has no end
 
 
 class StreamLog:
@@ -37,78 +40,90 @@ class StreamLog:
     rr : the module `rerun`.
     stream : a `rerun.RecordingStream`.
     config : of the processor.
+    live : whether the stream may go on for hours.
     """
 
-    def __init__(self, rr: Any, stream: Any, config: TNTConfig) -> None:
+    def __init__(self, rr: Any, stream: Any, config: TNTConfig, live: bool = False) -> None:
         self.name = ""
         """Of the source."""
         self.offset_us = 0
         """From the source's times to those of the timeline."""
+        self.has_begun = False
+        """Whether there was any event."""
         self.n_pictures = 0
         self._rr, self._stream, self._config = rr, stream, config
         self._classes: tuple[str, ...] = ()
         self._pending: deque[Decision] = deque(maxlen=MOST_LINES)
-        views = rr.blueprint
-        stream.send_blueprint(
-            views.Grid(
-                views.Spatial2DView(origin="events", name="Events and landmark"),
-                views.Spatial2DView(origin=RAW, name="Raw volume, all bins"),
-                views.Spatial2DView(origin=TNT, name="TNT volume, all bins"),
-                views.TimeSeriesView(origin=PROBABILITIES, name="Probabilities"),
-                views.TextLogView(origin=DECISIONS, name="Decisions"),
-            )
-        )
+        self._n_pending = 0
+        self._counts = Counts()
+        stream.send_blueprint(_blueprint(rr, config.transform == "tnt", live))
         colours = [(NOTHING, "no event", NOTHING_COLOUR), (OFF, "OFF (darker)", OFF_COLOUR), (ON, "ON", ON_COLOUR)]
-        stream.log(EVENTS, rr.AnnotationContext(colours), static=True)
+        self._write(EVENTS, rr.AnnotationContext(colours), static=True)
+        self._write(RATES, rr.SeriesLines(names=["events received / s", "events dropped / s"]), static=True)
 
     def begin(self, first_us: int) -> None:
         """A source's first event."""
+        self.has_begun = True
+        self._counts = Counts()
         if self.name:
             shift = f", its times moved by {self.offset_us:+,} us" if self.offset_us else ""
             self._set_time(first_us)
-            self._stream.log(DECISIONS, self._rr.TextLog(f"{self.name} begins{shift}", level="DEBUG"))
+            self._write(DECISIONS, self._rr.TextLog(f"{self.name} begins{shift}", level="DEBUG"))
 
     def add(self, decisions: Sequence[Decision]) -> None:
-        """Add the decisions of a packet; only the newest `MOST_LINES` between two pictures are written."""
+        """Add the decisions of a packet."""
         self._pending.extend(decisions)
+        self._n_pending += len(decisions)
 
-    def write(self, at_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor) -> None:
+    def write(
+        self, at_us: int, span_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor
+    ) -> None:
         """A picture.
 
         Parameters
         ----------
-        at_us : the moment.
+        at_us, span_us : the moment, and the recorded time since the last picture.
         now : the result of the processor's `fire`.
         recent : events for the event image.
         raw : the volume without the transform, float32, shape (C, H, W).
         """
-        rr, log = self._rr, self._stream.log
+        rr = self._rr
         self.n_pictures += 1
         if processor.classes is not None and processor.classes != self._classes:
             self._classes = processor.classes
             names = self._classes if self._is_few else ["likeliest class"]
-            log(PROBABILITIES, rr.SeriesLines(names=list(names)), static=True)
+            self._write(PROBABILITIES, rr.SeriesLines(names=list(names)), static=True)
         self.write_decisions()
         self._set_time(at_us)
-        log(EVENTS, rr.SegmentationImage(event_image(recent, self._config.sensor)))
-        log(RAW, rr.Image(bin_sheet(raw)))
+        self._write(EVENTS, rr.SegmentationImage(event_image(recent, self._config.sensor)))
+        self._write(RAW, rr.Image(bin_sheet(raw)))
         if self._config.transform == "tnt":
-            log(TNT, rr.Image(bin_sheet(processor.volume())))
+            self._write(TNT, rr.Image(bin_sheet(processor.volume())))
             # the viewer's pixel (0, 0) reaches from 0 to 1, ours has its centre at 0
             places = [np.add(self._config.to_sensor(*processor.landmark), 0.5)] if now.events else np.empty((0, 2))
-            log(LANDMARK, rr.Points2D(places, radii=rr.Radius.ui_points(5.0), colors=[WHITE], draw_order=100.0))
+            radius = rr.components.Radius.ui_points(5.0)
+            self._write(LANDMARK, rr.Points2D(places, radii=radius, colors=[WHITE], draw_order=100.0))
+        self._write(CLASS, rr.TextDocument(class_text(now, self._classes), media_type=rr.MediaType.MARKDOWN))
         if now.events:
             self._write_probabilities(now)
+        self._write_rates(processor.counts, span_us)
 
     def write_decisions(self) -> None:
         """Those since the last picture, each at its own time."""
+        n_left_out = self._n_pending - len(self._pending)
         for d in self._pending:
             span = f"{d.window_start_us / 1e3:,.3f} to {d.time_us / 1e3:,.3f} ms"
             text = f"{d.label}  {d.probability:.3f}  {d.trigger}: {d.events:,} events, {span}"
+            if n_left_out:
+                text += f" ({n_left_out:,} decisions before it are not shown)"
+                n_left_out = 0
             self._set_time(d.time_us)
-            self._stream.log(DECISIONS, self._rr.TextLog(text))
+            self._write(
+                DECISIONS, self._rr.TextLog(text, level="INFO" if d.complete or d.trigger == "end" else "TRACE")
+            )
             self._write_probabilities(d)
         self._pending.clear()
+        self._n_pending = 0
 
     @property
     def _is_few(self) -> bool:
@@ -116,10 +131,45 @@ class StreamLog:
 
     def _write_probabilities(self, decision: Decision) -> None:
         shown = decision.probabilities if self._is_few else [decision.probability]
-        self._stream.log(PROBABILITIES, self._rr.Scalars(shown))
+        self._write(PROBABILITIES, self._rr.Scalars(shown))
+
+    def _write_rates(self, counts: Counts, span_us: int) -> None:
+        received = counts.received - self._counts.received
+        dropped = received - (counts.kept - self._counts.kept)
+        self._counts = counts
+        per_s = 1e6 / max(span_us, 1)
+        self._write(RATES, self._rr.Scalars([received * per_s, dropped * per_s]))
 
     def _set_time(self, t_us: int) -> None:
         self._stream.set_time(TIMELINE, duration=np.timedelta64(t_us + self.offset_us, "us"))
+
+    def _write(self, entity: str, what: Any, static: bool = False) -> None:
+        self._stream.log(entity, what, static=static)
+
+
+def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:
+    """The initial layout: pictures and class at the top, plots and the log of decisions below.
+
+    transformed : whether there are a TNT volume and a landmark.
+    live : the plots show the last seconds only.
+    """
+    b = rr.blueprint
+    pictures = [
+        b.Spatial2DView(origin="events", name="Events and landmark" if transformed else "Events"),
+        b.Spatial2DView(origin=RAW, name="Raw volume, all bins"),
+    ]
+    if transformed:
+        pictures.append(b.Spatial2DView(origin=TNT, name="TNT volume, all bins"))
+    at = rr.TimeRangeBoundary.cursor_relative
+    last = rr.VisibleTimeRange(TIMELINE, start=at(seconds=-LIVE_SECONDS), end=at())
+    plots = b.Tabs(
+        b.TimeSeriesView(origin=PROBABILITIES, name="Probabilities", time_ranges=[last] if live else None),
+        b.TimeSeriesView(origin=RATES, name="Rates", time_ranges=[last] if live else None),
+        active_tab=0,
+    )
+    top = b.Horizontal(*pictures, b.TextDocumentView(origin=CLASS, name="Class now"))
+    below = b.Horizontal(plots, b.TextLogView(origin=DECISIONS, name="Decisions"))
+    return b.Blueprint(b.Vertical(top, below, row_shares=[5, 4]), collapse_panels=True)
 
 
 def event_image(events: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
@@ -181,3 +231,19 @@ def _reduced(volume: np.ndarray, factor: int) -> np.ndarray:
         cells = padded[:, k // factor :: factor, k % factor :: factor]
         np.copyto(largest, cells, where=np.abs(cells) > np.abs(largest))
     return largest
+
+
+def class_text(now: Decision, classes: Sequence[str]) -> str:
+    """Markdown: the class of the open window at this moment, and the likeliest classes."""
+    if now.events == 0:
+        return "# no event\n\nThe window has no event yet."
+    length_ms = (now.time_us - now.window_start_us) / 1e3
+    likeliest = np.argsort(-now.probabilities, kind="stable")[:MOST_NAMED]
+    rows = "\n".join(f"| {_plain(classes[k])} | {now.probabilities[k]:.3f} |" for k in likeliest)
+    about = f"with probability {now.probability:.3f}, from {now.events:,} events in {length_ms:,.1f} ms"
+    return f"# {_plain(now.label)}\n\n{about}\n\n| class | probability |\n|---|---|\n{rows}\n"
+
+
+def _plain(text: str) -> str:
+    """Markdown that shows the text itself, on one line."""
+    return "".join(f"\\{c}" if c in r"\`*_{}[]<>()#+-.!|~&$" else c for c in " ".join(text.split()))

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import socket
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Unpack
+from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -22,8 +27,10 @@ from async_tnt.views.rerun_log import StreamLog
 from async_tnt.volume import TNTVolume
 
 SUFFIXES = (".rrd",)
-LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits
+DEFAULT_PORT = 9876  # where a Rerun viewer listens
 PATIENCE_S = 5.0  # for a viewer that does not respond
+CHECK_S = 1.0  # between flushes, which report a full disk and bound what waits for a slow viewer
+LAST_US = (1 << 63) // 1000  # Rerun counts nanoseconds in 64 bits
 
 
 def import_rerun() -> Any:
@@ -57,7 +64,7 @@ class RerunView:
     ------
     ImportError : rerun-sdk is not installed.
     ValueError, TypeError : a setting breaks its rule.
-    OSError : the file cannot be written, or the viewer does not start or respond.
+    OSError : the file cannot be written, no viewer responds, or there is no display to start one on.
     """
 
     def __init__(
@@ -89,27 +96,28 @@ class RerunView:
         raw_config = config.replace(transform="none", landmark="center", remove_flow=False)
         self._raw = TNTVolume(raw_config, late=self.processor.late)
         self._stream = rr.RecordingStream("async_tnt")
-        self._file = None if out is None else Replacement(check_writable(Path(out), SUFFIXES))
-        self._where = str(out or connect or "the Rerun viewer")
-        with _as_os_error(self._where):
-            if self._file is not None:
-                self._stream.save(self._file.part)  # gets the file's name when it is complete
-            elif connect is not None:
-                self._stream.connect_grpc(connect)
-            else:
-                self._stream.spawn(memory_limit="25%")
+        self._file: Replacement | None = None
+        if out is not None:
+            self._file = _save(self._stream, Path(out))
+        elif connect is not None:
+            _connect(self._stream, connect)
+        else:
+            _start_viewer(self._stream)
+        viewer = "the Rerun viewer was closed or does not respond"
+        self._trouble = str(out or (f"{connect}: {viewer}" if connect else viewer))
         if name is not None:
             self._stream.send_recording_name(name)
-        self.log = StreamLog(rr, self._stream, config)
+        self.log = StreamLog(rr, self._stream, config, live=most_pictures_per_s is not None)
         """What was written so far, and how many pictures."""
         self._closed = False
+        self._next_check_s = time.perf_counter() + CHECK_S
         self._end_us: int | None = None  # on the timeline: of the sources before
         self._forget()
 
     def _forget(self) -> None:
         """Reset what is known of the source."""
         self._origin_us: int | None = None
-        self._due_us = self._newest_us = 0
+        self._due_us = self._newest_us = self._shown_us = 0
         self._recent = [np.empty(0, EVENT_DTYPE)]  # packets, of the open window and of the event image
         self._next_picture_s = 0.0
 
@@ -178,6 +186,7 @@ class RerunView:
         self._origin_us = origin_us
         self.log.offset_us = 0 if self._end_us is None else self._end_us + self._picture_us - first_us
         self.log.begin(first_us)
+        self._shown_us = first_us
         self._due_us = self._after(first_us)
 
     def _after(self, t_us: int) -> int:
@@ -193,10 +202,14 @@ class RerunView:
         self._recent = [events[events["t"] >= min(image_us, now.window_start_us)]]
         if clock_s >= self._next_picture_s or last:
             raw = self._raw_volume(events, now)
-            self.log.write(at_us, now, events[events["t"] >= image_us], raw, self.processor)
+            self.log.write(at_us, at_us - self._shown_us, now, events[events["t"] >= image_us], raw, self.processor)
+            self._shown_us = at_us
+            if self._pause_s:
+                took_s = time.perf_counter() - clock_s
+                self._next_picture_s = clock_s + max(self._pause_s, 2 * took_s)
+        if clock_s >= self._next_check_s:
             self._flush()
-            took_s = time.perf_counter() - clock_s
-            self._next_picture_s = clock_s + (max(self._pause_s, 2 * took_s) if self._pause_s else 0.0)
+            self._next_check_s = clock_s + CHECK_S
 
     def _raw_volume(self, events: np.ndarray, now: Decision) -> np.ndarray:
         """The open window's volume without the transform: float32, shape (C, H, W), valid until the next call."""
@@ -216,35 +229,83 @@ class RerunView:
         self._closed = True
         try:
             self.finish()
+        finally:
+            self._end()
+
+    def _end(self) -> None:
+        """Write out what is left, and give the file its name."""
+        try:
             self._flush()
             self._stream.disconnect()
-            if self._file is not None and self.log.n_pictures:
+        except OSError as error:
+            if self._file is None:
+                raise
+            raise OSError(f"{error}; what was written before is in {self._file.part}") from None
+        if self._file is not None:
+            if self.log.has_begun:
                 self._file.complete()
-        finally:
-            if self._file is not None:
-                self._file.discard()
+            self._file.discard()
 
     def _flush(self) -> None:
-        """Wait until all is written that was logged: a full disk is noticed, and little waits for a slow viewer."""
-        with _as_os_error(self._where):
+        """Wait until all is written that was logged. Raises OSError if it cannot be."""
+        with _as_os_error(self._trouble):
             self._stream.flush(timeout_sec=PATIENCE_S)
 
     def __enter__(self) -> RerunView:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        if error[0] is not None:  # the state may be inconsistent: what came before the error is kept, without an end
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if error is not None:  # the file keeps what came before the error; the state after it may be inconsistent
+            with contextlib.suppress(Exception):
+                self.finish()
             self._origin_us = None
         self.close()
 
 
+def _save(stream: Any, path: Path) -> Replacement:
+    """Write to NAME.rrd.part, which gets its name when it is complete."""
+    check_writable(path, SUFFIXES)
+    file = Replacement(path)
+    try:
+        with _as_os_error(path):
+            stream.save(file.part)
+    except OSError:
+        file.discard()
+        raise
+    return file
+
+
+def _start_viewer(stream: Any) -> None:
+    """Send to a viewer that is started and outlives this program."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise OSError("no display to open the Rerun viewer on: write a file, or connect to a viewer elsewhere")
+    with _as_os_error("the Rerun viewer cannot be started"):
+        stream.spawn(memory_limit="25%")
+        stream.flush(timeout_sec=PATIENCE_S)
+
+
+def _connect(stream: Any, url: str) -> None:
+    """Send to the viewer at a URL."""
+    parts = urlsplit(url)
+    if not parts.hostname or parts.path != "/proxy":
+        raise ValueError(f"a viewer's URL is rerun+http://HOST:{DEFAULT_PORT}/proxy, got {url}")
+    try:  # the SDK would wait for seconds, and print lines of its own
+        socket.create_connection((parts.hostname, parts.port or DEFAULT_PORT), timeout=PATIENCE_S).close()
+    except OSError:
+        raise OSError(f"{url}: no Rerun viewer listens there; `rerun` starts one") from None
+    with _as_os_error(url):
+        stream.connect_grpc(url)
+
+
 @contextlib.contextmanager
-def _as_os_error(where: str) -> Iterator[None]:
-    """Turn an error of the SDK (a full disk, no viewer) into an OSError of one line."""
+def _as_os_error(what: object) -> Iterator[None]:
+    """Turn an error of the SDK (a full disk, a viewer that was closed) into an OSError of one line."""
     try:
         yield
     except RuntimeError as error:
-        raise OSError(f"{where}: {' '.join(str(error).split())}") from None
+        raise OSError(f"{what}: {' '.join(str(error).split())}") from None
 
 
 def next_moment(t_us: int, origin_us: int, window_us: int, step_us: int) -> int:

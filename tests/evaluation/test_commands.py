@@ -14,7 +14,6 @@ from processes import started
 from waiting import until
 
 from async_tnt.evaluation.early import decision_at
-from async_tnt.sources.files.recording import open_recording
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -89,17 +88,6 @@ def test_damaged_recordings_are_named_and_kept_as_errors_until_they_are_mended(s
     shutil.copy(samples / "4" / "00.bin", empty)
     code, printed, message = program("run", folder, "--out", out)
     assert code == 0 and "1 recording no longer exists and is left out" in message and "21 recordings, " in printed
-
-
-def test_late_events_are_counted_and_reported(samples, tmp_path, program):
-    events = open_recording(samples / "3" / "00.bin").read()
-    (tmp_path / "set" / "3").mkdir(parents=True)
-    np.save(tmp_path / "set" / "3" / "late.npy", np.concatenate([events, events[:3]]))  # again, long after their window
-    code, printed, message = program("evaluate", "digits", tmp_path / "set", "--json", "--out", tmp_path / "r.jsonl")
-    assert code == 0 and f": 3 of {len(events) + 3} events were too late and dropped (see " in message
-    assert json.loads((tmp_path / "r.jsonl").read_text())["late"] == json.loads(printed)["late"] == 3
-    _, _, message = program("run", tmp_path / "set", "--out", tmp_path / "run.jsonl")
-    assert message.endswith(" dropped (see --late, --start-us, and `late` in that file)\n")
 
 
 def test_a_moment_knows_the_events_before_it_and_no_others():

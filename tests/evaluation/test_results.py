@@ -10,11 +10,9 @@ from full_disk import TOO_LARGE, full_after
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from async_tnt import files
 from async_tnt.evaluation.job import Job
 from async_tnt.evaluation.processes import run_all
-from async_tnt.evaluation.records import failed
-from async_tnt.evaluation.results import Progress, ResultFile, collect, read_results
+from async_tnt.evaluation.results import Progress, ResultFile, collect
 
 HERE = partial(run_all, workers=1)
 NAMES = ["b", "a", "ccc", "dd", "a-b"]
@@ -70,9 +68,6 @@ def unfinished(tmp_path):
     return tmp_path / "r.jsonl"
 
 
-# -- collecting ----------------------------------------------------------------------------------------------------
-
-
 def test_interrupted_in_any_way_to_run_it_resumes_to_the_same_file(run, tasks, tmp_path):
     plain, out = tmp_path / "plain.jsonl", tmp_path / "r.jsonl"
     records, _ = collected_to(plain, tasks)
@@ -101,13 +96,6 @@ def test_orders_stops_and_torn_ends_give_the_same_file(tmp_path_factory, order, 
     assert out.read_bytes() == (folder / "plain.jsonl").read_bytes()
 
 
-def test_a_finished_result_is_not_done_again(finished, tasks):
-    before = finished.read_bytes(), finished.stat().st_mtime_ns
-    records, progress = collected_to(finished, tasks, lambda task: pytest.fail("done twice"))
-    assert (progress.kept, progress.done, len(records)) == (len(NAMES), 0, len(NAMES))
-    assert (finished.read_bytes(), finished.stat().st_mtime_ns) == before
-
-
 def test_new_and_changed_recordings_are_done_and_no_others(finished, tmp_path):
     (tmp_path / "set" / "dd").write_text("longer")
     os.utime(tmp_path / "set" / "a", ns=(1, 10**18))
@@ -119,14 +107,6 @@ def test_new_and_changed_recordings_are_done_and_no_others(finished, tmp_path):
     fresh = finished.with_stem("fresh")
     collected_to(fresh, tasks)
     assert finished.read_bytes() == fresh.read_bytes()
-
-
-def test_recordings_with_an_error_are_tried_again(tasks, tmp_path):
-    out, done = tmp_path / "r.jsonl", []
-    records, _ = collected_to(out, tasks, lambda t: failed(t, "torn") if t.recording == "dd" else record_of(t))
-    assert [r["error"] for r in records if r["recording"] == "dd"] == ["torn"]
-    records, _ = collected_to(out, tasks, noting(done))
-    assert done == ["dd"] and all(record["error"] is None for record in records)
 
 
 def test_results_of_recordings_that_are_gone_are_left_out_and_no_others(finished, tasks):
@@ -163,16 +143,6 @@ def test_a_result_of_other_recordings_only_is_not_discarded(finished, tasks, tmp
     collected_to(unfinished, theirs, restart=True)
 
 
-# -- what a kill, damage, an earlier version or another program leaves of a file -------------------------------------
-
-
-def test_the_newest_line_of_a_recording_counts(unfinished):
-    with ResultFile(unfinished, JOB) as file:
-        file.finish({"a", "b", "ccc"})
-    records = list(read_results(unfinished, JOB))
-    assert [(record["recording"], record["late"]) for record in records] == [("a", 1), ("b", 3), ("ccc", 2)]
-
-
 @pytest.mark.parametrize(
     "line", [b"[" * 100_000, b'{"recording": 3}', b"9" * 5000, b'{"recording": "x"}', b"\xff", b""]
 )
@@ -203,20 +173,3 @@ def test_where_the_disk_is_full_the_error_names_the_file_and_whole_lines_stay(ta
     with ResultFile(out, JOB) as file:
         assert 0 < len(file.versions) < len(tasks)
     assert [record["recording"] for record in collected_to(out, tasks)[0]] == sorted(NAMES)
-
-
-def test_a_file_that_goes_before_it_is_locked_is_not_written(unfinished, monkeypatch):
-    """Opened, then locked: in between the program that had locked it may have finished."""
-    lock, path = files._lock, unfinished
-    gone = []
-
-    def lock_late(file):
-        if not gone:
-            gone.append(path.rename(path.with_name("gone")))
-            path.touch()
-        lock(file)
-
-    monkeypatch.setattr(files, "_lock", lock_late)
-    with ResultFile(unfinished, JOB) as file:
-        assert not file.versions and path.exists()
-    assert os.name == "nt" or path.with_name("gone").stat().st_size > 0

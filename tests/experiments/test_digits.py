@@ -9,14 +9,11 @@ from small_sets import idx_bytes
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
-from async_tnt.progress import no_progress
 from async_tnt.training.recordings import Recordings
 from async_tnt.training.windows import make_windows
-from experiments.digits import CONFIG, STEPS, Step, train_digits
 from experiments.digits_data import (
     DURATION_US,
     FIRST_INDEX,
-    digits_data,
     read_nmnist_folder,
     recording_numbers,
     simulate_recordings,
@@ -66,14 +63,3 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
         simulate_recordings(tmp_path, 5, 0)
     held_out = [n - 1 for n in recording_numbers([f"1/{FIRST_INDEX + 2:05d}.bin", "1/other.bin"])]
     np.testing.assert_array_equal(simulate_recordings(tmp_path, 3, 0, leave_out=held_out).labels.sum(), 1 + 3 + 4)
-
-
-def test_each_step_continues_the_one_before_and_the_last_is_tested(nmnist, mnist, tmp_path, monkeypatch):
-    monkeypatch.setattr("experiments.digits_data.FIRST_INDEX", 10)
-    data = digits_data(nmnist, mnist, CONFIG, simulated=5, progress=no_progress)
-    assert (data.record["real_recordings"], data.record["simulated_recordings"]) == (40, 5)
-    assert len(data.training) == 135 and len(data.tests["test"][0]) == 30
-    steps = {name: Step(1, step.rate, step.recorded, 1, step.augmentation) for name, step in list(STEPS.items())[2:]}
-    model = train_digits(data, steps, tmp_path)
-    assert sorted(path.name for path in tmp_path.glob("*.safetensors")) == ["digits.safetensors", "third.safetensors"]
-    assert model.record["started_from"]["seed"] == 0 and model.record["test"]["recordings"] == 10

@@ -17,6 +17,7 @@ class Rrd:
     """What was logged, in order of time.
 
     name : of the recording, in the viewer's list.
+    views : of the layout: origin -> kind.
     rows : entity -> [(microseconds, {"Archetype:component": value})], static ones at None.
     """
 
@@ -41,6 +42,12 @@ class Rrd:
         about = self.rows.pop("__properties", [])
         names = [row["RecordingInfo:name"] for _, row in about if "RecordingInfo:name" in row]
         self.name: str | None = names[-1][0] if names else None
+        self.views: dict[str, str] = {}
+        for part in reader.stream(store=reader.blueprints()[0]):
+            batch = part.to_record_batch()
+            if "ViewBlueprint:space_origin" in batch.schema.names:
+                kinds, origins = (batch.column(f"ViewBlueprint:{n}") for n in ("class_identifier", "space_origin"))
+                self.views[origins[-1].as_py()[0].lstrip("/")] = kinds[-1].as_py()[0]
         for rows in self.rows.values():
             rows.sort(key=lambda row: -1 if row[0] is None else row[0])
 

@@ -71,18 +71,6 @@ def test_coordinates_equal_the_reference_on_nasty_streams(data, config):
     equal_reference(data.draw(nasty_streams(config.sensor, config.window_us, START_US).filter(len)), config)
 
 
-def test_landmarks_are_the_points_that_events_were_centred_on():
-    def landmark(name):
-        return window_of(EVENTS, CONFIGS[name]).coordinates().landmark
-
-    n = np.arange(1, EVENTS.size + 1)
-    running = np.stack([np.cumsum(EVENTS["x"]) / n, np.cumsum(EVENTS["y"]) / n], axis=1)
-    np.testing.assert_allclose(landmark("running"), running, atol=1e-12)
-    assert (landmark("center") == 16.5).all()
-    np.testing.assert_allclose(landmark("window"), [running[-1]] * EVENTS.size)
-    np.testing.assert_allclose(landmark("line")[-1], streamed(EVENTS, CONFIGS["line"]).landmark, atol=1e-12)
-
-
 def test_one_event_by_hand():
     """TNT time 1/2 at an eighth of t_max = 4: the distance from the centre doubles."""
     events = events_of([START_US, START_US + 13_125], [3, 18], [4, 17], [0, 1])

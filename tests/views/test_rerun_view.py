@@ -83,7 +83,7 @@ def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
     for n_packets in (1, 13, 3000):
         rrd, _ = view_of(tmp_path, np.array_split(EVENTS, n_packets), picture_us=20_000)
         images = rrd.images(log.EVENTS, "SegmentationImage")
-        seen.append([(t, image.tobytes()) for t, image in images])
+        seen.append([(t, image.tobytes()) for t, image in images] + rrd.series(log.RATES, "Scalars:scalars"))
         assert [t for t, _ in images] == rrd.times(log.RAW)
     assert seen[0] == seen[1] == seen[2]
     moments = [int(EVENTS["t"][0])]
@@ -97,7 +97,7 @@ def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
         assert np.array_equal(image, expected) and image.any()
 
 
-def test_probabilities_and_decisions_are_the_processors(tmp_path):
+def test_probabilities_decisions_and_rates_are_the_processors(tmp_path):
     model = load_model("digits")
     events = open_recording(sample_recordings()[7]).read()
     rrd, decisions = view_of(tmp_path, np.array_split(events, 9), model, every_us=50_000)
@@ -107,6 +107,13 @@ def test_probabilities_and_decisions_are_the_processors(tmp_path):
         assert t == d.time_us and (t, d.probabilities.tolist()) in series
         times = f"{d.window_start_us / 1e3:,.3f} to {d.time_us / 1e3:,.3f} ms"
         assert text == f"{d.label}  {d.probability:.3f}  {d.trigger}: {d.events:,} events, {times}"
+    rates = rrd.series(log.RATES, "Scalars:scalars")
+    seconds = np.diff([int(events["t"][0]), *(t for t, _ in rates)]) / 1e6
+    received, dropped = seconds @ np.array([rate for _, rate in rates])
+    processor = Processor(model)
+    processor.push(events), processor.finish()
+    assert received == pytest.approx(len(events))
+    assert dropped == pytest.approx(processor.counts.received - processor.counts.kept)
 
 
 def test_sources_follow_each_other_in_time(tmp_path):
@@ -144,6 +151,7 @@ def test_nothing_is_written_for_each_event_and_decisions_are_capped(tmp_path):
     lines = [text for _, (text,) in rrd.series(log.DECISIONS, "TextLog:text")]
     n_pictures = len(rrd.times(log.EVENTS))
     assert len(decisions) > 2900 and len(lines) <= 20 * (n_pictures + 1)
+    assert sum("are not shown" in line for line in lines) >= n_pictures - 3
     assert len(rrd.times(log.PROBABILITIES)) <= 21 * (n_pictures + 1)
 
 
@@ -151,6 +159,12 @@ def test_pictures_are_capped_in_real_time(tmp_path):
     rrd, _ = view_of(tmp_path, [EVENTS], picture_us=1_000, most_pictures_per_s=0.001)
     (_, _), (t, raw) = rrd.images(log.RAW)  # the first and the last
     np.testing.assert_array_equal(raw, truth_at(MODEL, EVENTS, t)[2])
+
+
+def test_any_classifier_and_any_form_of_events(tmp_path):
+    packets = [None, tuple(EVENTS[name] for name in "txyp")]
+    rrd, _ = view_of(tmp_path, packets, CONFIG, classifier=lambda volume: [volume.max(), 1.0])
+    assert rrd.static(log.PROBABILITIES, "SeriesLines:names") == ["0", "1"]
 
 
 @pytest.mark.parametrize(
@@ -182,8 +196,15 @@ def test_a_file_without_events_is_not_written(tmp_path):
 
 
 def test_after_an_error_the_file_holds_what_came_before(tmp_path):
+    def fails_later(volume):
+        if not volume.any():
+            return [0.0]
+        raise RuntimeError("no answer")
+
     with pytest.raises(OSError, match="unplugged"), RerunView(MODEL, out=tmp_path / "a.rrd") as view:
         view.push(EVENTS)
         raise OSError("unplugged")
     assert len(Rrd(tmp_path / "a.rrd").times(log.RAW)) > 8
+    with pytest.raises(RuntimeError, match="no answer"):
+        view_of(tmp_path, [EVENTS], CONFIG, classifier=fails_later)
     assert not (tmp_path / "a.rrd.part").exists()

@@ -74,7 +74,8 @@ def test_a_recording_is_played_at_the_given_speed(tmp_path, program, monkeypatch
         (["missing.bin", "--out", "a.rrd"], "missing.bin: No such file or directory"),
         (["large.npz", "--out", "a.rrd"], "large.npz: a sensor of 64x48 pixels, but the model is for 34x34"),
         (["empty.npy", "--out", "a.rrd"], "no event in empty.npy: nothing to show"),
-        (["--connect", "127.0.0.1:9876"], 'invalid endpoint "127.0.0.1:9876"'),
+        (["--connect", "127.0.0.1:9876"], "a viewer's URL is rerun+http://HOST:9876/proxy, got 127.0.0.1:9876"),
+        (["--connect", "rerun+http://127.0.0.1:1/proxy"], "/proxy: no Rerun viewer listens there; `rerun` starts one"),
         (["--latest", "9", "--out", "a.rrd"], "--latest belongs to a camera or the network"),
         (["--crop", "--out", "a.rrd"], "--crop belongs to --roi"),
     ],
@@ -89,14 +90,20 @@ def test_mistakes_are_one_line_and_leave_no_file(words, message, tmp_path, monke
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty.npy", "large.npz"]
 
 
+@pytest.mark.parametrize("words", ["--speed 0", "--every-ms 0", "--every-ms x", "--connect a --out a.rrd"])
+def test_wrong_options(words, program):
+    with pytest.raises(SystemExit, match="2"):
+        program("view", SAMPLE, *words.split())
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
-def test_a_disk_that_fills_up_ends_it_and_leaves_the_old_file(tmp_path, program):
+def test_a_disk_that_fills_up_ends_it_and_keeps_what_was_written(tmp_path, program):
     out = tmp_path / "a.rrd"
     out.write_bytes(b"before")
     with full_after(60_000):
         code, _, err = program("view", SAMPLE, "--every-ms", "0.5", "--out", out)
-    assert code == 2 and own_lines(err)[-1].startswith(f"async-tnt: {out}: ")
-    assert out.read_bytes() == b"before" and os.listdir(tmp_path) == ["a.rrd"]
+    assert code == 2 and own_lines(err)[-1].endswith(f"; what was written before is in {out}.part")
+    assert out.read_bytes() == b"before" and sorted(os.listdir(tmp_path)) == ["a.rrd", "a.rrd.part"]
 
 
 # -- live ----------------------------------------------------------------------------------------------------
@@ -192,11 +199,39 @@ def test_a_viewer_on_loopback_gets_it_all(tmp_path, program):
     assert len(expected) > 15
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no process groups")
+def test_a_viewer_that_is_closed_ends_the_program(tmp_path):
+    got = tmp_path / "got.rrd"
+    with viewer_that_writes(got) as (serving, url):
+        words = [*[str(SAMPLE)] * 60, "--connect", url]  # 18 s at their own pace
+        command = [sys.executable, "-m", "async_tnt", "view", *words]
+        showing = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        try:
+            until(lambda: (got.exists() and got.stat().st_size >= 50_000) or showing.poll() is not None)
+            os.killpg(serving.pid, signal.SIGKILL)
+            _, err = showing.communicate(timeout=60)
+        finally:
+            showing.kill()
+    (line,) = own_lines(err)
+    assert showing.returncode == 2 and "Traceback" not in err
+    assert line.startswith(f"async-tnt: {url}: the Rerun viewer was closed or does not respond: ")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of Linux")
+def test_without_a_display_no_viewer_is_started(monkeypatch, program):
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    code, _, err = program("view", SAMPLE)
+    assert code == 2 and err.startswith("async-tnt: no display to open the Rerun viewer on") and err.count("\n") == 1
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of Linux")
 def test_a_viewer_that_cannot_be_started_is_one_line(monkeypatch, program):
     import rerun
 
     def fails(stream, **settings):
         raise RuntimeError("no\nsuch program")
 
+    monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setattr(rerun.RecordingStream, "spawn", fails)
-    assert program("view", SAMPLE) == (2, "", "async-tnt: the Rerun viewer: no such program\n")
+    assert program("view", SAMPLE) == (2, "", "async-tnt: the Rerun viewer cannot be started: no such program\n")
