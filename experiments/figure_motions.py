@@ -84,7 +84,7 @@ def draw_motions(first: Window, second: Window) -> Figure:
             raw.set_xlabel("time in the window (ms)")
             tnt.set_xlabel("time in the window (ms)")
         titles = [bin_ms(config, k) for k in shown]
-        draw_rows(figure, rows, shown, titles, (5.88, top), _picture(window, len(shown), len(rows)), SMALL)
+        draw_rows(figure, rows, shown, titles, (5.88, top), _picture(window, len(shown), len(rows)))
     polarity_legend(figure, [Line2D([], [], color="black", lw=2, label="mean position")])
     return figure
 

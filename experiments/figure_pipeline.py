@@ -14,15 +14,16 @@ from async_tnt.decision import Decision
 from async_tnt.networks.graph import CLASSIFIER
 from async_tnt.networks.model import Model
 from async_tnt.processor import Processor
-from async_tnt.views.figure_overview import draw_rate
 from async_tnt.views.figure_style import (
     GREY,
     NORMAL,
     OFF,
+    ON,
     PALE,
     SMALL,
     TEXT,
     axes_at,
+    few_ticks,
     headline,
     new_figure,
     note,
@@ -30,7 +31,7 @@ from async_tnt.views.figure_style import (
     shortened,
     write_at,
 )
-from async_tnt.views.figure_subject import Window, shown_evenly
+from async_tnt.views.figure_subject import Subject, Window, shown_evenly
 from async_tnt.views.figure_window import colour_limit, draw_raw, draw_slice, draw_transformed, layers_of
 from experiments.figure_script import grid_xy, run
 
@@ -63,11 +64,10 @@ def draw_pipeline(window: Window) -> Figure:
 
     recording = _stage(figure, "1  recording", 0.62, (0.62, 1.05, 1.7, 1.75))
     draw_rate(recording, subject, (window.start_us, window.start_us + config.window_us))
-    recording.set_xlabel(f"time ({subject.time_unit[1]})")
-    recording.set_ylabel("events / ms", labelpad=0)
     _arrow(figure, (2.4, 1.9), (2.7, 1.9))
     raw = _stage(figure, "2  raw events", 2.85, (2.65, 0.8, 2.5, 2.3), projection="3d")
-    n = draw_raw(raw, window, small=True)
+    n = draw_raw(raw, window)
+    _small(raw)
     below: dict[str, Any] = {"fontsize": SMALL, "color": TEXT, "ha": "center"}
     write_at(figure, 4.0, 3.2, f"{n:,} in {config.window_us / 1e3:g} ms", **below)
     if transformed:
@@ -75,7 +75,8 @@ def draw_pipeline(window: Window) -> Figure:
         _draw_landmark(_stage(figure, f"3  landmark: {config.landmark}", 5.85, (5.85, 1.1, 1.6, 1.6)), window)
         _arrow(figure, (7.5, 1.9), (7.75, 1.9))
         tnt = _stage(figure, "4  transformed events", 7.85, (7.65, 0.8, 2.5, 2.3), projection="3d")
-        kept = draw_transformed(tnt, window, small=True)
+        kept = draw_transformed(tnt, window)
+        _small(tnt)
         write_at(figure, 9.0, 3.2, f"{kept:,} kept: u = (x - l) / τ + c", **below)
     right = 9.0 if transformed else 4.0
     for tail, head, style in (
@@ -116,6 +117,31 @@ def _arrow(figure: Figure, tail: tuple[float, float], head: tuple[float, float],
     ends = [(x / width, 1 - y / height) for x, y in (tail, head)]
     look: dict[str, Any] = {"mutation_scale": 14, "color": GREY, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
     figure.add_artist(FancyArrowPatch(*ends, transform=figure.transFigure, arrowstyle=style, **look))
+
+
+def draw_rate(axes: Any, subject: Subject, highlight_us: tuple[int, int]) -> None:
+    """ON events per millisecond upwards, OFF events downwards; `highlight_us`, (start, end), is shaded."""
+    t, on = subject.events["t"], subject.events["p"] == 1
+    first_us, last_us = int(t.min()), int(t.max()) + 1
+    edges = np.linspace(first_us, last_us, 1 + int(np.clip((last_us - first_us) / 1000, 20, 300)))
+    per_ms = 1e3 / (edges[1] - edges[0])
+    for which, sign, colour in ((on, 1, ON), (~on, -1, OFF)):
+        counts = np.histogram(t[which], edges)[0] * per_ms * sign
+        axes.stairs(counts, subject.since_start_ms(edges), color=colour, fill=True, lw=0)
+    axes.axhline(0, color="white", lw=0.6)
+    axes.axvspan(*map(subject.since_start_ms, highlight_us), color="#f0e442", alpha=0.35, lw=0, zorder=0)
+    axes.yaxis.set_major_locator(few_ticks())
+    axes.yaxis.set_major_formatter(lambda value, _: f"{abs(value):g}")
+    axes.set_xlabel("time (ms)")
+    axes.set_ylabel("events / ms", labelpad=0)
+
+
+def _small(axes: Any) -> None:
+    """Names and ticks of 3-D axes closer to a small box."""
+    axes.set_xlabel("time (ms)", labelpad=-6)
+    axes.set_ylabel(axes.get_ylabel()[0], labelpad=-9)
+    axes.set_zlabel(axes.get_zlabel()[0], labelpad=-12)
+    axes.tick_params(pad=-4)
 
 
 def _draw_landmark(axes: Any, window: Window) -> None:

@@ -13,23 +13,21 @@ from typing import Any
 import numba
 import numpy as np
 
+from async_tnt.checking.agreement import streams_for
 from async_tnt.cli.output import say
 from async_tnt.compile_ahead import warmup
-from async_tnt.config import TNTConfig
-from async_tnt.events import EVENT_DTYPE
 from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model
 from async_tnt.package import __version__
 from async_tnt.processor import Processor
 from async_tnt.progress import progress
-from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.volume import TNTVolume
 
 DESCRIPTION = """\
 Measure on this machine, warm and on one thread, what an event costs in the volume, how long a decision takes some
 events after the one before, and how many decisions a second follow from one after every event. Events come from the
-bundled recordings, or at random if the model is for another sensor. A quiet machine gives narrow quartiles.
+bundled recordings, or are made if the model is for another sensor. A quiet machine gives narrow quartiles.
 
   async-tnt bench                               the bundled model digits
   async-tnt bench --model mine.safetensors --json
@@ -51,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     rounds, moments, n_events = (both[args.quick] for both in COUNTS.values())
-    recordings, origin = _recordings(model.config)
+    recordings, origin = streams_for(model.config)
     with progress(len(NEW_EVENTS) + 2, "compiling") as bar:
         warmup(model)
         bar.update(title="events into the volume")
@@ -70,21 +68,6 @@ def main(args: argparse.Namespace) -> int:
     }
     say(*([json.dumps(report)] if args.json else _lines(report)))
     return 0
-
-
-def _recordings(config: TNTConfig) -> tuple[list[np.ndarray], str]:
-    """The bundled recordings, or random events in their number; and which of both."""
-    opened = [open_recording(path) for path in sample_recordings().values()]
-    if all(recording.sensor == config.sensor for recording in opened):
-        return [recording.read() for recording in opened], "bundled recordings"
-    rng, made = np.random.default_rng(0), []
-    for recording in opened:
-        events = np.zeros(recording.n_events, EVENT_DTYPE)
-        events["t"] = np.sort(rng.integers(0, recording.duration_us, events.size))
-        for name, end in zip("xyp", (*config.sensor, 2), strict=True):
-            events[name] = rng.integers(0, end, events.size)
-        made.append(events)
-    return made, "random events"
 
 
 def _packets(events: np.ndarray) -> list[np.ndarray]:
@@ -166,11 +149,8 @@ def _cpu_name() -> str:
             fields = {k.strip(): v.strip() for k, v in (line.split(":", 1) for line in file if line.count(":") == 1)}
     except OSError:
         return platform.processor() or platform.machine()
-    name = fields.get("model name", platform.machine())
-    if any(c.isdigit() for c in name):
-        return name
     # some virtual machines hide the model ("Intel(R) Xeon(R) Processor"); family and model still identify it
-    return f"{name} (family {fields.get('cpu family', '?')}, model {fields.get('model', '?')})"
+    return f"{fields.get('model name', '?')} (family {fields.get('cpu family', '?')}, model {fields.get('model', '?')})"
 
 
 def _lines(report: dict[str, Any]) -> Iterator[str]:

@@ -23,8 +23,7 @@ DESCRIPTION = f"""Compare streaming with the batch reference in torch on recordi
   a decision after every event, refreshed from the one before, has the bits of the whole network's
 
 A model with landmark "regressor" is also checked with that landmark. It comes from float32 convolutions and may differ
-by 1e-4 pixels; the volume equals the reference's to 1e-6 about the same landmark, and to 1e-2 about the one that the
-reference computes.
+by 1e-4 pixels; the volume equals the reference's to 1e-6 about the same landmark.
 
 Exit code 0 if all of it holds, 1 if anything does not.
 """

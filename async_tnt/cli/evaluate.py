@@ -17,7 +17,7 @@ from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.evaluation.early import early_report, every_us
 from async_tnt.evaluation.job import job_of, task_of
-from async_tnt.evaluation.records import TIMED, Record, evaluate_recording
+from async_tnt.evaluation.records import Record, evaluate_recording
 from async_tnt.evaluation.results import Progress
 from async_tnt.evaluation.scores import score_recordings
 from async_tnt.networks.engines import Engine
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--picture",
         type=Path,
         metavar="FILE",
-        help="draw the confusion matrix, and accuracy against time (.png, .svg, .pdf)",
+        help="draw the confusion matrix (.png, .svg, .pdf)",
     )
     add_pixels(parser)
     add_archive(parser, needs_out=False)
@@ -103,10 +103,10 @@ def main(args: argparse.Namespace) -> int:
     if pixels.selection.about:
         report["pixels"] = pixels.selection.about
     if args.picture is not None:
-        from async_tnt.views.figure_confusion import early_panels, write_confusion
+        from async_tnt.views.figure_confusion import write_confusion
 
         title = f"{args.dataset.name}: {report['accuracy']:.1%} of {len(good)} recordings right"
-        write_confusion(np.array(report["confusion"]), model.classes, args.picture, title, early_panels(report))
+        write_confusion(np.array(report["confusion"]), model.classes, args.picture, title)
     if args.json:
         say(json.dumps(report))
     else:
@@ -144,23 +144,14 @@ def _some(names: Sequence[str]) -> str:
 
 
 def report_of(model: Model, records: list[Record], labels: list[int], skipped: list[str]) -> dict[str, Any]:
-    """All numbers, as `--json` prints them.
-
-    Times are of one core, summed over workers, without recordings that an earlier run has done; None if it has done
-    them all.
-    """
+    """All numbers, as `--json` prints them."""
     scores = score_recordings(model.classes, labels, [np.array(record["window_probabilities"]) for record in records])
-    timed = [record for record in records if record[TIMED]]
-    seconds = sum(record[TIMED] for record in timed)
     return {
         **scores.to_dict(),
         **early_report(records, labels, model.config),
         "decisions": sum(record["decisions"] for record in records),
         "events": sum(record["events"] for record in records),
         "late": sum(record["late"] for record in records),
-        "seconds": seconds or None,
-        "decisions_per_second": sum(record["decisions"] for record in timed) / seconds if timed else None,
-        "events_per_second": sum(record["events"] for record in timed) / seconds if timed else None,
         "skipped": skipped,
     }
 
@@ -198,9 +189,4 @@ def lines_of(report: dict[str, Any]) -> list[str]:
         lines.append(f"{level['level']:<24} {shares}  {ms}".rstrip())
     if report["calibration_error"] is not None:
         lines += ["", f"expected calibration error {report['calibration_error']:.3f}"]
-    if report["seconds"] is None:
-        lines += ["", "all results are from an earlier run"]
-    else:
-        rates = f"{report['decisions_per_second']:,.0f} decisions and {report['events_per_second']:,.0f} events"
-        lines += ["", f"{rates} per second on one core"]
     return lines

@@ -68,7 +68,7 @@ def main(args: argparse.Namespace) -> int:
         "files": {str(args.out): len(content)} if agreement.holds else {},
         "windows": agreement.logits.n,
         "recordings": agreement.recordings,
-        "largest_logit_difference": agreement.plain_logits.worst,
+        "largest_logit_difference": agreement.logits.worst,
         "classes_that_differ": agreement.n_differ,
         "onnxruntime": onnxruntime.__version__,
     }
@@ -81,7 +81,7 @@ def _print(report: dict[str, Any], model: Model) -> None:
         say(f"{path} ({n_bytes / 1e3:.0f} kB): volume {(1, *model.config.shape)} -> logits (1, {len(model.classes)})")
     say(
         f"onnxruntime {report['onnxruntime']} against the compiled network, {report['windows']} windows of "
-        f"{report['recordings']}: logits within {report['largest_logit_difference']:.2g}, "
+        f"{report['recordings']}: logits within {report['largest_logit_difference']:.2g} of the largest, "
         f"{report['classes_that_differ'] or 'no'} classes differ"
     )
     if not report["agrees"]:

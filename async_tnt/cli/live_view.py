@@ -42,7 +42,7 @@ class LiveView:
         self._classes, self._title = tuple(map(printable, classes)), printable(title)
         self._decision: Decision | None = None
         self._latencies: list[float] = []
-        self._rates = _Rates()
+        self._started_s, self._n_decisions = time.perf_counter(), 0
         self._counts = Counts()
         self._queue: BackgroundReader | None = None
         self._live = Live(
@@ -64,7 +64,7 @@ class LiveView:
         """Show the results of a packet: its decisions, their latency, the counts so far, and the queue it waited in."""
         self._counts = counts
         self._queue = queue
-        self._rates.add(counts.received, len(decisions))
+        self._n_decisions += len(decisions)
         if decisions:
             self._decision = decisions[-1]
             self._latencies = [*self._latencies[-199:], latency_us]
@@ -87,11 +87,11 @@ class LiveView:
         counts = self._counts
         if self._decision is None:
             return [f"no decision yet, {counts.received:,} events"]
-        events_per_s, decisions_per_s = self._rates.per_second()
+        passed_s = max(time.perf_counter() - self._started_s, 1e-3)
         lines = [
             f"{self._classes[self._decision.index]} at {self._decision.time_us / 1e6:.3f} s, {self._decision.trigger}; "
             f"{np.median(self._latencies):.0f} us to a decision",
-            f"{events_per_s:,.0f} events/s, {decisions_per_s:,.0f} decisions/s",
+            f"{counts.received / passed_s:,.0f} events/s, {self._n_decisions / passed_s:,.0f} decisions/s",
             f"{counts.received:,} events, {counts.moved_off:,} moved off the grid, {counts.lost:,} dropped",
         ]
         if (queue := self._queue) is not None:
@@ -112,26 +112,6 @@ def draw_stream(
         for decisions, latency_us in timed_packets(packets, processor):
             view.show(decisions, latency_us, processor.counts, queue)
         view.show(processor.finish(), 0.0, processor.counts, queue)
-
-
-class _Rates:
-    """Events and decisions a second, over the last second or two."""
-
-    def __init__(self) -> None:
-        now = time.perf_counter()
-        self._marks = [(now, 0, 0), (now, 0, 0)]  # (time, events, decisions) at the last two full seconds
-        self._events, self._decisions = 0, 0
-
-    def add(self, events_so_far: int, new_decisions: int) -> None:
-        self._events, self._decisions = events_so_far, self._decisions + new_decisions
-        now = time.perf_counter()
-        if now - self._marks[-1][0] > 1:
-            self._marks = [self._marks[-1], (now, self._events, self._decisions)]
-
-    def per_second(self) -> tuple[float, float]:
-        then, events, decisions = self._marks[0]
-        passed = max(time.perf_counter() - then, 1e-3)
-        return (self._events - events) / passed, (self._decisions - decisions) / passed
 
 
 def _likeliest(probabilities: np.ndarray) -> list[int]:

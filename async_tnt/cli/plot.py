@@ -5,18 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.checks import needs_extra
 from async_tnt.cli.options import positive_int, size_of
 from async_tnt.cli.output import complain, say
 from async_tnt.config import LANDMARKS, POLARITIES, TIME_IMAGES, TNTConfig
 from async_tnt.events import as_events
-from async_tnt.files import check_writable
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import READERS, Recording, open_recording, sample_recordings
 from async_tnt.sources.sensor import check_sensor, format_size
 from async_tnt.views.figure_overview import draw_overview
-from async_tnt.views.figure_style import FORMATS, save, styled
+from async_tnt.views.figure_style import FORMATS, check_picture, save, styled
 from async_tnt.views.figure_subject import Subject
 
 VOLUME_OPTIONS = ("landmark", "t_max", "polarity", "remove_flow", "bins", "window_us", "grid")
@@ -90,23 +88,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    with needs_extra("plot", "plot draws with matplotlib"):
-        import matplotlib  # noqa: F401
     path = _path(args.file)
     out = args.out or Path(f"{path.stem}.png")
-    check_writable(out, FORMATS)
+    check_picture(out)
     subject = subject_of(path, args)
     with styled():
-        figure = draw_overview(subject, args.window, args.slices, args.every_us)
-        save(figure, out, args.dpi)
-    width, height = figure.get_size_inches()
-    size = f"{width:g} x {height:.1f} inches"
-    if out.suffix.lower() == ".png":
-        size = f"{int(width * args.dpi)} x {int(height * args.dpi)} pixels"
+        save(draw_overview(subject, args.window, args.slices, args.every_us), out, args.dpi)
     if subject.model is None:
         sensor = format_size(subject.config.sensor)
         complain(f"{path}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
-    say(f"{out} ({size}, {out.stat().st_size / 1e3:.0f} kB)")
+    say(f"{out} ({out.stat().st_size / 1e3:.0f} kB)")
     return 0
 
 

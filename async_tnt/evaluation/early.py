@@ -153,13 +153,8 @@ def early_report(records: Sequence[Mapping[str, Any]], labels: Sequence[int], co
 
     after_us = moments(config)
     if not after_us:
-        return {
-            "accuracy_against_time": [],
-            "accuracy_against_events": [],
-            "confidence": [],
-            "calibration": [],
-            "calibration_error": None,
-        }
+        tables = "accuracy_against_time", "accuracy_against_events", "confidence", "calibration"
+        return {**{name: [] for name in tables}, "calibration_error": None}
     against_time = [
         {"time_us": us, "accuracy": accuracy(decided), "decided": float((decided >= 0).mean())}
         for us, decided in zip(after_us, columns["decided_at"].T, strict=True)

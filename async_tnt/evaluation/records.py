@@ -1,14 +1,9 @@
-"""Stream a recording through a Processor, and make a record of it for the result file.
-
-`seconds`, which no two runs share, is in the record but not in the file.
-"""
+"""Stream a recording through a Processor, and make a record of it for the result file."""
 
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,7 +31,6 @@ FIELDS = {
     ),
 }
 """Of a record, by the kind of its job. With an `error`, only `recording`, `class` and the last four have values."""
-TIMED = "seconds"
 
 
 def run_recording(task: Task) -> Record:
@@ -98,7 +92,7 @@ def evaluate_recording(task: Task) -> Record:
 
 def failed(task: Task, error: str) -> Record:
     """The record of a recording that could not be streamed."""
-    return _record(task, {}, error, None)
+    return _record(task, {}, error)
 
 
 def lost(task: Task) -> Record:
@@ -109,21 +103,20 @@ def lost(task: Task) -> Record:
 def _stream(task: Task, fields_of: Callable[[Iterator[Decision], Engine], Record]) -> Record:
     processor, engine, pixels = processor_of(task.job)
     stream = FiringProcessor(processor) if task.job.kind == "evaluate" else processor
-    spent = Spent()
     try:
-        fields = fields_of(decisions_of(task, stream, pixels, spent), engine)
+        fields = fields_of(_decisions(task, stream, pixels), engine)
     except (ValueError, TypeError, OSError, MemoryError) as error:
         return failed(task, _error_line(error, task))
-    counts = {"events": spent.n_events, "late": processor.counts.dropped_late}
-    return _record(task, fields | counts, None, spent.seconds)
+    counts = {"events": processor.counts.received, "late": processor.counts.dropped_late}
+    return _record(task, fields | counts, None)
 
 
-def _record(task: Task, fields: Record, error: str | None, seconds: float | None) -> Record:
+def _record(task: Task, fields: Record, error: str | None) -> Record:
     record = dict.fromkeys(FIELDS[task.job.kind]) | {"recording": task.recording, **fields, "error": error}
     if task.job.kind == "evaluate":
         record["class"] = task.label
     about_file = {"bytes": task.bytes, "modified_ns": task.modified_ns, "settings": task.settings}
-    return {**record, **about_file, TIMED: seconds}
+    return record | about_file
 
 
 _kept = threading.local()  # a Processor has one stream; workers of a cluster may have several threads
@@ -157,18 +150,8 @@ def processor_of(job: Job) -> tuple[Processor, Engine, PixelSelector]:
     return processor, engine, pixels
 
 
-@dataclass
-class Spent:
-    """On a recording so far: selected events, and seconds without reading the file."""
-
-    n_events: int = 0
-    seconds: float = 0.0
-
-
-def decisions_of(
-    task: Task, processor: Processor | FiringProcessor, pixels: PixelSelector, spent: Spent
-) -> Iterator[Decision]:
-    """All decisions of one recording, as they are made; `spent` is updated.
+def _decisions(task: Task, processor: Processor | FiringProcessor, pixels: PixelSelector) -> Iterator[Decision]:
+    """All decisions of one recording, as they are made.
 
     Raises
     ------
@@ -178,9 +161,8 @@ def decisions_of(
     before = pixels.counts
     recording, sensor = pixels.open(task.path, name=task.recording, strict=True, between_us=task.between_us)
     select = pixels.filter_of(task.recording, sensor)
-    n_decisions = 0
+    n_events = n_decisions = 0
     for packet in recording:
-        started = time.perf_counter()
         try:
             selected = select(packet)
             decisions = processor.push(selected)
@@ -188,16 +170,13 @@ def decisions_of(
             if recording.stated_sensor is None:  # an event outside a sensor that an option or the model gives: name it
                 pixels.check_events([packet], task.recording, sensor)
             raise
-        spent.seconds += time.perf_counter() - started
-        spent.n_events += len(selected)
+        n_events += len(selected)
         n_decisions += len(decisions)
         yield from decisions
-    started = time.perf_counter()
     decisions = processor.finish()
-    spent.seconds += time.perf_counter() - started
     yield from decisions
     if not n_decisions + len(decisions):
-        if spent.n_events:
+        if n_events:
             raise ValueError("no event in any window, nothing to decide")
         raise ValueError(pixels.nothing_left(before) or "no events")
 

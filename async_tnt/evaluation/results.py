@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Protocol
 
 from async_tnt.evaluation.job import Job, Task
-from async_tnt.evaluation.records import FIELDS, TIMED, Record, lost
+from async_tnt.evaluation.records import FIELDS, Record, lost
 from async_tnt.files import check_writable, naming, open_locked, replacing
 
 SUFFIXES = (".jsonl",)
@@ -62,8 +62,7 @@ def collect(
 ) -> Iterator[Record]:
     """Do what is not done yet, write the result file, and return its records in order of the recordings' names.
 
-    Records have `seconds` if this run measured it; the file has none. A recording is done again if its record has an
-    error, or if its size, time of change or class differs.
+    A recording is done again if its record has an error, or if its size, time of change or class differs.
 
     Parameters
     ----------
@@ -80,7 +79,6 @@ def collect(
     out = check_writable(out)
     job = tasks[0].job
     wanted = {task.recording: task for task in tasks}
-    seconds: dict[str, float] = {}
     with ResultFile(out, job, restart=restart) as file:
         to_do = [
             task for task in tasks if file.versions.get(task.recording) != (task.bytes, task.modified_ns, task.label)
@@ -102,12 +100,11 @@ def collect(
         watch()
         with contextlib.closing(run(function, to_do, lost=lost)) as records:
             for record in records:
-                seconds[record["recording"]] = record.pop(TIMED)
                 file.append(record)
                 progress.done += 1
                 watch()
         file.finish(wanted)
-    return ({**record, TIMED: seconds.get(record["recording"])} for record in read_results(out, job))
+    return read_results(out, job)
 
 
 def read_results(out: Path, job: Job) -> Iterator[Record]:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.events import EventDecoder
 from async_tnt.kernels.splat import BORDER_TOLERANCE
 from async_tnt.networks.compiled import CompiledRegressor
 from async_tnt.networks.model import Model
@@ -51,15 +50,9 @@ class Subject:
         """Start of the first window."""
         return int(self.events["t"][0]) if self.start_us is None else self.start_us
 
-    @property
-    def time_unit(self) -> tuple[float, str]:
-        """Microseconds in the unit of the recording's time axis, and its name."""
-        t = self.events["t"]
-        return (1e6, "s") if int(t.max()) - int(t.min()) > 20_000_000 else (1e3, "ms")
-
-    def since_start(self, t_us: Any) -> Any:
-        """Times since the first window's start, in `time_unit`: cameras' clocks may start at any value."""
-        return (t_us - self.first_us) / self.time_unit[0]
+    def since_start_ms(self, t_us: Any) -> Any:
+        """Milliseconds since the first window's start: cameras' clocks may start at any value."""
+        return (t_us - self.first_us) / 1e3
 
     @property
     def raw_config(self) -> TNTConfig:
@@ -71,7 +64,7 @@ class Subject:
 
         Raises
         ------
-        ValueError : it has no events, or lies after the last window of the recording.
+        ValueError : it has no events.
         """
         window_us = self.config.window_us
         start_us = self.first_us + (number - 1) * window_us
@@ -81,13 +74,10 @@ class Subject:
         inside = self.events[still_open & (t >= start_us)]
         if inside.size:
             return Window(self, number, start_us, inside)
-        last = (int(t.max()) - self.first_us) // window_us + 1
-        if last < 1:
-            raise ValueError(f"{self.name}: no event at or after the first window's start, {self.first_us} us")
-        if number > last:
-            windows = "1 window" if last == 1 else f"{last} windows"
-            raise ValueError(f"{self.name}: no window {number}; the recording has {windows} of {window_us} us")
-        raise ValueError(f"{self.name}: no events in window {number}, from {start_us} us on")
+        last = max(0, (int(t.max()) - self.first_us) // window_us + 1)
+        raise ValueError(
+            f"{self.name}: no events in window {number}, from {start_us} us on; the recording ends in window {last}"
+        )
 
     def regressor(self) -> CompiledRegressor | None:
         """The model's landmark network, for the volumes that are drawn; None if not needed."""
@@ -116,22 +106,42 @@ class Window:
 
     def volumes(self) -> tuple[np.ndarray, np.ndarray]:
         """The raw and the transformed volume of the window: float32, shape (C, H, W) each."""
-        return self._read(self.subject.raw_config)[0], self._read(self.subject.config)[0]
+        raw, tnt = (self._volume(config).array.copy() for config in (self.subject.raw_config, self.subject.config))
+        return raw, tnt
 
     def coordinates(self) -> Coordinates:
-        """Where the transform puts each event."""
+        """Where the transform puts each event: u = (x - l) / tau + c, where l is what the volume had for the event."""
         config = self.subject.config
-        return transformed(
-            self.events, config, self.start_us, self._read(config)[1] if config.defers_landmark else None
-        )
+        place = np.stack([self.events["x"], self.events["y"]], axis=1) * config.to_grid(1.0, 1.0)  # (N, 2)
+        centre = np.subtract(config.grid, 1) / 2
+        landmark = self._landmarks()
+        tau = config.t_max * (self.events["t"] - self.start_us) / config.window_us
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = ((place - landmark) / tau[:, np.newaxis] + centre).T
+        return Coordinates(u, v, _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1), landmark)
 
-    def _read(self, config: TNTConfig) -> tuple[np.ndarray, tuple[float, float]]:
-        """A configuration's volume after all events, and its landmark."""
+    def _landmarks(self) -> np.ndarray:
+        """The point that each event is centred on: float64, shape (N, 2)."""
+        config = self.subject.config
+        if config.defers_landmark:  # known only when the volume is read, and then one for all events
+            return np.tile(self._volume(config).landmark, (self.events.size, 1))
+        centred_on = np.empty((self.events.size, 2))
+        volume = TNTVolume(config.replace(representation="volume", bins=1))  # landmarks do not depend on the cells
+        volume.open(self.start_us)
+        for i, event in enumerate(self.events.tolist()):
+            volume.update_one(*event)
+            centred_on[i] = volume.landmark
+            if config.remove_flow:
+                centred_on[i] += np.multiply(volume.flow, (event[0] - self.start_us) / config.window_us)
+        return centred_on
+
+    def _volume(self, config: TNTConfig) -> TNTVolume:
+        """A configuration's volume after all events."""
         regressor = self.subject.regressor() if config.needs_regressor else None
         volume = TNTVolume(config, replay_events=max(1, self.events.size), regressor=regressor)
         volume.open(self.start_us)
         volume.update(self.events)
-        return volume.array.copy(), volume.landmark
+        return volume
 
 
 class Coordinates(NamedTuple):
@@ -146,61 +156,6 @@ class Coordinates(NamedTuple):
     landmark: np.ndarray
     """float64, shape (N, 2): the point (x, y) each event was centred on, in grid pixels. With `remove_flow`, the
     place of the fitted line at the event's time."""
-
-
-def transformed(
-    events: np.ndarray, config: TNTConfig, start_us: int, landmark: tuple[float, float] | None = None
-) -> Coordinates:
-    """The transform of one window's events: u = (x - l) / tau + c, where l is what the volume had for the event.
-
-    Parameters
-    ----------
-    events : structured array of `EVENT_DTYPE`, all in `[start_us, start_us + window_us)`.
-    config : TNTConfig. With transform "none", (u, v) is the pixel in the grid.
-    start_us : the window's start.
-    landmark : (x, y) in grid pixels to centre all events on, instead of `config.landmark`. Landmarks that are known
-        only when the volume is read (`window`, `regressor`) must be given: `TNTVolume.landmark` has them.
-
-    Raises
-    ------
-    ValueError : an event outside the window or off the sensor; a landmark that must be given is missing.
-
-    Examples
-    --------
-    >>> events = np.array([(13_125, 18, 17, 1)], [("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
-    >>> u, v, kept, landmark = transformed(events, TNTConfig(landmark="center", t_max=4.0), 0)
-    >>> u, v, kept, landmark  # TNT time 1/2: distances from the centre are doubled
-    (array([19.5]), array([17.5]), array([ True]), array([[16.5, 16.5]]))
-    """
-    if landmark is None and config.defers_landmark:
-        raise ValueError(f"`landmark` must be given for {config.landmark!r}: it is known when the volume is read")
-    t = events["t"]
-    if events.size and not (start_us <= t.min() and t.max() < start_us + config.window_us):
-        raise ValueError(
-            f"`events` must lie in the window [{start_us}, {start_us + config.window_us}) us, "
-            f"got {t.min()} to {t.max()}"
-        )
-    EventDecoder(config.sensor).decode(events)
-    place = np.stack([events["x"], events["y"]], axis=1) * config.to_grid(1.0, 1.0)  # (N, 2)
-    centre = np.subtract(config.grid, 1) / 2
-    centred_on = np.empty_like(place)
-    if landmark is None and config.transform == "none":
-        centred_on[:] = centre
-        return Coordinates(place[:, 0], place[:, 1], np.ones(events.size, bool), centred_on)
-    fraction = (t - start_us) / config.window_us
-    if landmark is not None:
-        centred_on[:] = landmark
-    else:
-        volume = TNTVolume(config.replace(representation="volume", bins=1))  # landmarks do not depend on the cells
-        volume.open(start_us)
-        for i, event in enumerate(events.tolist()):
-            volume.update_one(*event)
-            centred_on[i] = volume.landmark
-            if config.remove_flow:
-                centred_on[i] += np.multiply(volume.flow, fraction[i])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = ((place - centred_on) / (config.t_max * fraction)[:, None] + centre).T
-    return Coordinates(u, v, _on_grid(u, config.grid[0] - 1) & _on_grid(v, config.grid[1] - 1), centred_on)
 
 
 def _on_grid(values: np.ndarray, upper: int) -> np.ndarray:

@@ -9,8 +9,6 @@ import numpy as np
 
 from async_tnt.config import TNTConfig
 from async_tnt.views.figure_style import (
-    GREY,
-    LARGE,
     OFF,
     ON,
     PALE,
@@ -39,13 +37,9 @@ LEFT, RIGHT, GAP, ROW_GAP, HEAD, TALLEST = 0.75, 0.85, 0.06, 0.12, 0.36, 1.9  # 
 def draw_both(figure: Figure, window: Window, height: float) -> None:
     """Raw and transformed events side by side under their titles, and the legend, at the top of a figure."""
     raw, tnt = (axes_at(figure, left, 0.7, 5.0, height, projection="3d") for left in (0.0, 5.2))
-    for centre, words, n, of in (
-        (2.6, "raw events", draw_raw(raw, window), f"events in window {window.number}"),
-        (7.8, f"after TNT ({transform_words(window.subject.config)})", draw_transformed(tnt, window), "events kept"),
-    ):
-        thinned = f", {MOST_DOTS:,} of them drawn" if n > MOST_DOTS else ""
-        write_at(figure, centre, 0.65, words, ha="center")
-        write_at(figure, centre, 0.85, f"{n:,} {of}{thinned}", ha="center", fontsize=SMALL, color=TEXT)
+    write_at(figure, 2.6, 0.7, f"raw: {draw_raw(raw, window):,} events in window {window.number}", ha="center")
+    kept = f"{draw_transformed(tnt, window):,} events kept"
+    write_at(figure, 7.8, 0.7, f"after TNT ({transform_words(window.subject.config)}): {kept}", ha="center")
     polarity_legend(figure)
 
 
@@ -55,55 +49,42 @@ def transform_words(config: TNTConfig) -> str:
     return f"{config.landmark}{flow}, t_max {config.t_max:g}"
 
 
-def draw_raw(axes: Any, window: Window, small: bool = False) -> int:
+def draw_raw(axes: Any, window: Window) -> int:
     """Draw a window's events (x, y, t) into 3-D axes, in sensor pixels; returns how many there are."""
     events = window.events
-    _scatter(axes, window, events["x"], events["y"], np.ones(events.size, bool), small)
-    _frame(axes, window, window.subject.config.sensor, "x", "y", small)
+    _scatter(axes, window, events["x"], events["y"], np.ones(events.size, bool))
+    _frame(axes, window, window.subject.config.sensor, "x", "y")
     return events.size
 
 
-def draw_transformed(axes: Any, window: Window, small: bool = False) -> int:
+def draw_transformed(axes: Any, window: Window) -> int:
     """Draw a window's kept events (u, v, t) into 3-D axes, in grid pixels; returns how many there are."""
     u, v, kept, _ = window.coordinates()
-    _scatter(axes, window, u, v, kept, small)
-    _frame(axes, window, window.subject.config.grid, "u", "v", small)
+    _scatter(axes, window, u, v, kept)
+    _frame(axes, window, window.subject.config.grid, "u", "v")
     return int(kept.sum())
 
 
-def _scatter(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: np.ndarray, small: bool) -> None:
+def _scatter(axes: Any, window: Window, x: np.ndarray, y: np.ndarray, kept: np.ndarray) -> None:
     """Time goes to the right, x into the depth, y downwards: what the sensor sees, in a row of moments."""
     shown = np.flatnonzero(kept)[shown_evenly(int(kept.sum()), MOST_DOTS)]
     colours = np.where(window.events["p"][shown] == 1, ON, OFF)
-    size = (1.2 if small else 3.0) * min(1.0, (3_000 / max(1, shown.size)) ** 0.5)
+    size = 3.0 * min(1.0, (3_000 / max(1, shown.size)) ** 0.5)
     axes.scatter(window.time_ms[shown], x[shown], y[shown], s=size, c=colours, lw=0, depthshade=False, rasterized=True)
 
 
-def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_name: str, small: bool) -> None:
-    end_ms = window.subject.config.window_us / 1e3
-    axes.set(xlim=(0, end_ms), ylim=(0, sides[0] - 1), zlim=(sides[1] - 1, 0))
-    most = 2 if small else 4
-    axes.set(xticks=_inner_ticks(end_ms, most), yticks=_inner_ticks(sides[0] - 1, most))
-    axes.set_zticks(_inner_ticks(sides[1] - 1, most))
-    axes.set_xlabel("time (ms)" if small else "time in the window (ms)", labelpad=-6 if small else -1)
-    axes.set_ylabel(x_name if small else f"{x_name} (px)", labelpad=-9 if small else -4)
-    axes.set_zlabel(y_name if small else f"{y_name} (px)", labelpad=-12 if small else -6)
-    axes.tick_params(labelsize=SMALL, pad=-4 if small else -2, colors=TEXT)
+def _frame(axes: Any, window: Window, sides: tuple[int, int], x_name: str, y_name: str) -> None:
+    axes.set(xlim=(0, window.subject.config.window_us / 1e3), ylim=(0, sides[0] - 1), zlim=(sides[1] - 1, 0))
+    axes.set_xlabel("time in the window (ms)", labelpad=-1)
+    axes.set_ylabel(f"{x_name} (px)", labelpad=-4)
+    axes.set_zlabel(f"{y_name} (px)", labelpad=-6)
+    axes.tick_params(labelsize=SMALL, pad=-2, colors=TEXT)
     axes.set_proj_type("ortho")  # parallels stay parallel: a shape in constant motion is a slanted tube
     axes.set_box_aspect((1.9, sides[0] / max(sides), sides[1] / max(sides)), zoom=1.2)
     axes.view_init(elev=16, azim=-38)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_major_locator(few_ticks(prune="both"))  # labels at the corners of the box would overlap
         axis.set_pane_color((1, 1, 1, 0))
-        axis.pane.set_edgecolor("#d8d8d8")
-        axis.line.set_color(GREY)
-        axis._axinfo["grid"].update(color="#e6e6e6", linewidth=0.6)
-
-
-def _inner_ticks(end: float, most: int) -> list[float]:
-    """A few round numbers between 0 and `end`: labels at the corners of a box would overlap."""
-    from matplotlib.ticker import MaxNLocator
-
-    return [tick for tick in MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(0, end) if 0 < tick < end]
 
 
 class Layer(NamedTuple):
@@ -155,16 +136,12 @@ def draw_layers(figure: Figure, window: Window, shown: Sequence[int], top: float
     config, layers = window.subject.config, layers_of_window(window)
     width, height = _picture(config, len(shown))
     titles = [f"bin {k}\n{bin_ms(config, k)}" for k in shown]
-    images = draw_rows(figure, layers, shown, titles, (LEFT, top + HEAD), (width, height), LARGE)
-    for row, (layer, image) in enumerate(zip(layers, images, strict=True)):
-        right = LEFT + len(shown) * (width + GAP) + 0.04
-        axes = axes_at(figure, right, top + HEAD + row * (height + ROW_GAP), 0.1, height)
-        bar = figure.colorbar(image, cax=axes, extend="both" if layer.colours == "signed" else "max")
-        bar.outline.set_visible(False)
-        bar.ax.tick_params(labelsize=SMALL, length=2, colors=TEXT)
-        bar.locator = few_ticks()
-        if height > 0.85:  # else it would reach into the next row; the caption has it, too
-            bar.set_label("events / cell", fontsize=SMALL, color=TEXT, labelpad=2)
+    images = draw_rows(figure, layers, shown, titles, (LEFT, top + HEAD), (width, height))
+    right = LEFT + len(shown) * (width + GAP) + 0.04
+    for row, image in enumerate(images):
+        bar = axes_at(figure, right, top + HEAD + row * (height + ROW_GAP), 0.1, height)
+        figure.colorbar(image, cax=bar, ticks=few_ticks())
+        bar.tick_params(labelsize=SMALL, length=2, colors=TEXT)
 
 
 def draw_rows(
@@ -174,7 +151,6 @@ def draw_rows(
     titles: Sequence[str],
     corner: tuple[float, float],
     picture: tuple[float, float],
-    fontsize: float,
 ) -> list[AxesImage]:
     """A row of pictures for each layer: its bins `shown`, in common colours. Returns an image of each row.
 
@@ -190,7 +166,7 @@ def draw_rows(
             if row == 0:
                 axes.set_title(title, fontsize=SMALL, pad=3)
             if column == 0:
-                axes.set_ylabel(layer.name, fontsize=fontsize)
+                axes.set_ylabel(layer.name)
         images.append(image)
     return images
 
@@ -213,29 +189,10 @@ def draw_slice(axes: Any, cells: np.ndarray, colours: str, limit: float, **setti
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set(visible=True, color=PALE)
     signed = colours == "signed"
-    sharp = "nearest" if cells.shape[1] <= 100 else None  # a cell smaller than a dot must not vanish between dots
-    return axes.imshow(
-        cells,
-        cmap=polarity_map() if signed else one_colour_map(INK[colours]),
-        vmin=-limit if signed else 0.0,
-        vmax=limit,
-        interpolation=sharp,
-        aspect="auto",
-        **settings,
-    )
+    colour_map = polarity_map() if signed else one_colour_map(INK[colours])
+    return axes.imshow(cells, cmap=colour_map, vmin=-limit if signed else 0.0, vmax=limit, aspect="auto", **settings)
 
 
 def bin_ms(config: TNTConfig, k: int) -> str:
     """The time of a bin."""
-    centre_ms = k * config.window_us / 1e3 / max(1, config.bins - 1)
-    return f"{centre_ms:.0f} ms" if config.window_us >= 20_000 else f"{centre_ms:.3g} ms"
-
-
-def caption(config: TNTConfig) -> str:
-    """A caption: the kind of pictures, and their colours."""
-    colours = {
-        "signed": "colour: ON minus OFF events of a cell",
-        "unsigned": "ink: ON and OFF events of a cell alike",
-        "split": "ON and OFF events in volumes of their own",
-    }[config.polarity]
-    return f"{config.grid[0]} x {config.grid[1]} pixels, {config.bins} time bins; {colours}"
+    return f"{k * config.window_us / 1e3 / max(1, config.bins - 1):.3g} ms"

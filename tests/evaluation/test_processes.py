@@ -3,13 +3,12 @@
 import contextlib
 import multiprocessing
 import os
-import signal
 import socket
 import time
 from pathlib import Path
 
 import pytest
-from evaluation.made_work import broken, deadly, make_tasks, record_of
+from evaluation.made_work import deadly, make_tasks, record_of
 from evaluation.simple_work import n_events_of, raise_odd, sleep_or_end, twice, unpicklable
 from processes import started
 from sources.files.written import made_events, written
@@ -30,11 +29,6 @@ def test_every_task_is_done_once(run, tmp_path):
     assert sorted(record["label"] for record in records) == NAMES
 
 
-def test_an_error_of_a_task_is_raised(run, tmp_path):
-    with pytest.raises(ImportError, match="no reader of that"):
-        list(run(broken, make_tasks(tmp_path / "set", NAMES), lost=lost))
-
-
 @posix
 @replacing_workers
 def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, tmp_path, request):
@@ -47,26 +41,12 @@ def test_a_task_that_ends_its_worker_is_named_and_the_others_are_done_once(run, 
         assert sorted((tmp_path / "set" / "begun").read_text().split()) == sorted(names)
 
 
-def test_more_workers_than_tasks_and_large_results():
-    assert sorted(run_all(twice, [4, 5], 4)) == [8, 10] and list(run_all(twice, [], 2)) == []
-    assert sum(len(result) for result in run_all(twice, [b"x" * (1 << 20)] * 40, 2)) == 80 << 20
-
-
 def test_what_cannot_be_pickled_is_an_error():
     with pytest.raises(Exception, match="pickle"):
         list(run_all(unpicklable, [1, 2], 2))
     with pytest.raises(RuntimeError, match="OddError: 7, not 0") as raised:
         list(run_all(raise_odd, [7, 7], 2))
     assert "in raise_odd" in raised.value.__notes__[0]  # the worker's traceback
-
-
-def test_a_script_needs_no_main_guard(tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(
-        "from async_tnt.evaluation.processes import run_all\nprint(sorted(run_all(abs, [1, -2, 3], 2)))\n"
-    )
-    with started(script) as process:
-        assert process.communicate() == ("[1, 2, 3]\n", "")
 
 
 def test_a_daemonic_process_has_workers(tmp_path):
@@ -106,18 +86,6 @@ def test_killing_the_program_ends_its_workers_in_the_middle_of_their_tasks(tmp_p
         until(lambda: not any(is_running(pid) for pid in pids))
 
 
-@posix
-def test_ctrl_c_in_the_terminal_reaches_the_program_alone(tmp_path):
-    """It would otherwise print a traceback for each worker."""
-    code = f"from evaluation.simple_work import run_sleepers; run_sleepers({str(tmp_path)!r})"
-    with started("-c", code, process_group=0) as process:
-        until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
-        pids = [int(path.stem) for path in tmp_path.glob("*.pid")]
-        os.killpg(process.pid, signal.SIGINT)
-        assert process.communicate()[1].count("Traceback") == 1 and process.returncode == -signal.SIGINT
-        assert not any(is_running(pid) for pid in pids)
-
-
 def test_a_call_over_its_limit_ends_the_worker():
     worker = Worker()
     worker.submit(twice, 2)
@@ -132,9 +100,6 @@ def test_a_call_over_its_limit_ends_the_worker():
         worker.result(0.1)
     worker.end()
     assert not worker.is_running
-
-
-# -- what is special about a Dask cluster: wrong addresses, and workers that differ ------------------------------------
 
 
 def test_workers_that_cannot_read_the_files_or_have_another_version_are_named(cluster, tmp_path, monkeypatch):

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-
 import numpy as np
 import pytest
 
 from async_tnt import CompiledClassifier, Decision, LeakyIntegrator, Processor, load_model
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from experiments import early as script
 from experiments import measure_early as early
 
 WINDOW_US = 105_000
@@ -66,37 +62,3 @@ def test_evaluations_are_those_that_a_counting_classifier_counts(settings):
     processor.finish()
     found = early.early_decisions(DIGITS, [(3, events)], settings)
     assert len(found) == 3 and sum(e.evaluations for e in found) == len(asked)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """The bundled samples, twice, as a folder of recordings."""
-    folder = tmp_path_factory.mktemp("Test")
-    for digit, path in sample_recordings().items():
-        (folder / str(digit)).mkdir()
-        for k in range(2):
-            shutil.copy(path, folder / str(digit) / f"{k:05}.bin")
-    return folder
-
-
-def test_the_script_measures_draws_and_writes(folder, tmp_path, capsys, monkeypatch):
-    few = {"MOMENTS_MS": (10, 50, 105), "LEVELS": (0.5, 0.9), "NUMBERS": (25,), "INTEGRATORS": early.INTEGRATORS[-1:]}
-    for name, values in few.items():
-        monkeypatch.setattr(early, name, values)
-    assert [digit for digit, _ in early.labelled(folder, None)] == [d for d in range(10) for _ in range(2)]
-    target, picture, again = tmp_path / "early.json", tmp_path / "early.png", tmp_path / "again.png"
-    words = [folder, "--recordings", 10, "--workers", 1, "--json", target, "--picture", picture]
-    assert script.main([str(word) for word in words]) == 0
-    text = capsys.readouterr().out
-    report = json.loads(target.read_text(encoding="utf-8"))
-    assert report["recordings"] == 10 and report["machine"]["cpu"]
-    groups = early.all_settings(WINDOW_US)
-    assert {name: len(rows) for name, rows in report["results"].items()} == {k: len(v) for k, v in groups.items()}
-    for row in (row for group in report["results"].values() for row in group):
-        assert row["windows"] == 30 and script.words(row["settings"]) in text
-    moments = {row["settings"].get("every_us"): row for row in report["results"]["moment"]}
-    assert moments[10_000]["mean_ms"] == 10.0 and moments[None]["mean_ms"] == 105.0
-    assert moments[None]["accuracy"] > 0.9 > moments[10_000]["accuracy"]
-    assert 0.1 <= report["of_nothing"] < 0.3
-    assert script.main(["--from", str(target), "--picture", str(again)]) == 0
-    assert again.read_bytes() == picture.read_bytes()

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib (extra: plot)")
 
-from made import random_model, random_regressor_model  # noqa: E402
+from made import random_model  # noqa: E402
 from views.test_figure_content import assert_equal, dots, pictures  # noqa: E402
 from views.test_plot_command import in_squares  # noqa: E402
 
 from async_tnt import Processor, TNTConfig, load_model  # noqa: E402
 from async_tnt.views.figure_subject import Subject  # noqa: E402
-from experiments import figure_heatmap, figure_motions, figure_pipeline  # noqa: E402
+from experiments import figure_motions, figure_pipeline  # noqa: E402
 from experiments.figure_motions import draw_motions  # noqa: E402
 from experiments.figure_pipeline import draw_pipeline  # noqa: E402
 from experiments.figure_script import subject_of  # noqa: E402
@@ -75,34 +74,3 @@ def test_the_pictures_of_the_pages_are_what_the_scripts_draw(script, name, tmp_p
     assert script.main(["3", "--picture", str(again)]) == 0
     kept, drawn = (in_squares(image.imread(path)) for path in (IMAGES / f"{name}.png", again))
     assert kept.shape == drawn.shape and np.abs(kept - drawn).max() < 0.2
-    assert (IMAGES / f"{name}.png").stat().st_size < 200_000
-
-
-@pytest.mark.parametrize(
-    "script, labels",
-    [
-        (figure_heatmap, ["3.bin, window 1: the landmark network's heatmap", "21 ms", "running centroid"]),
-        (figure_motions, ["window 1: moving down", "y, after TNT v (px)"]),
-    ],
-)
-def test_figures_of_a_model_with_a_landmark_network(script, labels, tmp_path):
-    model, out = tmp_path / "r.safetensors", tmp_path / "a.svg"
-    random_regressor_model().save(model)
-    assert script.main(["3", "--model", str(model), "--picture", str(out)]) == 0
-    text = " ".join("".join(ElementTree.parse(out).getroot().itertext()).split())
-    assert not [label for label in labels if label not in text]
-
-
-@pytest.mark.parametrize(
-    "script, words, message",
-    [
-        (figure_heatmap, "3", 'a heatmap needs a model with landmark="regressor", but model digits has'),
-        (figure_motions, "3 4 5", "2 windows of one recording or of as many are drawn, got 3 recordings"),
-        (figure_motions, "3 --windows 1", "2 windows are drawn, got the numbers [1]"),
-        (figure_pipeline, "missing.bin", "No such file"),
-    ],
-)
-def test_mistakes_are_one_line(script, words, message, tmp_path, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        script.main([*words.split(), "--picture", str(tmp_path / "a.png")])
-    assert message in capsys.readouterr().err

@@ -3,12 +3,9 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from async_tnt.sources.files.nmnist import read_nmnist
-from experiments.moving_mnist_set import build, open_set
-from experiments.shards import open_shard
+from experiments.moving_mnist_set import build
 
 ALONG = "ON - OFF centroid, along the motion"
 
@@ -26,36 +23,6 @@ def simulate(experiment, mnist, tmp_path):
         return experiment("moving_mnist", "--mnist", mnist, "--out", tmp_path / "set", "--workers", 1, *words)
 
     return run
-
-
-def test_a_small_set_with_everything(simulate, tmp_path):
-    binary = tmp_path / "as-nmnist"
-    code, printed, err = simulate("--digits", 3, "--bin", binary)
-    assert code == 0 and err == "no N-MNIST to compare with; give --nmnist FOLDER\n"
-    assert "90 recordings (3 images x 30 motions) in 30 files" in printed
-    assert printed.splitlines()[2].split() == ["simulated", "this", "set"]
-    assert f"{ALONG} [px]" in printed and "nan" not in printed
-    for shard in open_set(tmp_path / "set"):
-        for i in range(len(shard)):
-            digit, number = shard.labels[i], shard.image[i] + 1
-            path = binary / shard.metadata["motion"]["name"] / str(digit) / f"{number:05}.bin"
-            np.testing.assert_array_equal(read_nmnist(path), shard.recording(i))
-    assert len(list(binary.rglob("*.*"))) == 90
-
-
-def test_bright_digits_that_start_at_the_centre(simulate, tmp_path):
-    assert simulate("--digits", 2, "--motions", "constant-from-centre", "--bright-on-dark")[0] == 0
-    made = open_set(tmp_path / "set")
-    assert made.parameters["kind"] == "constant-from-centre"
-    assert made.parameters["simulator"]["scene"]["dark_on_bright"] is False
-    path, place = made.locate(0, 0)  # to the right: ON events lead
-    events = open_shard(path).recording(place)
-    assert events["x"][events["p"] == 1].mean() > events["x"][events["p"] == 0].mean()
-    code, _, err = simulate("--digits", 2, "--motions", "constant-from-centre")
-    assert code == 2 and "made with other parameters: dark_on_bright is False, requested True. Give the same" in err
-    path.unlink()
-    with pytest.raises(ValueError, match="constant-from-centre --digits 2 --seed 0 --bright-on-dark, or by `build`"):
-        open_set(tmp_path / "set")
 
 
 def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(simulate, tmp_path):

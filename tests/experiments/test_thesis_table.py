@@ -11,7 +11,6 @@ from small_sets import write_small_mnist
 torch = pytest.importorskip("torch")
 
 from async_tnt import Processor, TNTConfig, load_model  # noqa: E402
-from async_tnt.simulation.scene import Scene  # noqa: E402
 from experiments import thesis_table  # noqa: E402
 from experiments.moving_mnist_set import build, open_set  # noqa: E402
 from experiments.page_parts import results  # noqa: E402
@@ -19,41 +18,16 @@ from experiments.table_data import (  # noqa: E402
     RealFolder,
     saccade,
     shown_test_images,
-    some_recordings,
     trained_on,
 )
 from experiments.table_numbers import aggregate, differences, markdown_table, text_table  # noqa: E402
-from experiments.table_rows import DIFFERENCES, INPUTS, ROWS, Run  # noqa: E402
+from experiments.table_rows import DIFFERENCES, ROWS, Run  # noqa: E402
 
 
 @pytest.fixture(scope="module")
 def mnist(tmp_path_factory):
     """45 images."""
     return write_small_mnist(tmp_path_factory.mktemp("MNIST"), 45)
-
-
-def test_rows_differ_only_in_what_they_are_named_for():
-    """Every row of the comparison, rebuilt from its name."""
-    compared = [row for row in ROWS.values() if row.group in ("comparison", "learning")]
-    assert len([row for row in compared if row.group == "comparison"]) == 24
-    for row in compared:
-        name, *words = row.name.split("-")
-        config = INPUTS[name].replace(polarity="unsigned" if "unsigned" in words else "signed")
-        for word in words:
-            if word[0] == "t" and word[1:].isdigit():
-                config = config.replace(t_max=float(word[1:]))
-        recordings = [int(word) for word in words if word.isdigit()]
-        assert (row.config, row.recordings) == (config, recordings[0] if recordings else None)
-        moved = row.augmentation
-        assert moved.translate_px == (4 if "translated" in words else 0)
-        assert (moved.drop, moved.shift_px, moved.rotation_deg, moved.scale, moved.shear) == (0.3, 0, 0, 0, 0)
-    for row in ROWS.values():
-        if row.group == "motions":
-            plain = ROWS[row.name.split("-")[0]]
-            assert (row.config, row.augmentation) == (plain.config, plain.augmentation)
-        if row.group == "thesis":
-            assert row.config.transform == "none" or row.config.t_max == 8
-            assert (row.augmentation.drop, row.augmentation.translate_px > 0) == (0, row.name == "thesis-regress")
 
 
 def test_pairs_that_are_compared_differ_in_one_thing():
@@ -95,14 +69,6 @@ def test_real_windows_by_saccade(nmnist):
     assert len(trained_on(data.training, "1")) == 30
     assert not set(data.training.recording) & set(data.held_out.recording)
     assert data.seen_images.tolist() == list(range(5, 45))
-
-
-def test_fewer_recordings_with_as_many_of_each_class(nmnist):
-    windows = RealFolder(nmnist, validation=0.25).read().training
-    some = some_recordings(windows, 12)
-    assert len(np.unique(some.recording)) == 12 and len(some) == 36
-    assert set(np.bincount(some.labels, minlength=10)) == {3, 6}
-    assert set(some_recordings(windows, 5).recording) < set(some.recording)
 
 
 def test_numbers_and_tables_by_hand():
@@ -198,22 +164,6 @@ def test_given_again_it_trains_what_is_missing_and_refuses_other_settings(
     assert code == 2 and "holds a run with other iterations" in err
 
 
-def test_another_set_is_tested_on_without_training(done, words, mnist, tmp_path, experiment, monkeypatch):
-    bells = tmp_path / "bells"
-    build(mnist, bells, workers=1, kind="bell", scene=Scene(dark_on_bright=False))
-    shutil.copytree(done, tmp_path / "more")
-    monkeypatch.setattr("torch.optim.AdamW.step", lambda *a, **k: pytest.fail("trained again"))
-    place = words.index("--rows")
-    code, printed, _ = experiment("thesis_table", *words[:place], bells, *words[place:], tmp_path / "more", "--json")
-    record, before = json.loads(printed), json.loads((done / "results.json").read_text())
-    assert code == 0 and list(record["data"]["simulated"]) == ["sim", "bell bright"]
-    for row, columns in record["table"].items():
-        assert columns.pop("1/bell bright")["windows"] == columns.pop("all/bell bright")["windows"] == 150
-        assert columns == before["table"][row]
-    code, _, err = experiment("thesis_table", *words[:place], bells, bells, *words[place:], tmp_path / "more")
-    assert code == 2 and "are the same kind of set, bell bright" in err
-
-
 def test_rows_with_resynthesis(nmnist, moving, tmp_path, experiment):
     """Motions are made once for both seeds, and counted in the results."""
     words = ["--rows", "raw-confounded", "raw-moved", "--trained-on", "confounded", "--seeds", 0, 1, "--out", tmp_path]
@@ -234,32 +184,6 @@ def test_each_class_is_seen_in_one_saccade(nmnist):
     windows = trained_on(RealFolder(nmnist, validation=0.25).read().training, "confounded")
     pairs = set(zip(windows.labels.tolist(), saccade(windows).tolist(), strict=True))
     assert pairs == {(digit, 0) for digit in range(4)} | {(4, 1), (5, 1), (6, 1), (7, 2), (8, 2), (9, 2)}
-
-
-def test_smoke_makes_its_own_motions(nmnist, mnist, tmp_path, experiment, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    words = ["--nmnist", nmnist, "--mnist", mnist, "--rows", "line", "--workers", 1, "--iterations", 2]
-    code, printed, _ = experiment("thesis_table", "--smoke", *words)
-    assert code == 0 and "line" in printed and "30 constant motions of 5 MNIST test images" in printed
-    assert (tmp_path / "table-smoke" / "results.json").exists()
-
-
-def test_errors_are_one_line(nmnist, mnist, tmp_path, monkeypatch, experiment):
-    monkeypatch.delenv("TNT_DATA", raising=False)
-    monkeypatch.chdir(tmp_path)
-    seen = shutil.copytree(nmnist, tmp_path / "seen")
-    for k, path in enumerate(sorted(seen.glob("Train/*/*.bin"))):  # of test images from the first on
-        path.rename(path.with_name(f"{60_001 + k}-{path.name}"))
-    for path in seen.glob("Train/*/*-*.bin"):
-        path.rename(path.with_name(path.name[:5] + ".bin"))
-    for words, message in (
-        ([], "no data: give --nmnist FOLDER"),
-        (["--nmnist", nmnist], "no data: give --mnist FOLDER"),
-        (["--rows", "raw", "--trained-on", "confounded"], "none of the rows raw is trained on confounded"),
-        (["--nmnist", seen, "--mnist", mnist, "--smoke"], "all of its 20 images are shown by training recordings"),
-    ):
-        code, _, err = experiment("thesis_table", "--workers", 1, *words)
-        assert code == 2 and message in err and err.count("\n") == 1
 
 
 def test_the_committed_table_is_that_of_the_code():

@@ -8,7 +8,8 @@ import pytest
 from made import random_model
 
 from async_tnt import Processor, TNTConfig, load_model
-from async_tnt.cli.bench import COUNTS, _decision_us, _recordings
+from async_tnt.checking.agreement import streams_for
+from async_tnt.cli.bench import COUNTS, _decision_us
 
 CONFIGS = {
     "another sensor": {"sensor": (40, 30), "grid": (20, 16)},
@@ -38,7 +39,7 @@ def test_any_model_is_measured(settings, tmp_path, program):
     code, text, _ = program("bench", "--quick", "--json", "--model", str(path))
     report = json.loads(text)
     check(report)
-    assert code == 0 and report["events_from"] == ("random events" if "sensor" in settings else "bundled recordings")
+    assert code == 0 and report["events_from"] == ("made streams" if "sensor" in settings else "bundled samples")
 
 
 def test_a_decision_is_timed_so_many_events_after_the_one_before(monkeypatch):
@@ -47,7 +48,7 @@ def test_a_decision_is_timed_so_many_events_after_the_one_before(monkeypatch):
     monkeypatch.setattr(Processor, "push", lambda self, events: calls.append(len(events)) or push(self, events))
     monkeypatch.setattr(Processor, "fire", lambda self: calls.append("fire") or fire(self))
     model = load_model("digits")
-    taken = list(_decision_us(model, _recordings(model.config)[0][:2], 100, moments=5))
+    taken = list(_decision_us(model, streams_for(model.config)[0][:2], 100, moments=5))
     assert len(taken) == 8 and len(calls) == 4 * len(taken)  # the first of five would have no decision before
     assert calls[1::4] == calls[3::4] == ["fire"] * 8 and calls[2::4] == [100] * 8
 
@@ -55,7 +56,7 @@ def test_a_decision_is_timed_so_many_events_after_the_one_before(monkeypatch):
 def test_text_names_the_figures(program):
     code, text, _ = program("bench", "--quick")
     assert code == 0
-    for words in ("model digits: 34 x 34 pixels, landmark running; bundled recordings", "ns an event into the volume"):
+    for words in ("model digits: 34 x 34 pixels, landmark running; bundled samples", "ns an event into the volume"):
         assert words in text
     for words in ("1 new event ", "100 new events ", "1,300 new events ", "decisions a second, one after every event"):
         assert words in text

@@ -85,10 +85,8 @@ def test_evaluation_is_that_of_the_parts_in_files_of_their_own(sessions, tmp_pat
         code, out, err = program("evaluate", model, folder, "--json", "--out", tmp_path / f"{folder.name}.jsonl")
         report = json.loads(out)
         assert code == 0 and report["recordings"] == 9, err
-        reports.append({name: value for name, value in report.items() if "second" not in name})
+        reports.append(report)
     assert reports[0] == reports[1]
-    code, out, _ = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
-    assert code == 0 and json.loads(out)["seconds"] is None  # resumed: nothing left to do
     table = sessions / "user01_lab_labels.csv"
     table.write_text(table.read_text().replace("flat", "upright", 1))  # a corrected label is compared with
     code, out, _ = program("evaluate", model, sessions, "--json", "--out", tmp_path / "sessions.jsonl")
