@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from async_tnt.checks import short
-from async_tnt.config import MAX_SIDE
+from async_tnt.config import LANDMARKS, MAX_SIDE, POLARITIES, REPRESENTATIONS, TRANSFORMS
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
 from async_tnt.sources.files.recording import READERS, sample_recordings
@@ -18,6 +18,16 @@ from async_tnt.sources.opening import is_live
 from async_tnt.sources.sensor import format_size
 from async_tnt.triggers import LeakyIntegrator
 
+FIELDS: dict[str, Callable[[str], Any]] = {
+    "representation": str,
+    "transform": str,
+    "landmark": str,
+    "polarity": str,
+    "bins": int,
+    "t_max": float,
+    "remove_flow": {"yes": True, "no": False}.__getitem__,
+}
+"""What --volume may give: fields of `TNTConfig`, and how their values are read."""
 SAMPLES = Path("samples")
 
 
@@ -183,6 +193,41 @@ def _integrator(text: str) -> LeakyIntegrator:
         raise argparse.ArgumentTypeError(
             f"must be two positive numbers, events:microseconds, such as 60:4000, got {short(text)}"
         ) from None
+
+
+def add_volume(parser: argparse._ActionsContainer, default: str) -> None:
+    """--volume, the fields of `TNTConfig` that no other option gives; read it with `volume_of`."""
+    parser.add_argument(
+        "--volume",
+        type=_volume_text,
+        metavar="NAME=VALUE,...",
+        help=f"representation ({', '.join(REPRESENTATIONS)}), transform ({', '.join(TRANSFORMS)}), landmark "
+        f"({', '.join(LANDMARKS)}), polarity ({', '.join(POLARITIES)}), bins, t_max, remove_flow=yes; landmark and "
+        f"t_max need transform=tnt (default: {default})",
+    )
+
+
+def volume_of(text: str | None) -> dict[str, Any]:
+    """`bins=5,polarity=split` as fields of `TNTConfig`. An argparse type."""
+    volume = {}
+    for part in (text or "").split(",") if text is not None else ():
+        name, _, value = part.partition("=")
+        if name not in FIELDS or name in volume:
+            raise argparse.ArgumentTypeError(
+                f"must be NAME=VALUE,... with each of {', '.join(FIELDS)} at most once, got {short(part)}"
+            )
+        try:
+            volume[name] = FIELDS[name](value)
+        except (ValueError, KeyError):
+            kind = {"bins": "a whole number", "t_max": "a number"}.get(name, "yes or no")
+            raise argparse.ArgumentTypeError(f"{name} must be {kind}, got {short(value)}") from None
+    return volume
+
+
+def _volume_text(text: str) -> str:
+    """The fields as text, checked, so that a command keeps them as they were given."""
+    volume_of(text)
+    return text
 
 
 def command_words(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from async_tnt.cli.options import positive_int, size_of
+from async_tnt.cli.options import add_volume, positive_int, size_of, volume_of
 from async_tnt.cli.output import complain, say
-from async_tnt.config import LANDMARKS, POLARITIES, TIME_IMAGES, TNTConfig
+from async_tnt.config import TIME_IMAGES, TNTConfig
 from async_tnt.events import as_events
 from async_tnt.networks.loading import bundled_models, load_model
 from async_tnt.networks.model import Model
@@ -17,7 +17,7 @@ from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_style import FORMATS, check_picture, save, styled
 from async_tnt.views.figure_subject import Subject
 
-VOLUME_OPTIONS = ("landmark", "t_max", "polarity", "remove_flow", "bins", "window_us", "grid")
+DPI = 100  # figures are 10.4 inches wide
 DEFAULT_MODEL = "digits"
 DEFAULT_SAMPLE = 3
 
@@ -29,7 +29,7 @@ volume: a network only knows the kind of volume that it was trained on.
 
   async-tnt plot                                         a bundled recording of a 3
   async-tnt plot 8 --window 2 --out eight.svg            the second window of the bundled 8
-  async-tnt plot my.npz --landmark line --remove-flow --t-max 2
+  async-tnt plot my.npz --volume landmark=line,remove_flow=yes,t_max=2
 
 async-tnt train and async-tnt evaluate draw confusion matrices, and train what motion re-synthesis makes of a window.
 """
@@ -68,23 +68,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="time between decisions (default: 2500; more for recordings longer than 5 s)",
     )
     volume = parser.add_argument_group("the volume, if other than the model's")
-    volume.add_argument("--landmark", choices=LANDMARKS, help="the point events are normalized about")
-    volume.add_argument("--t-max", type=float, metavar="T", help="TNT time at a window's end")
-    volume.add_argument("--polarity", choices=POLARITIES, help="ON minus OFF, both alike, or in separate bins")
-    volume.add_argument(
-        "--remove-flow", action=argparse.BooleanOptionalAction, help="subtract the fitted flow (landmark line)"
-    )
-    volume.add_argument("--bins", type=positive_int, metavar="B", help="time bins")
+    add_volume(volume, "the model's")
     volume.add_argument("--window-us", type=positive_int, metavar="US", help="length of a window, in microseconds")
     volume.add_argument("--sensor", type=size_of, metavar="WxH", help="the camera's pixels, if not in the file")
     volume.add_argument("--grid", type=size_of, metavar="WxH", help="the volume's pixels")
-    parser.add_argument(
-        "--dpi",
-        type=_dpi,
-        default=150,
-        metavar="N",
-        help="pixels per inch; figures are 10.4 inches wide (default: 150)",
-    )
 
 
 def main(args: argparse.Namespace) -> int:
@@ -93,7 +80,7 @@ def main(args: argparse.Namespace) -> int:
     check_picture(out)
     subject = subject_of(path, args)
     with styled():
-        save(draw_overview(subject, args.window, args.slices, args.every_us), out, args.dpi)
+        save(draw_overview(subject, args.window, args.slices, args.every_us), out, DPI)
     if subject.model is None:
         sensor = format_size(subject.config.sensor)
         complain(f"{path}: no decisions, model {DEFAULT_MODEL} is not for {sensor} pixels (--model)")
@@ -152,7 +139,8 @@ def _sensor(recording: Recording, args: argparse.Namespace, model: Model) -> tup
 
 def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     """A configuration with the options' changes."""
-    changes = {name: getattr(args, name) for name in VOLUME_OPTIONS if getattr(args, name) is not None}
+    changes = volume_of(args.volume)
+    changes |= {name: getattr(args, name) for name in ("window_us", "grid") if getattr(args, name) is not None}
     if changes.get("landmark", "line") != "line":  # a model's own flow removal goes with its line
         changes.setdefault("remove_flow", False)
     if config.window_events is not None:
@@ -162,10 +150,3 @@ def _configured(config: TNTConfig, args: argparse.Namespace) -> TNTConfig:
     if config.transform == "none":
         changes["transform"] = "tnt"
     return config.replace(**changes)
-
-
-def _dpi(text: str) -> int:
-    dpi = positive_int(text)
-    if not 30 <= dpi <= 1200:
-        raise argparse.ArgumentTypeError(f"must be in [30, 1200], got {dpi}")
-    return dpi

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from async_tnt.checks import needs_extra
-from async_tnt.cli.options import command_words, size_of
+from async_tnt.cli.options import command_words, size_of, volume_of
 from async_tnt.cli.output import note, say
 from async_tnt.cli.pixel_options import selection_of
-from async_tnt.cli.train_options import add_arguments, volume_of
+from async_tnt.cli.train_options import add_arguments
 from async_tnt.files import check_folder, check_ours, check_writable, locked_folder, write_text
 from async_tnt.networks.loading import load_model
 from async_tnt.networks.model import Model

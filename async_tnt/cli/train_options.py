@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from async_tnt.checks import short
-from async_tnt.cli.options import number, positive_int, size_text, whole_number
+from async_tnt.cli.options import add_volume, number, positive_int, size_text, whole_number
 from async_tnt.cli.pixel_options import add_selection
-from async_tnt.config import LANDMARKS, POLARITIES, REPRESENTATIONS, TRANSFORMS
 
 USAGE = "async-tnt train DATASET [--sensor WxH] [--out FILE] [options]"
 DESCRIPTION = """\
@@ -26,16 +22,6 @@ Beside the model it writes gestures.json and, with the extra `plot`,
 gestures.curves.png and gestures.confusion.png. Stop with Ctrl-C and give the same command again: it
 resumes from runs/gestures, and on the same machine ends with the same weights.
 """
-FIELDS: dict[str, Callable[[str], Any]] = {
-    "representation": str,
-    "transform": str,
-    "landmark": str,
-    "polarity": str,
-    "bins": int,
-    "t_max": float,
-    "remove_flow": {"yes": True, "no": False}.__getitem__,
-}
-"""What --volume may give: fields of `TNTConfig`, and how their values are read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,14 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument(
         "--grid", type=size_text, metavar="WxH", help="the volume's pixels (default: at most 60 along the longer side)"
     )
-    network.add_argument(
-        "--volume",
-        type=_volume_text,
-        metavar="NAME=VALUE,...",
-        help=f"representation ({', '.join(REPRESENTATIONS)}), transform ({', '.join(TRANSFORMS)}), landmark "
-        f"({', '.join(LANDMARKS)}), polarity ({', '.join(POLARITIES)}), bins, t_max, remove_flow=yes; landmark and "
-        "t_max need transform=tnt (default: transform=none,polarity=split,bins=9)",
-    )
+    add_volume(network, "transform=none,polarity=split,bins=9")
     network.add_argument(
         "--network",
         metavar="NAME",
@@ -132,29 +111,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     network.add_argument(
         "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"
     )
-
-
-def volume_of(text: str | None) -> dict[str, Any]:
-    """`bins=5,polarity=split` as fields of `TNTConfig`. An argparse type."""
-    volume = {}
-    for part in (text or "").split(",") if text is not None else ():
-        name, _, value = part.partition("=")
-        if name not in FIELDS or name in volume:
-            raise argparse.ArgumentTypeError(
-                f"must be NAME=VALUE,... with each of {', '.join(FIELDS)} at most once, got {short(part)}"
-            )
-        try:
-            volume[name] = FIELDS[name](value)
-        except (ValueError, KeyError):
-            kind = {"bins": "a whole number", "t_max": "a number"}.get(name, "yes or no")
-            raise argparse.ArgumentTypeError(f"{name} must be {kind}, got {short(value)}") from None
-    return volume
-
-
-def _volume_text(text: str) -> str:
-    """The fields as text, checked, so that a command keeps them as they were given."""
-    volume_of(text)
-    return text
 
 
 def _share(text: str) -> float:

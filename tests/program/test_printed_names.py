@@ -39,7 +39,7 @@ COMMANDS = {
     "check": "check RECORDING --model MODEL --prefixes 1",
     "export": "export MODEL --out NAME.onnx",
     "mask": "mask RECORDING --out NAME.npy",
-    "plot": "plot RECORDING --model MODEL --out NAME.png --dpi 50",
+    "plot": "plot RECORDING --model MODEL --out NAME.png",
     "view": "view RECORDING --model MODEL --out NAME.rrd",
     "train": "train set --out NAME.m.safetensors --epochs 1 --validation .3",
 }

@@ -38,7 +38,7 @@ def test_a_page_as_png_and_svg(plot):
     import matplotlib
 
     settings = dict(matplotlib.rcParams)
-    code, printed, _ = plot("--dpi", 100)
+    code, printed, _ = plot()
     assert dict(matplotlib.rcParams) == settings
     assert (code, printed) == (0, f"3.png ({Path('3.png').stat().st_size / 1e3:.0f} kB)\n")
     kept, again = in_squares(image.imread(IMAGES / "what_happens.png")), in_squares(image.imread("3.png"))
@@ -73,7 +73,7 @@ def in_squares(pixels, side=20):
 
 
 def test_options_reach_the_picture(plot):
-    volume = "--landmark line --remove-flow --t-max 2 --polarity unsigned --bins 5 --window-us 50000 --grid 20x30"
+    volume = "--volume landmark=line,remove_flow=yes,t_max=2,polarity=unsigned,bins=5 --window-us 50000 --grid 20x30"
     words = "--window 2 --slices 1 4 --every-us 30000 --out s.svg"
     assert plot(5, *volume.split(), *words.split())[0] == 0
     text = text_of("s.svg")
@@ -91,13 +91,13 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
     """Its sensor comes from the file or the option."""
     events = random_events(30_000, sensor=(120, 80))
     np.savez("camera.npz", events=events, sensor=np.array([120, 80]))
-    code, _, err = plot("camera.npz", "--dpi", 40)
+    code, _, err = plot("camera.npz")
     assert code == 0
     assert err == "async-tnt: camera.npz: no decisions, model digits is not for 120x80 pixels (--model)\n"
     np.save("camera.npy", events)
-    code, _, err = plot("camera.npy", "--dpi", 40)
+    code, _, err = plot("camera.npy")
     assert code == 2 and "events reach pixel (119, 79); give its size with --sensor WxH" in err
-    assert plot("camera.npy", "--sensor", "120x80", "--slices", 4, "--dpi", 40)[0] == 0
+    assert plot("camera.npy", "--sensor", "120x80", "--slices", 4)[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -113,10 +113,10 @@ def test_a_recording_of_another_camera_needs_no_model(plot):
         ),
         ("h.npz --model digits", "h.npz: a sensor of 40x40 pixels, but the model is for 34x34"),
         ("h.npz --sensor 50x50", "h.npz: a sensor of 40x40 pixels, got --sensor 50x50"),
-        ("--t-max nan", "--t-max must be in [1e-6, 1e6], got nan"),
+        ("--volume t_max=nan", "`t_max` must be in [1e-6, 1e6], got nan"),
         ("--slices 9", "no bin 9; the volume has bins 0 to 8"),
-        ("--landmark regressor", "needs a model with a landmark network, but model digits has none"),
-        ("h.npz --landmark regressor", "needs a model with a landmark network, but there is no model"),
+        ("--volume landmark=regressor", "needs a model with a landmark network, but model digits has none"),
+        ("h.npz --volume landmark=regressor", "needs a model with a landmark network, but there is no model"),
         ("3 --model times.safetensors", "event volumes and counts can be drawn, but not mean_time"),
         ("3 --model of_events.safetensors", "windows of a duration can be drawn, but not of 500 events"),
     ],
@@ -137,7 +137,7 @@ def test_without_matplotlib_there_is_help_and_one_line_names_what_to_install(mon
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(SystemExit, match="0"):
         plot("--help")
-    assert "--landmark" in capsys.readouterr().out
+    assert "--volume" in capsys.readouterr().out
     code, _, err = plot()
     assert code == 2 and err.count("\n") == 1
     assert err.startswith("async-tnt: pictures are drawn by matplotlib: pip install 'async_tnt[plot]'")
