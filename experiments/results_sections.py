@@ -283,13 +283,6 @@ SECTIONS = (
             streams.udp_overload: "Ten times that, through `BackgroundReader(source, latest=True, max_events=50_000)`",
         },
     ),
-    Section(
-        "Archives",
-        "500 recordings of 6.3 s (578 MB), on two cores that also run the writing program and Dask's scheduler. All "
-        "ways write the same bytes. Measured when `evaluate` decided ten times a window; now it decides fifty times.",
-        "experiments.archive --json experiments/results/archive.json",
-        {streams.archive: "By executor"},
-    ),
 )
 
 

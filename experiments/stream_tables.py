@@ -78,17 +78,6 @@ def _row(run: dict[str, Any]) -> list[str]:
     ]
 
 
-def archive() -> str:
-    """Evaluations of the same recordings."""
-    rows = []
-    for name, run in results("archive")["ways"].items():
-        speedup, steady = run["speedup"], run["steady_speedup"]
-        quartiles = f"{speedup['median']:.2f} ({speedup['p25']:.2f}-{speedup['p75']:.2f})"
-        rates = short(run["seconds"]["median"]), short(run["recordings_per_s"])
-        rows.append([name, *rates, quartiles, f"{steady['median']:.2f}"])
-    return table(["", "seconds", "recordings a second", "speed-up (quartiles)", "after the first record"], rows)
-
-
 def volumes() -> str:
     """Nanoseconds per event, by the size of a packet."""
     ways = {
