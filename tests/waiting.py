@@ -4,7 +4,7 @@ import threading
 import time
 from contextlib import contextmanager
 
-PATIENCE_S = 120
+PATIENCE_S = 600
 
 
 def until(condition):

@@ -57,7 +57,7 @@ def test_recordings_become_a_file(tmp_path, program):
     assert [line.split()[0] for line in lines[: len(expected)]] == expected
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
     if rerun := rerun_program():
-        subprocess.run([rerun, "rrd", "verify", out], capture_output=True, timeout=60, env=SILENT, check=True)
+        subprocess.run([rerun, "rrd", "verify", out], capture_output=True, timeout=600, env=SILENT, check=True)
 
 
 def test_a_recording_is_played_at_the_given_speed(tmp_path, program, monkeypatch):
@@ -209,7 +209,7 @@ def test_a_viewer_that_is_closed_ends_the_program(tmp_path):
         try:
             until(lambda: (got.exists() and got.stat().st_size >= 50_000) or showing.poll() is not None)
             os.killpg(serving.pid, signal.SIGKILL)
-            _, err = showing.communicate(timeout=60)
+            _, err = showing.communicate(timeout=600)
         finally:
             showing.kill()
     (line,) = own_lines(err)
