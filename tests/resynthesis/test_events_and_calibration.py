@@ -111,3 +111,17 @@ def test_random_motions_keep_to_their_ranges():
     still = np.mean(np.hypot(*(motions[:, 3] - motions[:, 0]).T) < 1e-9)  # those that start later
     assert 0.2 < still < 0.5
     np.testing.assert_allclose([np.interp(0.5, SHARES, motion[:, 0]) for motion in motions], 0, atol=0.05)
+
+
+def test_noise_does_not_count_where_on_is_compared_with_off():
+    """A third more events, all ON, anywhere: without them the thresholds are as before, within 5 %."""
+    rng = np.random.default_rng(0)
+    scenes = [recorded(blobs(rng, n=1), straight(net), rng, pixels=PixelModel(noise_hz=0.0)) for net in [(6, 3)] * 24]
+    noisy = []
+    for scene in scenes:
+        parts = zip(scene, (*noise(rng, 80)[:3], np.ones(80, np.uint8)), strict=True)
+        columns = [np.concatenate(both) for both in parts]
+        order = np.argsort(columns[0], kind="stable")
+        noisy.append(tuple(column[order] for column in columns))
+    expected, measured = (measure_pixels(windows, SENSOR, WINDOW_US) for windows in (scenes, noisy))
+    assert measured.step_on == pytest.approx(expected.step_on, rel=0.05)
