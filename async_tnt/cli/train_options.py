@@ -106,7 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--epochs",
         type=positive_int,
         metavar="N",
-        help="passes over the windows (default: at least 30, and 6000 steps)",
+        help="passes over the windows (default: 30, of few windows 6000 steps or 1500)",
     )
     network.add_argument(
         "--seed", type=whole_number, default=0, metavar="N", help="of weights, order and held-out groups (default: 0)"

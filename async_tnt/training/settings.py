@@ -19,8 +19,9 @@ EARLIEST = 0.05
 """The earliest end of such a window, as a share of the complete one."""
 LONGER_SIDE = 60
 """Of a default grid."""
-MIN_EPOCHS, MIN_STEPS = 30, 6_000
-"""Of a data set by default: passes over its windows, and steps of the optimizer, which decide where windows are few."""
+MIN_EPOCHS, MAX_EPOCHS, MIN_STEPS = 30, 1_500, 6_000
+"""Of a data set by default: passes over its windows, and steps of the optimizer, which decide where windows are few.
+`MAX_EPOCHS` is for tiny sets, whose epochs of a step or two take longer to validate and to save than to learn."""
 
 
 @dataclass(frozen=True)
@@ -112,13 +113,14 @@ def settings_for(config: TNTConfig, n_windows: int, *, epochs: int | None = None
     Parameters
     ----------
     n_windows : windows to train on.
-    epochs : None: at least `MIN_EPOCHS`, and `MIN_STEPS` steps.
+    epochs : None: `MIN_STEPS` steps, in `MIN_EPOCHS` epochs or more, but at most `MAX_EPOCHS`.
     settings : others of `TrainSettings`, instead of ours; `augmentation` may be a mapping, of the fields of
         `Augmentation` that differ from ours.
     """
     batch = settings.setdefault("batch", min(64, max(8, n_windows // 32)))
     if epochs is None:
-        epochs = max(MIN_EPOCHS, math.ceil(MIN_STEPS / TrainSettings(batch=batch).n_steps(n_windows)))
+        of_steps = math.ceil(MIN_STEPS / TrainSettings(batch=batch).n_steps(n_windows))
+        epochs = min(max(MIN_EPOCHS, of_steps), MAX_EPOCHS)
     augmentation = settings.pop("augmentation", {})
     if isinstance(augmentation, Mapping):
         earliest_ms = EARLIEST * config.window_us / 1e3
