@@ -133,7 +133,7 @@ def run_archive(args: argparse.Namespace) -> int:
 
 
 def _check_run(args: argparse.Namespace) -> None:
-    for name in ("live", "speed", "json", "latest"):
+    for name in ("json", "latest"):
         if getattr(args, name, None):
             raise ValueError(f"--{name} does not go with --out")
     for path in paths_of(args):

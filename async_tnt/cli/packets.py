@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from async_tnt.cli.options import paths_of, positive_int
 from async_tnt.cli.output import complain
-from async_tnt.decision import Decision
-from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.opening import open_source
 from async_tnt.sources.pixel_selection import PixelSelector
-from async_tnt.windows import TimeUnitCheck
 
 if TYPE_CHECKING:
     from async_tnt.sources.background_reader import BackgroundReader
@@ -35,13 +31,10 @@ def add_latest(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_pace(args: argparse.Namespace) -> None:
-    """Refuse --latest where all sources are recordings, and --speed where none is."""
-    n_recordings, n_sources = sum(isinstance(path, Path) for path in paths_of(args)), len(paths_of(args))
-    if args.latest is not None and n_recordings == n_sources:
+def check_latest(args: argparse.Namespace) -> None:
+    """Refuse --latest where all sources are recordings."""
+    if args.latest is not None and all(isinstance(path, Path) for path in paths_of(args)):
         raise ValueError("--latest belongs to a camera or the network; a recording is never skipped")
-    if args.speed is not None and n_recordings == 0:
-        raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
 
 
 def open_selected(path: Any, pixels: PixelSelector) -> tuple[Recording, Iterator[Any]]:
@@ -101,12 +94,3 @@ def live_packets(name: str, pixels: PixelSelector, latest: int | None) -> Iterat
             reader = BackgroundReader(packets, latest=True, max_packets=latest, copy=False, on_close=source.close)
             packets = stack.enter_context(reader)
         yield LivePackets(name, source, packets, reader)
-
-
-def timed_packets(packets: Iterable[Any], processor: Processor) -> Iterator[tuple[list[Decision], float]]:
-    """The decisions of each packet, and the microseconds that they took."""
-    first = TimeUnitCheck(processor.config)
-    for packet in packets:
-        handed_over = time.perf_counter_ns()
-        decisions = processor.push(packet)
-        yield first.watch(decisions), (time.perf_counter_ns() - handed_over) / 1e3

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from async_tnt.cli.live_view import draw_stream
 from async_tnt.cli.options import (
     add_archive,
     add_files,
@@ -19,11 +18,10 @@ from async_tnt.cli.options import (
     check_no_archive,
     paths_of,
     positive_int,
-    positive_number,
     triggers_of,
 )
 from async_tnt.cli.output import HEADER, Line, complain, complain_late, json_line, say, text_line
-from async_tnt.cli.packets import add_latest, check_pace, live_packets, open_selected, timed_packets
+from async_tnt.cli.packets import add_latest, check_latest, live_packets, open_selected
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.decision import Decision
@@ -31,7 +29,6 @@ from async_tnt.networks.engines import ENGINES, Engine, choose_engine
 from async_tnt.processor import Processor
 from async_tnt.sources.files.recording import Recording
 from async_tnt.sources.pixel_selection import PixelSelector
-from async_tnt.sources.playback import replay
 from async_tnt.windows import TimeUnitCheck
 
 DESCRIPTION = """Stream recordings event by event through a model and print each decision: its time and window, the
@@ -43,12 +40,11 @@ the class of the highest mean probability over its closed windows.
   async-tnt run --confidence 0.95            decide each window as soon as the class is certain
   async-tnt run --activity 60:4000           decide when 60 events arrive within about 4 ms
   async-tnt run udp://127.0.0.1:3333         events from the network, until Ctrl-C
-  async-tnt run camera --live --latest 64    a camera, shown in the terminal without delay (extra `cameras`)
+  async-tnt run camera --every-us 20000 --latest 64    a camera, without delay (extra `cameras`)
   async-tnt run camera --roi 400,200,34,34 --crop --mask mask.npy    a part of it, without hot pixels
   async-tnt run --json | jq .label           one JSON object a line for each decision
   async-tnt run archive --out r.jsonl --workers 4    all recordings under a folder, resumable (docs/guide.md)
   async-tnt run archive --out r.jsonl --mask mask.npy  without the events of hot pixels
-  async-tnt run a.bin --live --speed 0.2     watch it at a fifth of the recorded speed (extra `view`)
   async-tnt run --engine onnx                the same network run by onnxruntime (extra `onnx`), or torch
   async-tnt run --model digits.onnx          a file written by `async-tnt export`, run by onnxruntime
 
@@ -77,12 +73,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=ENGINES,
         help="what runs the model's networks (default: compiled; always onnx for an .onnx file)",
     )
-    parser.add_argument(
-        "--live",
-        action="store_true",
-        help="a small view in the terminal, at the recorded speed: label, probabilities, rates (extra `view`)",
-    )
-    parser.add_argument("--speed", type=positive_number, metavar="S", help="of --live: 2 is twice as fast (default: 1)")
     add_pixels(parser)
     add_latest(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a line for each decision")
@@ -94,7 +84,8 @@ def main(args: argparse.Namespace) -> int:
         from async_tnt.cli.archives import run_archive  # here, so that other runs do not wait for its imports
 
         return run_archive(args)
-    _check(args)
+    check_no_archive(args)
+    check_latest(args)
     engine = choose_engine(args.model, args.engine)
     fill_cache()
     settings = {"start_us": args.start_us, "hop_us": args.hop_us, "late": args.late, **triggers_of(args)}
@@ -103,23 +94,18 @@ def main(args: argparse.Namespace) -> int:
     processor.fire()  # the empty window changes nothing, but an engine's first call takes longer
     line = json_line if args.json else text_line
     failed = stopped = False
-    headers = [] if args.json or args.live else [HEADER]
+    headers = [] if args.json else [HEADER]
     for path in paths_of(args):
         try:
             if isinstance(path, str):
-                stopped = run_source(path, processor, engine, pixels, line, latest=args.latest, live=args.live)
+                stopped = run_source(path, processor, engine, pixels, line, latest=args.latest)
                 if stopped:
                     break
                 continue
             recording, packets = open_selected(path, pixels)
             if headers:
                 say(headers.pop())
-            if args.live:
-                processor.reset()
-                packets = replay(packets, args.speed or 1.0)
-                draw_stream(recording.path.name, engine.classes, packets, processor, None)
-            else:
-                print_decisions(recording, packets, processor, engine, pixels, line, summary=not args.json)
+            print_decisions(recording, packets, processor, engine, pixels, line, summary=not args.json)
         except BrokenPipeError:
             raise
         except (OSError, ValueError) as error:
@@ -130,16 +116,6 @@ def main(args: argparse.Namespace) -> int:
     if pixels.summary():
         complain(f"left out: {pixels.summary()}")
     return 130 if stopped else 2 if failed else 0
-
-
-def _check(args: argparse.Namespace) -> None:
-    """Refuse options that do not go together."""
-    check_no_archive(args)
-    if args.live and args.json:
-        raise ValueError("--live and --json exclude each other")
-    check_pace(args)
-    if args.speed is not None and not args.live:
-        raise ValueError("--speed belongs to --live; otherwise a recording is streamed as fast as possible")
 
 
 class Seen:
@@ -231,9 +207,8 @@ def run_source(
     line: Line,
     *,
     latest: int | None,
-    live: bool,
 ) -> bool:
-    """Print or draw decisions until the source ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it.
+    """Print decisions until the source ends or Ctrl-C; then print the counts. Returns whether Ctrl-C ended it.
 
     Parameters
     ----------
@@ -245,18 +220,13 @@ def run_source(
     with live_packets(name, pixels, latest) as stream:
         try:
             stream.announce()
-            if live:
-                draw_stream(name, engine.classes, stream.packets, processor, stream.reader)
-            else:
-                for decisions, latency_us in timed_packets(stream.packets, processor):
-                    for decision in decisions:
-                        say(line(name, decision, latency_us, stream.reader))
+            for decision, latency_us in _timed_packets(stream.packets, processor):
+                say(line(name, decision, latency_us, stream.reader))
         except KeyboardInterrupt:
             stopped = True
         finally:  # also if a camera was unplugged
             for decision in processor.finish():
-                if not live:
-                    say(line(name, decision, 0.0))
+                say(line(name, decision, 0.0))
             counts = processor.counts
             took = (
                 f"{counts.kept:,} kept, {counts.moved_off:,} moved off the grid by the transform, "
@@ -264,3 +234,14 @@ def run_source(
             )
             complain(f"{name}: {stream.summary()}; {took}")
     return stopped
+
+
+def _timed_packets(packets: Iterable[np.ndarray], processor: Processor) -> Iterator[tuple[Decision, float]]:
+    """Each decision, and the microseconds that the decisions of its packet took."""
+    first = TimeUnitCheck(processor.config)
+    for packet in packets:
+        handed_over = time.perf_counter_ns()
+        decisions = processor.push(packet)
+        latency_us = (time.perf_counter_ns() - handed_over) / 1e3
+        for decision in first.watch(decisions):
+            yield decision, latency_us

@@ -11,7 +11,7 @@ from typing import Any
 from async_tnt.checks import printable
 from async_tnt.cli.options import add_files, add_start, add_triggers, paths_of, positive_number, triggers_of
 from async_tnt.cli.output import complain, complain_late, say
-from async_tnt.cli.packets import add_latest, check_pace, live_packets, open_selected
+from async_tnt.cli.packets import add_latest, check_latest, live_packets, open_selected
 from async_tnt.cli.pixel_options import add_pixels, selector_of
 from async_tnt.compile_ahead import fill_cache
 from async_tnt.files import check_writable
@@ -69,7 +69,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    check_pace(args)
+    check_latest(args)
+    if args.speed is not None and all(isinstance(path, str) for path in paths_of(args)):
+        raise ValueError("--speed belongs to recordings; a camera or the network has a pace of its own")
     import_rerun()  # before any work, in case it is missing
     if args.out is not None:
         check_writable(args.out, SUFFIXES)

@@ -33,7 +33,6 @@ def folder(tmp_path, monkeypatch):
 COMMANDS = {
     "run": "run RECORDING --model MODEL",
     "json": "run RECORDING --model MODEL --json",
-    "live": "run RECORDING --model MODEL --live --speed 1000",
     "archive": "run set --model MODEL --out NAME.jsonl",
     "evaluate": "evaluate MODEL set --picture NAME.png",
     "check": "check RECORDING --model MODEL --prefixes 1",

@@ -58,7 +58,7 @@ def test_train_has_few_options_and_a_help_of_two_screens(monkeypatch):
         ("fly", "invalid choice: 'fly'"),
         ("run --every-us 0", "argument --every-us: must be at least 1, got 0"),
         ("check --prefixes x", "argument --prefixes: "),
-        ("run --live --speed 0", "argument --speed: must be a positive number, got '0'"),
+        ("view --speed 0", "argument --speed: must be a positive number, got '0'"),
         ("run --confidence 0", "argument --confidence: must be a probability in (0, 1], got '0'"),
         ("run --confidence nan", "argument --confidence: must be a probability in (0, 1], got 'nan'"),
         ("run --activity 60:0", "must be two positive numbers, events:microseconds, such as 60:4000, got '60:0'"),
@@ -82,10 +82,7 @@ def test_bad_usage_refers_to_help(words, message, refused):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("run --live --json", "exclude each other"),
-        ("run --speed 2", "--speed belongs to --live"),
-        ("run udp://127.0.0.1:3333 --live --speed 2", "--speed belongs to recordings; a camera or the network has a"),
-        ("view camera --speed 2", "--speed belongs to recordings; a camera or the network has a"),
+        ("view udp://127.0.0.1:3333 --speed 2", "--speed belongs to recordings; a camera or the network has a"),
         ("run --every-events 1" + "0" * 400, "must be below 2**62, got 1"),
         ("run SAMPLE --latest 5", "--latest belongs to a camera or the network"),
         ("run --model digitz", "no model file digitz, and no bundled model of that name (bundled: digits)"),
