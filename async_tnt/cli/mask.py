@@ -17,14 +17,12 @@ from async_tnt.progress import progress
 from async_tnt.sources.files.recording import READERS, open_recording
 from async_tnt.sources.pixel_masks import FACTOR, count_pixels, hot_pixels, save_mask
 from async_tnt.sources.sensor import format_size
-from async_tnt.views.figure_style import check_picture
 
 DESCRIPTION = """Find the hot pixels of a camera: those with far more events than their neighbours and the whole
 sensor would explain. Several recordings of one camera count as one.
 
   async-tnt mask desk.npz --out mask.npy               find them in a recording
   async-tnt mask a.npy b.npy --sensor 346x260          if the files do not state the sensor
-  async-tnt mask desk.npz --picture mask.png           and draw the counts, hot pixels circled (extra: plot)
 
 Record something that moves across the whole image, or a still scene, for some seconds. The mask is a .npy file, bool,
 of shape (height, width), True where a pixel is hot:
@@ -61,7 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="F",
         help="how many times more events than expected (default: %(default)s)",
     )
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw counts and hot pixels: .png, .svg or .pdf")
     parser.add_argument("--json", action="store_true", help="one JSON object: the pixels and their events")
 
 
@@ -73,16 +70,12 @@ def main(args: argparse.Namespace) -> int:
                 f"{args.out} exists already: --out {args.out} overwrites it, --out FILE writes another file"
             )
     check_writable(args.out, (".npy",))
-    if args.picture is not None:
-        check_picture(args.picture)
     counts = _count(args.files, args.sensor)
     n_events = int(counts.sum())
     if n_events == 0:
         raise ValueError(f"{', '.join(map(str, args.files))}: no events, no hot pixels can be found")
     hot = hot_pixels(counts, factor=args.factor)
     save_mask(args.out, hot)
-    if args.picture is not None:
-        _draw(counts, hot, args.picture)
     _report(counts, hot, args)
     return 0
 
@@ -132,26 +125,6 @@ def _report(counts: np.ndarray, hot: np.ndarray, args: argparse.Namespace) -> No
         say(f"... and {len(busiest) - 10} more")
     pixels_word = "1 hot pixel" if len(busiest) == 1 else f"{len(busiest)} hot pixels"
     say(f"{pixels_word} of {size} made {share:.2%} of {n_events} events; wrote {args.out}")
-
-
-def _draw(counts: np.ndarray, hot: np.ndarray, path: Path) -> None:
-    """Events per pixel in grey, on a logarithmic scale, and a circle about each hot pixel."""
-    from matplotlib.colors import LogNorm
-
-    from async_tnt.views.figure_style import ON, WIDTH, new_figure, save, styled
-
-    height, width = counts.shape
-    with styled():
-        figure = new_figure(min(14.0, max(3.0, 0.8 * WIDTH * height / width + 1.0)))
-        axes = figure.subplots()
-        shown = np.ma.masked_equal(counts, 0)  # no events: white
-        image = axes.imshow(shown, cmap="Greys", norm=LogNorm(0.5, max(2, counts.max())), interpolation="nearest")
-        y, x = np.nonzero(hot)
-        axes.scatter(x, y, s=300, facecolors="none", edgecolors=ON, linewidths=1.2)
-        axes.set(title=f"{x.size} hot pixel{'' if x.size == 1 else 's'}", xlabel="x (pixels)", ylabel="y (pixels)")
-        axes.set(xlim=(-1.5, width + 0.5), ylim=(height + 0.5, -1.5))
-        figure.colorbar(image, ax=axes, label="events", format="%g")  # not 10^2, which needs mathematical text
-        save(figure, path, dpi=120)
 
 
 def _factor(text: str) -> float:

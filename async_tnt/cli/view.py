@@ -23,7 +23,7 @@ from async_tnt.sources.playback import replay
 from async_tnt.views.rerun_view import SUFFIXES, RerunView, import_rerun
 
 DESCRIPTION = """Show a stream in the Rerun viewer while it is classified: the events and the landmark, the raw and the
-transformed volume, the probability of each class, the decisions and rates (extra `view`). The timeline is
+transformed volume, the probability of each class, the decisions (extra `view`). The timeline is
 that of the recording, in microseconds, and can be played, stopped and scrubbed.
 
   async-tnt view a.bin                             start the viewer and play at the recorded speed

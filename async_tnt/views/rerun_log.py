@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from async_tnt.config import TNTConfig
-from async_tnt.decision import Counts, Decision
+from async_tnt.decision import Decision
 from async_tnt.processor import Processor
 
 TIMELINE = "time"
 """The recording's own microseconds, as a duration."""
 EVENTS, LANDMARK = "events/image", "events/landmark"
 RAW, TNT = "volumes/raw", "volumes/tnt"
-PROBABILITIES, RATES = "probabilities", "rates"
+PROBABILITIES = "probabilities"
 CLASS, DECISIONS = "class", "decisions"
 
 # Okabe and Ito's colours, which colour-blind people can distinguish; bright ones, as the viewer is dark
@@ -55,16 +55,13 @@ class StreamLog:
         self._classes: tuple[str, ...] = ()
         self._pending: deque[Decision] = deque(maxlen=MOST_LINES)
         self._n_pending = 0
-        self._counts = Counts()
         stream.send_blueprint(_blueprint(rr, config.transform == "tnt", live))
         colours = [(NOTHING, "no event", NOTHING_COLOUR), (OFF, "OFF (darker)", OFF_COLOUR), (ON, "ON", ON_COLOUR)]
         self._write(EVENTS, rr.AnnotationContext(colours), static=True)
-        self._write(RATES, rr.SeriesLines(names=["events received / s", "events dropped / s"]), static=True)
 
     def begin(self, first_us: int) -> None:
         """A source's first event."""
         self.has_begun = True
-        self._counts = Counts()
         if self.name:
             shift = f", its times moved by {self.offset_us:+,} us" if self.offset_us else ""
             self._set_time(first_us)
@@ -75,14 +72,12 @@ class StreamLog:
         self._pending.extend(decisions)
         self._n_pending += len(decisions)
 
-    def write(
-        self, at_us: int, span_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor
-    ) -> None:
+    def write(self, at_us: int, now: Decision, recent: np.ndarray, raw: np.ndarray, processor: Processor) -> None:
         """A picture.
 
         Parameters
         ----------
-        at_us, span_us : the moment, and the recorded time since the last picture.
+        at_us : the moment.
         now : the result of the processor's `fire`.
         recent : events for the event image.
         raw : the volume without the transform, float32, shape (C, H, W).
@@ -106,7 +101,6 @@ class StreamLog:
         self._write(CLASS, rr.TextDocument(class_text(now, self._classes), media_type=rr.MediaType.MARKDOWN))
         if now.events:
             self._write_probabilities(now)
-        self._write_rates(processor.counts, span_us)
 
     def write_decisions(self) -> None:
         """Those since the last picture, each at its own time."""
@@ -133,13 +127,6 @@ class StreamLog:
         shown = decision.probabilities if self._is_few else [decision.probability]
         self._write(PROBABILITIES, self._rr.Scalars(shown))
 
-    def _write_rates(self, counts: Counts, span_us: int) -> None:
-        received = counts.received - self._counts.received
-        dropped = received - (counts.kept - self._counts.kept)
-        self._counts = counts
-        per_s = 1e6 / max(span_us, 1)
-        self._write(RATES, self._rr.Scalars([received * per_s, dropped * per_s]))
-
     def _set_time(self, t_us: int) -> None:
         self._stream.set_time(TIMELINE, duration=np.timedelta64(t_us + self.offset_us, "us"))
 
@@ -162,11 +149,7 @@ def _blueprint(rr: Any, transformed: bool, live: bool) -> Any:
         pictures.append(b.Spatial2DView(origin=TNT, name="TNT volume, all bins"))
     at = rr.TimeRangeBoundary.cursor_relative
     last = rr.VisibleTimeRange(TIMELINE, start=at(seconds=-LIVE_SECONDS), end=at())
-    plots = b.Tabs(
-        b.TimeSeriesView(origin=PROBABILITIES, name="Probabilities", time_ranges=[last] if live else None),
-        b.TimeSeriesView(origin=RATES, name="Rates", time_ranges=[last] if live else None),
-        active_tab=0,
-    )
+    plots = b.TimeSeriesView(origin=PROBABILITIES, name="Probabilities", time_ranges=[last] if live else None)
     top = b.Horizontal(*pictures, b.TextDocumentView(origin=CLASS, name="Class now"))
     below = b.Horizontal(plots, b.TextLogView(origin=DECISIONS, name="Decisions"))
     return b.Blueprint(b.Vertical(top, below, row_shares=[5, 4]), collapse_panels=True)

@@ -117,7 +117,7 @@ class RerunView:
     def _forget(self) -> None:
         """Reset what is known of the source."""
         self._origin_us: int | None = None
-        self._due_us = self._newest_us = self._shown_us = 0
+        self._due_us = self._newest_us = 0
         self._recent = [np.empty(0, EVENT_DTYPE)]  # packets, of the open window and of the event image
         self._next_picture_s = 0.0
 
@@ -186,7 +186,6 @@ class RerunView:
         self._origin_us = origin_us
         self.log.offset_us = 0 if self._end_us is None else self._end_us + self._picture_us - first_us
         self.log.begin(first_us)
-        self._shown_us = first_us
         self._due_us = self._after(first_us)
 
     def _after(self, t_us: int) -> int:
@@ -202,8 +201,7 @@ class RerunView:
         self._recent = [events[events["t"] >= min(image_us, now.window_start_us)]]
         if clock_s >= self._next_picture_s or last:
             raw = self._raw_volume(events, now)
-            self.log.write(at_us, at_us - self._shown_us, now, events[events["t"] >= image_us], raw, self.processor)
-            self._shown_us = at_us
+            self.log.write(at_us, now, events[events["t"] >= image_us], raw, self.processor)
             if self._pause_s:
                 took_s = time.perf_counter() - clock_s
                 self._next_picture_s = clock_s + max(self._pause_s, 2 * took_s)

@@ -83,7 +83,7 @@ def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
     for n_packets in (1, 13, 3000):
         rrd, _ = view_of(tmp_path, np.array_split(EVENTS, n_packets), picture_us=20_000)
         images = rrd.images(log.EVENTS, "SegmentationImage")
-        seen.append([(t, image.tobytes()) for t, image in images] + rrd.series(log.RATES, "Scalars:scalars"))
+        seen.append([(t, image.tobytes()) for t, image in images])
         assert [t for t, _ in images] == rrd.times(log.RAW)
     assert seen[0] == seen[1] == seen[2]
     moments = [int(EVENTS["t"][0])]
@@ -97,7 +97,7 @@ def test_pictures_fall_on_their_moments_however_the_stream_is_cut(tmp_path):
         assert np.array_equal(image, expected) and image.any()
 
 
-def test_probabilities_decisions_and_rates_are_the_processors(tmp_path):
+def test_probabilities_and_decisions_are_the_processors(tmp_path):
     model = load_model("digits")
     events = open_recording(sample_recordings()[7]).read()
     rrd, decisions = view_of(tmp_path, np.array_split(events, 9), model, every_us=50_000)
@@ -107,13 +107,6 @@ def test_probabilities_decisions_and_rates_are_the_processors(tmp_path):
         assert t == d.time_us and (t, d.probabilities.tolist()) in series
         times = f"{d.window_start_us / 1e3:,.3f} to {d.time_us / 1e3:,.3f} ms"
         assert text == f"{d.label}  {d.probability:.3f}  {d.trigger}: {d.events:,} events, {times}"
-    rates = rrd.series(log.RATES, "Scalars:scalars")
-    seconds = np.diff([int(events["t"][0]), *(t for t, _ in rates)]) / 1e6
-    received, dropped = seconds @ np.array([rate for _, rate in rates])
-    processor = Processor(model)
-    processor.push(events), processor.finish()
-    assert received == pytest.approx(len(events))
-    assert dropped == pytest.approx(processor.counts.received - processor.counts.kept)
 
 
 def test_sources_follow_each_other_in_time(tmp_path):
