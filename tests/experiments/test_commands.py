@@ -120,12 +120,12 @@ def test_networks_are_compared_and_drawn(tmp_path, capsys, monkeypatch):
 
 def test_decisions_that_differ_from_the_dense_network_end_the_measurement(monkeypatch):
     pytest.importorskip("torch", reason="training needs torch (extra `train`)")
-    from experiments import datasets
+    from experiments import cars
 
     model = random_model(TNTConfig(grid=(8, 8), sensor=(8, 8)), classes=2)
     recordings = [random_events(30, seed=k, duration_us=9_000, sensor=(8, 8)) for k in range(2)]
-    assert datasets._compare_with_dense(model, recordings) == 60
+    assert cars._compare_with_dense(model, recordings) == 60
     other = np.array([1, 2], np.float32)
-    monkeypatch.setattr(datasets, "CompiledClassifier", lambda model: lambda volume: other)
-    with pytest.raises(datasets.WorkDiffers, match="event 1 of a window"):
-        datasets._compare_with_dense(model, recordings)
+    monkeypatch.setattr(cars, "CompiledClassifier", lambda model: lambda volume: other)
+    with pytest.raises(cars.WorkDiffers, match="event 1 of a window"):
+        cars._compare_with_dense(model, recordings)
