@@ -7,11 +7,10 @@ import pytest
 from made import random_events, random_model
 
 from async_tnt import CompiledClassifier, Processor, TNTConfig, load_model
-from experiments import bench_every_event as every_event
 from experiments import bench_network as network
 from experiments import measure_end_to_end as end_to_end
 from experiments.bench_interleaved import Timed, WorkDiffers, call_by_call, in_blocks
-from experiments.bench_moments import Moments, bench_recordings, made_recording, windows_of
+from experiments.bench_moments import Moments, made_recording
 from experiments.bench_timing import spread
 
 WINDOW_US = 1000
@@ -105,18 +104,6 @@ def test_ours_sees_exactly_the_new_events(n_new):
             push(expected, moment.events)
             assert np.array_equal(stream.decide(), expected.fire().logits)
     assert len(seen) >= 15 and set(seen) == {n_new}
-
-
-def test_networks_that_differ_are_not_timed():
-    right, recordings = CompiledClassifier(DIGITS), bench_recordings(DIGITS.config)[:1]
-    windows = windows_of(recordings[0], DIGITS.config.window_us)
-    networks = {"dense": right, "wrong": lambda volume: right(volume) * np.float32(1.001)}
-    with pytest.raises(WorkDiffers, match=r"got incremental and wrong 1\.0e-03 apart"):
-        network.bench_network(DIGITS, networks, windows, 10, blocks=1, size=3)
-    with pytest.raises(WorkDiffers, match=r"got dense and wrong \d\.\de-04 apart"):
-        network.bench_on_noise(DIGITS, networks, blocks=1, size=3)
-    with pytest.raises(WorkDiffers, match=r"got ours and wrong 1\.\de-0[34] apart"):
-        every_event.bench_every_event(DIGITS, {"wrong": networks["wrong"]}, recordings, rounds=1, n_events=1000)
 
 
 TWINS = [{"landmark": landmark} for landmark in ("center", "running", "line", "window")]

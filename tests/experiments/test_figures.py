@@ -11,13 +11,12 @@ import pytest
 image = pytest.importorskip("matplotlib.image", reason="figures need matplotlib (extra: plot)")
 
 from made import random_model  # noqa: E402
-from views.test_figure_content import assert_equal, dots, pictures  # noqa: E402
+from views.test_figure_content import assert_equal  # noqa: E402
 from views.test_plot_command import in_squares  # noqa: E402
 
 from async_tnt import Processor, TNTConfig, load_model  # noqa: E402
 from async_tnt.views.figure_subject import Subject  # noqa: E402
 from experiments import figure_motions, figure_pipeline  # noqa: E402
-from experiments.figure_motions import draw_motions  # noqa: E402
 from experiments.figure_pipeline import draw_pipeline  # noqa: E402
 from experiments.figure_script import subject_of  # noqa: E402
 
@@ -29,20 +28,6 @@ def words(figure):
     from matplotlib.text import Text
 
     return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
-
-
-def test_two_motions_are_drawn_along_the_axis_in_which_they_differ():
-    shown = subject_of("3")
-    windows = [shown.window(number) for number in (1, 2)]
-    figure = draw_motions(*windows)
-    assert {"window 1: moving down", "window 2: moving up"} <= set(words(figure))
-    for axes, window in zip((figure.axes[1], figure.axes[11]), windows, strict=True):
-        _, v, kept, _ = window.coordinates()
-        assert_equal(dots(axes), (window.time_ms[kept], v[kept], window.events["p"][kept] == 1))
-    expected = [volume[k] for window in windows for volume in window.volumes() for k in (2, 3, 4, 5)]
-    assert_equal(pictures(figure.axes), expected)
-    with pytest.raises(ValueError, match="one configuration, got sensors of 34x34 pixels and 40x34 pixels"):
-        draw_motions(windows[0], replace(shown, config=shown.config.replace(sensor=(40, 34))).window(1))
 
 
 def stacked(axes):

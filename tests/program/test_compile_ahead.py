@@ -68,16 +68,13 @@ streams = [*((model, {}) for model in MODELS.values()), (TNTConfig(), other), (M
 processors = [Processor(model, **networks, **settings) for model, networks in streams for settings in TRIGGERS]
 """
     + PUSH,
-    "a_trigger_is_set": """
+    "a_trigger_or_a_classifier_is_set": """
 processors = [Processor(model) for model in MODELS.values() for settings in TRIGGERS]
 for processor, settings in zip(processors, TRIGGERS * len(MODELS)):
     for name in settings.keys() - {"late"}:
         setattr(processor, name, settings[name])
-"""
-    + PUSH,
-    "a_classifier_is_set": """
-processors = [Processor(TNTConfig(), classifier=lambda volume: [0.0], every_events=1)]
-processors[0].classifier = CompiledClassifier(MODELS["running"])
+processors.append(Processor(TNTConfig(), classifier=lambda volume: [0.0], every_events=1))
+processors[-1].classifier = CompiledClassifier(MODELS["running"])
 """
     + PUSH,
 }
@@ -130,9 +127,3 @@ def test_warmup_compiles_what_a_second_process_failed_to(cold, monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
     assert async_tnt.warmup(async_tnt.load_model("digits")) > 0
     assert {"absorb", "classify_cells", "absorb_and_decide"} <= set(cold)
-
-
-def test_a_missing_cache_folder_is_named(cold, monkeypatch, capsys):
-    monkeypatch.setattr(compile_ahead, "can_be_cached", lambda kernel: False)
-    compile_ahead.fill_cache()
-    assert "in every process, as no cache folder can be written; set NUMBA_CACHE_DIR" in capsys.readouterr().err

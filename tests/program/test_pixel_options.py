@@ -112,21 +112,6 @@ def test_counts_and_report_say_what_was_left_out(sets, program):
 # -- archives ------------------------------------------------------------------------------------------------------
 
 
-def test_another_selection_is_another_job(sets, tmp_path, program):
-    out, mask = tmp_path / "r.jsonl", tmp_path / "m.npy"
-    given = "run", sets / "hot", "--out", out
-    save_mask(mask, hot_mask(SIZE))
-    assert program(*given, "--mask", mask)[0] == 0
-    before = out.read_bytes()
-    code, printed, _ = program(*given, "--mask", sets / "hot.npy")
-    assert code == 0 and "streamed now" not in printed and out.read_bytes() == before
-    save_mask(mask, ~hot_mask(SIZE))
-    for others in (("--mask", mask), ("--mask", sets / "hot.npy", "--roi", "0,0,33,34")):
-        code, _, message = program(*given, *others)
-        assert code == 2 and f"{out} was made with another model" in message and message.count("\n") == 1
-    assert out.read_bytes() == before
-
-
 # -- whose camera it is ----------------------------------------------------------------------------------------------
 
 
@@ -144,20 +129,6 @@ def test_a_bin_is_of_the_camera_that_the_model_or_a_mask_names(sets, program):
         assert got == [(d.label, d.events) for d in expected]
 
 
-def test_an_event_off_the_camera_names_the_source_of_its_size(tmp_path, program):
-    path, mask = tmp_path / "a.csv", tmp_path / "m.npy"
-    path.write_text("t,x,y,p\n0,3,5,1\n1,99,90,1\n")
-    save_mask(mask, np.zeros((95, 95), bool))
-    part = ("--roi", "0,0,34,34", "--crop")
-    for options, side, source in (
-        ((*part, "--sensor", "60x60"), 60, "--sensor says 60x60 pixels"),
-        ((*part, "--mask", mask), 95, f"{mask} is a mask of 95x95 pixels"),
-        ((), 34, "the model is for 34x34 pixels; train one for this camera"),
-    ):
-        code, _, message = program("run", path, *options)
-        assert code == 2 and f"{path}: `x` must be in [0, {side}), got 99 at event 1; {source}" in message
-
-
 # -- messages ------------------------------------------------------------------------------------------------------
 
 
@@ -170,25 +141,3 @@ def test_a_recording_of_which_nothing_is_left_says_why(command, tmp_path, progra
     code, _, message = program(*words, "--roi", "0,0,20,20", "--mask", tmp_path / "mask.npy")
     name = "0/a.npz" if command == "evaluate" else path
     assert code == 2 and f"{name}: no events are left: 1 outside of the region, 2 of masked pixels\n" in message
-
-
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ("--crop", "--crop belongs to --roi"),
-        ("--sensor 36x34", "--sensor says 36x34 pixels, but the model is for 34x34; train one for this camera"),
-        ("--roi 0,0,20,20 --crop", "is for 34x34 pixels, got a region of 20x20; give --roi X,Y,34,34"),
-        ("--roi 0,0,34,34 --crop --sensor 40x30", "must lie on the sensor of 40x30 pixels"),
-        ("--mask torn.npy", "torn.npy: not a mask, a .npy file as `async-tnt mask` writes: not a readable NumPy file"),
-        ("--mask LARGE", "large.npy is a mask of 100x80 pixels, but the model is for 34x34; train one"),
-        ("--roi 0,0,34,34 --crop --mask LARGE --sensor 90x80", "given as 90x80 (--sensor)"),
-    ],
-)
-def test_wrong_options_are_one_line(options, text, sets, tmp_path, program, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "torn.npy").write_bytes((sets / "hot.npy").read_bytes()[:90])
-    options = [sets / "large.npy" if word == "LARGE" else word for word in options.split()]
-    for words in ("run", SAMPLE), ("run", SAMPLE, "--out", "r.jsonl"), ("evaluate", "digits", sets / "hot"):
-        code, printed, message = program(*words, *options)
-        assert code == 2 and text in message and message.count("\n") == 1 and printed == "", message
-        assert not list(tmp_path.glob("r.*"))

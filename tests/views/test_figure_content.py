@@ -9,7 +9,7 @@ from made import events_of
 
 import async_tnt
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.views import figure_overview, figure_resynthesis, figure_window
+from async_tnt.views import figure_resynthesis, figure_window
 from async_tnt.views.figure_overview import draw_overview
 from async_tnt.views.figure_style import OFF, ON, new_figure
 from async_tnt.views.figure_subject import Subject
@@ -104,13 +104,6 @@ def test_probabilities_are_those_of_the_streams_decisions():
                 np.add(ends, [1, 2]),
             ),
         )
-
-
-def test_the_verdict_is_that_of_async_tnt_run(program):
-    _, printed, _ = program("run", sample_recordings()[7])
-    shown = subject(7)
-    answer = figure_overview.verdict(DIGITS, figure_overview.decisions_of(shown, DIGITS, 50_000))
-    assert printed.splitlines()[-1] == "7.bin: " + answer.replace("“7”, ", "7 (") + ")"
 
 
 @pytest.mark.filterwarnings("error")

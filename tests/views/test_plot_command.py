@@ -1,7 +1,6 @@
 """`async-tnt plot`: pictures in files, and one clear line for each mistake."""
 
 import os
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -131,13 +130,3 @@ def test_mistakes_are_one_line_and_exit_code_2(words, message, plot):
     assert (code, printed) == (2, "")
     assert err.startswith("async-tnt: ") and message in err and err.count("\n") == 1
     assert sorted(os.listdir()) == before
-
-
-def test_without_matplotlib_there_is_help_and_one_line_names_what_to_install(monkeypatch, plot, capsys):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(SystemExit, match="0"):
-        plot("--help")
-    assert "--volume" in capsys.readouterr().out
-    code, _, err = plot()
-    assert code == 2 and err.count("\n") == 1
-    assert err.startswith("async-tnt: pictures are drawn by matplotlib: pip install 'async_tnt[plot]'")

@@ -60,13 +60,6 @@ def test_recordings_become_a_file(tmp_path, program):
         subprocess.run([rerun, "rrd", "verify", out], capture_output=True, timeout=600, env=SILENT, check=True)
 
 
-def test_a_recording_is_played_at_the_given_speed(tmp_path, program, monkeypatch):
-    speeds = []
-    monkeypatch.setattr("async_tnt.cli.view.replay", lambda packets, speed: speeds.append(speed) or packets)
-    assert program("view", SAMPLE, "--out", tmp_path / "a.rrd", "--speed", 2)[0] == 0
-    assert speeds == [2.0]
-
-
 @pytest.mark.parametrize(
     "words, message",
     [
@@ -88,12 +81,6 @@ def test_mistakes_are_one_line_and_leave_no_file(words, message, tmp_path, monke
     (line,) = [line for line in err.splitlines() if "listening" not in line]
     assert code == 2 and message in line
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty.npy", "large.npz"]
-
-
-@pytest.mark.parametrize("words", ["--speed 0", "--every-ms 0", "--every-ms x", "--connect a --out a.rrd"])
-def test_wrong_options(words, program):
-    with pytest.raises(SystemExit, match="2"):
-        program("view", SAMPLE, *words.split())
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
@@ -223,15 +210,3 @@ def test_without_a_display_no_viewer_is_started(monkeypatch, program):
     monkeypatch.delenv("DISPLAY", raising=False)
     code, _, err = program("view", SAMPLE)
     assert code == 2 and err.startswith("async-tnt: no display to open the Rerun viewer on") and err.count("\n") == 1
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays of Linux")
-def test_a_viewer_that_cannot_be_started_is_one_line(monkeypatch, program):
-    import rerun
-
-    def fails(stream, **settings):
-        raise RuntimeError("no\nsuch program")
-
-    monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(rerun.RecordingStream, "spawn", fails)
-    assert program("view", SAMPLE) == (2, "", "async-tnt: the Rerun viewer cannot be started: no such program\n")
