@@ -18,8 +18,6 @@ from async_tnt import TNTConfig, load_model
 from async_tnt.simulation.digits import simulate_digit
 from async_tnt.sources.files.nmnist import write_nmnist
 from experiments import decisions, edges
-from experiments import measure_touched as touched
-from experiments.bench_moments import bench_recordings, windows_of
 from experiments.mnist import load_mnist
 from experiments.page_parts import RESULTS
 
@@ -62,16 +60,6 @@ def test_the_recorded_run_was_a_full_one_of_this_script(quick):
     assert {k: recorded["settings"][k] for k in decisions.FULL} == decisions.FULL and not recorded["settings"]["quick"]
     assert recorded["left_out"] == {"network": {}, "end_to_end": {}}
     assert recorded["work"] == quick[0]["work"]
-
-
-def test_more_new_events_touch_more_and_the_whole_network_by_hand():
-    windows = [w for events in bench_recordings(DIGITS.config)[:3] for w in windows_of(events, DIGITS.config.window_us)]
-    found = touched.bench_touched(DIGITS, windows, moments=40)
-    multiplications = [found[n]["multiplications"] for n in ("1", "10", "100", "1300", "whole")]
-    assert multiplications == sorted(multiplications) and multiplications[0] < multiplications[-1] / 5
-    for n in ("1", "10", "100", "1300"):
-        assert 0 < found[n]["cells"] < found["whole"]["cells"] and 0 < found[n]["conv1"] < found["whole"]["conv1"]
-    assert multiplications[-1] == 4 * 289 * 9 * 9 * 16 + 4 * 64 * 9 * 16 * 32 + 64 * 32 * 64 + 64 * 10
 
 
 def test_events_fall_with_the_angle_between_edge_and_motion(tmp_path):

@@ -4,23 +4,18 @@ import gzip
 
 import numpy as np
 import pytest
-from made import events_of
 from small_sets import idx_bytes
 
 pytest.importorskip("torch", reason="training needs torch (extra `train`)")
 
 from async_tnt.progress import no_progress
-from async_tnt.training.recordings import Recordings
-from async_tnt.training.windows import make_windows
 from experiments.digits import CONFIG, STEPS, Step, train_digits
 from experiments.digits_data import (
-    DURATION_US,
     FIRST_INDEX,
     digits_data,
     read_nmnist_folder,
     recording_numbers,
     simulate_recordings,
-    split_recordings,
 )
 
 
@@ -30,16 +25,6 @@ def test_a_folder_is_read_in_order_with_its_labels(nmnist):
     np.testing.assert_array_equal(recordings.labels, np.repeat(np.arange(10), 4))
     assert len(recordings.offsets) == 41 and recordings.offsets[-1] == len(recordings.t)
     assert read_nmnist_folder(nmnist / "Train", per_digit=1).names == recordings.names[::4]
-
-
-def test_a_split_is_by_recording_and_even_over_the_classes():
-    recordings = Recordings.from_events([events_of([1], [5], [7], [1])] * 60, [0] * 40 + [1] * 20)
-    train, held_out = split_recordings(recordings, 0.25, np.random.default_rng(0))
-    np.testing.assert_array_equal(np.sort(np.concatenate([train, held_out])), np.arange(60))
-    np.testing.assert_array_equal(np.bincount(recordings.labels[held_out]), [10, 5])
-    np.testing.assert_array_equal(held_out, split_recordings(recordings, 0.25, np.random.default_rng(0))[1])
-    with pytest.raises(ValueError, match=r"`fraction` must be in \[0, 1\), got 1"):
-        split_recordings(recordings, 1, np.random.default_rng(0))
 
 
 def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_path):
@@ -53,17 +38,12 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
         (tmp_path / f"train-{name}-ubyte.gz").write_bytes(gzip.compress(idx_bytes(array), 1))
     recordings, fewer, other = (simulate_recordings(tmp_path, *words) for words in ((4, 0), (2, 0), (2, 1)))
     np.testing.assert_array_equal(np.sort(recordings.labels), [1, 2, 3, 4])  # none of the empty ones
-    assert len(make_windows(recordings, 105_000, duration_us=DURATION_US)) == 12 and recordings.names[0].startswith(
-        "simulated 500"
-    )
     for r, label in enumerate(recordings.labels):
         events = slice(recordings.offsets[r], recordings.offsets[r + 1])
         bar = 3 + 5 * label - 2.5 + 3.5  # its centre in the image, and the image's place on the sensor
         assert np.median(recordings.x[events]) == pytest.approx(bar, abs=4)
     np.testing.assert_array_equal(recordings.t[: len(fewer.t)], fewer.t)  # the first of more
     assert recordings.names[:2] == fewer.names and not np.array_equal(fewer.t, other.t)
-    with pytest.raises(ValueError, match=r"must be in \[0, 4\], got 5"):
-        simulate_recordings(tmp_path, 5, 0)
     held_out = [n - 1 for n in recording_numbers([f"1/{FIRST_INDEX + 2:05d}.bin", "1/other.bin"])]
     np.testing.assert_array_equal(simulate_recordings(tmp_path, 3, 0, leave_out=held_out).labels.sum(), 1 + 3 + 4)
 

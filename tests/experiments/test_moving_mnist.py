@@ -49,10 +49,8 @@ def test_the_set_is_compared_with_the_recordings_that_show_the_same_images(simul
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--mnist", "nowhere"], "no folder nowhere; give --mnist FOLDER"),
         (["--mnist", "damaged"], "t10k-images-idx3-ubyte.gz: damaged gzip file"),
         (["--digits", "25"], "`digits` must be at most 24"),
-        (["--nmnist", "damaged"], "no N-MNIST recordings; expected"),
         (["--out", "file"], "file is not a folder; expected a folder to write to"),
         (["--out", "made", "--digits", "1"], "set.json: made with other parameters: kind is 'nmnist', requested 'cons"),
     ],

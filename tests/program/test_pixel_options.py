@@ -4,10 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from made import random_model
 
-from async_tnt import Model, Processor, TNTConfig, load_model
-from async_tnt.sources.files.nmnist import write_nmnist
 from async_tnt.sources.files.recording import open_recording, sample_recordings
 from async_tnt.sources.pixel_filter import PixelFilter
 from async_tnt.sources.pixel_masks import PackedMask, save_mask
@@ -43,7 +40,7 @@ def write(path, events, sensor):
 
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory):
-    """Samples as they are, with hot pixels, and with these somewhere on a larger camera; masks; models for others."""
+    """Samples as they are, with hot pixels, and with these somewhere on a larger camera; masks."""
     folder = tmp_path_factory.mktemp("sets")
     for digit, path in sample_recordings().items():
         events, name = open_recording(path).read(), f"{digit}/a.npz"
@@ -54,12 +51,6 @@ def sets(tmp_path_factory):
         write(folder / "large" / name, with_hot_pixels(events, CORNER), CAMERA)
     save_mask(folder / "hot.npy", hot_mask(SIZE))
     save_mask(folder / "large.npy", hot_mask(CAMERA, CORNER))
-    (folder / "bin" / "0").mkdir(parents=True)
-    write_nmnist(folder / "bin" / "0" / "a.bin", EVENTS)  # whose file does not say that the camera has 60x48
-    save_mask(folder / "bin.npy", np.fromfunction(lambda y, x: (x == 12) & (y == 10), (48, 60)))
-    for name, sensor in (("whole", (60, 48)), ("part", (30, 30))):
-        model = random_model(TNTConfig(sensor=sensor), classes=3, seed=1)
-        Model(model.config, model.weights, ("0", "1", "2")).save(folder / f"{name}.safetensors")
     return folder
 
 
@@ -107,29 +98,6 @@ def test_counts_and_report_say_what_was_left_out(sets, program):
     words = "evaluate", "digits", sets / "large", "--json", *REGION, "--mask", sets / "large.npy"
     mask = f"100x80 {PackedMask.of(hot_mask(CAMERA, CORNER)).sha256[:16]}"
     assert json.loads(program(*words)[1])["pixels"] == {"roi": "40,20,34,34", "crop": True, "mask": mask}
-
-
-# -- archives ------------------------------------------------------------------------------------------------------
-
-
-# -- whose camera it is ----------------------------------------------------------------------------------------------
-
-
-def test_a_bin_is_of_the_camera_that_the_model_or_a_mask_names(sets, program):
-    path, whole, part = sets / "bin" / "0" / "a.bin", sets / "whole.safetensors", sets / "part.safetensors"
-    roi, mask = (5, 4, 30, 30), sets / "bin.npy"
-    for model, pixel_filter, options in (
-        (whole, PixelFilter((60, 48)), ()),
-        (part, PixelFilter((60, 48), roi, crop=True, mask=mask), ("--roi", "5,4,30,30", "--crop", "--mask", mask)),
-    ):
-        processor = Processor(load_model(model))
-        expected = processor.push(pixel_filter(EVENTS)) + processor.finish()
-        lines = program("run", path, "--model", model, "--json", *options)[1].splitlines()
-        got = [(d["label"], d["events"]) for d in map(json.loads, lines)]
-        assert got == [(d.label, d.events) for d in expected]
-
-
-# -- messages ------------------------------------------------------------------------------------------------------
 
 
 @of_all_commands

@@ -148,18 +148,6 @@ def test_nothing_is_written_for_each_event_and_decisions_are_capped(tmp_path):
     assert len(rrd.times(log.PROBABILITIES)) <= 21 * (n_pictures + 1)
 
 
-@pytest.mark.parametrize(
-    "settings, message",
-    [
-        ({"connect": "rerun+http://127.0.0.1:9876/proxy"}, "give one of them"),
-        ({"picture_us": 0}, "`picture_us` must be at least 1, got 0"),
-    ],
-)
-def test_wrong_settings(settings, message):
-    with pytest.raises(ValueError, match=message):
-        RerunView(MODEL, out="a.rrd", **settings)
-
-
 def test_times_beyond_reruns_clock(tmp_path):
     with RerunView(MODEL, out=tmp_path / "a.rrd") as view:
         with pytest.raises(ValueError, match="to be shown by Rerun"):

@@ -42,13 +42,16 @@ def own_lines(err):
     return [line for line in err.splitlines() if line.startswith("async-tnt:")]
 
 
-def test_recordings_become_a_file(tmp_path, program):
+def test_recordings_become_a_file(tmp_path, program, monkeypatch):
     out = tmp_path / "a.rrd"
     other = sample_recordings()[3]
-    code, printed, err = program("view", SAMPLE, other, "--out", out, "--every-us", 50000, "--every-ms", 30)
+    speeds = []
+    monkeypatch.setattr("async_tnt.cli.view.replay", lambda packets, speed: speeds.append(speed) or packets)
+    words = "--every-us", 50000, "--every-ms", 30, "--speed", 2
+    code, printed, err = program("view", SAMPLE, other, "--out", out, *words)
     rrd = Rrd(out)
     n_events, n_pictures = len(EVENTS) + len(open_recording(other).read()), len(rrd.times(log.EVENTS))
-    assert (code, err) == (0, "")
+    assert (code, err, set(speeds)) == (0, "", {2.0})
     assert printed == f"{out}: {n_events:,} events, {n_pictures} pictures; open it with: rerun {out}\n"
     assert rrd.name == "7.bin and 1 more" and np.diff(rrd.times(log.EVENTS))[:8].max() == 30_000
     processor = Processor(load_model("digits"), every_us=50_000)
@@ -69,8 +72,6 @@ def test_recordings_become_a_file(tmp_path, program):
         (["empty.npy", "--out", "a.rrd"], "no event in empty.npy: nothing to show"),
         (["--connect", "127.0.0.1:9876"], "a viewer's URL is rerun+http://HOST:9876/proxy, got 127.0.0.1:9876"),
         (["--connect", "rerun+http://127.0.0.1:1/proxy"], "/proxy: no Rerun viewer listens there; `rerun` starts one"),
-        (["--latest", "9", "--out", "a.rrd"], "--latest belongs to a camera or the network"),
-        (["--crop", "--out", "a.rrd"], "--crop belongs to --roi"),
     ],
 )
 def test_mistakes_are_one_line_and_leave_no_file(words, message, tmp_path, monkeypatch, program):
