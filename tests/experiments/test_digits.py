@@ -36,20 +36,21 @@ def test_simulated_recordings_show_images_beyond_the_samples_by_their_seed(tmp_p
         labels[FIRST_INDEX + k] = k + 1
     for name, array in (("images-idx3", images), ("labels-idx1", labels)):
         (tmp_path / f"train-{name}-ubyte.gz").write_bytes(gzip.compress(idx_bytes(array), 1))
-    recordings, fewer, other = (simulate_recordings(tmp_path, *words) for words in ((4, 0), (2, 0), (2, 1)))
+    recordings, fewer = (simulate_recordings(tmp_path, n, 0) for n in (4, 2))
     np.testing.assert_array_equal(np.sort(recordings.labels), [1, 2, 3, 4])  # none of the empty ones
     for r, label in enumerate(recordings.labels):
         events = slice(recordings.offsets[r], recordings.offsets[r + 1])
         bar = 3 + 5 * label - 2.5 + 3.5  # its centre in the image, and the image's place on the sensor
         assert np.median(recordings.x[events]) == pytest.approx(bar, abs=4)
     np.testing.assert_array_equal(recordings.t[: len(fewer.t)], fewer.t)  # the first of more
-    assert recordings.names[:2] == fewer.names and not np.array_equal(fewer.t, other.t)
+    assert recordings.names[:2] == fewer.names
     held_out = [n - 1 for n in recording_numbers([f"1/{FIRST_INDEX + 2:05d}.bin", "1/other.bin"])]
     np.testing.assert_array_equal(simulate_recordings(tmp_path, 3, 0, leave_out=held_out).labels.sum(), 1 + 3 + 4)
 
 
 def test_each_step_continues_the_one_before_and_the_last_is_tested(nmnist, mnist, tmp_path, monkeypatch):
     monkeypatch.setattr("experiments.digits_data.FIRST_INDEX", 10)
+    monkeypatch.setattr("experiments.digits.available_cores", lambda: 1)
     data = digits_data(nmnist, mnist, CONFIG, simulated=5, progress=no_progress)
     assert (data.record["real_recordings"], data.record["simulated_recordings"]) == (40, 5)
     assert len(data.training) == 135 and len(data.tests["test"][0]) == 30

@@ -7,9 +7,7 @@ import json
 import pytest
 from made import random_model
 
-from async_tnt import Processor, TNTConfig, load_model
-from async_tnt.checking.agreement import streams_for
-from async_tnt.cli.bench import _decision_us
+from async_tnt import TNTConfig, load_model
 
 CONFIGS = {
     "another sensor": {"sensor": (40, 30), "grid": (20, 16)},
@@ -42,14 +40,3 @@ def test_any_model_is_measured(settings, tmp_path, program):
     report = json.loads(text)
     check(report)
     assert code == 0 and report["events_from"] == ("made streams" if "sensor" in settings else "bundled samples")
-
-
-def test_a_decision_is_timed_so_many_events_after_the_one_before(monkeypatch):
-    calls = []
-    push, fire = Processor.push, Processor.fire
-    monkeypatch.setattr(Processor, "push", lambda self, events: calls.append(len(events)) or push(self, events))
-    monkeypatch.setattr(Processor, "fire", lambda self: calls.append("fire") or fire(self))
-    model = load_model("digits")
-    taken = list(_decision_us(model, streams_for(model.config)[0][:2], 100, moments=5))
-    assert len(taken) == 8 and len(calls) == 4 * len(taken)  # the first of five would have no decision before
-    assert calls[1::4] == calls[3::4] == ["fire"] * 8 and calls[2::4] == [100] * 8
