@@ -21,13 +21,6 @@ ATOL_LANDMARK = 1e-9  # grid pixels, the bound of the theory
 ATOL_VOLUME = 1e-12  # a dozen events of weight 1: only the order of float64 sums and products differs
 
 
-def stream(n):
-    """Random integer events, some at the window's ends and some outside it."""
-    g = torch.Generator().manual_seed(0)
-    x, y = torch.randint(0, 12, (n,), generator=g), torch.randint(0, 9, (n,), generator=g)
-    return torch.randint(900, 6_100, (n,), generator=g), x, y, torch.randint(0, 2, (n,), generator=g)
-
-
 @pytest.mark.parametrize(
     "options",
     [

@@ -122,23 +122,3 @@ def test_batch_equals_one_by_one_and_may_hold_empty_windows():
         together = pipeline.batch(windows)
         assert together.isfinite().all()
         torch.testing.assert_close(together, torch.stack([pipeline(*w) for w in windows]))
-
-
-REGRESSOR = LandmarkRegressor(5, (12, 10))
-BAD_PIPELINES = [
-    (dict(transform="fourier"), r"`transform` must be 'tnt' or 'none', got 'fourier'"),
-    (dict(landmark="middle"), r"must be one of center, running, line, window, regressor; got 'middle'"),
-    (dict(landmark="regressor"), r"go together: got landmark 'regressor' and regressor NoneType"),
-    (
-        dict(polarity="split"),
-        r"the classifier is built for \(channels, grid\) \(5, \(12, 10\)\), "
-        r"these settings give \(10, \(12, 10\)\)",
-    ),
-    (dict(landmark="regressor", regressor=REGRESSOR, remove_flow=True), r"`remove_flow` needs the flow"),
-]
-
-
-@pytest.mark.parametrize("bad, message", BAD_PIPELINES, ids=lambda a: str(a)[:50])
-def test_bad_pipelines(bad, message):
-    with pytest.raises(ValueError, match=message):
-        Pipeline(Classifier(5, (12, 10)), **{**SETTINGS, **bad})

@@ -100,24 +100,6 @@ def test_cells_average_their_pixels():
     assert frames[-1].tolist() == [[1.0, 0, 0], [0, 0, 0.5]]
 
 
-def test_finer_image_is_the_same_where_it_was_known():
-    image = np.random.default_rng(0).normal(size=(5, 7))
-    fine = finer(image, 3)
-    np.testing.assert_allclose(fine[::3, ::3], image, atol=1e-12)
-    right = reference.shift_matrix(
-        7, torch.tensor(1 / 3, dtype=torch.float64)
-    ).numpy()  # moved right, a place shows what was left of it
-    np.testing.assert_allclose(image @ right.T, np.roll(fine, 1, axis=1)[::3, ::3], atol=1e-12)
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_an_image_comes_in_where_it_left(axis):
-    """A quarter of a place: three quarters of a place's light and one of that before it, round the border."""
-    image, frames = np.random.default_rng(2).normal(size=(5, 7)), np.empty((1, 5, 7))
-    move_periodic(frames, image, *np.array([[[0.0], [0.25]], [[0.25], [0.0]]])[axis], 0, 0.0, 1.0)
-    np.testing.assert_allclose(frames[0], 0.75 * image + 0.25 * np.roll(image, 1, axis), atol=1e-12)
-
-
 def test_pictures_move_as_the_reference_moves_an_image():
     """Between the places of the fine image the light is interpolated: the finer, the nearer."""
     image = np.random.default_rng(1).normal(size=(5, 7))
