@@ -94,11 +94,9 @@ def test_the_first_two_are_the_references_with_the_same_initial_weights():
 @pytest.mark.parametrize("name", NETWORKS)
 def test_the_smallest_grid(name):
     side = SMALLEST[name]
-    logits = build_network(name, 2, (side, side), 3).eval()(torch.zeros(1, 2, side, side))
-    assert logits.shape == (1, 3)
-    with pytest.raises(
-        ValueError, match=rf"^network '{name}' needs a grid of at least {side}x{side}, got \(40, {side - 1}\)$"
-    ):
+    assert build_network(name, 2, (side, side), 3).eval()(torch.zeros(1, 2, side, side)).shape == (1, 3)
+    message = rf"^network '{name}' needs a grid of at least {side}x{side}, got \(40, {side - 1}\)$"
+    with pytest.raises(ValueError, match=message):
         build_network(name, 2, (40, side - 1), 3)
 
 
