@@ -116,30 +116,6 @@ def translated(f, step=1):
     return f.roll((SHIFT_Y // step, SHIFT_X // step), dims=(-2, -1))
 
 
-@pytest.mark.parametrize("polarity", ["signed", "split"])
-def test_proposition_2_for_the_volume(polarity):
-    """V(TNT(L_v e)) = L_{v / t_max} V(TNT(e)): at 16 px right and 8 up per window and t_max = 2, by (8, -4) cells."""
-    options = dict(AT, polarity=polarity, dtype=torch.float64)
-    still, moving = (tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX) for v in ((0, 0), FLOW))
-    assert still.abs().sum() > 50
-    assert moving.abs().sum().item() == pytest.approx(still.abs().sum().item())  # nothing fell off
-    assert difference(moving, translated(still)) < 1e-12
-    assert difference(moving, still) >= 1
-
-
-def test_a_3d_convolution_of_the_transform_is_equivariant_to_flow():
-    """V(TNT(L_v e)) * phi = L_{v / t_max} (V(TNT(e)) * phi), for filters over x, y and t; without TNT it is not."""
-    phi = torch.randn(4, 1, 3, 3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    options = dict(AT, dtype=torch.float64)
-    still, moving = (
-        F.conv3d(tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX)[None, None], phi)
-        for v in ((0, 0), FLOW)
-    )
-    assert still.abs().max() > 1 and difference(moving, translated(still)) < 1e-12
-    still, moving = (F.conv3d(event_volume(**square(v), **options)[None, None], phi) for v in ((0, 0), FLOW))
-    assert difference(moving, translated(still)) > 1
-
-
 # An object that moves at constant flow while events arrive evenly: event i at f_i = i/n, i = 0..n-1, so that
 # the mean of f over events 0..i is exactly f_i/2. x is real-valued: no rounding to pixels hides the law.
 N_EVENTS = 1300
@@ -180,6 +156,27 @@ def test_how_far_each_landmark_translates_events_under_flow(options, expected, a
     torch.testing.assert_close(got, expected, rtol=0, atol=1e-9)
     for i, shift in at.items():
         assert got[i].item() == pytest.approx(shift, abs=0.01 if options["landmark"] == "window" else 0.001)
+
+
+@pytest.mark.parametrize("polarity", ["signed", "split"])
+def test_proposition_2_for_the_volume_and_a_3d_convolution_of_it(polarity):
+    """V(TNT(L_v e)) = L_{v / t_max} V(TNT(e)): at 16 px right and 8 up per window and t_max = 2, by (8, -4) cells.
+
+    So V(TNT(L_v e)) * phi = L_{v / t_max} (V(TNT(e)) * phi), for filters over x, y and t; without TNT it is not.
+    """
+    options = dict(AT, polarity=polarity, dtype=torch.float64)
+    still, moving = (tnt_volume(**square(v), **options, landmark="center", t_max=T_MAX) for v in ((0, 0), FLOW))
+    assert still.abs().sum() > 50
+    assert moving.abs().sum().item() == pytest.approx(still.abs().sum().item())  # nothing fell off
+    assert difference(moving, translated(still)) < 1e-12
+    assert difference(moving, still) >= 1
+    phi = torch.randn(4, 1, 3, 3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    raw_still, raw_moving = (event_volume(**square(v), **options) for v in ((0, 0), FLOW))
+    still, moving, raw_still, raw_moving = (
+        F.conv3d(volume[None, None], phi) for volume in (still, moving, raw_still, raw_moving)
+    )
+    assert still.abs().max() > 1 and difference(moving, translated(still)) < 1e-12
+    assert difference(raw_moving, translated(raw_still)) > 1
 
 
 def test_the_classifiers_features_translate_with_the_flow():

@@ -45,12 +45,6 @@ def test_evidence_and_its_gradient(seed):
     np.testing.assert_allclose(gradient, position.grad.numpy(), rtol=1e-7, atol=1e-7)
 
 
-def test_no_motion_has_no_evidence():
-    frames, path = made(0)
-    found, gradient, curvature = MODEL.evidence(MODEL.spectra(frames).reshape(len(frames), -1, K), np.zeros_like(path))
-    assert found == 0 and np.isfinite(gradient).all() and np.isfinite(curvature).all()
-
-
 def test_image_costs_least():
     """Its cost is within a thousandth of the least that another method finds, of a slightly rounded cost."""
     frames, path = made(0, n=1)

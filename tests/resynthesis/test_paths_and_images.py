@@ -38,18 +38,6 @@ def test_paths_and_images_are_found(reconstruction, profile):
     assert np.median(likeness) > 0.9 and np.min(likeness) > 0.7
 
 
-def test_windows_that_share_a_path_find_it_together(reconstruction):
-    rng = np.random.default_rng(6)
-    windows = [recorded(blobs(rng), straight((5.0, -3.0)), rng) for _ in range(24)]
-    shared = reconstruction.shared_path(windows, PIXELS)
-    own = [np.linalg.norm(path.positions[-1] - (5, -3)) for path, _ in reconstruction(windows, PIXELS)]
-    error = np.linalg.norm(shared.positions[-1] - (5, -3))
-    assert error < 0.5 and error < np.median(own)
-    for path, image in reconstruction(windows, PIXELS, [shared] * 24):
-        assert path.found and image is not None
-        np.testing.assert_array_equal(path.positions, shared.positions)
-
-
 def flicker(rng):
     """A picture that stands still and changes its brightness."""
     strength = np.sin(np.linspace(0, 2 * np.pi * rng.uniform(0.5, 3), 53) + rng.uniform(0, 6))
