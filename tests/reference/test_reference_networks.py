@@ -76,39 +76,10 @@ def test_pipeline_is_volume_then_classifier(options):
     torch.testing.assert_close(pipeline(*window()), classifier(volume))
 
 
-def with_regressor(dtype=torch.float32):
-    return Pipeline(
-        Classifier(5, (12, 10), n_classes=3),
-        **SETTINGS,
-        landmark="regressor",
-        regressor=LandmarkRegressor(5, (12, 10), n_filters=4),
-    ).to(dtype)
-
-
-def test_gradients_reach_the_events_and_the_regressors_first_layer_and_are_right():
-    """Real-valued events act on the logits in two ways: by their own place, and by the landmark drawn from them."""
-    pipeline = with_regressor(torch.float64)
-    with torch.no_grad():
-        for weight in pipeline.classifier.parameters():
-            weight *= 5  # of the default ones, derivatives are as small as a check of them is coarse
-    torch.nn.init.normal_(pipeline.regressor.heatmap.weight)
-    g = torch.Generator().manual_seed(3)
-    columns = [
-        torch.rand(9, generator=g, dtype=torch.float64) * span + low for span, low in ((2_800, 3_000), (7, 2), (6, 2))
-    ]
-    p = torch.randint(0, 2, (9,), generator=g)
-
-    def logits(t, x, y, weight):
-        return torch.func.functional_call(pipeline, {"regressor.conv1.weight": weight}, (t, x, y, p, 1_000))
-
-    inputs = [value.detach().clone().requires_grad_() for value in (*columns, pipeline.regressor.conv1.weight)]
-    gradients = torch.autograd.grad(logits(*inputs)[0], inputs)
-    assert min(gradient.abs().max() for gradient in gradients) > 1e-6
-    assert torch.autograd.gradcheck(logits, inputs, eps=1e-7, atol=1e-6, rtol=1e-4, fast_mode=True)
-
-
 def test_batch_equals_one_by_one_and_may_hold_empty_windows():
-    for pipeline in (with_regressor(), Pipeline(Classifier(5, (12, 10)), **SETTINGS, landmark="line")):
+    regressor = LandmarkRegressor(5, (12, 10), n_filters=4)
+    for landmark in ({"landmark": "regressor", "regressor": regressor}, {"landmark": "line"}):
+        pipeline = Pipeline(Classifier(5, (12, 10)), **SETTINGS, **landmark)
         windows = [window(0), ([], [], [], [], 77), window(2, n=1), window(3, start_us=9)]
         together = pipeline.batch(windows)
         assert together.isfinite().all()

@@ -75,20 +75,19 @@ def test_a_trained_network_computes_the_same_compiled(name, own, windows, tmp_pa
 
 
 def test_the_first_two_are_the_references_with_the_same_initial_weights():
-    pairs = [
+    builds = [
         (lambda: build_network("thesis", 3, (20, 18), 5), lambda: tnt_reference.Classifier(3, (20, 18), 5)),
         (lambda: landmark_network(3), lambda: tnt_reference.LandmarkRegressor(3, (20, 18))),
     ]
     volume = torch.randn(2, 3, 18, 20, generator=torch.Generator().manual_seed(1))
-    for ours, reference in pairs:
-        made = []
-        for build in (ours, reference):
+    for pair in builds:
+        networks = []
+        for build in pair:
             torch.manual_seed(7)
-            made.append(build())
-        states = [module.state_dict() for module in made]
-        assert states[0].keys() == states[1].keys()
-        assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
-        torch.testing.assert_close(made[0](volume), made[1](volume))
+            networks.append(build())
+        ours, reference = networks
+        torch.testing.assert_close(dict(ours.state_dict()), dict(reference.state_dict()), rtol=0, atol=0)
+        torch.testing.assert_close(ours(volume), reference(volume))
 
 
 @pytest.mark.parametrize("name", NETWORKS)
