@@ -20,7 +20,6 @@ BAD = [
     (dict(p=[1, 0, 1, 0.5]), ValueError, r"`p` must be bool, 0/1 or -1/\+1, got 0.5 at event 3"),
     (dict(window_us=0), ValueError, r"`window_us` must be positive, got 0; .* pass at least 1"),
     (dict(sensor=(34, 1)), ValueError, r"`sensor` must have sides of at least 2 pixels, got \(34, 1\)"),
-    (dict(bins=0), ValueError, r"`bins` must be at least 1, got 0"),
     (dict(t_max=float("nan")), ValueError, r"`t_max` must be positive and finite, got nan"),
     (dict(landmark=(1, 2, 3)), ValueError, r"shape \(2,\) or \(4, 2\), one row an event, got \(3,\)"),
     (dict(remove_flow=True), ValueError, r"`remove_flow` needs the flow fitted by landmark 'line', got .* 'running'"),

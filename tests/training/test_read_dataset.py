@@ -82,27 +82,6 @@ def test_windows_counts_and_the_held_out(tmp_path):
     assert "not held out, as there is only one recording, or one group of them: single" in data.notes
 
 
-def test_who_was_seen_in_training_is_not_held_out(tmp_path):
-    """By a pattern, by a table; and by recording where nothing is known."""
-    rows = ["recording,group"]
-    for kind in ("upright", "flat"):
-        for k in range(10):
-            write(tmp_path / kind / f"{'abcde'[k % 5]}{k}.npz", bar(kind, k, n=50))
-            rows.append(f"{kind}/{'abcde'[k % 5]}{k}.npz,{'abcde'[k % 5]}")
-
-    def held_out_by(**how):
-        data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, **how)
-        names = data.training.recordings.names
-        sides = [{names[r].split("/")[1][0] for r in windows.recording} for windows in (data.training, data.validation)]
-        return data.record["source"].removeprefix("recordings of own classes, held out by "), sides
-
-    assert held_out_by()[0] == "recording"
-    by_pattern = held_out_by(groups="/(.)")
-    (tmp_path / "groups.csv").write_text("\n".join(rows))
-    for (how, (train, held_out)), expected in ((by_pattern, "group (/(.))"), (held_out_by(), "group (groups.csv)")):
-        assert how == expected and len(held_out) == 1 and not train & held_out
-
-
 def recording(times_us, pixels=None):
     return events_of(times_us, *([5] * len(times_us) if pixels is None else pixels for _ in "xy"), [1] * len(times_us))
 
@@ -159,3 +138,23 @@ def test_a_recording_longer_than_35_minutes_is_refused(tmp_path):
         write(tmp_path / name / "1.npz", recording([0, 1 << 31]), sensor=SIZE)
     with pytest.raises(ValueError, match=r"a/1.npz: lasts 36 minutes, more than the 35 that training supports"):
         read_dataset(tmp_path)
+
+
+def test_who_was_seen_in_training_is_not_held_out(tmp_path):
+    """By a pattern or by a table; by recording where nothing is known."""
+    files = [f"{kind}/{'abcde'[k % 5]}{k}.npz" for kind in ("upright", "flat") for k in range(10)]
+    for k, name in enumerate(files):
+        write(tmp_path / name, bar("flat", k, n=50))
+
+    def held_out_by(n_groups, **how):
+        data = dataset_data(tmp_path, TNTConfig(), pixels=EVERYTHING, **how)
+        names = data.training.recordings.names
+        train, held_out = ({names[r].split("/")[1][0] for r in w.recording} for w in (data.training, data.validation))
+        assert not n_groups or (len(held_out) == n_groups and not train & held_out)
+        return data.record["source"].removeprefix("recordings of own classes, held out by ")
+
+    assert held_out_by(0) == "recording"
+    assert held_out_by(1, groups="/(.)") == "group (/(.))"
+    rows = ["recording,group", *(f"{name},{name.split('/')[1][0]}" for name in files)]
+    (tmp_path / "groups.csv").write_text("\n".join(rows))
+    assert held_out_by(1) == "group (groups.csv)"

@@ -9,7 +9,6 @@ from sources.files.written import aedat3
 from training.gestures import bar, write
 
 from async_tnt import Model, TNTConfig
-from async_tnt.sources.files.recording import open_recording
 from async_tnt.sources.labelled_recordings import find_recordings
 from async_tnt.sources.pixel_selection import PixelSelection
 from async_tnt.training.data import dataset_data
@@ -49,13 +48,6 @@ def sessions(tmp_path):
     for k, name in enumerate(("user01_lab", "user02_lab", "user02_led")):
         write_session(folder, name, ("flat", "upright", "flat"), seed=10 * k)
     return folder
-
-
-def test_the_events_between_two_times(tmp_path):
-    write_session(tmp_path, "a", ("flat", "upright"))
-    recording = open_recording(tmp_path / "a.npz", between_us=(5_150_000, 5_230_000), packet_events=100)
-    np.testing.assert_array_equal(recording.read(), cut(part("upright", 1, 1)))
-    assert recording.n_events == len(recording.read()) == sum(map(len, recording)) and recording.duration_us < 80_000
 
 
 def test_training_sees_the_parts_and_keeps_sessions_together(sessions):

@@ -161,21 +161,18 @@ def test_files_of_others_beside_the_model_stay(tmp_path, train):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ((), ("none", "split", 9, (200, 150), (60, 45), 100_000)),  # as long as the longest recording
+        ("", ("none", "split", 9, (200, 150), (60, 45), 100_000)),  # as long as the longest recording
         (
-            ("--window-us", "50000", "--grid", "20x16", "--roi", "10,0,128,128", "--crop"),
-            ("none", "split", 9, (128, 128), (20, 16), 50_000),
-        ),
-        (
-            ("--volume", "transform=tnt,landmark=line,remove_flow=yes,polarity=signed,bins=5,t_max=2"),
-            ("tnt", "signed", 5, (200, 150), (60, 45), 100_000),
+            "--window-us 50000 --grid 20x16 --roi 10,0,128,128 --crop "
+            "--volume transform=tnt,landmark=line,remove_flow=yes,polarity=signed,bins=5,t_max=2",
+            ("tnt", "signed", 5, (128, 128), (20, 16), 50_000),
         ),
     ],
 )
 def test_the_volume_is_the_plain_one_unless_asked_otherwise(words, expected, tmp_path, program):
     write_set(tmp_path / "set", {"upright": 2, "flat": 2}, suffixes=(".npy",))
     out = tmp_path / "m.safetensors"
-    words = ("--sensor", "200x150", "--out", out, "--epochs", 1, *words)
+    words = ("--sensor", "200x150", "--out", out, "--epochs", 1, *words.split())
     assert program("train", tmp_path / "set", *words)[0] == 0
     model = load_model(out)
     found = model.config
