@@ -137,7 +137,7 @@ def test_other_and_damaged_folders_are_refused(windows, made, tmp_path):
     for damage in (content[:-3], content[:2_000] + bytes([content[2_000] ^ 1]) + content[2_001:], b""):
         path.write_bytes(damage)
         refused(r"held-out_000000.npz: damaged .*Remove it and give the same command")
-    for name, value in (("x", 34), ("p", 3), ("t", -1)):
+    for name, value in (("x", 34), ("p", 3), ("t", -1), ("t", 1)):
         moved = arrays["moved_0"].copy()
         moved[name][-1] = value
         np.savez(path, **arrays | {"moved_0": moved})
