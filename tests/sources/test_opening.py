@@ -1,15 +1,11 @@
 """Which source a name opens, and what a user reads where none can be opened."""
 
 import importlib.util
-import sys
 
 import pytest
 from sources.made_devices import PanicException, PlayedDevice, drivers, found
 
 from async_tnt.sources import DRIVERS, UdpSource, open_camera, open_recording, open_source, sample_recordings
-
-LIBRARIES = {"neuromorphic_drivers": "neuromorphic-drivers", "dv_processing": "dv-processing"}
-INSTALLED = {module for module in LIBRARIES if importlib.util.find_spec(module)}
 
 
 def test_any_source_by_name():
@@ -103,14 +99,11 @@ def test_what_a_user_reads(name, table, error, message):
         open_camera(name, drivers=table)
 
 
-@pytest.mark.parametrize("absent", [set(), {"neuromorphic_drivers"}, set(LIBRARIES)])
-def test_the_installed_libraries_look_for_a_camera(absent, monkeypatch):
-    for module in absent:
-        monkeypatch.setitem(sys.modules, module, None)
+def test_the_installed_libraries_look_for_a_camera():
+    """Each is named as missing, or has searched."""
     with pytest.raises((OSError, ImportError)) as caught:
         open_source("camera:evk3:no such serial")
     line = str(caught.value)
     assert line.startswith("camera:evk3:no such serial: ") and "\n" not in line
-    lacking = set(LIBRARIES) - (INSTALLED - absent)
-    assert {module for module, name in LIBRARIES.items() if f"{name} is not installed" in line} == lacking
-    assert (caught.type is ImportError) == (lacking == set(LIBRARIES))
+    for module, name in (("neuromorphic_drivers", "neuromorphic-drivers"), ("dv_processing", "dv-processing")):
+        assert (f"{name} is not installed" in line) == (importlib.util.find_spec(module) is None)
