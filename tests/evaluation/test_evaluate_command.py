@@ -158,24 +158,18 @@ def test_early_decisions_are_those_of_an_independent_count(model, saved, dataset
     assert report["calibration_error"] == pytest.approx(error) and error > 0
 
 
-def test_windows_that_begin_at_the_same_moment_are_counted_apart(model, program, tmp_path):
+def test_windows_of_events_are_counted_apart_and_have_no_accuracy_against_time(model, program, tmp_path):
+    """Two may begin at the same moment."""
     of_events = Model(model.config.replace(window_events=10), model.weights, CLASSES)
     events = bar("flat", 0)[:200]
     events["t"][80:120] = events["t"][80]
     write(tmp_path / "set" / "Test" / "flat" / "a.npy", events)
-    printed = program("evaluate", of_events.save(tmp_path / "m.safetensors"), tmp_path / "set", "--json")[1]
-    report = json.loads(printed)
-    assert report["windows"] == report["decisions"] == 20
-
-
-def test_windows_of_events_have_no_accuracy_against_time(model, dataset, program, tmp_path):
-    of_events = Model(model.config.replace(window_events=700), model.weights, CLASSES)
-    words = "evaluate", of_events.save(tmp_path / "m.safetensors"), dataset
+    words = "evaluate", of_events.save(tmp_path / "m.safetensors"), tmp_path / "set"
     report = json.loads(program(*words, "--json")[1])
-    assert (report["windows"], report["decisions"]) == (33, 33)  # of 1,500 events
+    assert report["windows"] == report["decisions"] == 20
     assert all(report[name] == [] for name in ("accuracy_against_time", "accuracy_against_events", "confidence"))
-    code, printed, err = program(*words, "--picture", tmp_path / "c.png")
-    assert (code, err) == (0, "") and "33 windows" in printed and "ms into the window" not in printed
+    code, printed, err = program(*words)
+    assert (code, err) == (0, "") and "20 windows" in printed and "ms into the window" not in printed
 
 
 def test_the_text_names_classes_and_times_and_the_picture_is_drawn(saved, dataset, program, tmp_path):

@@ -6,7 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from made import events_of
 
-from async_tnt import Processor, TNTConfig
+from async_tnt import Processor
 from async_tnt.evaluation.early import FiringProcessor
 
 
@@ -44,8 +44,3 @@ def test_the_other_decisions_are_those_without_it(times, cuts):
     processor = Processor(CONFIG, classifier=total_and_size, **triggers)
     alone = processor.push(events_at(times)) + processor.finish()
     assert list(map(key, alone)) == [key(d) for d in decisions if d.trigger != "fire"]
-
-
-def test_windows_of_events_are_not_fired():
-    config = TNTConfig(window_events=15)
-    assert [d.events for d in decide(events_at(list(range(40))), config=config)] == [15, 15, 10]

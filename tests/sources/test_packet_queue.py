@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made import random_events
-from waiting import meanwhile
 
 from async_tnt.events import as_events
 from async_tnt.sources import PacketQueue, QueueCounters
@@ -47,15 +46,6 @@ def test_latest_discards_the_oldest(limits):
     queue.end()
     assert all(got is packet for got, packet in zip(queue, PACKETS[16:20], strict=True))
     assert queue.counters == QueueCounters(5000, 1000, 4000, 0, queue.counters.longest_wait_us)
-
-
-def test_put_waits_for_room_and_gives_up_when_closed():
-    queue, answers = PacketQueue(max_packets=1), []
-    queue.put(EVENTS)
-    with meanwhile(lambda: answers.append(queue.put(PACKETS[0]))):
-        queue.close()
-    assert answers == [False] and not queue.put(PACKETS[1])
-    assert queue.counters.received == queue.counters.skipped == 10_500
 
 
 def test_after_the_end_nothing_comes_in():

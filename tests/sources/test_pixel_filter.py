@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import events_of, nasty_streams, random_events
+from made import events_of, nasty_streams
 
 import async_tnt
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
@@ -56,18 +56,6 @@ def test_filter_equals_numpy(data, settings):
     assert pixel_filter.sensor == (roi[2:] if crop else sensor)
     pixel_filter.reset()
     assert pixel_filter.counts == PixelCounts()
-
-
-def test_a_mask_may_be_a_file_and_later_changes_of_an_array_change_nothing(tmp_path):
-    mask = np.random.default_rng(0).random((20, 30)) < 0.2
-    np.save(tmp_path / "mask.npy", mask)
-    events = random_events(1000, sensor=(30, 20))
-    kept = twin(events, (30, 20), None, mask, False)[0].tobytes()
-    of_array = PixelFilter((30, 20), mask=mask)
-    mask[:] = True
-    of_files = [PixelFilter((30, 20), mask=path) for path in (tmp_path / "mask.npy", str(tmp_path / "mask.npy"))]
-    for pixel_filter in (of_array, *of_files):
-        assert pixel_filter(events).tobytes() == kept
 
 
 @pytest.mark.parametrize(
