@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made import events_of, random_events
-from sources.made_devices import RECORD
+from sources.test_cameras import RECORD
 
 from async_tnt.events import as_events
 from async_tnt.sources import open_camera, open_recording, sample_recordings

@@ -1,11 +1,14 @@
-"""Hot pixels: all that were planted are found, and none where there are none."""
+"""Hot pixels: all that were planted are found, and none where there are none; and `async-tnt mask`."""
+
+import json
 
 import numpy as np
 import pytest
 from made import events_of, random_events
 
 from async_tnt.sources.files.recording import open_recording, sample_recordings
-from async_tnt.sources.pixel_masks import hot_pixels, learn_mask
+from async_tnt.sources.pixel_filter import PixelFilter
+from async_tnt.sources.pixel_masks import hot_pixels, learn_mask, load_mask
 
 SENSOR = (34, 34)
 RECORDINGS = {digit: open_recording(sample_recordings()[digit]).read() for digit in (0, 1, 8)}
@@ -91,3 +94,88 @@ def test_factor_and_bound_by_hand(others, n, is_hot):
 def test_wrong_arguments(settings, message):
     with pytest.raises(ValueError, match=f"^{message}$"):
         learn_mask(**({"source": [], "sensor": SENSOR} | settings))
+
+
+# -- async-tnt mask ---------------------------------------------------------------------------------------
+
+SAMPLE = sample_recordings()[3]
+EVENTS = open_recording(SAMPLE).read()
+
+
+def with_hot_pixels(path, *pixels):
+    """The sample of a 3 with hot pixels (x, y, events), as a file that does not state its sensor."""
+    hot = [events_of(np.linspace(0, 300_000, n).astype(int), [x] * n, [y] * n, [1] * n) for x, y, n in pixels]
+    events = np.concatenate([EVENTS, *hot])
+    np.save(path, events[np.argsort(events["t"], kind="stable")])
+    return path
+
+
+def test_it_finds_what_was_planted(tmp_path, program):
+    path, out = with_hot_pixels(tmp_path / "a.npy", (30, 2, 500), (3, 31, 200)), tmp_path / "mask.npy"
+    events = open_recording(path).read()
+    at = [int(((events["x"] == x) & (events["y"] == y)).sum()) for x, y in ((30, 2), (3, 31))]
+    code, printed, _ = program("mask", path, "--sensor", "34x34", "--out", out)
+    assert code == 0 and printed.splitlines() == [
+        f"x    30  y     2  {at[0]:>9} events  {at[0] / len(events):6.2%}",
+        f"x     3  y    31  {at[1]:>9} events  {at[1] / len(events):6.2%}",
+        f"2 hot pixels of 34x34 made {sum(at) / len(events):.2%} of {len(events)} events; wrote {out}",
+    ]
+    assert {(x, y) for y, x in np.argwhere(load_mask(out, (34, 34))).tolist()} == {(30, 2), (3, 31)}
+    assert len(PixelFilter((34, 34), mask=out)(events)) == len(events) - sum(at)
+
+    words = ("mask", path, "--sensor", "34x34", "--json", "--out", out, "--picture", tmp_path / "hot.png")
+    pixels = [{"x": 30, "y": 2, "events": at[0]}, {"x": 3, "y": 31, "events": at[1]}]
+    result = {"sensor": [34, 34], "events": len(events), "out": str(out)}
+    assert json.loads(program(*words)[1]) == result | {"hot_pixels": pixels, "share": sum(at) / len(events)}
+    assert (tmp_path / "hot.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads(program(*words, "--factor", "60")[1])["hot_pixels"] == pixels[:1]
+
+
+def test_without_out_an_existing_mask_is_not_overwritten(tmp_path, program, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    n, kept = len(EVENTS), "which masks nothing"
+    printed = f"no hot pixels: none of 34x34 stands out in {n} events; wrote mask.npy, {kept}\n"
+    assert program("mask", SAMPLE) == (0, printed, "")
+    assert not np.load("mask.npy").any()
+    (tmp_path / "mask.npy").write_bytes(b"precious")
+    message = "async-tnt: mask.npy exists already: --out mask.npy overwrites it, --out FILE writes another file\n"
+    assert program("mask", SAMPLE) == (2, "", message)
+    assert (tmp_path / "mask.npy").read_bytes() == b"precious"
+    assert program("mask", SAMPLE, "--out", "mask.npy")[0] == 0 and not np.load("mask.npy").any()
+
+
+def test_recordings_of_one_camera_count_as_one(tmp_path, program):
+    """A pixel that is not far above its neighbours in either recording is, in both together."""
+    paths = [tmp_path / "0.npy", tmp_path / "1.npy"]
+    for k, path in enumerate(paths):
+        np.save(path, np.concatenate([random_events(1156, seed=k), events_of([1] * 8, [7] * 8, [9] * 8, [1] * 8)]))
+    for files, expected in ((paths[:1], []), (paths[1:], []), (paths, [(7, 9)])):
+        printed = program("mask", *files, "--sensor", "34x34", "--json", "--out", tmp_path / "m.npy")[1]
+        assert [(p["x"], p["y"]) for p in json.loads(printed)["hot_pixels"]] == expected
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Recordings of every kind of trouble, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    np.save(tmp_path / "a.npy", EVENTS)
+    for side in (34, 50):
+        np.savez(tmp_path / f"{side}.npz", events=random_events(9), sensor=np.array([side, side]))
+    np.savez(tmp_path / "e.npz", events=random_events(0), sensor=np.array([34, 34]))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("a.npy", "a.npy: the file does not state the camera's sensor; give --sensor WxH"),
+        ("34.npz 50.npz", "50.npz: a sensor of 50x50 pixels, but --sensor or an earlier recording"),
+        ("e.npz", "e.npz: no events, no hot pixels can be found"),
+        ("34.npz --out m.png", "m.png: its name must end in .npy"),
+    ],
+)
+def test_an_error_is_one_line(words, message, folder, program):
+    code, printed, error = program("mask", *words.split())
+    assert (code, printed) == (2, "") and error.startswith("async-tnt: ") and len(error.splitlines()) == 1
+    assert message in error
+    assert not (folder / "mask.npy").exists()

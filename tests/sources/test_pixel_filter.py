@@ -1,4 +1,7 @@
-"""The filter equals its NumPy twin and counts what it drops."""
+"""The filter equals its NumPy twin and counts what it drops; which pixels a model sees, as values that can be sent."""
+
+import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -8,6 +11,8 @@ from made import events_of, nasty_streams
 
 import async_tnt
 from async_tnt.sources.pixel_filter import PixelCounts, PixelFilter
+from async_tnt.sources.pixel_masks import PackedMask, save_mask
+from async_tnt.sources.pixel_selection import PixelSelection, PixelSelector
 
 SENSORS = [(34, 34), (7, 5), (2, 2), (300, 200), (40, 1)]
 
@@ -81,3 +86,110 @@ def test_the_borders_of_a_region_by_hand():
     kept = PixelFilter((10, 8), roi=(2, 3, 4, 2))(events)
     assert {(int(x), int(y)) for _, x, y, _ in kept} == {(x, y) for x in (2, 3, 4, 5) for y in (3, 4)}
     assert PixelFilter((10, 8), roi=(9, 7, 1, 1), crop=True)(events).tolist() == [(79, 0, 0, 1)]
+
+
+# -- selections of pixels ---------------------------------------------------------------------------------
+
+
+def mask_of(size, *pixels):
+    mask = np.zeros(size[::-1], bool)
+    for x, y in pixels:
+        mask[y, x] = True
+    return mask
+
+
+def random_mask(size, share):
+    return np.random.default_rng(0).random(size[::-1]) < share
+
+
+def test_a_selection_goes_to_another_process_with_its_mask_which_may_be_an_array_or_a_file(tmp_path):
+    mask = random_mask((1280, 720), 1e-4)
+    save_mask(tmp_path / "m.npy", mask)
+    packed = PackedMask.of(mask)
+    for one in (mask, packed, tmp_path / "m.npy", str(tmp_path / "m.npy")):
+        selection = PixelSelection((10, 20, 34, 34), True, one)
+        assert selection == PixelSelection(np.array([10, 20, 34, 34]), 1, packed) and selection.crop is True
+    assert selection.mask.name == str(tmp_path / "m.npy")
+    (tmp_path / "m.npy").unlink()
+    sent = pickle.dumps(selection)
+    assert len(sent) < 3000
+    received = pickle.loads(sent)
+    assert received == selection and hash(received) == hash(selection) and received.about == selection.about
+    np.testing.assert_array_equal(received.mask.pixels((1280, 720)), mask)
+    small = random_mask((5, 7), 0.5)
+    np.testing.assert_array_equal(PackedMask.of(np.asfortranarray(small)).pixels((5, 7)), small)
+    assert dataclasses.replace(selection, sensor=[1280, 720]).sensor == (1280, 720)
+    with pytest.raises(TypeError, match=r"`mask` must be a bool array, a .* or a PackedMask, got "):
+        PixelSelection(mask=b"m.npy")
+
+
+ROI = (10, 4, 40, 40)
+MASK, OTHER = (PackedMask.of(mask_of((60, 48), pixel), "hot.npy") for pixel in ((4, 3), (3, 4)))
+SELECTIONS = [
+    PixelSelection(),
+    PixelSelection(ROI),
+    PixelSelection((0, 0, 40, 40)),
+    PixelSelection(ROI, crop=True),
+    PixelSelection(mask=MASK),
+    PixelSelection(mask=OTHER),
+    PixelSelection(ROI, crop=True, mask=MASK),
+]
+
+
+def test_about_tells_selections_apart():
+    assert len({repr(selection.about) for selection in SELECTIONS}) == len(SELECTIONS)
+    assert SELECTIONS[0].about == {}
+    assert SELECTIONS[4].about == {"mask": f"60x48 {MASK.sha256[:16]}"}
+    assert SELECTIONS[3].about == {"roi": "10,4,40,40", "crop": True}
+    # a sensor decides which recordings are of the camera; one that repeats the size of the mask decides nothing
+    assert PixelSelection(ROI, True, sensor=(60, 48)).about == SELECTIONS[3].about | {"sensor": "60x48"}
+    assert PixelSelection(ROI, True, MASK, (60, 48)).about == SELECTIONS[6].about
+
+
+@pytest.mark.parametrize(
+    ("settings", "model", "message"),
+    [
+        ({"roi": (0, 0, 20, 20), "crop": True}, (34, 34), "got a region of 20x20; give `roi` X,Y,34,34"),
+        (
+            {"sensor": (60, 48)},
+            (40, 40),
+            "^`sensor` says 60x48 .* for 40x40; train .*, or cut .* `roi` X,Y,40,40 `crop`$",
+        ),
+        (
+            {"mask": MASK},
+            (61, 40),
+            r"^hot.npy is a mask of 60x48 pixels, but the model is for 61x40; train .* train\)$",
+        ),
+        ({"roi": (60, 8, 40, 40), "crop": True, "mask": MASK}, (40, 40), "must lie on the sensor of 60x48 pixels"),
+        ({"mask": MASK, "sensor": (34, 34)}, (34, 34), "a mask of 60x48 pixels, but the camera's are given as 34x34"),
+    ],
+)
+def test_a_wrong_selection_is_refused_before_the_first_event(settings, model, message):
+    with pytest.raises(ValueError, match=message):
+        PixelSelector(PixelSelection(**settings), model)
+
+
+@pytest.mark.parametrize(
+    ("selection", "model", "found", "message"),
+    [
+        (PixelSelection(), (40, 40), (60, 48), "the model is for 40x40; train .*, or cut out a part: `roi` X,Y,40,40"),
+        (PixelSelection(), (40, 40), (40, 39), r"a: a .* 40x39 .*, but the model is for 40x40; train one .* train\)$"),
+        (PixelSelection((3, 4, 34, 34), True, MASK), (34, 34), (50, 50), "but hot.npy is a mask of 60x48$"),
+        (PixelSelection(ROI, True), (40, 40), None, "the camera's pixels, which `crop` needs: give `sensor`$"),
+    ],
+)
+def test_a_camera_that_is_not_the_expected_one_is_refused_with_its_origin(selection, model, found, message):
+    with pytest.raises(ValueError, match=message):
+        PixelSelector(selection, model).sensor_of("a", found)
+
+
+def test_nothing_left_counts_from_a_given_moment():
+    selector = PixelSelector(PixelSelection((0, 0, 4, 4), mask=mask_of((34, 34), (1, 1), (2, 2))), (34, 34))
+    select = selector.filter_of("", (34, 34))
+    assert selector.nothing_left() == ""  # nothing came
+    select(([1, 2, 3], [1, 2, 20], [1, 2, 20], [1, 1, 1]))
+    assert selector.nothing_left() == "no events are left: 1 outside of the region, 2 of masked pixels"
+    select(([4], [3], [3], [1]))
+    before = selector.counts
+    select(([5], [9], [9], [1]))
+    assert selector.nothing_left() == "" and "1 outside" in selector.nothing_left(before)

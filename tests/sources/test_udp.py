@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from listening import send
 from made import events_of, random_events
-from waiting import until
 
 from async_tnt.sources import EVENT_BYTES, Decoder, NetworkCounts, UdpSource, encode, open_udp
 from async_tnt.sources.udp import WARN_AFTER
@@ -44,14 +43,12 @@ in_both_ways = pytest.mark.parametrize("way", [in_a_loop, in_a_task])
 
 @pytest.mark.parametrize("format", EVENT_BYTES)
 def test_what_comes_is_what_a_decoder_makes_of_the_datagrams(format):
-    """Random bytes, good events with one wrong bit, cut ones, and more than any good datagram holds."""
+    """Good events, cut ones, random bytes, and more than any good datagram holds."""
     rng = np.random.default_rng(1)
-    datagrams = [rng.bytes(int(rng.integers(0, 300))) for _ in range(100)]
+    datagrams = [b"\xff" * 65_507]
     for k in range(100):
-        good = bytearray(encode(EVENTS[k : k + 9], format))
-        good[int(rng.integers(len(good)))] ^= 1 << int(rng.integers(8))
-        datagrams.append(bytes(good[: len(good) - k % 3]))
-    datagrams = [b"\xff" * 65_507, *(datagrams[k] for k in rng.permutation(200))]
+        good = encode(EVENTS[k : k + 9], format)
+        datagrams += [good[: len(good) - k % 3], rng.bytes(int(rng.integers(0, 300)))]
     decoder, got = Decoder(format, (34, 34)), []
     with (
         listening(format=format, sensor=(34, 34), max_datagrams=8, max_jump_s=None) as source,
@@ -159,12 +156,11 @@ def test_the_summary_is_one_line_of_what_was_counted():
 
 
 def test_a_stream_without_one_good_event_is_reported_once(caplog):
-    events = events_of(range(WARN_AFTER), [0] * WARN_AFTER, [20] * WARN_AFTER, [1] * WARN_AFTER)
-    events["p"][::2] = 2
-    with UdpSource(port=0, sensor=SENSOR) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
-        for n_sent in (1, 2):
+    events = events_of(range(WARN_AFTER), [0] * WARN_AFTER, [20] * WARN_AFTER, [1, 2] * (WARN_AFTER // 2))
+    with listening(sensor=SENSOR) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
+        for _ in range(2):
             sender.sendto(events.tobytes(), (source.address, source.port))
-            until(lambda n_sent=n_sent: source.receive(0) is not None or source.counts.datagrams == n_sent)
+            assert list(source) == []
     line = (
         "none of the first 1000 events can be used, 500 of them lie off the sensor; does the sender use another format "
         "than t64_x16_y16_on8 (?format=...), or a larger camera?"

@@ -13,6 +13,7 @@ import pytest
 from made import events_of
 
 SENSOR = (320, 240)
+ANY_TEXT = "von José in Zürich\t1"  # headers may name people and places
 
 
 def made_events(n, seed=0, sensor=SENSOR, step_us=50, start_us=1_000):
@@ -32,7 +33,8 @@ def csv(events, sensor=SENSOR):
 
 def evt_header(version, sensor=SENSOR, more=""):
     name = f"EVT{version.replace('.0', '').replace('.', '')}"
-    return f"% evt {version}\n% format {name};height={sensor[1]};width={sensor[0]}{more}\n% end\n".encode()
+    lines = f"evt {version}", ANY_TEXT, f"format {name};height={sensor[1]};width={sensor[0]}{more}", "end"
+    return "".join(f"% {line}\n" for line in lines).encode()
 
 
 def evt2(events, sensor=SENSOR):
@@ -81,7 +83,7 @@ def evt3(events, sensor=SENSOR):
 
 
 def dat(events, sensor=SENSOR):
-    header = f"% Data file\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
+    header = f"% {ANY_TEXT}\n% Version 2\n% Width {sensor[0]}\n% Height {sensor[1]}\n".encode()
     body = (struct.pack("<II", t & 0xFFFFFFFF, p << 28 | y << 14 | x) for t, x, y, p in events.tolist())
     return header + b"\x0c\x08" + b"".join(body)
 
@@ -100,12 +102,8 @@ def es(events, sensor=SENSOR):
 
 def aedat2(events, sensor, chip):
     """A DVS128 that states no camera, or a DAVIS; between every two events one that is not a pixel's."""
-    lines = [
-        "#!AER-DAT2.0",
-        "# This is a raw AE data file - do not edit",
-        *([f"# AEChip: eu.chips.{chip}"] if chip else []),
-    ]
-    out = ["".join(line + "\r\n" for line in lines).encode()]
+    lines = ["#!AER-DAT2.0", f"# {ANY_TEXT}", *([f"# AEChip: eu.chips.{chip}"] if chip else [])]
+    out = ["".join(line + "\r\n" for line in lines).encode("latin-1")]  # jAER uses the encoding of its system
     for t, x, y, p in events.tolist():
         if chip:
             address, other = (179 - y) << 22 | (239 - x) << 12 | p << 11, 1 << 31 | 7 << 22
@@ -117,7 +115,7 @@ def aedat2(events, sensor, chip):
 
 def aedat3(events, sensor=(240, 180)):
     """Packets of five polarity events (or a tenth of all) and one that is not valid; between them, special events."""
-    out = [b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"]
+    out = [f"#!AER-DAT3.1\r\n#{ANY_TEXT}\r\n".encode() + b"#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"]
     n = max(5, len(events) // 10)
     for (_, overflows), rows in groupby(enumerate(events.tolist()), key=lambda row: (row[0] // n, row[1][0] >> 31)):
         packet = [row for _, row in rows]
