@@ -141,21 +141,6 @@ def test_early_decisions_are_those_of_an_independent_count(model, saved, dataset
         assert (row["median_ms"], row["p90_ms"]) == pytest.approx((np.median(ms), np.quantile(ms, 0.9)))
     decided = [row["decided"] for row in report["confidence"]]
     assert decided[0] == 1 and decided[2] > 0 and decided[-1] == 0
-    at_tenths = [
-        (d.probability, d.index == label)
-        for label, window in windows
-        for moment in range(6_000, 66_000, 6_000)
-        for d in [d for d in window if d.time_us - d.window_start_us < moment][-1:]
-    ]
-    assert sum(row["decisions"] for row in report["calibration"]) == len(at_tenths)
-    error = 0.0
-    for row in report["calibration"]:
-        tenth = int(row["probability"] * 10)
-        some = [(p, right) for p, right in at_tenths if min(int(p * 10), 9) == tenth]
-        mean, share = np.mean([p for p, _ in some]), np.mean([right for _, right in some])
-        assert (row["decisions"], row["probability"], row["accuracy"]) == pytest.approx((len(some), mean, share))
-        error += len(some) / len(at_tenths) * abs(mean - share)
-    assert report["calibration_error"] == pytest.approx(error) and error > 0
 
 
 def test_windows_of_events_are_counted_apart_and_have_no_accuracy_against_time(model, program, tmp_path):
@@ -184,7 +169,6 @@ def test_the_text_names_classes_and_times_and_the_picture_is_drawn(saved, datase
     axes = draw_confusion(np.array([[90, 10], [0, 2]]), ["left", "right"], "mine").axes[0]
     np.testing.assert_allclose(axes.images[0].get_array(), [[0.9, 0.1], [0, 1]])  # shares of the row
     assert [text.get_text() for text in axes.texts] == ["90", "10", "2"]
-    assert (axes.get_ylabel(), axes.get_xlabel()) == ("true", "decided")
 
 
 def test_skipped_recordings_are_named_and_strict_refuses_them(saved, tmp_path, program):

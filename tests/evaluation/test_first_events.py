@@ -1,7 +1,7 @@
 """Decisions after 10, 20, 50, ... events of each window, however the recording is cut into packets."""
 
 import numpy as np
-from deciding import CONFIG, at, key, total_and_size
+from deciding import CONFIG, at, total_and_size
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from made import events_of
@@ -33,14 +33,3 @@ def test_every_window_is_decided_after_so_many_events(times, cuts):
         (times[0] + 1000 * k, count) for k in range(6) for count in (10, 20, 50, 100) if (window == k).sum() >= count
     ]
     assert fired == expected
-
-
-@given(times=st.lists(st.integers(0, 3000), min_size=1, max_size=90), cuts=st.lists(st.integers(0, 90), max_size=3))
-@settings(deadline=None)
-def test_the_other_decisions_are_those_without_it(times, cuts):
-    """Late events, too: those that are dropped count, so that a decision may be from fewer events than it could be."""
-    triggers = {"every_us": 50}
-    decisions = decide(events_at(times), cuts, **triggers)
-    processor = Processor(CONFIG, classifier=total_and_size, **triggers)
-    alone = processor.push(events_at(times)) + processor.finish()
-    assert list(map(key, alone)) == [key(d) for d in decisions if d.trigger != "fire"]

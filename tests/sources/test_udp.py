@@ -131,16 +131,6 @@ def test_silence_ends_a_loop_and_a_loop_may_close_its_source():
     assert source.closed and source.counts.events == 200
 
 
-def test_cancelling_the_task_that_waits_closes_the_source():
-    async def run(source):
-        with pytest.raises(TimeoutError):
-            await asyncio.wait_for(anext(aiter(source)), 0.01)
-
-    source = UdpSource(port=0)
-    asyncio.run(run(source))
-    assert source.closed
-
-
 # -- counts ----------------------------------------------------------------------------------------------
 
 

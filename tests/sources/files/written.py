@@ -199,6 +199,7 @@ FORMATS = {
     "plain.bin": _bytes(nmnist, (34, 34), linear=False),  # damage anywhere refuses the whole file
     "records.npy": Format(lambda path, events, sensor: np.save(path, events), states_sensor=False),
     "packed.npz": Format(lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=sensor)),
+    "table.npz": Format(lambda path, events, sensor: np.savez(path, events=table_of(events)), states_sensor=False),
     "plain.npz": Format(lambda path, events, sensor: np.savez(path, **columns_of(events)), states_sensor=False),
     "dv.aedat4": Format(by_faery, (32767, 32767)),  # its pixels have 16 bits, signed
     "dsec.h5": Format(dsec, states_sensor=False),
