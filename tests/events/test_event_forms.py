@@ -89,17 +89,6 @@ def test_any_memory(stored):
     assert_decoded([stored(np.array(column)) for column in EVENTS])
 
 
-def test_fields_renamed_and_polarity_written_otherwise_between_packets():
-    events = np.array([(5, 1, 2, 1)], EVENT_DTYPE.descr)
-    decoder = EventDecoder(SENSOR)
-    assert decoded(decoder, events) == [[5], [1], [2], [1]]
-    events.dtype.names = ("t", "y", "x", "p")  # the same dtype object with another meaning
-    assert decoded(decoder, events) == [[5], [2], [1], [1]]
-    assert (
-        decoded(decoder, ([1, 2], [0, 0], [0, 0], [-1, 1]))[3] == decoded(decoder, ([1, 2], [0, 0], [0, 0], [0, 1]))[3]
-    )
-
-
 # -- columns ---------------------------------------------------------------------------------------------
 
 

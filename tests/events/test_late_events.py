@@ -51,15 +51,6 @@ def test_by_hand():
     assert (refuse.newest_us, refuse.n_dropped) == (-1, 0)
 
 
-def test_an_unknown_policy():
-    for make in (
-        lambda: TNTVolume(TNTConfig(), late="ignore"),
-        lambda: Processor(TNTConfig(), classifier=lambda volume: [0.0], late="ignore"),
-    ):
-        with pytest.raises(ValueError, match=r"^`late` must be one of accept, drop, raise, got 'ignore'$"):
-            make()
-
-
 @given(
     times=st.lists(st.one_of(st.integers(0, 12), st.integers(0, 2**62 - 1)), max_size=25),
     cuts=st.lists(st.integers(0, 25), max_size=5),

@@ -132,17 +132,6 @@ def test_without_out_an_existing_mask_is_not_overwritten(tmp_path, program, monk
     assert program("mask", SAMPLE, "--out", "mask.npy")[0] == 0 and not np.load("mask.npy").any()
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """Recordings of every kind of trouble, in the current folder."""
-    monkeypatch.chdir(tmp_path)
-    np.save(tmp_path / "a.npy", EVENTS)
-    for side in (34, 50):
-        np.savez(tmp_path / f"{side}.npz", events=random_events(9), sensor=np.array([side, side]))
-    np.savez(tmp_path / "e.npz", events=random_events(0), sensor=np.array([34, 34]))
-    return tmp_path
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -152,8 +141,12 @@ def folder(tmp_path, monkeypatch):
         ("34.npz --out m.png", "m.png: its name must end in .npy"),
     ],
 )
-def test_an_error_is_one_line(words, message, folder, program):
+def test_an_error_is_one_line(words, message, tmp_path, program, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.save("a.npy", EVENTS)
+    for name, n, side in (("34", 9, 34), ("50", 9, 50), ("e", 0, 34)):
+        np.savez(f"{name}.npz", events=random_events(n), sensor=np.array([side, side]))
     code, printed, error = program("mask", *words.split())
     assert (code, printed) == (2, "") and error.startswith("async-tnt: ") and len(error.splitlines()) == 1
     assert message in error
-    assert not (folder / "mask.npy").exists()
+    assert not (tmp_path / "mask.npy").exists()

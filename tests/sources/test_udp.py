@@ -1,7 +1,6 @@
 """UdpSource on loopback: packets, the ways to iterate and to end it, counts, names."""
 
 import asyncio
-import gc
 import random
 import socket
 import threading
@@ -77,29 +76,6 @@ def test_many_datagrams_become_one_packet_up_to_the_limit(way):
     assert [len(packet) for packet in packets] == [800, 800, 400]
     assert np.concatenate(packets).tobytes() == EVENTS[:2000].tobytes()  # none was overwritten by the next
     assert source.counts == NetworkCounts(20, 13 * 2000, 2000, malformed=0, late=0)
-
-
-# 32 bits of time wrap after 71 minutes: at the start of a datagram, as faery sees no wrap within one
-WRAP = events_of(2**32 - 100 + np.arange(200), [1] * 200, [2] * 200, [1] * 200)
-
-
-# faery leaves its sockets to the garbage collector
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize(
-    ("events", "format"), [(EVENTS, "t64_x16_y16_on8"), (EVENTS, "t32_x16_y15_on1"), (WRAP, "t32_x16_y15_on1")]
-)
-def test_what_faery_sends_arrives(events, format):
-    faery = pytest.importorskip("faery", reason="needs the extra `files`")
-    array = np.zeros(len(events), faery.EVENTS_DTYPE)
-    array["t"], array["x"], array["y"], array["on"] = events["t"], events["x"], events["y"], events["p"] == 1
-    with listening(format=format) as source:
-        stream = faery.events_stream_from_array(array, dimensions=(1 << 15, 1 << 15))
-        stream.to_udp(("127.0.0.1", source.port), format=format)
-        assert np.concatenate(list(source)).tobytes() == events.tobytes()
-        assert source.counts.malformed == source.counts.late == 0
-    del stream
-    gc.collect()  # here, where the warning does no harm
 
 
 # -- waiting, and the end --------------------------------------------------------------------------------

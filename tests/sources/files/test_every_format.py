@@ -171,7 +171,7 @@ def test_a_part_between_two_times_is_half_open(tmp_path):
         assert open_recording(path, between_us=(start, end)).read()["t"].tolist() == times
 
 
-@pytest.mark.parametrize("suffix", [".bin", ".npz", ".h5"])
+@pytest.mark.parametrize("suffix", [".npz", ".h5"])
 def test_what_is_not_a_file_is_refused_at_opening(tmp_path, suffix):
     (tmp_path / f"gone{suffix}").symlink_to(tmp_path / "nowhere")
     for name in ("nowhere", "gone"):

@@ -37,29 +37,28 @@ def evt_header(version, sensor=SENSOR, more=""):
     return "".join(f"% {line}\n" for line in lines).encode()
 
 
-def evt2(events, sensor=SENSOR):
-    out, high = [], None
+def evt2_words(events):
+    high = None
     for t, x, y, p in events.tolist():
         if t >> 6 != high:
             high = t >> 6
-            out.append(0x8 << 28 | high & (1 << 28) - 1)
-        out.append(p << 28 | (t & 63) << 22 | x << 11 | y)
-    return evt_header("2.0", sensor) + struct.pack(f"<{len(out)}I", *out)
+            yield 0x8 << 28 | high & (1 << 28) - 1
+        yield p << 28 | (t & 63) << 22 | x << 11 | y
+
+
+def evt2(events, sensor=SENSOR):
+    words = list(evt2_words(events))
+    return evt_header("2.0", sensor) + struct.pack(f"<{len(words)}I", *words)
 
 
 def evt21(events, sensor=SENSOR, endianness="little"):
     """An event a word, at the bit that x has in its group of 32."""
-    out, high = [], None
-    for t, x, y, p in events.tolist():
-        if t >> 6 != high:
-            high = t >> 6
-            out.append((0x8 << 28 | high & (1 << 28) - 1) << 32)
-        out.append((p << 28 | (t & 63) << 22 | (x & ~31) << 11 | y) << 32 | 1 << (x & 31))
-    if endianness == "legacy":
-        body = b"".join(struct.pack("<II", word >> 32, word & 0xFFFFFFFF) for word in out)
-    else:
-        body = struct.pack(f"<{len(out)}Q", *out)
-    return evt_header("2.1", sensor, f";endianness={endianness}") + body
+    halves = []
+    for word in evt2_words(events):
+        is_time = word >> 28 == 0x8
+        upper, lower = (word, 0) if is_time else (word & ~(31 << 11), 1 << (word >> 11 & 31))
+        halves += [upper, lower] if endianness == "legacy" else [lower, upper]
+    return evt_header("2.1", sensor, f";endianness={endianness}") + struct.pack(f"<{len(halves)}I", *halves)
 
 
 def evt3(events, sensor=SENSOR):
