@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made import random_events
-from waiting import until
+from waiting import in_both_ways, until
 
 from async_tnt.events import as_events
 from async_tnt.sources import BackgroundReader, PacketQueue, QueueCounters
@@ -49,22 +49,6 @@ class Source:
         self.n_yielded += 1
         self.n_events += len(packet)
         return packet
-
-
-def in_a_loop(reader):
-    with reader:
-        return list(reader)
-
-
-def in_a_task(reader):
-    async def run():
-        async with reader:
-            return [packet async for packet in reader]
-
-    return asyncio.run(run())
-
-
-in_both_ways = pytest.mark.parametrize("read", [in_a_loop, in_a_task])
 
 
 @in_both_ways

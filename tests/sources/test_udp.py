@@ -1,6 +1,5 @@
 """UdpSource on loopback: packets, the ways to iterate and to end it, counts, names."""
 
-import asyncio
 import random
 import socket
 import threading
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 from listening import send
 from made import events_of, random_events
+from waiting import in_both_ways
 
 from async_tnt.sources import EVENT_BYTES, Decoder, NetworkCounts, UdpSource, encode, open_udp
 from async_tnt.sources.udp import WARN_AFTER
@@ -20,21 +20,6 @@ SILENCE_S = 0.1
 
 def listening(**settings):
     return UdpSource(port=0, **{"timeout_s": SILENCE_S, **settings})
-
-
-def in_a_loop(source):
-    return list(source)
-
-
-def in_a_task(source):
-    async def run():
-        async with source:
-            return [packet async for packet in source]
-
-    return asyncio.run(run())
-
-
-in_both_ways = pytest.mark.parametrize("way", [in_a_loop, in_a_task])
 
 
 # -- packets ---------------------------------------------------------------------------------------------
@@ -68,10 +53,10 @@ def test_what_comes_is_what_a_decoder_makes_of_the_datagrams(format):
 
 
 @in_both_ways
-def test_many_datagrams_become_one_packet_up_to_the_limit(way):
+def test_many_datagrams_become_one_packet_up_to_the_limit(read):
     source = listening(max_datagrams=8, sensor=(34, 34))
     assert send(source.port, EVENTS[:2000]) == 20
-    packets = way(source)
+    packets = read(source)
     source.close()
     assert [len(packet) for packet in packets] == [800, 800, 400]
     assert np.concatenate(packets).tobytes() == EVENTS[:2000].tobytes()  # none was overwritten by the next
@@ -82,14 +67,14 @@ def test_many_datagrams_become_one_packet_up_to_the_limit(way):
 
 
 @in_both_ways
-def test_closed_by_a_thread_at_any_moment(way):
+def test_closed_by_a_thread_at_any_moment(read):
     """No hang, no error, and the socket is closed."""
     chance = random.Random(0)
     for _ in range(50):
         source = UdpSource(port=0, buffer_bytes=4096)
         closing = threading.Timer(chance.random() * 1e-3, source.close)
         closing.start()
-        assert way(source) == []
+        assert read(source) == []
         closing.join()
         assert source._socket.fileno() == -1 and source.receive(0) is None and source.closed
 

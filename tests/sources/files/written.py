@@ -128,13 +128,13 @@ def nmnist(events, sensor=(34, 34)):
     return b"".join(struct.pack(">BBBH", x, y, p << 7 | t >> 16, t & 0xFFFF) for t, x, y, p in events.tolist())
 
 
-def by_faery(path, events, sensor=SENSOR, version=None):
+def by_faery(path, events, sensor=SENSOR):
     """In the format of the suffix."""
     faery = pytest.importorskip("faery", reason="AEDAT4 needs faery")
     theirs = np.empty(len(events), faery.EVENTS_DTYPE)
     for name, ours in (("t", "t"), ("x", "x"), ("y", "y"), ("on", "p")):
         theirs[name] = events[ours]
-    faery.events_stream_from_array(theirs, sensor).to_file(path, version=version)
+    faery.events_stream_from_array(theirs, sensor).to_file(path)
 
 
 def dsec(path, events, sensor=SENSOR, **how):
@@ -172,15 +172,13 @@ class Format(NamedTuple):
     largest: tuple[int, int] = (1 << 16, 1 << 16)
     """The largest sensor."""
     states_sensor: bool = True
-    of_bytes: Callable | None = None
-    """Where the first bytes alone decide the first events: the bytes, of (events, sensor)."""
 
 
-def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True, linear=True):
+def _bytes(make, largest=(1 << 16, 1 << 16), states_sensor=True):
     def write(path, events, sensor=SENSOR):
         path.write_bytes(make(events, sensor))
 
-    return Format(write, largest, states_sensor, make if linear else None)
+    return Format(write, largest, states_sensor)
 
 
 FORMATS = {
@@ -195,7 +193,7 @@ FORMATS = {
     "dvs128.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, ""), (128, 128), states_sensor=False),
     "davis.aedat": _bytes(lambda events, sensor: aedat2(events, sensor, "DAViS240C"), (240, 180)),
     "caer.aedat": _bytes(aedat3, (240, 180)),
-    "plain.bin": _bytes(nmnist, (34, 34), linear=False),  # damage anywhere refuses the whole file
+    "plain.bin": _bytes(nmnist, (34, 34)),
     "records.npy": Format(lambda path, events, sensor: np.save(path, events), states_sensor=False),
     "packed.npz": Format(lambda path, events, sensor: np.savez_compressed(path, events=events, sensor=sensor)),
     "table.npz": Format(lambda path, events, sensor: np.savez(path, events=table_of(events)), states_sensor=False),
