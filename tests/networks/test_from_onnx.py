@@ -62,33 +62,6 @@ def write_onnx(path, nodes, constants=None, output="y", opset=13):
     return path
 
 
-def of_map(op, inputs="x", opset=13, **more):
-    """An operation on a map, and the mean over places; `more`: attributes, and constants as arrays."""
-    constants = {name: value for name, value in more.items() if isinstance(value, (np.ndarray, np.generic))}
-    attributes = {name: value for name, value in more.items() if name not in constants}
-    nodes = [node(op, inputs, "m", **attributes), node("GlobalAveragePool", "m", "p"), node("Flatten", "p")]
-    return nodes, constants, opset
-
-
-FORMS = {  # those of all other operations: test_random_networks.py
-    "more after": of_map("Conv", "x w", w=numbers(4, 2, 2, 4), auto_pad="SAME_UPPER"),
-    "more before": of_map("Conv", "x w", w=numbers(4, 2, 2, 4), auto_pad="SAME_LOWER"),
-    "limits as attributes": of_map("Clip", "x", 9, min=-0.1, max=0.5),
-    "an upper limit": of_map("Clip", "x - high", high=np.float32(0.5)),
-    "mean of axes": ([node("ReduceMean", axes=[3, -2], keepdims=0)], {}, 13),
-}
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_a_form_of_an_operation_is_read_as_it_is(form, tmp_path):
-    nodes, constants, opset = FORMS[form]
-    path = write_onnx(tmp_path / "m.onnx", nodes, constants, opset=opset)
-    volume = np.random.default_rng(0).normal(size=SMALL.shape).astype(np.float32)
-    logits = CompiledClassifier(load_model(path, config=SMALL))(volume)
-    expected = OnnxClassifier(path)(volume)
-    assert np.abs(logits - expected).max() <= 1e-5 * max(1, np.abs(expected).max()) and np.ptp(expected) > 1e-3
-
-
 ONES, KERNEL = np.ones(2, np.float32), np.ones((1, 2, 3, 3), np.float32)
 HALF, YES = np.float32(0.5), np.bool_(True)
 REFUSED = [  # nodes, constants, message, opset

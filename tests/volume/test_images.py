@@ -1,34 +1,8 @@
-"""Images of counts and times: by hand, and those of a stream against the torch reference."""
+"""Images of counts and times, by hand. Against the reference: test_volume_equals_reference.py."""
 
 import numpy as np
-from made import events_of
-from tnt_reference import count_image, count_timestamp_image
 
 from async_tnt import TNTConfig, TNTVolume
-
-
-def columns(events):
-    return [events[name] for name in "txyp"]
-
-
-BY_HAND = events_of(
-    # ON at (1, 0): at the window's start, again at 1/4. OFF at (1, 0): at 1/2, then one that is older, 1/8.
-    # ON at (2, 1): at the window's last microsecond. OFF at (0, 1): at the start only.
-    # Not in the window [1000, 1800): OFF at (2, 0), one before it and one at its end.
-    [1_000, 1_200, 1_400, 1_100, 1_799, 1_000, 999, 1_800],
-    [1, 1, 1, 1, 2, 0, 2, 2],
-    [0, 0, 0, 0, 1, 1, 0, 0],
-    [1, 1, 0, 0, 1, 0, 0, 0],
-)
-
-
-def test_the_references_images_by_hand():
-    counts = count_image(*columns(BY_HAND), sensor=(3, 2))
-    four = count_timestamp_image(*columns(BY_HAND), start_us=1_000, window_us=800, sensor=(3, 2))
-    assert counts.tolist() == [[[0, 2, 0], [0, 0, 1]], [[0, 2, 2], [1, 0, 0]]]
-    assert four[:2].tolist() == [[[0, 2, 0], [0, 0, 1]], [[0, 2, 0], [1, 0, 0]]]
-    assert four[2].tolist() == [[0, 0.25, 0], [0, 0, np.float32(799 / 800)]]
-    assert four[3].tolist() == [[0, 0.5, 0], [0, 0, 0]]  # the newest, not the last to arrive; the start is 0
 
 
 def image_of(events, **settings):

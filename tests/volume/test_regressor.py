@@ -138,22 +138,6 @@ def test_by_hand():
     assert volume.counts == Counts(received=2, kept=2)
 
 
-def test_it_sees_the_raw_volume_of_its_window_read_only():
-    seen = []
-
-    def regressor(raw):
-        seen.append((raw.flags.writeable, raw.dtype, raw.tobytes()))
-        return 3.0, 4.0
-
-    volume, raw = TNTVolume(CONFIG, regressor=regressor), TNTVolume(CONFIG.replace(transform="none"))
-    for start_us in (0, 1000, 7000):
-        volume.open(start_us), raw.open(start_us)
-        for part in np.split(random_events(300, seed=start_us, duration_us=1000, start_us=start_us), [1, 100]):
-            volume.update(part), raw.update(part)
-            assert volume.landmark == (3.0, 4.0)
-            assert seen[-1] == (False, np.float32, raw.array.tobytes())
-
-
 @pytest.mark.parametrize(
     "settings, polarity", [({"every_events": 37}, "signed"), ({"hop_us": 300, "every_us": 170}, "split")]
 )
